@@ -1,0 +1,88 @@
+"""The one interface of all dosing controllers: measurements in, the next valve command out.
+
+A controller is pure: it owns no device and reads no clock. `skills/dispense.py` asks it for a command,
+carries that out on the hand and the balance, and tells it what was measured:
+
+    command = controller.decide(None)              # the first command
+    while not isinstance(command, Finish):
+        ... carry it out ...
+        command = controller.decide(observation)   # and so on
+
+A controller lives for one dose; `Finish` is its last word.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """Open to `opening_mm`, hold `dwell_s` (counted from the opening being reached), close, then settle."""
+
+    opening_mm: float
+    dwell_s: float
+    vibration: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Go to this opening and vibration now and hold them until the next reading."""
+
+    opening_mm: float
+    vibration: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Settle:
+    """Close the valve, stop vibrating and wait for a stable mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """The dose is over. `empty` asks for another scoop: the cone gave no more."""
+
+    reason: Literal["reached", "overshoot", "empty", "no_flow", "step_limit"]
+    estimate_mg: float
+    uncertainty_mg: float
+
+
+Command = Pulse | Stream | Settle | Finish
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What is known after a command: `net_mg` is gross now less gross before the dose's first scoop."""
+
+    time_s: float
+    net_mg: float
+    uncertainty_mg: float
+    stable: bool
+    """True for a stable mean (after Pulse and Settle), False for a single reading (after Stream)."""
+    opening_mm: float = 0.0
+    """The opening the hand reports at that time."""
+
+
+@dataclass(frozen=True, slots=True)
+class DoseRequest:
+    """What a controller is built from: the goal, the hand's valve, and what is believed of the powder."""
+
+    target_mg: float
+    tolerance_mg: float
+    gain: float
+    max_opening_mm: float
+    valve_speed_mm_per_s: float
+    readability_mg: float
+    cone_mg: float
+    """What the cone is believed to hold."""
+    streaming: bool = True
+
+
+class Controller(Protocol):
+    """Decides the next valve command from what has been measured."""
+
+    @property
+    def name(self) -> str: ...
+
+    def decide(self, seen: Observation | None) -> Command:
+        """The next command; `seen` is None at the start, else what the last command led to."""
+        ...

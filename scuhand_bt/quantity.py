@@ -1,0 +1,167 @@
+"""Units at the border: "50 mg" in a file, `mass_mg = 50.0` inside.
+
+Every number with a unit is a float whose *name* carries the unit. The annotated types below are what
+models and skills declare; they read text with pint and let a plain float through, which is then taken
+to be in the field's unit (that is how Python code calls a skill).
+"""
+
+import math
+import re
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any
+
+import pint
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import PydanticCustomError, core_schema
+
+_DEFINITIONS = """
+nano- = 1e-9 = n-
+micro- = 1e-6 = µ- = μ- = u-
+milli- = 1e-3 = m-
+centi- = 1e-2 = c-
+kilo- = 1e3 = k-
+gram = [mass] = g
+meter = [length] = m = metre
+second = [time] = s = sec
+minute = 60 * second = min
+hour = 60 * minute = h = hr
+liter = 1e-3 * meter ** 3 = L = l = litre
+radian = [] = rad
+degree = 0.017453292519943295 * radian = deg = °
+percent = 0.01 = %
+newton = kilogram * meter / second ** 2 = N
+hertz = 1 / second = Hz
+"""
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*?)\s*", re.DOTALL)
+_UNIT = re.compile(r"[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?(?:/[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?)?")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """The unit a field is kept in, and what its dimension is called in a message."""
+
+    unit: str
+    dimension: str
+    examples: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        return core_schema.no_info_before_validator_function(self._read, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return {"type": "string", "description": f"a {self.dimension}, such as {self.examples}"}
+
+    def _read(self, value: Any) -> Any:
+        if isinstance(value, str):
+            return self.parse(value)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise PydanticCustomError("quantity", self._wanted(f"{value!r} is no {self.dimension}"))
+        return float(value)
+
+    def parse(self, text: str) -> float:
+        """Read "0.05 g" as a float in this unit; PydanticCustomError says what is wrong otherwise."""
+        try:
+            return parse(text, self)
+        except ValueError as error:
+            raise PydanticCustomError("quantity", "{why}", {"why": str(error)}) from None
+
+    def _wanted(self, problem: str) -> str:
+        return f"{problem}; write a {self.dimension} with its unit, such as {self.examples}"
+
+
+@cache
+def _registry() -> "pint.UnitRegistry[float]":
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(None)
+    registry.load_definitions(_DEFINITIONS.strip().splitlines())
+    return registry
+
+
+@cache
+def _factor(unit_text: str, unit: Unit) -> float:
+    """What one `unit_text` is in `unit`; ValueError in the user's words if it cannot be."""
+    normal = unit_text.replace("²", "^2").replace("³", "^3").replace("μ", "µ")
+    normal = re.sub(r"(?<=[A-Za-zµ°%])([23])", r"^\1", normal).replace("%", "percent").replace("°", "degree")
+    try:
+        return float(_registry().Quantity(1.0, normal).to(unit.unit).magnitude)
+    except pint.DimensionalityError as error:
+        raise ValueError(
+            unit._wanted(f"'{unit_text}' is a unit of {_dimension_name(str(error.dim1))}, not of {unit.dimension}")
+        ) from None
+    except (pint.UndefinedUnitError, pint.DefinitionSyntaxError, AttributeError):
+        raise ValueError(unit._wanted(f"'{unit_text}' is no unit known here")) from None
+
+
+def _dimension_name(dimensions: str) -> str:
+    known = {"[mass]": "mass", "[length]": "length", "[time]": "duration", "dimensionless": "ratio or angle"}
+    return known.get(dimensions, dimensions)
+
+
+@cache
+def parse(text: str, unit: Unit) -> float:
+    """Read a number with its unit, e.g. "50 mg", as a float in `unit`.
+
+    Raises ValueError, worded for the user, for anything that is not one finite number and one unit of
+    the right dimension.
+    """
+    match = _NUMBER.fullmatch(text)
+    if match is None:
+        raise ValueError(unit._wanted(f"'{_short(text)}' is no {unit.dimension}"))
+    number, unit_text = float(match[1]), match[2]
+    if not unit_text:
+        raise ValueError(unit._wanted(f"'{_short(text)}' has no unit"))
+    if not _UNIT.fullmatch(unit_text):
+        raise ValueError(unit._wanted(f"'{_short(text)}' is no {unit.dimension}"))
+    value = float(f"{number * _factor(unit_text, unit):.12g}")  # 0.1 + 0.2 is nobody's mass
+    if not math.isfinite(value):
+        raise ValueError(unit._wanted(f"'{_short(text)}' is too large"))
+    return value
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+MASS = Unit("mg", "mass", '"50 mg" or "3 g"')
+DURATION = Unit("s", "duration", '"30 s" or "5 min"')
+LENGTH = Unit("mm", "length", '"80 mm" or "0.3 m"')
+ANGLE = Unit("degree", "angle", '"26 deg"')
+VOLUME = Unit("mm**3", "volume", '"0.5 cm^3" or "2 mL"')
+DENSITY = Unit("mg/mm**3", "density", '"1.5 g/cm^3"')
+SPEED = Unit("mm/s", "speed", '"50 mm/s"')
+RATIO = Unit("dimensionless", "ratio", '"1 %"')
+
+Milligrams = Annotated[float, MASS]
+Seconds = Annotated[float, DURATION]
+Millimetres = Annotated[float, LENGTH]
+Degrees = Annotated[float, ANGLE]
+CubicMillimetres = Annotated[float, VOLUME]
+MilligramsPerCubicMillimetre = Annotated[float, DENSITY]
+MillimetresPerSecond = Annotated[float, SPEED]
+Ratio = Annotated[float, RATIO]
+
+SUFFIXES = ("_mg_per_mm3", "_mm_per_s", "_mm3", "_deg", "_mg", "_mm", "_s", "_ratio")
+
+
+def plain_name(field_name: str) -> str:
+    """The name a user writes for a field: `mass_mg` is `mass` in YAML."""
+    for suffix in SUFFIXES:
+        if field_name.endswith(suffix):
+            return field_name.removesuffix(suffix)
+    return field_name
+
+
+def format_mass(mass_mg: float) -> str:
+    """A mass as people read it: mg below 1 g, else g, both to 0.1 mg."""
+    return f"{mass_mg:.1f} mg" if abs(mass_mg) < 1000 else f"{mass_mg / 1000:.4f} g"
+
+
+def format_duration(duration_s: float) -> str:
+    """A duration as people read it: "42 s", "3 min 05 s", "2 h 10 min"."""
+    seconds = round(duration_s)
+    if seconds < 60:
+        return f"{seconds} s"
+    if seconds < 3600:
+        return f"{seconds // 60} min {seconds % 60:02d} s"
+    return f"{seconds // 3600} h {seconds % 3600 // 60:02d} min"

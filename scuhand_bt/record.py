@@ -1,0 +1,29 @@
+"""What is written down while a run goes on: the Protocol; the journal (`run/journal.py`) implements it.
+
+Everything that happens goes through the record before it goes anywhere else.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+
+class Record(Protocol):
+    """Where devices and skills write what they did and saw; times are the run's, in seconds."""
+
+    def pulse(self, values: Mapping[str, Any]) -> None:
+        """One opening of the valve, or one streamed segment: what was commanded and what was weighed."""
+        ...
+
+    def event(self, kind: str, values: Mapping[str, Any]) -> None:
+        """Anything else worth keeping: a scoop, a prompt and its answer, a fault."""
+        ...
+
+
+class NoRecord:
+    """A record for benchmarks and tests, which keeps nothing."""
+
+    def pulse(self, values: Mapping[str, Any]) -> None:
+        pass
+
+    def event(self, kind: str, values: Mapping[str, Any]) -> None:
+        pass
