@@ -1,0 +1,76 @@
+"""The two clocks: virtual time, which jumps to the next event, and wall time."""
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from typing import Protocol
+
+from scuhand_bt.clock import Wake
+
+
+class Process(Protocol):
+    """What moves on with virtual time: the simulated world."""
+
+    def step(self, now_s: float, limit_s: float) -> float:
+        """Go on by one step of its own choosing, not past `limit_s`; return the new time."""
+        ...
+
+
+class VirtualClock:
+    """Time of a dry run. It passes as fast as the simulated world can be computed.
+
+    With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time.
+    """
+
+    def __init__(self, process: Process | None = None, speed: float | None = None) -> None:
+        self.now_s = 0.0
+        self.process = process
+        self._speed = speed
+        self._began = time.monotonic()
+
+    def wait(self, wakes: Sequence[Wake]) -> None:
+        """Go on to the earliest of `wakes`, letting the process take its steps on the way.
+
+        Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
+        """
+        limit_s = min((wake.until_s for wake in wakes), default=math.inf)
+        signals = [(wake.signal, wake.seen) for wake in wakes if wake.signal is not None]
+        if math.isinf(limit_s) and (self.process is None or not signals):
+            raise RuntimeError("a wait without end: no time given, and nothing that could fire")
+        while self.now_s < limit_s and all(signal.count == seen for signal, seen in signals):
+            self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
+            if self._speed is not None:
+                self._keep_pace(self._speed)
+
+    def _keep_pace(self, speed: float) -> None:
+        ahead_s = self.now_s / speed - (time.monotonic() - self._began)
+        if ahead_s > 0.002:
+            time.sleep(ahead_s)
+
+
+class WallClock:
+    """Time of a run on real devices, whose threads fire the signals."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self._news = threading.Condition()
+
+    @property
+    def now_s(self) -> float:
+        return time.monotonic() - self._began
+
+    def wait(self, wakes: Sequence[Wake]) -> None:
+        """Sleep until the earliest of `wakes` is due or one of their signals has fired."""
+        limit_s = min((wake.until_s for wake in wakes), default=math.inf)
+        for wake in wakes:
+            if wake.signal is not None:
+                wake.signal.on_fire = self._notify
+        with self._news:
+            while self.now_s < limit_s and not any(wake.has_fired for wake in wakes):
+                # A slice, not for ever: a signal handler of Python only runs between waits.
+                self._news.wait(min(limit_s - self.now_s, 0.05))
+
+    def _notify(self) -> None:
+        with self._news:
+            self._news.notify_all()

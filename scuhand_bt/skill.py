@@ -1,0 +1,147 @@
+"""The skill SDK: what a file in a lab's `skills/` folder is written with.
+
+A skill is one thing the cell can do. It is a class whose annotated fields are its parameters and whose
+`run` is a generator: each `yield` waits (see `scuhand_bt.clock.Wake`), `return` is success with a
+result, `raise SkillFailed(code, detail)` is failure. When the tree halts a skill, its generator is
+closed; its `finally` then sends safe commands and must not yield.
+
+    class Shake(Skill[None]):
+        \"\"\"Vibrate the cone for a while, to bring powder down its wall.\"\"\"
+
+        devices = ("hand",)
+        duration_s: Seconds = 2.0
+
+        def run(self, cell: Cell) -> Steps[None]:
+            cell.hand.set_vibration(1.0)
+            try:
+                yield from pause(cell, self.duration_s)
+            finally:
+                cell.hand.set_vibration(0.0)
+
+In a workflow this is `- shake: {duration: 5 s}`: the name is the file's, and parameters lose the unit
+of their field.
+"""
+
+import inspect
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, TypeVar
+
+from pydantic import BaseModel, ConfigDict
+
+from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
+from scuhand_bt.devices.cell import Believed, Cell
+from scuhand_bt.failures import Failure, SkillFailed
+from scuhand_bt.quantity import (
+    Degrees,
+    Milligrams,
+    Millimetres,
+    MillimetresPerSecond,
+    Ratio,
+    Seconds,
+    plain_name,
+)
+from scuhand_bt.specs import CellSpec, Container, Dose, Powder, Source
+
+__all__ = [
+    "Believed",
+    "Cell",
+    "Clock",
+    "Condition",
+    "Container",
+    "Degrees",
+    "Dose",
+    "Failure",
+    "Forecast",
+    "Milligrams",
+    "Millimetres",
+    "MillimetresPerSecond",
+    "Powder",
+    "Ratio",
+    "Seconds",
+    "Signal",
+    "Skill",
+    "SkillFailed",
+    "Source",
+    "Steps",
+    "Wake",
+    "pause",
+    "until",
+]
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What `plan` can say of an action before it runs."""
+
+    duration_s: float
+    person: str | None = None
+    """What a person has to do, if one is needed."""
+
+
+class Skill(BaseModel, Generic[R]):
+    """One thing the cell can do: typed parameters, and a generator that does it."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        alias_generator=plain_name,
+        populate_by_name=True,
+        ignored_types=(property,),
+    )
+
+    devices: ClassVar[tuple[str, ...]] = ()
+    """The devices it commands, and so leases: of "arm", "hand", "balance", "changer"."""
+    failures: ClassVar[Mapping[str, Failure]] = {}
+    """Failure codes of its own, beyond the shared catalogue."""
+    typical_s: ClassVar[float] = 5.0
+
+    @abstractmethod
+    def run(self, cell: Cell) -> Steps[R]:
+        """Do it. Yields `Wake`s, returns the result, raises SkillFailed."""
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        """What to expect; `inputs` holds those fields whose values are known before the run."""
+        return Forecast(cls.typical_s)
+
+    @classmethod
+    def result_type(cls) -> Any:
+        """The `Dose` of `Skill[Dose]`."""
+        for base in cls.__mro__:
+            metadata = getattr(base, "__pydantic_generic_metadata__", None)
+            if metadata and metadata["origin"] is Skill:
+                return metadata["args"][0]
+        return type(None)
+
+    @classmethod
+    def summary(cls) -> str:
+        """The first line of its docstring."""
+        return (inspect.getdoc(cls) or "").split("\n", 1)[0]
+
+
+class Condition(Skill[None]):
+    """A skill that only looks: it answers at once, commands nothing, and may guard a `while`."""
+
+    watches: ClassVar[tuple[str, ...]] = ()
+    """Devices whose news may change the answer; a `while` looks again whenever they report."""
+    typical_s = 0.0
+
+    @abstractmethod
+    def check(self, cell: Cell) -> None:
+        """Return if it holds; raise SkillFailed with the reason if not."""
+
+    def run(self, cell: Cell) -> Steps[None]:
+        self.check(cell)
+        return
+        yield  # makes this a generator, as every skill's run is
+
+
+def pause(cell: Cell, duration_s: float) -> Steps[None]:
+    """Let time pass."""
+    end_s = cell.clock.now_s + duration_s
+    while cell.clock.now_s < end_s:
+        yield Wake(end_s)
