@@ -33,12 +33,64 @@ NotNegative = Field(ge=0)
 
 
 class PowderFlowSpec(Spec):
-    """How a powder behaves in simulation (`scuhand_bt.sim.powder`); no controller reads it."""
+    """How a powder behaves in simulation (`scuhand_bt.sim.powder`, docs/calibration.md); no controller reads it."""
 
-    flow_coefficient: PositiveFloat = 70.0
+    flow_coefficient: PositiveFloat = 75.0
     """C' of Q = C' (D - kd)^2.5, in mg s^-1 mm^-2.5."""
-    dead_diameter_mm: Annotated[Millimetres, NotNegative] = 0.14
+    dead_diameter_mm: Annotated[Millimetres, NotNegative] = 0.12
     """kd of the Beverloo law: below this opening nothing flows."""
+    gravity: Annotated[Ratio, Field(ge=0, le=1)] = 1.0
+    """Share of the flow that needs no vibration: 1 for a free-flowing powder, 0 for a cohesive one."""
+    load_variation: Annotated[Ratio, NotNegative] = 0.10
+    """Spread of the flow from one cone load to the next."""
+    packing_variation: Annotated[Ratio, NotNegative] = 0.03
+    """Spread of the flow from one opening of the valve to the next."""
+    rate_variation: Annotated[Ratio, NotNegative] = 0.05
+    """Fluctuation of the flow within an opening."""
+    arch_diameter_mm: Annotated[Millimetres, NotNegative] = 0.0
+    """Da: the mass between arches grows as exp((D/Da)^3); 0 for a powder that never arches."""
+    surge_share: Annotated[Ratio, Field(ge=0, lt=1)] = 0.0
+    """Share of the flow that comes in lumps."""
+    surge_mg: Annotated[Milligrams, NotNegative] = 0.0
+    """Mean mass of a lump; at an opening of 1 mm if `surge_exponent` is not 0."""
+    surge_exponent: NonNegativeFloat = 0.0
+    """How a lump grows with the opening: 0 fixed, 3 with the gap's volume."""
+    heel: Annotated[Ratio, Field(ge=0, lt=1)] = 0.02
+    """Share of a cone load that stays on the wall until it is shaken."""
+    slot_mg_per_mm: NonNegativeFloat = 0.3
+    """What the space between the sheets holds per mm of opening; squeezed out as the valve closes."""
+    residue_mg: Annotated[Milligrams, NotNegative] = 3.0
+    """What sticks to the sheet until it is swapped."""
+
+
+class PowderBelief(Spec):
+    """What controllers believe of a powder: a first guess in `robot/powders.yaml`, then learnt per lot.
+
+    The flow is q = coefficient (D - threshold)^exponent, in mg/s with D in mm.
+    """
+
+    coefficient: PositiveFloat = 70.0
+    threshold_mm: Annotated[Millimetres, NotNegative] = 0.1
+    exponent: PositiveFloat = 2.5
+    spread: Annotated[Ratio, Field(gt=0, le=3)] = 0.5
+    """Relative standard deviation of the flow about that law, from one opening to the next."""
+    surge_mg: Annotated[Milligrams, NotNegative] = 0.3
+    """Mass that may come at once, unasked."""
+    vibration: Annotated[Ratio, Field(ge=0, le=1)] = 0.0
+    """The level this powder needs to flow at all; 0 for one that flows by gravity."""
+    doses: Annotated[int, Field(ge=0)] = 0
+    """How many doses it was learnt from."""
+
+
+class BalanceBelief(Spec):
+    """What controllers believe of a balance: pessimistic until learnt from a run's first good dose."""
+
+    lag_s: Annotated[Seconds, Field(gt=0, le=5)] = 0.6
+    """Time constant of each of the two equal poles that the reading follows the mass with."""
+    noise_mg: Annotated[Milligrams, NotNegative] = 0.1
+    """Standard deviation of a single reading on a quiet pan."""
+    fits: Annotated[int, Field(ge=0)] = 0
+    """How many doses the lag was learnt from; 0 while it is only assumed."""
 
 
 class Powder(Spec):
@@ -57,6 +109,8 @@ class Powder(Spec):
     """The largest opening the paper's algorithm may use for this powder."""
     scoop_loss_mg: Annotated[Milligrams, NotNegative] = 20.0
     """What one scoop, carry and return leaves on the sheet or spills: planning figure."""
+    belief: PowderBelief = PowderBelief()
+    """What controllers start from before anything is learnt."""
     simulation: PowderFlowSpec = PowderFlowSpec()
 
 
@@ -152,6 +206,19 @@ class ArmSpec(Spec):
     speed_ratio: Annotated[Ratio, Field(gt=0, le=1)] = 1.0
 
 
+class ValveErrorSpec(Spec):
+    """How far the simulated valve is from what it is told; no controller reads it."""
+
+    opening_mm: Annotated[Millimetres, NotNegative] = 0.03
+    """Standard deviation of the real opening, drawn at each opening."""
+    sample_mm: Annotated[Millimetres, NotNegative] = 0.02
+    """Standard deviation that stays for a whole sample: how the sheet was last bent."""
+    stick_probability: Annotated[Ratio, Field(ge=0, le=1)] = 0.012
+    """How often the sheet sticks and slips as it opens."""
+    stick_mm: Annotated[Millimetres, NotNegative] = 0.3
+    """How much wider it then opens."""
+
+
 class HandSpec(Spec):
     """The SCU-Hand-SV: its sheet, roller, valve and vibration motor."""
 
@@ -170,6 +237,20 @@ class HandSpec(Spec):
     valve_dead_time_s: Annotated[Seconds, NotNegative] = 0.06
     streaming: bool = True
     """False for a controller board that offers the step command only."""
+    simulation: ValveErrorSpec = ValveErrorSpec()
+
+
+class BalanceResponseSpec(Spec):
+    """How the simulated balance answers (`scuhand_bt.sim.balance`); no controller reads it."""
+
+    lag_s: Annotated[Seconds, Field(gt=0)] = 0.3
+    """Time constant of each of its filter's two poles."""
+    noise_mg: Annotated[Milligrams, NotNegative] = 0.08
+    """Standard deviation of a reading on a quiet pan."""
+    vibration_noise_mg: Annotated[Milligrams, NotNegative] = 0.4
+    """Standard deviation that the hand's motor adds at full level."""
+    drift_mg: Annotated[Milligrams, NotNegative] = 0.1
+    """Random walk of the zero: standard deviation after a minute."""
 
 
 class BalanceSpec(Spec):
@@ -181,6 +262,7 @@ class BalanceSpec(Spec):
     readability_mg: Annotated[Milligrams, Positive] = 0.1
     maximum_mg: Annotated[Milligrams, Positive] = 120_000.0
     period_s: Annotated[Seconds, Field(gt=0, le=2)] = 0.1
+    simulation: BalanceResponseSpec = BalanceResponseSpec()
 
 
 class ChangerSpec(Spec):

@@ -14,6 +14,8 @@ A controller lives for one dose; `Finish` is its last word.
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from scuhand_bt.specs import BalanceBelief, PowderBelief
+
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
@@ -22,6 +24,8 @@ class Pulse:
     opening_mm: float
     dwell_s: float
     vibration: float = 0.0
+    wait_s: float = 0.0
+    """A fixed wait after the valve is shut, before the balance is asked to settle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,10 @@ class Finish:
     reason: Literal["reached", "overshoot", "empty", "no_flow", "step_limit"]
     estimate_mg: float
     uncertainty_mg: float
+    powder: PowderBelief | None = None
+    """What the controller now believes of the powder, where it learns."""
+    balance: BalanceBelief | None = None
+    """What it now believes of the balance, where it learns."""
 
 
 Command = Pulse | Stream | Settle | Finish
@@ -69,12 +77,23 @@ class DoseRequest:
     target_mg: float
     tolerance_mg: float
     gain: float
+    """Kp of the paper's Algorithm 1."""
     max_opening_mm: float
     valve_speed_mm_per_s: float
     readability_mg: float
     cone_mg: float
     """What the cone is believed to hold."""
     streaming: bool = True
+    valve_dead_time_s: float = 0.06
+    balance_period_s: float = 0.1
+    step_limit: int = 100
+    """The most pulses a stepwise controller may take (paper: 100)."""
+    powder: PowderBelief = PowderBelief()
+    balance: BalanceBelief = BalanceBelief()
+
+    def given_up(self, dispensed_mg: float) -> Literal["empty", "no_flow"]:
+        """Why no powder comes: the cone is (all but) empty, or it holds powder that does not flow."""
+        return "empty" if self.cone_mg - dispensed_mg < max(100.0, 0.1 * self.cone_mg) else "no_flow"
 
 
 class Controller(Protocol):
