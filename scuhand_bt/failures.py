@@ -45,6 +45,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "A joint is, or would go, beyond its limit.",
         "Move the joint back inside its range by hand and start again.",
     ),
+    "arm.in_the_way": Failure(
+        "The arm stands over the pan while a container is to be changed.",
+        "Put `park:` before `place_container` in the workflow.",
+    ),
     "arm.not_following": Failure(
         "The arm is not where its trajectory says it should be.",
         "Look for what blocks it; check the servos' temperatures and supply.",
@@ -121,12 +125,12 @@ CATALOGUE: Mapping[str, Failure] = {
         "A part of the workflow took longer than its `timeout` allows.",
         "Look at what it was waiting for; allow it more time if that was normal.",
     ),
+    "workflow.bad_value": Failure(
+        "A value on a wire is outside what the skill accepts.",
+        "Correct the recipe or the workflow that gave the value.",
+    ),
     "workflow.inverted": Failure(
         "What stands under `invert` succeeded, and so `invert` failed.",
         "This is the workflow's own decision; see the workflow.",
-    ),
-    "workflow.guard": Failure(
-        "A guard of a `while` no longer holds.",
-        "See which guard, and what it watches.",
     ),
 }

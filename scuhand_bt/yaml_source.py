@@ -197,7 +197,9 @@ def parse(text: str, file: str, what: str) -> Node:
             problem = "a tab; YAML is indented with spaces"
         raise SourceError([Problem(mark, f"is no valid YAML: {problem}")]) from None
     except yaml.YAMLError as error:
-        raise SourceError([Problem(Mark(file), f"is no valid YAML: {shorten(str(error).splitlines()[0], 120)}")]) from None
+        raise SourceError(
+            [Problem(Mark(file), f"is no valid YAML: {shorten(str(error).splitlines()[0], 120)}")]
+        ) from None
     if reader.root is None:
         raise SourceError([Problem(Mark(file), f"is empty; wanted {what}")])
     return reader.root
@@ -275,9 +277,9 @@ class _Reader:
 
     def take(self, event: yaml.Event) -> None:
         mark = Mark(self._file, event.start_mark.line + 1, event.start_mark.column + 1)
+        if tag := getattr(event, "tag", None):
+            self._refuse(mark, f"the tag '{shorten(tag)}' is not accepted; write plain values")
         if isinstance(event, yaml.ScalarEvent):
-            if event.tag is not None:
-                self._refuse(mark, f"the tag '{shorten(event.tag)}' is not accepted; write plain values")
             is_null = event.implicit[0] and event.value in ("", "~", "null")
             self._place(Scalar(mark, None if is_null else event.value), event.anchor)
         elif isinstance(event, yaml.SequenceStartEvent):

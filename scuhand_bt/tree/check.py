@@ -1,0 +1,269 @@
+"""The static check of workflows: every wire's type, every name, every device, before anything runs."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from scuhand_bt.failures import CATALOGUE, Failure
+from scuhand_bt.quantity import RATIO, parse
+from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.specs import ContainerKind, Mortar, Powder
+from scuhand_bt.tree.grammar import (
+    KEYWORDS,
+    PARAMETERS,
+    Argument,
+    Branch,
+    Call,
+    Decorator,
+    Reference,
+    TreeNode,
+    Workflow,
+    walk,
+)
+from scuhand_bt.tree.wires import NOTHING, WireType, of_field
+from scuhand_bt.yaml_source import Mark, Node, Problems, Scalar, describe, plain, shorten
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """What a skill or a workflow takes under one name."""
+
+    wire: WireType
+    required: bool
+
+
+@dataclass
+class Library:
+    """All that a workflow can name."""
+
+    skills: Mapping[str, type[Skill[Any]]] = field(default_factory=dict)
+    workflows: Mapping[str, Workflow] = field(default_factory=dict)
+    powders: Mapping[str, Powder] = field(default_factory=dict)
+    containers: Mapping[str, ContainerKind] = field(default_factory=dict)
+    mortars: Mapping[str, Mortar] = field(default_factory=dict)
+
+    def failures(self) -> Mapping[str, Failure]:
+        """The catalogue with the lab's own codes."""
+        return {
+            **CATALOGUE,
+            **{code: entry for skill in self.skills.values() for code, entry in skill.failures.items()},
+        }
+
+    def parameters(self, name: str) -> Mapping[str, Parameter]:
+        """What the skill or workflow `name` takes."""
+        if name in self.skills:
+            return {
+                info.alias or field_name: Parameter(of_field(info.annotation, info.metadata), info.is_required())
+                for field_name, info in self.skills[name].model_fields.items()
+            }
+        inputs = self.workflows[name].inputs
+        return {key: Parameter(declared.type, declared.default is None) for key, declared in inputs.items()}
+
+
+@dataclass(frozen=True)
+class Percent:
+    """A tolerance written as a percentage: of the mass in the same call."""
+
+    ratio: float
+
+
+def literal(name: str, wire: WireType, node: Node, library: Library) -> Any:
+    """The value of a literal for the parameter `name`; ValueError, worded for the user, if it has none."""
+    value = plain(node)
+    if wire.is_class:
+        if value is None and wire.optional:
+            return None
+        if wire.python is Powder and isinstance(value, str):
+            if value in library.powders:
+                return library.powders[value]
+            raise ValueError(f"no powder '{shorten(value)}' in robot/powders.yaml")
+        raise ValueError(f"{describe(node)} cannot stand for a {wire.name}; wire it from an input, as ${name}")
+    if name == "tolerance" and wire.name == "Mass" and isinstance(value, str) and value.rstrip().endswith("%"):
+        ratio = parse(value, RATIO)
+        if not 0 < ratio <= 1:
+            raise ValueError(f"'{shorten(value)}' is no tolerance; more than 0 % and at most 100 %")
+        return Percent(ratio)
+    return wire.read(value)
+
+
+def resolve_percent(values: dict[str, Any]) -> dict[str, Any]:
+    """Turn a tolerance in percent into milligrams, by the mass beside it."""
+    tolerance, mass_mg = values.get("tolerance"), values.get("mass")
+    if isinstance(tolerance, Percent) and mass_mg is not None:
+        values["tolerance"] = tolerance.ratio * mass_mg
+    return values
+
+
+def check_workflows(library: Library, names: Iterable[str], problems: Problems) -> None:
+    """Check the named workflows and all that they call."""
+    checker = _Checker(library, problems)
+    for name in names:
+        checker.result_of(name)
+
+
+def devices_of(node: TreeNode, library: Library, calling: tuple[str, ...] = ()) -> set[str]:
+    """The devices that a tree commands, through all that it calls."""
+    devices: set[str] = set()
+    for part in walk(node):
+        if isinstance(part, Call):
+            if part.name in library.skills:
+                devices.update(library.skills[part.name].devices)
+            elif part.name in library.workflows and part.name not in calling:
+                devices |= devices_of(library.workflows[part.name].tree, library, (*calling, part.name))
+    return devices
+
+
+class _Checker:
+    def __init__(self, library: Library, problems: Problems) -> None:
+        self._library = library
+        self._problems = problems
+        self._codes = library.failures()
+        self._results: dict[str, WireType] = {}
+        self._calling: list[str] = []
+        self._types: dict[str, WireType] = {}
+
+    def result_of(self, name: str, caller: Mark | None = None) -> WireType:
+        """Check a workflow once, and say what it returns."""
+        if name in self._results:
+            return self._results[name]
+        workflow = self._library.workflows[name]
+        if name in self._calling:
+            circle = " → ".join([*self._calling[self._calling.index(name) :], name])
+            self._problems.add(caller or workflow.mark, f"workflows call each other in a circle: {circle}")
+            return NOTHING
+        self._calling.append(name)
+        outer_types, self._types = self._types, {key: declared.type for key, declared in workflow.inputs.items()}
+        for declared in workflow.inputs.values():
+            if declared.default is not None:
+                self._check_literal(declared.name, declared.type, declared.default)
+        defined = self._check(workflow.tree, frozenset(workflow.inputs))
+        result = NOTHING
+        if workflow.result is not None:
+            result = self._type_of(workflow.result, defined) or NOTHING
+        self._types = outer_types
+        self._calling.pop()
+        self._results[name] = result
+        return result
+
+    def _check(self, node: TreeNode, defined: frozenset[str]) -> frozenset[str]:
+        """Check a node; returns the names that certainly have a value once it has succeeded."""
+        if isinstance(node, Call):
+            return self._check_call(node, defined)
+        if isinstance(node, Decorator):
+            return self._check_decorator(node, defined)
+        if node.kind == "sequence":
+            for child in node.children:
+                defined = self._check(child, defined)
+            return defined
+        outcomes = [self._check(child, defined) for child in node.children]
+        if node.kind == "parallel":
+            self._check_devices(node)
+            return defined.union(*outcomes)
+        return frozenset.intersection(*outcomes) if outcomes else defined
+
+    def _check_devices(self, node: Branch) -> None:
+        used: dict[str, int] = {}
+        for number, child in enumerate(node.children, start=1):
+            for device in sorted(devices_of(child, self._library)):
+                if device in used:
+                    self._problems.add(
+                        child.mark,
+                        f"children {used[device]} and {number} of 'parallel' both command the {device}",
+                        "one device does one thing at a time; use 'sequence'",
+                    )
+                used.setdefault(device, number)
+
+    def _check_decorator(self, node: Decorator, defined: frozenset[str]) -> frozenset[str]:
+        for key, argument in node.arguments.items():
+            value = self._check_argument(key, PARAMETERS[key], argument, defined)
+            if isinstance(value, int | float) and value <= 0:
+                self._problems.add(argument.mark, f"'{key}' is {value:g}", "more than 0")
+        for code, mark in node.codes.items():
+            if code not in self._codes:
+                self._problems.add(mark, f"unknown failure code '{shorten(code)}'", unknown=code, known=self._codes)
+        for guard in node.guards:
+            self._check_call(guard, defined)
+            skill = self._library.skills.get(guard.name)
+            if guard.name in self._library.workflows or (skill is not None and not issubclass(skill, Condition)):
+                conditions = [name for name, cls in self._library.skills.items() if issubclass(cls, Condition)]
+                self._problems.add(
+                    guard.mark, f"'{guard.name}' is no condition and cannot be a guard", known=conditions
+                )
+        after = self._check(node.child, defined)
+        return defined if node.kind in ("invert", "optional") else after
+
+    def _check_call(self, node: Call, defined: frozenset[str]) -> frozenset[str]:
+        library = self._library
+        if node.name not in library.skills and node.name not in library.workflows:
+            known = [*library.skills, *library.workflows, *KEYWORDS]
+            self._problems.add(
+                node.mark, f"unknown skill or workflow '{shorten(node.name)}'", unknown=node.name, known=known
+            )
+            for argument in node.arguments.values():
+                if isinstance(argument, Reference):
+                    self._type_of(argument, defined)
+            return defined | {node.result} if node.result else defined
+        parameters = library.parameters(node.name)
+        for name, argument in node.arguments.items():
+            if name in parameters:
+                self._check_argument(name, parameters[name].wire, argument, defined)
+            else:
+                what = f"'{node.name}' has no parameter '{shorten(name)}'"
+                takes = f"it takes {', '.join(parameters) or 'none'}"
+                self._problems.add(node.argument_marks[name], what, takes, unknown=name, known=parameters)
+        for name, parameter in parameters.items():
+            if parameter.required and name not in node.arguments:
+                self._problems.add(node.mark, f"'{node.name}' needs '{name}' ({parameter.wire.name})")
+        if node.name in library.workflows:
+            result = self.result_of(node.name, node.mark)
+        else:
+            skill = library.skills[node.name]
+            result = of_field(skill.result_type())
+        if node.result is None:
+            return defined
+        if result == NOTHING:
+            self._problems.add(node.result_mark, f"'{node.name}' has no result to keep as '{node.result}'")
+            return defined
+        before = self._types.get(node.result)
+        if before is not None and not before.accepts(result):
+            self._problems.add(node.result_mark, f"'{node.result}' is a {before.name} already, not a {result.name}")
+        self._types[node.result] = result
+        return defined | {node.result}
+
+    def _check_argument(self, name: str, wire: WireType, argument: Argument, defined: frozenset[str]) -> Any:
+        if not isinstance(argument, Reference):
+            return self._check_literal(name, wire, argument)
+        given = self._type_of(argument, defined)
+        if given is not None and not wire.accepts(given):
+            maybe = "may be nothing" if given.optional and not wire.optional else f"is a {given.name}"
+            self._problems.add(argument.mark, f"'{name}' takes a {wire.name}, but {argument} {maybe}")
+        return None
+
+    def _check_literal(self, name: str, wire: WireType, node: Node) -> Any:
+        try:
+            return literal(name, wire, node, self._library)
+        except ValueError as error:
+            known: Iterable[str] = self._library.powders if wire.python is Powder else ()
+            text = node.text if isinstance(node, Scalar) else None
+            self._problems.add(node.mark, f"'{name}' takes a {wire.name}: {error}", unknown=text or "", known=known)
+            return None
+
+    def _type_of(self, reference: Reference, defined: frozenset[str]) -> WireType | None:
+        wire = self._types.get(reference.name)
+        if wire is None:
+            known = [f"${name}" for name in self._types]
+            what = f"unknown value '{reference}'"
+            self._problems.add(reference.mark, what, unknown=f"${reference.name}", known=known)
+            return None
+        if reference.name not in defined:
+            self._problems.add(
+                reference.mark, f"'${reference.name}' may not have a value yet here", "it is set on another way only"
+            )
+        for attribute in reference.attributes:
+            attributes = wire.attributes()
+            if attribute not in attributes:
+                what = f"a {wire.name} has no attribute '{attribute}'"
+                self._problems.add(reference.mark, what, unknown=attribute, known=attributes)
+                return None
+            wire = attributes[attribute][1]
+        return wire

@@ -1,0 +1,295 @@
+"""The py_trees nodes that a workflow is built into: the skill's leaf, and decorators on the run's clock.
+
+`sequence`, `fallback`, `parallel`, `invert` and `optional` are py_trees' own. Ours are the leaf, which
+drives a skill's generator, and what needs the run's clock or a failure's code: `retry`, `timeout`,
+`repeat`, `while`, and the call of a workflow.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Composite, Selector
+from py_trees.composites import Sequence as SequenceNode
+from py_trees.decorators import Decorator
+
+from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.skill import Condition, Skill, SkillFailed
+from scuhand_bt.tree.leases import Leases
+
+LEASE_TIMEOUT_S = 10.0
+
+Values = dict[str, Any]
+Arguments = Callable[[], Values]
+"""Evaluates a call's parameters when it begins."""
+
+
+class Listener(Protocol):
+    """Who is told of every action before it starts and after it has ended: the journal."""
+
+    def started(self, leaf: "SkillLeaf", inputs: Values) -> None: ...
+
+    def ended(self, leaf: "SkillLeaf", outcome: str, result: Any) -> None: ...
+
+
+class Ticking:
+    """What the nodes of one job's tree share: the cell, its leases, the listener, and who waits for what."""
+
+    def __init__(self, cell: Cell, leases: Leases, listener: Listener) -> None:
+        self.cell = cell
+        self.leases = leases
+        self.listener = listener
+        self._waiting: dict[Behaviour, Sequence[Wake]] = {}
+
+    def wait(self, node: Behaviour, *wakes: Wake) -> None:
+        """Note when `node` wants the next tick; replaces what it asked for before."""
+        self._waiting[node] = wakes
+
+    def done(self, node: Behaviour) -> None:
+        self._waiting.pop(node, None)
+
+    def wakes(self) -> list[Wake]:
+        """All that the tree waits for now."""
+        return [wake for wakes in self._waiting.values() for wake in wakes]
+
+
+class SkillLeaf(Behaviour):
+    """Runs one skill: makes it from its arguments, leases its devices, and drives its generator."""
+
+    def __init__(
+        self,
+        name: str,
+        path: str,
+        skill: type[Skill[Any]],
+        arguments: Arguments,
+        keep: Callable[[Any], None],
+        shared: Ticking,
+    ) -> None:
+        super().__init__(name)
+        self.path = path
+        self.skill = skill
+        self.visit = 0
+        self.failure: SkillFailed | None = None
+        self._arguments = arguments
+        self._keep = keep
+        self._shared = shared
+        self._steps: Steps[Any] | None = None
+        self._wake: Wake | None = None
+        self._lease_deadline_s = 0.0
+        self._is_recorded = False
+
+    def initialise(self) -> None:
+        self.visit += 1
+        self.failure = None
+        self._steps = self._wake = None
+        self._is_recorded = False
+        self._lease_deadline_s = self._shared.cell.clock.now_s + LEASE_TIMEOUT_S
+
+    def update(self) -> Status:
+        try:
+            if self._steps is None and not self._begin():
+                return Status.RUNNING
+            if self._wake is not None and not self._is_due(self._wake):
+                return Status.RUNNING
+            assert self._steps is not None
+            self._wake = next(self._steps)
+        except StopIteration as stop:
+            self._keep(stop.value)
+            self._end("done", stop.value)
+            return Status.SUCCESS
+        except SkillFailed as failure:
+            self.failure = failure
+            self._end("failed", failure)
+            return Status.FAILURE
+        self._shared.wait(self, self._wake)
+        return Status.RUNNING
+
+    def terminate(self, new_status: Status) -> None:
+        """Halted while running: close the generator, whose `finally` sends the safe commands."""
+        if new_status is not Status.INVALID or self.status is not Status.RUNNING:
+            return
+        if self._steps is not None:
+            self._steps.close()
+        self._end("halted", None)
+
+    def _begin(self) -> bool:
+        """Take the leases and make the skill; False while a device is still someone else's."""
+        shared = self._shared
+        if not shared.leases.take(self.skill.devices, self):
+            if shared.cell.clock.now_s >= self._lease_deadline_s:
+                names = ", ".join(self.skill.devices)
+                raise SkillFailed("device.busy", f"{names} not free after {LEASE_TIMEOUT_S:g} s")
+            shared.wait(self, *shared.leases.wakes(self.skill.devices, self._lease_deadline_s))
+            return False
+        inputs = self._arguments()
+        try:
+            skill = self.skill.model_validate(inputs, by_alias=True, by_name=False)
+        except ValueError as error:
+            raise SkillFailed("workflow.bad_value", f"{self.name}: {error}") from None
+        shared.listener.started(self, inputs)
+        self._is_recorded = True
+        self._steps = skill.run(shared.cell)
+        return True
+
+    def _is_due(self, wake: Wake) -> bool:
+        return wake.has_fired or self._shared.cell.clock.now_s >= wake.until_s
+
+    def _end(self, outcome: str, result: Any) -> None:
+        self._steps = None
+        self._shared.done(self)
+        self._shared.leases.give_back(self)
+        if self._is_recorded:
+            self._shared.listener.ended(self, outcome, result)
+
+
+class Guard(Behaviour):
+    """A condition in front of a `while`'s child; looked at on every tick of the `while`."""
+
+    def __init__(self, name: str, condition: type[Condition], arguments: Arguments, shared: Ticking) -> None:
+        super().__init__(name)
+        self.condition = condition
+        self.failure: SkillFailed | None = None
+        self._arguments = arguments
+        self._cell = shared.cell
+
+    def update(self) -> Status:
+        self.failure = None
+        try:
+            self.condition.model_validate(self._arguments(), by_alias=True, by_name=False).check(self._cell)
+        except SkillFailed as failure:
+            self.failure = failure
+            return Status.FAILURE
+        return Status.SUCCESS
+
+
+class While(SequenceNode):
+    """Guards, then the child, all looked at anew on every tick; a guard that fails halts the child."""
+
+    def __init__(self, guards: Sequence[Guard], child: Behaviour, shared: Ticking) -> None:
+        super().__init__("while", memory=False, children=[*guards, child])
+        self._devices = sorted({device for guard in guards for device in guard.condition.watches})
+        self._shared = shared
+
+    def tick(self) -> Any:
+        yield from super().tick()
+        if self.status is Status.RUNNING:
+            self._shared.wait(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
+        else:
+            self._shared.done(self)
+
+    def terminate(self, new_status: Status) -> None:
+        self._shared.done(self)
+
+
+class _OnClock(Decorator):
+    """A decorator that may ask for a tick of its own, and may fail for a reason of its own."""
+
+    def __init__(self, name: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
+        super().__init__(name, child)
+        self.failure: SkillFailed | None = None
+        self._arguments = arguments
+        self._shared = shared
+
+    def terminate(self, new_status: Status) -> None:
+        self._shared.done(self)
+
+    def _again(self) -> Status:
+        """Tick the child anew, at this same time."""
+        self._shared.wait(self, Wake(self._shared.cell.clock.now_s))
+        return Status.RUNNING
+
+
+class Retry(_OnClock):
+    """Begin the child again when it fails with one of `codes` (none given: any), up to `attempts` times in all."""
+
+    def __init__(self, child: Behaviour, arguments: Arguments, codes: frozenset[str], shared: Ticking) -> None:
+        super().__init__("retry", child, arguments, shared)
+        self._codes = codes
+        self._left = 0
+
+    def initialise(self) -> None:
+        self._left = self._arguments()["attempts"]
+
+    def update(self) -> Status:
+        self._shared.done(self)
+        if self.decorated.status is not Status.FAILURE:
+            return self.decorated.status
+        failure = failure_of(self.decorated)
+        self._left -= 1
+        if self._left <= 0 or (self._codes and failure.code not in self._codes):
+            return Status.FAILURE
+        return self._again()
+
+
+class Repeat(_OnClock):
+    """Run the child `times` times; fails when the child fails."""
+
+    def __init__(self, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
+        super().__init__("repeat", child, arguments, shared)
+        self._left = 0
+
+    def initialise(self) -> None:
+        self._left = self._arguments()["times"]
+
+    def update(self) -> Status:
+        self._shared.done(self)
+        if self.decorated.status is not Status.SUCCESS:
+            return self.decorated.status
+        self._left -= 1
+        return Status.SUCCESS if self._left <= 0 else self._again()
+
+
+class Timeout(_OnClock):
+    """Halt the child and fail if it has not ended within `duration` of run time."""
+
+    def __init__(self, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
+        super().__init__("timeout", child, arguments, shared)
+        self._deadline_s = 0.0
+
+    def initialise(self) -> None:
+        self.failure = None
+        self._duration_s = self._arguments()["duration"]
+        self._deadline_s = self._shared.cell.clock.now_s + self._duration_s
+        self._shared.wait(self, Wake(self._deadline_s))
+
+    def update(self) -> Status:
+        if self.decorated.status is Status.RUNNING and self._shared.cell.clock.now_s >= self._deadline_s:
+            self.decorated.stop(Status.INVALID)
+            self.failure = SkillFailed("workflow.timeout", f"not done after {self._duration_s:g} s")
+            return Status.FAILURE
+        return self.decorated.status
+
+
+class WorkflowCall(Decorator):
+    """A workflow called by another: its inputs are bound when it begins, its result kept when it succeeds."""
+
+    def __init__(self, name: str, child: Behaviour, bind: Callable[[], None], keep_result: Callable[[], None]) -> None:
+        super().__init__(name, child)
+        self._bind = bind
+        self._keep_result = keep_result
+
+    def initialise(self) -> None:
+        self._bind()
+
+    def update(self) -> Status:
+        if self.decorated.status is Status.SUCCESS:
+            self._keep_result()
+        return self.decorated.status
+
+
+def failure_of(node: Behaviour) -> SkillFailed:
+    """Why a node failed: the failure of the leaf that decided it."""
+    own = getattr(node, "failure", None)
+    if isinstance(own, SkillFailed):
+        return own
+    if isinstance(node, Composite):
+        failed = [child for child in node.children if child.status is Status.FAILURE]
+        if failed:
+            return failure_of(failed[-1] if isinstance(node, Selector) else failed[0])
+    elif isinstance(node, Decorator):
+        if node.decorated.status is Status.FAILURE:
+            return failure_of(node.decorated)
+        return SkillFailed("workflow.inverted", f"{node.decorated.name} succeeded under 'invert'")
+    return SkillFailed("workflow.inverted", f"{node.name} failed")

@@ -1,0 +1,154 @@
+"""The types of a workflow's wires: what may be connected to what, and how a literal is read.
+
+A wire type is a quantity (Mass, Duration, …), a plain value (Number, Integer, Text, Flag), or a class
+whose attributes can be read (`$source.powder`): Source, Container, Powder, Dose, or a lab's own.
+"""
+
+import inspect
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field, is_dataclass
+from functools import cache
+from typing import Any
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from scuhand_bt import quantity
+from scuhand_bt.quantity import Unit, plain_name
+from scuhand_bt.specs import Container, Dose, Powder, Source
+
+
+@dataclass(frozen=True)
+class WireType:
+    """One type; two are the same if their names and classes are."""
+
+    name: str
+    python: Any = field(compare=False, hash=False)
+    is_class: bool = False
+    optional: bool = False
+
+    def accepts(self, given: "WireType") -> bool:
+        """True if a value of type `given` may flow into this one."""
+        if given.optional and not self.optional:
+            return False
+        if self.is_class and given.is_class:
+            return inspect.isclass(given.python) and issubclass(given.python, self.python)
+        return self.name == given.name or (self.name, given.name) == ("Number", "Integer") or self.name == "Any"
+
+    def attributes(self) -> Mapping[str, tuple[str, "WireType"]]:
+        """What can be read of it: name in YAML -> (name in Python, type)."""
+        return _attributes(self.python) if self.is_class else {}
+
+    def read(self, value: Any) -> Any:
+        """A literal (str, None, list, dict from YAML) as a value; ValueError says what is wrong with it."""
+        try:
+            return _adapter(self.name, self.python).validate_python(value)
+        except ValidationError as error:
+            raise ValueError("; ".join(item["msg"] for item in error.errors(include_url=False))) from None
+
+
+_ADAPTERS: dict[Any, TypeAdapter[Any]] = {}
+
+
+def _adapter(name: str, python: Any) -> TypeAdapter[Any]:
+    key = (name, str(python))
+    if key not in _ADAPTERS:
+        _ADAPTERS[key] = TypeAdapter(python)
+    return _ADAPTERS[key]
+
+
+_QUANTITIES = {
+    "Mass": quantity.MASS,
+    "Duration": quantity.DURATION,
+    "Length": quantity.LENGTH,
+    "Angle": quantity.ANGLE,
+    "Volume": quantity.VOLUME,
+    "Density": quantity.DENSITY,
+    "Speed": quantity.SPEED,
+    "Ratio": quantity.RATIO,
+}
+
+INPUT_TYPES: Mapping[str, WireType] = {
+    **{name: WireType(name, typing.Annotated[float, unit]) for name, unit in _QUANTITIES.items()},
+    "Number": WireType("Number", float),
+    "Integer": WireType("Integer", int),
+    "Text": WireType("Text", str),
+    "Flag": WireType("Flag", bool),
+    **{cls.__name__: WireType(cls.__name__, cls, is_class=True) for cls in (Source, Container, Powder, Dose)},
+}
+"""The types that a workflow may declare for its inputs."""
+
+NOTHING = WireType("nothing", type(None))
+
+
+def of_field(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> WireType:
+    """The wire type of a Python annotation, as pydantic keeps it: the bare type, and its metadata."""
+    if typing.get_origin(annotation) is typing.Annotated:
+        inner, *more = typing.get_args(annotation)
+        return of_field(inner, [*metadata, *more])
+    full = typing.Annotated[(annotation, *metadata)] if metadata else annotation
+    origin = typing.get_origin(annotation)
+    if origin in (typing.Union, types.UnionType):
+        members = [member for member in typing.get_args(annotation) if member is not type(None)]
+        if len(members) == 1:
+            inner = of_field(members[0], metadata)
+            return WireType(inner.name, full, inner.is_class, optional=True)
+    for mark in metadata:
+        if isinstance(mark, Unit):
+            return WireType(next(name for name, unit in _QUANTITIES.items() if unit == mark), full)
+    if annotation in (None, type(None)):
+        return NOTHING
+    plain = {bool: "Flag", int: "Integer", float: "Number", str: "Text"}.get(annotation)
+    if plain is not None:
+        return WireType(plain, full)
+    if origin is typing.Literal:
+        return WireType("Text", full)
+    if inspect.isclass(annotation) and (
+        issubclass(annotation, BaseModel) or hasattr(annotation, "__dataclass_fields__")
+    ):
+        return WireType(annotation.__name__, annotation, is_class=True)
+    return WireType("Any" if annotation is Any else str(annotation), full)
+
+
+def read_attribute(value: Any, name: str) -> Any:
+    """The attribute that YAML calls `name` of a value: `mouth` reads `mouth_mm`."""
+    return getattr(value, _attributes(type(value))[name][0])
+
+
+@cache
+def _attributes(cls: type) -> Mapping[str, tuple[str, WireType]]:
+    found: dict[str, tuple[str, WireType]] = {}
+    if issubclass(cls, BaseModel):
+        for name, info in cls.model_fields.items():
+            found[plain_name(name)] = (name, of_field(info.annotation, info.metadata))
+    else:
+        for name, hint in typing.get_type_hints(cls, include_extras=True).items():
+            found[plain_name(name)] = (name, _by_suffix(name, of_field(hint)))
+    for name, member in inspect.getmembers(cls, lambda member: isinstance(member, property)):
+        if not name.startswith(("_", "model_")):
+            hints = typing.get_type_hints(member.fget, include_extras=True)
+            found[plain_name(name)] = (name, of_field(hints.get("return", Any)))
+    return {plain: (name, _by_suffix(name, wire)) for plain, (name, wire) in found.items()}
+
+
+def _by_suffix(name: str, wire: WireType) -> WireType:
+    """A bare float whose name carries a unit is that quantity."""
+    if wire.name != "Number":
+        return wire
+    for suffix, quantity_name in _SUFFIX_TYPES.items():
+        if name.endswith(suffix):
+            return INPUT_TYPES[quantity_name]
+    return wire
+
+
+_SUFFIX_TYPES = {
+    "_mg_per_mm3": "Density",
+    "_mm_per_s": "Speed",
+    "_mm3": "Volume",
+    "_deg": "Angle",
+    "_mg": "Mass",
+    "_mm": "Length",
+    "_s": "Duration",
+    "_ratio": "Ratio",
+}
