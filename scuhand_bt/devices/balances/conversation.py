@@ -1,0 +1,101 @@
+"""What the driver says to a balance, and when: who are you, then stream, or one question at a time.
+
+    identifying ──answer, or none in time──► listening                     (a dialect that streams)
+                                       └───► asked ──line──► resting ──period──► asked …  (one that is polled)
+    asked ──no line in time──► draining ──quiet line──► asked
+
+Dialects that are polled have no sequence numbers. What arrives after a question was given up is the
+answer to that one, measured who knows when; `draining` throws it away.
+"""
+
+import time
+from collections.abc import Callable
+from enum import Enum, auto
+
+from scuhand_bt.devices.balances.frames import Answer, Dialect, Frame, Weight
+
+ANSWER_TIMEOUT_S = 2.0
+"""Replies of more than a second are common: they wait for the balance's measuring cycle."""
+QUIET_S = 0.3
+"""How long the line must be quiet before the next question after one without an answer."""
+
+
+class State(Enum):
+    """Where the conversation stands."""
+
+    CLOSED = auto()
+    IDENTIFYING = auto()
+    LISTENING = auto()
+    ASKED = auto()
+    RESTING = auto()
+    DRAINING = auto()
+
+
+class Conversation:
+    """One conversation with a balance, from the opening of the port to its loss."""
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        send: Callable[[bytes], object],
+        discard_input: Callable[[], None],
+        period_s: float,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.state = State.CLOSED
+        self._dialect = dialect
+        self._send = send
+        self._discard_input = discard_input
+        self._period_s = period_s
+        self._now = now
+        self._since_s = now()
+
+    def begin(self) -> None:
+        """The port has just been opened, or the balance has to be woken again."""
+        if self._dialect.identify:
+            self._go_to(State.IDENTIFYING, self._dialect.identify)
+        else:
+            self._read_on()
+
+    def heard(self, frame: Frame) -> bool:
+        """Note a frame; False if it must not be used, being the answer to an older question."""
+        if self.state is State.DRAINING:
+            self._go_to(State.DRAINING)
+            return False
+        unasked = isinstance(frame, Weight) and self._dialect.poll
+        if self.state is State.LISTENING:
+            self._go_to(State.LISTENING)
+        elif self.state is State.ASKED and not isinstance(frame, Answer):
+            self.state = State.RESTING  # the period counts from the question
+        elif self.state in (State.IDENTIFYING, State.RESTING) and unasked:
+            self._go_to(State.LISTENING)  # auto-print is on; asking would switch it off
+        elif self.state is State.IDENTIFYING and isinstance(frame, Answer):
+            self._read_on()
+        return True
+
+    def go_on(self, patience_s: float) -> None:
+        """Say what is due. `patience_s`: how long a stream may pause before it is started again."""
+        waited_s = self._now() - self._since_s
+        if self.state is State.IDENTIFYING and waited_s >= ANSWER_TIMEOUT_S:
+            self._read_on()  # many balances do not say who they are
+        elif self.state is State.ASKED and waited_s >= ANSWER_TIMEOUT_S:
+            self._discard_input()
+            self._go_to(State.DRAINING)
+        elif (self.state is State.RESTING and waited_s >= self._period_s) or (
+            self.state is State.DRAINING and waited_s >= QUIET_S
+        ):
+            self._read_on()
+        elif self.state is State.LISTENING and waited_s >= patience_s:
+            self.begin()
+
+    def _read_on(self) -> None:
+        if self._dialect.poll:
+            self._go_to(State.ASKED, self._dialect.poll)
+        else:
+            self._go_to(State.LISTENING, self._dialect.stream)
+
+    def _go_to(self, state: State, saying: bytes = b"") -> None:
+        self.state = state
+        self._since_s = self._now()
+        if saying:
+            self._send(saying)

@@ -1,0 +1,200 @@
+"""The driver of all balances: streams readings on its own thread, and never makes one up.
+
+A reading is what one line of the balance said, at the time its last byte came. A line without a unit
+takes the unit this balance last sent, and one without a sign of stability is not stable. No tare or
+zero is ever sent: a dose is the difference of two gross values.
+"""
+
+import math
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.balances.conversation import Conversation, State
+from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, Frame, OutOfRange, Weight
+from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.devices.serial_link import REOPEN_S, Framing, SerialLink, Silence
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.specs import BalanceSpec
+
+LOST_AFTER_S = 3.0
+"""Without a line for this long, the balance is taken for lost."""
+ADJUSTMENT_S = 300.0
+"""How long an internal adjustment may keep the balance silent."""
+AVERAGED = 5
+"""Readings of one stable mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Trouble:
+    """Why there is no reading. Without a code it only explains a silence, should one follow."""
+
+    code: str
+    detail: str
+    adjusting: bool = False
+
+
+class SerialBalance:
+    """A balance on a serial port, in one of the dialects; meets `devices.interfaces.Balance`.
+
+    `spec.options` may hold `baud`, `bits` ("7E1") where they are not the factory's, and `unit` for a
+    balance that leaves it out while unstable. `others` are the dialects it might speak by mistake.
+    """
+
+    def __init__(
+        self,
+        spec: BalanceSpec,
+        dialect: Dialect,
+        clock: Clock,
+        others: Iterable[Dialect] = (),
+        reopen_s: float = REOPEN_S,
+    ) -> None:
+        self.spec = spec
+        self.news = Signal()
+        self.latest: Reading | None = None
+        """The last reading; None before the first one and while the balance is lost."""
+        self.identity = ""
+        """What the balance answered when asked who it is; empty where it did not."""
+        self._dialect = dialect
+        self._others = [other for other in others if other is not dialect]
+        self._clock = clock
+        framing = Framing(
+            int(spec.options.get("baud", dialect.framing.baud)), str(spec.options.get("bits", dialect.framing.bits))
+        )
+        self._link = SerialLink(spec.port, framing, self, reopen_s)
+        self._talk = Conversation(dialect, self._link.write, self._link.discard_input, spec.period_s)
+        self._unit = ""
+        self._silence = Silence()
+        self._trouble: _Trouble | None = None
+
+    @property
+    def is_stopped(self) -> bool:
+        return True
+
+    def stop(self) -> None:
+        """Nothing of a balance moves."""
+
+    def open(self) -> None:
+        """Open the port and begin to read; SkillFailed device.lost if it cannot be opened."""
+        self._link.start()
+
+    def close(self) -> None:
+        """End the reading thread and close the port."""
+        self._link.close()
+
+    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
+        """Wait for the next reading; SkillFailed device.lost if none comes, balance.overload."""
+        deadline_s = self._clock.now_s + timeout_s
+        seen = self.latest
+        while True:
+            wake = Wake.on(self.news, deadline_s)  # made before looking, so that no news falls between
+            latest, trouble = self.latest, self._trouble
+            if latest is not None and latest is not seen:
+                return latest
+            if trouble is not None and trouble.code:
+                raise SkillFailed(trouble.code, f"{self._name}: {trouble.detail}")
+            if self._clock.now_s >= deadline_s:
+                why = f": {trouble.detail}" if trouble else ""
+                raise SkillFailed("device.lost", f"no reading from {self._name} for {timeout_s:g} s{why}")
+            yield wake
+
+    def settled(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+        """Average successive readings that the balance itself calls stable.
+
+        SkillFailed balance.unstable if there are not enough in time, balance.overload, device.lost.
+        """
+        deadline_s = self._clock.now_s + timeout_s
+        reading = None
+        stable: list[Reading] = []
+        while len(stable) < AVERAGED:
+            try:
+                reading = yield from self.next_reading(deadline_s - self._clock.now_s)
+            except SkillFailed:
+                if reading is None or self._clock.now_s < deadline_s:
+                    raise
+                detail = f"{self._name} was not stable within {timeout_s:g} s"
+                raise SkillFailed("balance.unstable", detail) from None
+            stable = [*stable, reading] if reading.stable else []
+        return stable_mean(stable, self.spec.readability_mg)
+
+    # From here on: called from the link's thread.
+
+    def opened(self) -> None:
+        """Begin the conversation."""
+        self._silence.broken()
+        self._unit = str(self.spec.options.get("unit", ""))  # it may be another balance now, in another unit
+        self._talk.begin()
+
+    def line(self, raw: bytes) -> None:
+        """Take one line of the balance."""
+        now_s = self._clock.now_s
+        frame = self._dialect.parse(raw)
+        if not isinstance(frame, Weight):
+            for other in self._others:
+                if isinstance(other.parse(raw), Weight):
+                    detail = f"it speaks {other.name}; change `driver` in robot/cell.yaml, or the balance's menu"
+                    self._say(_Trouble("device.lost", detail))
+                    return
+        if frame is None:
+            return  # noise, or half a line; if that is all there is, it shows as silence
+        self._silence.broken()
+        identifying = self._talk.state is State.IDENTIFYING
+        if not self._talk.heard(frame):
+            return
+        if isinstance(frame, Answer):
+            self.identity = frame.text if identifying else self.identity
+        elif isinstance(frame, Weight):
+            self._weighed(frame, raw, now_s)
+        else:
+            self._explained(frame)
+
+    def idle(self) -> None:
+        """Speak when it is time to, and notice silence."""
+        adjusting = self._trouble is not None and self._trouble.adjusting
+        patience_s = ADJUSTMENT_S if adjusting else LOST_AFTER_S
+        if self._silence.seconds > patience_s and not (self._trouble and self._trouble.code):
+            detail = "it is silent; is it switched on, and are speed and parity as in robot/cell.yaml?"
+            self._say(_Trouble("device.lost", detail))
+        self._talk.go_on(patience_s)
+
+    def lost(self, why: str) -> None:
+        """The port has gone."""
+        self._say(_Trouble("device.lost", why))
+
+    def _weighed(self, weight: Weight, raw: bytes, now_s: float) -> None:
+        self._unit = weight.unit or self._unit
+        value_mg = weight.milligrams(self._unit)
+        if value_mg is None:
+            shown = f"'{self._unit}', which is no mass" if self._unit else "no unit, and was not stable before"
+            self._say(_Trouble("", f"it shows {shown}; set it to g, or give `options: {{unit: g}}` in robot/cell.yaml"))
+            return
+        self.latest = Reading(value_mg, weight.stable, now_s, weight.unit, raw)
+        self._trouble = None
+        self.news.fire()
+
+    def _explained(self, frame: Frame) -> None:
+        if isinstance(frame, OutOfRange):
+            detail = "it is loaded beyond its maximum" if frame.above else "it is in underload: is its pan in place?"
+            self._say(_Trouble("balance.overload", detail))
+        elif isinstance(frame, Busy):
+            self._say(_Trouble("", f"it is busy ({frame.detail})", frame.adjusting))
+
+    def _say(self, trouble: _Trouble) -> None:
+        if trouble.code == "device.lost":
+            self.latest = None  # what it weighed before is no news of now
+        self._trouble = trouble
+        self.news.fire()
+
+    @property
+    def _name(self) -> str:
+        return f"the {self._dialect.name} balance on {self.spec.port}"
+
+
+def stable_mean(readings: Sequence[Reading], readability_mg: float) -> StableMean:
+    """Mean of stable readings; its uncertainty is their scatter and the rounding of each, in quadrature."""
+    values = [reading.value_mg for reading in readings]
+    scatter_mg = statistics.stdev(values) / math.sqrt(len(values))
+    rounding_mg = readability_mg / math.sqrt(12)
+    mean_mg = statistics.fmean(values)
+    return StableMean(mean_mg, math.hypot(scatter_mg, rounding_mg), readings[-1].time_s, tuple(readings))

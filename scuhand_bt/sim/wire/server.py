@@ -1,0 +1,122 @@
+"""Runs a twin in real time: bytes in, bytes out, and the misbehaviour it is told to show."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol
+
+from scuhand_bt.sim.wire.port import Port
+
+TICK_S = 0.002
+
+
+class Twin(Protocol):
+    """A device as it is seen from its cable."""
+
+    def hear(self, data: bytes, now_s: float) -> bytes:
+        """Take what came in (perhaps nothing) and return what is sent at this time."""
+        ...
+
+
+@dataclass
+class Misbehaviour:
+    """What goes wrong with the next messages of a twin. Each count falls to zero as it is used up."""
+
+    drop: int = 0
+    garble: int = 0
+    """Messages in which one bit is flipped."""
+    duplicate: int = 0
+    delay: int = 0
+    """Messages that are sent `delay_s` later than they should be."""
+    delay_s: float = 0.1
+    split: int = 0
+    """Messages whose second half comes `delay_s` after the first."""
+    noise: bytes = b""
+    """Sent once, before the next message."""
+
+    def afflict(self, message: bytes, now_s: float) -> list[tuple[float, bytes]]:
+        """What is sent instead of a message, and when."""
+        if self._takes("drop"):
+            return []
+        if self._takes("garble"):
+            message = message[:-3] + bytes([message[-3] ^ 0x10]) + message[-2:]
+        noise, self.noise = self.noise, b""
+        message = noise + message
+        if self._takes("duplicate"):
+            message = message + message
+        if self._takes("delay"):
+            return [(now_s + self.delay_s, message)]
+        if self._takes("split"):
+            middle = len(message) // 2
+            return [(now_s, message[:middle]), (now_s + self.delay_s, message[middle:])]
+        return [(now_s, message)]
+
+    def _takes(self, what: str) -> bool:
+        left: int = getattr(self, what)
+        setattr(self, what, max(0, left - 1))
+        return left > 0
+
+
+class TwinServer:
+    """A twin at a port, on a thread of its own; a context manager."""
+
+    def __init__(self, twin: Twin, port: Port, now: Callable[[], float] = time.monotonic) -> None:
+        self.twin = twin
+        self.port = port
+        self.misbehaviour = Misbehaviour()
+        self.paused = False
+        """True while the twin is deaf and dumb (hung, or its power is off)."""
+        self._now = now
+        self._due: list[tuple[float, bytes]] = []
+        self._plugging = threading.Lock()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"twin {port.url}", daemon=True)
+
+    def __enter__(self) -> "TwinServer":
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.set()
+        self._thread.join()
+        self.port.close()
+
+    @property
+    def url(self) -> str:
+        return self.port.url
+
+    def unplug(self) -> None:
+        """Pull the cable; the twin itself goes on."""
+        with self._plugging:
+            self.port.unplug()
+
+    def plug(self) -> None:
+        """Put the cable back."""
+        with self._plugging:
+            self.port.plug()
+
+    def say(self, message: bytes) -> None:
+        """Send something the twin would not send by itself."""
+        with self._plugging:
+            self.port.write(message)
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            with self._plugging:
+                data = self.port.read(TICK_S)
+                if self.paused:
+                    continue
+                now_s = self._now()
+                if message := self.twin.hear(data, now_s):
+                    self._due += self.misbehaviour.afflict(message, now_s)
+                self._send_due(now_s)
+            time.sleep(0.0002)  # lets go of the lock for long enough that others get it
+
+    def _send_due(self, now_s: float) -> None:
+        for message in [message for due_s, message in self._due if due_s <= now_s]:
+            self.port.write(message)
+        self._due = [(due_s, message) for due_s, message in self._due if due_s > now_s]
