@@ -241,7 +241,7 @@ class HandSpec(Spec):
 
 
 class BalanceResponseSpec(Spec):
-    """How the simulated balance answers (`scuhand_bt.sim.balance`); no controller reads it."""
+    """How the simulated balance answers (`scuhand_bt.sim.response`); no controller reads it."""
 
     lag_s: Annotated[Seconds, Field(gt=0)] = 0.3
     """Time constant of each of its filter's two poles."""

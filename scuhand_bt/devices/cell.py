@@ -10,15 +10,10 @@ from typing import TYPE_CHECKING
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator
 from scuhand_bt.record import Record
-from scuhand_bt.specs import CellSpec, ContainerKind, Source
+from scuhand_bt.specs import CellSpec, Source
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
-
-DISPENSING_HEIGHT_MM = 80.0
-"""Apex above the pan while dispensing (paper, section V-A)."""
-MOUTH_CLEARANCE_MM = 15.0
-"""Apex above a container's mouth, where that is higher."""
 
 
 @dataclass
@@ -66,7 +61,3 @@ class Cell:
             "changer": self.changer,
         }
         return devices[name]
-
-    def dispensing_height_mm(self, container: ContainerKind) -> float:
-        """Apex above the pan for this container: 80 mm, or its mouth plus a clearance if that is higher."""
-        return max(DISPENSING_HEIGHT_MM, container.height_mm + MOUTH_CLEARANCE_MM)

@@ -1,0 +1,211 @@
+"""A lab: the folder with `robot/`, `skills/`, `trees/` and `recipes/` that a user edits; found and loaded.
+
+A lab's skills are imported under one constant package name, `scuhand_lab`, whose `__path__` is the lab.
+"""
+
+import importlib
+import sys
+import traceback
+import types
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Powder, Spec, Station
+from scuhand_bt.tree.check import Library
+from scuhand_bt.tree.grammar import KEYWORDS, Workflow, read_workflow
+from scuhand_bt.yaml_source import (
+    Entries,
+    Mark,
+    Node,
+    Problems,
+    SourceError,
+    describe,
+    load,
+    read_text,
+    shorten,
+    validate,
+)
+
+S = TypeVar("S", bound=Spec)
+
+PACKAGE = "scuhand_lab"
+CELL_FILE = Path("robot") / "cell.yaml"
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A loaded lab. `library` is all that workflows can name; workflows are read, and checked when used."""
+
+    folder: Path
+    cell: CellSpec
+    library: Library
+
+    @property
+    def urdf(self) -> str:
+        """The text of the arm's URDF; SourceError if the file is missing."""
+        return read_text(self.folder / "robot" / self.cell.arm.urdf, "the arm's URDF")
+
+
+def starter_lab() -> Path:
+    """The lab that comes with scuhand_bt: in the wheel, or the repository that this is a checkout of."""
+    package = Path(__file__).parent
+    packed = package / "starter_lab"
+    return packed if packed.is_dir() else package.parent
+
+
+def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
+    """The lab to use: the chosen one, else the nearest folder upward from the recipe, else the starter lab.
+
+    Raises SourceError if the chosen folder is no lab.
+    """
+    if chosen is not None:
+        if not (chosen / CELL_FILE).is_file():
+            problems = Problems()
+            problems.add(Mark(str(chosen)), "is no lab", f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one")
+            problems.raise_any()
+        return chosen
+    start = (recipe.parent if recipe is not None else Path()).resolve()
+    for folder in (start, *start.parents):
+        if (folder / CELL_FILE).is_file():
+            return folder
+    return starter_lab()
+
+
+def load_lab(folder: Path) -> Lab:
+    """Load a lab's cell, powders, containers, skills and workflows.
+
+    Raises SourceError with everything that is wrong in any of its files.
+    """
+    problems = Problems()
+    cell = _load_cell(folder / CELL_FILE, problems)
+    powders = _load_named(Powder, _root(folder / "robot" / "powders.yaml", problems), problems)
+    containers: dict[str, ContainerKind] = {}
+    mortars: dict[str, Mortar] = {}
+    if (vessels := _root(folder / "robot" / "containers.yaml", problems)) is not None:
+        for key, mark in vessels.keys.items():
+            if key not in ("containers", "mortars"):
+                problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=("containers", "mortars"))
+        containers = _load_named(ContainerKind, vessels.get("containers"), problems)
+        mortars = _load_named(Mortar, vessels.get("mortars"), problems)
+    library = Library(
+        _load_skills(folder, problems), _load_workflows(folder / "trees", problems), powders, containers, mortars
+    )
+    _check_names(library, folder, problems)
+    problems.raise_any()
+    assert cell is not None
+    return Lab(folder, cell, library)
+
+
+def _root(path: Path, problems: Problems) -> Entries | None:
+    try:
+        node = load(path, f"the lab's {path.name}")
+    except SourceError as error:
+        problems.found.extend(error.problems)
+        return None
+    if isinstance(node, Entries):
+        return node
+    problems.add(node.mark, f"{describe(node)} stands where a mapping (name: …) should be")
+    return None
+
+
+def _load_named(model: type[S], node: Node | None, problems: Problems) -> dict[str, S]:
+    """Entries whose key is their name."""
+    if node is None:
+        return {}
+    if not isinstance(node, Entries):
+        problems.add(node.mark, f"{describe(node)} stands where a mapping (name: …) should be")
+        return {}
+    found = {name: validate(model, value, problems, name=name) for name, value in node.values.items()}
+    return {name: spec for name, spec in found.items() if spec is not None}
+
+
+def _load_cell(path: Path, problems: Problems) -> CellSpec | None:
+    root = _root(path, problems)
+    if root is None:
+        return None
+    stations = _load_named(Station, root.get("stations"), problems)
+    cell = validate(CellSpec, root.without("stations"), problems, stations=stations)
+    for kind in ("balance", "waste", "park"):
+        if stations and not any(station.kind == kind for station in stations.values()):
+            problems.add(
+                root.mark, f"the cell has no station of kind '{kind}'", "it needs a balance, a waste and a park"
+            )
+    return cell
+
+
+def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]]:
+    _mount(folder)
+    skills: dict[str, type[Skill[Any]]] = {}
+    for path in sorted((folder / "skills").glob("*.py")):
+        if path.stem.startswith("_"):
+            continue
+        module_name = f"{PACKAGE}.skills.{path.stem}"
+        try:
+            module = importlib.import_module(module_name)
+        except Exception as error:  # a lab's file may fail in any way; the user is told where
+            problems.add(_where(error, path), f"the skill cannot be loaded: {type(error).__name__}: {error}")
+            continue
+        found = [
+            value
+            for value in vars(module).values()
+            if isinstance(value, type)
+            and issubclass(value, Skill)
+            and value not in (Skill, Condition)
+            and value.__module__ == module_name
+        ]
+        if len(found) != 1:
+            names = ", ".join(cls.__name__ for cls in found) or "none"
+            problems.add(Mark(str(path)), f"a skill's file holds one Skill class; here: {names}")
+        elif not found[0].__doc__:
+            problems.add(Mark(str(path)), f"{found[0].__name__} has no docstring", "one line that says what it is for")
+        else:
+            skills[path.stem] = found[0]
+    return skills
+
+
+def _mount(folder: Path) -> None:
+    """Make `scuhand_lab` this folder, forgetting any other lab's modules."""
+    package = sys.modules.get(PACKAGE)
+    if package is not None and list(package.__path__) == [str(folder)]:
+        return
+    for name in [name for name in sys.modules if name == PACKAGE or name.startswith(PACKAGE + ".")]:
+        del sys.modules[name]
+    package = types.ModuleType(PACKAGE)
+    package.__path__ = [str(folder)]
+    sys.modules[PACKAGE] = package
+    importlib.invalidate_caches()
+
+
+def _where(error: Exception, path: Path) -> Mark:
+    """The line of the lab's file that an import failed at."""
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        return Mark(str(path), error.lineno or 1, error.offset or 1)
+    lines = [frame.lineno or 1 for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    return Mark(str(path), lines[-1] if lines else 1)
+
+
+def _load_workflows(folder: Path, problems: Problems) -> dict[str, Workflow]:
+    workflows: dict[str, Workflow] = {}
+    for path in sorted(folder.glob("*.yaml")):
+        try:
+            root = load(path, "a workflow")
+        except SourceError as error:
+            problems.found.extend(error.problems)
+            continue
+        workflow = read_workflow(root, path.stem, problems)
+        if workflow is not None:
+            workflows[path.stem] = workflow
+    return workflows
+
+
+def _check_names(library: Library, folder: Path, problems: Problems) -> None:
+    for name in library.skills:
+        if name in KEYWORDS:
+            problems.add(Mark(str(folder / "skills" / f"{name}.py")), f"'{name}' is a word of the workflow language")
+    for name, workflow in library.workflows.items():
+        if name in KEYWORDS:
+            problems.add(workflow.mark, f"'{name}' is a word of the workflow language")
+        if name in library.skills:
+            problems.add(workflow.mark, f"'{name}' is a skill already", "give the workflow another name")

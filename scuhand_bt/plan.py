@@ -1,0 +1,171 @@
+"""The plan: a recipe's samples as jobs in their order, with the sheet swaps between powders, and what they need."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from scuhand_bt.lab import Lab
+from scuhand_bt.recipe import Recipe
+from scuhand_bt.sample import Sample, demand_mg
+from scuhand_bt.skill import Forecast
+from scuhand_bt.specs import Source
+from scuhand_bt.tree.build import Scope, bound_inputs
+from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent
+from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
+from scuhand_bt.yaml_source import Mark, Problems
+
+CHANGE_POWDER = "change_powder"
+"""The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
+FINISH_BATCH = "finish_batch"
+"""The lab's workflow after the last sample; input `source`."""
+AFTER_FAILURE = "after_failure"
+"""The lab's workflow that makes the cell ready again after a failed sample; input `source`."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One workflow with its inputs bound: a sample's, or one between samples."""
+
+    name: str
+    workflow: str
+    inputs: Mapping[str, Any]
+    sample: Sample | None = None
+
+
+@dataclass(frozen=True)
+class PersonNeeded:
+    """A moment of the plan that needs a person."""
+
+    job: str
+    what: str
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What a source has, and what the plan takes from it."""
+
+    source: Source
+    needed_mg: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A recipe, ready to run."""
+
+    recipe: Recipe
+    jobs: tuple[Job, ...]
+    demands: tuple[Demand, ...]
+    persons: tuple[PersonNeeded, ...]
+    duration_s: float
+
+    @property
+    def swaps(self) -> int:
+        return sum(1 for job in self.jobs if job.workflow == CHANGE_POWDER)
+
+
+def make_plan(recipe: Recipe, lab: Lab) -> Plan:
+    """Order the samples, put sheet swaps between powders, and forecast.
+
+    Raises SourceError if the lab lacks a workflow that the plan needs, or has a wrong one.
+    """
+    jobs = tuple(_jobs(recipe, lab))
+    _check_service_workflows(jobs, recipe, lab)
+    forecasts = [_Forecaster(lab).of_job(job) for job in jobs]
+    persons = tuple(
+        PersonNeeded(job.name, forecast.person)
+        for job, found in zip(jobs, forecasts, strict=True)
+        for forecast in found
+        if forecast.person is not None
+    )
+    demands = tuple(
+        Demand(
+            source,
+            demand_mg(recipe.samples, source),
+            sum(1 for sample in recipe.samples if sample.source is not None and sample.source.name == source.name),
+        )
+        for source in recipe.sources.values()
+    )
+    return Plan(recipe, jobs, demands, persons, sum(f.duration_s for found in forecasts for f in found))
+
+
+def _jobs(recipe: Recipe, lab: Lab) -> Iterator[Job]:
+    last: Source | None = None
+    for sample in _ordered(recipe):
+        source = sample.source
+        if source is not None:
+            if last is not None and source.sheet_key != last.sheet_key:
+                yield Job(f"change powder to {source.powder.name}", CHANGE_POWDER, {"source": last})
+            last = source
+        yield Job(sample.id, sample.workflow, sample.inputs, sample)
+    if last is not None and FINISH_BATCH in lab.library.workflows:
+        yield Job("finish", FINISH_BATCH, {"source": last})
+
+
+def _ordered(recipe: Recipe) -> list[Sample]:
+    """By powder lot, in the order of first mention; within a lot as written."""
+    if recipe.order == "as_written":
+        return list(recipe.samples)
+    groups: dict[str, list[Sample]] = {}
+    for sample in recipe.samples:
+        groups.setdefault(sample.source.sheet_key if sample.source else "", []).append(sample)
+    return [sample for group in groups.values() for sample in group]
+
+
+def _check_service_workflows(jobs: tuple[Job, ...], recipe: Recipe, lab: Lab) -> None:
+    problems = Problems()
+    workflows = lab.library.workflows
+    needed = {job.workflow for job in jobs if job.sample is None}
+    for name in sorted(needed | ({AFTER_FAILURE} & set(workflows))):
+        workflow = workflows.get(name)
+        if workflow is None:
+            folder = str(lab.folder / "trees")
+            problems.add(Mark(folder), f"the workflow '{name}' is missing", "this plan needs it to change powders")
+        elif list(workflow.inputs) != ["source"] or workflow.inputs["source"].type.python is not Source:
+            problems.add(workflow.mark, f"'{name}' must have the one input 'source' (Source)")
+        else:
+            check_workflows(lab.library, [name], problems)
+    problems.raise_any()
+
+
+class _Forecaster:
+    """Walks a workflow with the values that are known before the run."""
+
+    def __init__(self, lab: Lab) -> None:
+        self._lab = lab
+        self._library: Library = lab.library
+
+    def of_job(self, job: Job) -> list[Forecast]:
+        workflow = self._library.workflows[job.workflow]
+        return self._of_workflow(workflow, dict(job.inputs))
+
+    def _of_workflow(self, workflow: Workflow, inputs: dict[str, Any]) -> list[Forecast]:
+        return self._of(workflow.tree, Scope(bound_inputs(workflow, inputs, self._library)))
+
+    def _of(self, node: TreeNode, scope: Scope) -> list[Forecast]:
+        if isinstance(node, Branch):
+            found = [self._of(child, scope) for child in node.children]
+            if node.kind == "sequence":
+                return [forecast for child in found for forecast in child]
+            longest = max(found, key=lambda child: sum(forecast.duration_s for forecast in child))
+            others = [forecast for child in found if child is not longest for forecast in child if forecast.person]
+            return [*longest, *(Forecast(0.0, forecast.person) for forecast in others)]
+        if isinstance(node, Decorator):
+            times = node.arguments.get("times")
+            count = 1 if times is None else int(self._known(node.arguments, scope).get("times", 1))
+            return self._of(node.child, scope) * count
+        inputs = self._known(node.arguments, scope, node.name)
+        if node.name in self._library.skills:
+            return [self._library.skills[node.name].forecast(inputs, self._lab.cell)]
+        return self._of_workflow(self._library.workflows[node.name], inputs)
+
+    def _known(self, arguments: Mapping[str, Argument], scope: Scope, name: str | None = None) -> dict[str, Any]:
+        """The arguments whose values are known before the run: literals, and what stems from the job's inputs."""
+        wires = PARAMETERS if name is None else {key: p.wire for key, p in self._library.parameters(name).items()}
+        known: dict[str, Any] = {}
+        for key, argument in arguments.items():
+            if not isinstance(argument, Reference):
+                known[key] = literal(key, wires[key], argument, self._library)
+            elif argument.name in scope.values:
+                known[key] = scope.read(argument)
+        return resolve_percent(known)

@@ -1,0 +1,333 @@
+"""Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from scuhand_bt.expansion import expand
+from scuhand_bt.lab import Lab
+from scuhand_bt.sample import Sample, check_demand, check_reach, check_sample, check_source
+from scuhand_bt.specs import Container, Source, Spec
+from scuhand_bt.tree.build import bound_inputs
+from scuhand_bt.tree.check import check_workflows, literal
+from scuhand_bt.tree.grammar import Input, Workflow
+from scuhand_bt.yaml_source import (
+    Entries,
+    Items,
+    Mark,
+    Node,
+    Problems,
+    Scalar,
+    describe,
+    parse,
+    read_text,
+    shorten,
+    validate,
+)
+
+Action = Literal["flag", "skip_sample", "stop", "redo"]
+ACTIONS: Mapping[str, str] = {
+    "flag": "keep the dose, mark it, and go on with the next sample",
+    "skip_sample": "leave the sample undone and go on with the next one",
+    "redo": "do the sample once more in a new container, then flag it",
+    "stop": "stop the batch",
+}
+DEFAULT_ON_FAILURE: Mapping[str, Action] = {"dose.overshoot": "flag", "dose.not_reached": "flag", "otherwise": "stop"}
+ORDERS = ("by_powder", "as_written")
+SAMPLE_KEYS = ("id", "workflow", "repeat", "table")
+RECIPE_KEYS = ("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples", "on_failure")
+MAX_SAMPLES = 20_000
+_ID = re.compile(r"[\w][\w.+-]{0,63}")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A checked recipe with all its samples, in the order they are written."""
+
+    path: Path
+    text: str
+    name: str
+    order: str
+    controller: str | None
+    sources: Mapping[str, Source]
+    samples: tuple[Sample, ...]
+    on_failure: Mapping[str, Action]
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the recipe's text and of its expanded samples."""
+        digest = hashlib.sha256(self.text.encode())
+        for sample in self.samples:
+            digest.update(repr((sample.id, sample.workflow, sorted(map(str, sample.inputs.items())))).encode())
+        return digest.hexdigest()
+
+    def action_for(self, code: str) -> Action:
+        """What to do with a sample that failed with this code."""
+        return self.on_failure.get(code, self.on_failure["otherwise"])
+
+
+class _SourceText(Spec):
+    station: str
+    container: str
+    powder: str
+    amount_mg: Any
+    lot: str = ""
+
+
+def load_recipe(path: Path, lab: Lab) -> Recipe:
+    """Read and check a recipe against a lab.
+
+    Raises SourceError with every problem found, in the recipe, its tables and the workflows it uses.
+    """
+    text = read_text(path, "a recipe")
+    problems = Problems()
+    recipe = _Reader(lab, path, text, problems).read()
+    problems.raise_any()
+    assert recipe is not None
+    return recipe
+
+
+@dataclass
+class _Reader:
+    lab: Lab
+    path: Path
+    text: str
+    problems: Problems
+    source_marks: dict[str, Mark] = field(default_factory=dict)
+
+    def read(self) -> Recipe | None:
+        root = parse(self.text, str(self.path), "a recipe")
+        if not isinstance(root, Entries):
+            self.problems.add(root.mark, f"{describe(root)} stands where a recipe should be", "it has the key 'recipe'")
+            return None
+        for key, mark in root.keys.items():
+            if key not in RECIPE_KEYS:
+                self.problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=RECIPE_KEYS)
+        name = self._word(root, "recipe") or self.path.stem
+        order = self._word(root, "order") or ORDERS[0]
+        if order not in ORDERS:
+            self.problems.add(root.values["order"].mark, f"'{order}' is no order", unknown=order, known=ORDERS)
+        controller = self._word(root, "controller")
+        if controller is not None:
+            self._check_controller(controller, root.values["controller"].mark)
+        sources = self._read_sources(root)
+        samples = self._read_samples(root, sources)
+        on_failure = self._read_on_failure(root.get("on_failure"))
+        used = {sample.workflow for sample in samples}
+        check_workflows(self.lab.library, sorted(used), self.problems)
+        check_demand(samples, sources, self.source_marks, self.problems)
+        check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
+        return Recipe(self.path, self.text, name, order, controller, sources, tuple(samples), on_failure)
+
+    def _word(self, node: Entries, key: str) -> str | None:
+        value = node.get(key)
+        if value is None:
+            return None
+        if isinstance(value, Scalar) and value.text:
+            return value.text
+        self.problems.add(value.mark, f"'{key}': {describe(value)} is no text")
+        return None
+
+    def _check_controller(self, name: str, mark: Mark) -> None:
+        from scuhand_bt.dosing import CONTROLLERS
+
+        if name not in CONTROLLERS:
+            self.problems.add(mark, f"unknown controller '{shorten(name)}'", unknown=name, known=CONTROLLERS)
+
+    # --- sources
+
+    def _read_sources(self, root: Entries) -> dict[str, Source]:
+        node = root.get("sources")
+        if node is None:
+            self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
+            return {}
+        if not isinstance(node, Entries) or not node.values:
+            self.problems.add(node.mark, f"'sources': {describe(node)} names no source")
+            return {}
+        sources: dict[str, Source] = {}
+        for name, value in node.values.items():
+            self.source_marks[name] = node.keys[name]
+            source = self._read_source(name, value)
+            if source is not None:
+                sources[name] = source
+        by_station: dict[str, str] = {}
+        for name, source in sources.items():
+            if source.station in by_station:
+                self.problems.add(
+                    self.source_marks[name], f"'{by_station[source.station]}' stands at {source.station} already"
+                )
+            by_station[source.station] = name
+        return sources
+
+    def _read_source(self, name: str, node: Node) -> Source | None:
+        lab, before = self.lab, len(self.problems.found)
+        text = validate(_SourceText, node, self.problems)
+        if text is None:
+            return None
+        assert isinstance(node, Entries)
+        mortar_stations = [s.name for s in lab.cell.stations.values() if s.kind == "mortar"]
+        self._known(node, "station", text.station, mortar_stations, "mortar station")
+        self._known(node, "container", text.container, lab.library.mortars, "mortar")
+        self._known(node, "powder", text.powder, lab.library.powders, "powder")
+        if len(self.problems.found) > before:
+            return None
+        mortar, powder = lab.library.mortars[text.container], lab.library.powders[text.powder]
+        source = validate(
+            Source, node.without("container", "powder"), self.problems, name=name, mortar=mortar, powder=powder
+        )
+        if source is not None:
+            check_source(source, node.values["amount"].mark, self.problems)
+        return source
+
+    def _known(self, node: Entries, key: str, name: str, known: Any, what: str) -> None:
+        if name not in known:
+            self.problems.add(node.values[key].mark, f"unknown {what} '{shorten(name)}'", unknown=name, known=known)
+
+    # --- samples
+
+    def _read_samples(self, root: Entries, sources: Mapping[str, Source]) -> list[Sample]:
+        node = root.get("samples")
+        if not isinstance(node, Items) or not node.items:
+            what = "'samples' is missing" if node is None else f"'samples': {describe(node)} names no sample"
+            self.problems.add(node.mark if node else root.mark, what, "a list: - {id: …, container: …, mass: …}")
+            return []
+        defaults = root.get("defaults") or Entries(root.mark, {}, {})
+        if not isinstance(defaults, Entries):
+            self.problems.add(defaults.mark, f"'defaults': {describe(defaults)} is no mapping")
+            defaults = Entries(root.mark, {}, {})
+        default_workflow = root.get("workflow")
+        samples: list[Sample] = []
+        used_inputs: set[str] = set()
+        seen: dict[str, Mark] = {}
+        entries = [one for item in node.items for one in expand(item, self.path.parent, self.problems)]
+        if len(entries) > MAX_SAMPLES:
+            self.problems.add(node.mark, f"these are {len(entries)} samples", f"at most {MAX_SAMPLES} in one recipe")
+            return []
+        for entry in entries:
+            sample = self._read_sample(entry, defaults, default_workflow, sources, used_inputs)
+            id_node = entry.get("id")
+            if isinstance(id_node, Scalar) and id_node.text:
+                if id_node.text in seen:
+                    first = seen[id_node.text]
+                    where = f"line {first.line}" if first.file == id_node.mark.file else str(first)
+                    self.problems.add(id_node.mark, f"the id '{shorten(id_node.text)}' is taken", f"first in {where}")
+                seen.setdefault(id_node.text, id_node.mark)
+            if sample is not None:
+                samples.append(sample)
+        for key, mark in defaults.keys.items():
+            if samples and key not in used_inputs:
+                known = {name for sample in samples for name in self.lab.library.workflows[sample.workflow].inputs}
+                self.problems.add(
+                    mark, f"no workflow of this recipe has an input '{shorten(key)}'", unknown=key, known=known
+                )
+        return samples
+
+    def _read_sample(
+        self,
+        entry: Entries,
+        defaults: Entries,
+        default_workflow: Node | None,
+        sources: Mapping[str, Source],
+        used_inputs: set[str],
+    ) -> Sample | None:
+        before = len(self.problems.found)
+        sample_id = self._sample_id(entry)
+        workflow = self._workflow_of(entry, default_workflow)
+        if workflow is None:
+            return None
+        used_inputs.update(workflow.inputs)
+        merged = {key: value for key, value in defaults.values.items() if key in workflow.inputs}
+        merged.update(entry.without(*SAMPLE_KEYS).values)
+        inputs: dict[str, Any] = {}
+        for key, node in merged.items():
+            declared = workflow.inputs.get(key)
+            if declared is None:
+                self.problems.add(
+                    entry.keys[key],
+                    f"the workflow '{workflow.name}' has no input '{shorten(key)}'",
+                    unknown=key,
+                    known=[*workflow.inputs, *SAMPLE_KEYS],
+                )
+                continue
+            value = self._read_value(declared, node, sample_id or "?", sources)
+            if value is not None:
+                inputs[key] = value
+        for declared in workflow.inputs.values():
+            if declared.default is None and declared.name not in merged:
+                what = f"'{declared.name}' is missing"
+                self.problems.add(entry.mark, what, f"the workflow '{workflow.name}' needs it ({declared.type.name})")
+        if len(self.problems.found) > before or sample_id is None:
+            return None
+        sample = Sample(entry.mark, sample_id, workflow.name, bound_inputs(workflow, inputs, self.lab.library))
+        check_sample(sample, merged, self.lab.cell.balance, self.problems)
+        return sample
+
+    def _sample_id(self, entry: Entries) -> str | None:
+        node = entry.get("id")
+        if node is None:
+            self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own")
+            return None
+        text = node.text if isinstance(node, Scalar) else None
+        if text is None or not _ID.fullmatch(text):
+            self.problems.add(node.mark, f"{describe(node)} is no id", "letters, digits and . _ - +, at most 64")
+            return None
+        return text
+
+    def _workflow_of(self, entry: Entries, default: Node | None) -> Workflow | None:
+        node = entry.get("workflow") or default
+        if node is None:
+            self.problems.add(entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample")
+            return None
+        name = node.text if isinstance(node, Scalar) else None
+        workflows = self.lab.library.workflows
+        if name not in workflows:
+            self.problems.add(node.mark, f"unknown workflow {describe(node)}", unknown=name or "", known=workflows)
+            return None
+        return workflows[name]
+
+    def _read_value(self, declared: Input, node: Node, sample_id: str, sources: Mapping[str, Source]) -> Any:
+        library = self.lab.library
+        named: dict[type, tuple[Mapping[str, Any], str]] = {
+            Source: (sources, "source"),
+            Container: (library.containers, "container"),
+        }
+        python = declared.type.python
+        if isinstance(python, type) and python in named:
+            known, what = named[python]
+            name = node.text if isinstance(node, Scalar) else None
+            if name not in known:
+                if not (python is Source and name in self.source_marks):
+                    self.problems.add(node.mark, f"unknown {what} {describe(node)}", unknown=name or "", known=known)
+                return None
+            found = known[name]
+            return Container.model_construct(**{**found.__dict__, "id": sample_id}) if python is Container else found
+        try:
+            return literal(declared.name, declared.type, node, library)
+        except ValueError as error:
+            self.problems.add(node.mark, f"'{declared.name}': {error}")
+            return None
+
+    # --- the batch as a whole
+
+    def _read_on_failure(self, node: Node | None) -> dict[str, Action]:
+        policy = dict(DEFAULT_ON_FAILURE)
+        if node is None:
+            return policy
+        if not isinstance(node, Entries):
+            self.problems.add(
+                node.mark, f"'on_failure': {describe(node)} is no mapping", "{code: action, otherwise: …}"
+            )
+            return policy
+        codes = [*self.lab.library.failures(), "otherwise"]
+        for code, value in node.values.items():
+            action = value.text if isinstance(value, Scalar) else None
+            if code not in codes:
+                self.problems.add(node.keys[code], f"unknown failure code '{shorten(code)}'", unknown=code, known=codes)
+            if action not in ACTIONS:
+                self.problems.add(value.mark, f"{describe(value)} is no action", unknown=action or "", known=ACTIONS)
+            else:
+                policy[code] = action  # type: ignore[assignment]
+        return policy
