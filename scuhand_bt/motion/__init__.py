@@ -1,0 +1,23 @@
+"""Motion of the arm: collision-free, jerk-limited and spill-safe, planned in milliseconds and proven.
+
+`kinematics` is numpy alone; `MotionPlanner` is imported on first use, because Pinocchio, coal and
+Ruckig take half a second to load and checking a recipe needs none of them.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from scuhand_bt.motion.kinematics import ApexPose, apex, solutions, unreachable_reason
+from scuhand_bt.motion.spill import spill_limit_deg
+
+if TYPE_CHECKING:
+    from scuhand_bt.motion.planner import MotionPlanner
+
+__all__ = ["ApexPose", "MotionPlanner", "apex", "solutions", "spill_limit_deg", "unreachable_reason"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "MotionPlanner":
+        from scuhand_bt.motion.planner import MotionPlanner
+
+        return MotionPlanner
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

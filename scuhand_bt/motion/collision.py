@@ -1,0 +1,294 @@
+"""What touches what: the arm's shapes against each other and the cell, and a proof for whole motions.
+
+A point of the arm beyond joint j moves at most rho_j |dq_j|, so nothing moves farther than
+
+    L = sum_j rho_j |dq_j|        rho_j: largest distance [m] of anything beyond joint j from its axis
+
+between two configurations. Where each sample keeps a clearance of m from everything and L between
+neighbours is at most 2 m, no point is ever farther than m from where a sample has proven it free:
+*nothing can touch in between*. Along a curve sampled every h seconds the chord may be missed by
+a h^2/8 per joint; m is reduced by that.
+
+This module also holds every trap of the libraries below it. Pinocchio reads `<capsule>` only from
+URDF version 1.1 and drops it silently otherwise: shapes are counted. Unknown names give no error:
+look-ups here raise. Data made before a model changed ends the process: models are complete before
+their data. With a security margin of zero coal misses real penetrations: the margin is never zero.
+Pools copy their models: a scene is built anew for new geometry and never edited.
+
+Positions in metres, configurations in radians, shape (n, 7).
+"""
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, apex
+from scuhand_bt.motion.timelaw import RateLimits
+
+SHAPES = 10
+"""Collision shapes in our URDF, without the sheet's two."""
+SMALLEST_MARGIN_M = 1e-4
+SHEET_M = 0.002
+"""Sheet, clamps and their play, added to the cone's radius."""
+_RIM_SIDES = 12
+
+
+CurveAt: TypeAlias = Callable[[Floats], Floats]
+"""A motion: times (n,) to configurations (n, 7)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A box (x, y, z) or an upright cylinder (diameter, length) standing in the cell, by its centre."""
+
+    name: str
+    centre_m: tuple[float, float, float]
+    box_m: tuple[float, float, float] | None = None
+    cylinder_m: tuple[float, float] | None = None
+    yaw_rad: float = 0.0
+
+    def shape(self) -> coal.CollisionGeometry:
+        if self.box_m is not None:
+            return coal.Box(*self.box_m)
+        if self.cylinder_m is not None:
+            return coal.Cylinder(self.cylinder_m[0] / 2, self.cylinder_m[1])
+        raise ValueError(f"{self.name} is neither a box nor a cylinder")
+
+    def placement(self) -> pin.SE3:
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return pin.SE3(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(self.centre_m))
+
+
+class Arm:
+    """The arm and hand of a URDF, checked: joints, limits, shapes, and its closed form.
+
+    ValueError, with what is wrong, for a URDF that is not this arm.
+    """
+
+    def __init__(self, urdf: str) -> None:
+        try:
+            root = ET.fromstring(urdf)
+        except ET.ParseError as error:
+            raise ValueError(f"the URDF is not XML: {error}") from None
+        self.rates = _rates(root)
+        self.model = pin.buildModelFromXML(urdf)
+        if self.model.nq != JOINTS or self.model.nv != JOINTS:
+            raise ValueError(f"the URDF has {self.model.nq} coordinates, this arm has {JOINTS} revolute joints")
+        limits = np.stack([self.model.lowerPositionLimit, self.model.upperPositionLimit])
+        if np.abs(limits - LIMITS_RAD).max() > 1e-9:
+            joint = int(np.argmax(np.abs(limits - LIMITS_RAD).max(axis=0)))
+            raise ValueError(f"the URDF's limits of joint {joint + 1} are not this arm's")
+        self.shapes = pin.buildGeomFromUrdfString(self.model, urdf, pin.GeometryType.COLLISION)
+        written = len(root.findall("link/collision"))
+        if self.shapes.ngeoms != written or written != SHAPES:
+            raise ValueError(
+                f"Pinocchio loaded {self.shapes.ngeoms} of the URDF's {written} collision shapes; this arm has "
+                f"{SHAPES} (a <capsule> needs version 1.1)"
+            )
+        self._check_closed_form()
+
+    def _check_closed_form(self) -> None:
+        data = self.model.createData()
+        for q in np.linspace(LIMITS_RAD[0] * 0.9, LIMITS_RAD[1] * 0.7, 5):
+            pin.forwardKinematics(self.model, data, q)
+            flange = data.oMi[JOINTS]
+            pose = apex(q, 0.0)
+            if (
+                max(np.abs(flange.translation - pose.position_m).max(), np.abs(flange.rotation[:, 2] + pose.axis).max())
+                > 1e-9
+            ):
+                raise ValueError("the URDF's joints do not stand where this arm's do: the closed form does not fit it")
+
+    def with_sheet(self, apex_offset_m: float, sheet_radius_m: float, diameter_m: float) -> pin.GeometryModel:
+        """The arm's shapes with a cone of this rim diameter: a cone, and its clamps up to the hand's ring."""
+        if not 0 < diameter_m < 2 * sheet_radius_m:
+            raise ValueError(f"a cone of {diameter_m * 1e3:.0f} mm cannot be made of this sheet")
+        depth_m = math.sqrt(sheet_radius_m**2 - diameter_m**2 / 4)
+        ring = self.shapes.geometryObjects[SHAPES - 1]
+        ring_end_m = float(ring.placement.translation[2]) + ring.geometry.halfLength
+        clamp_m = max(apex_offset_m - depth_m - ring_end_m, 1e-3)
+        radius_m = diameter_m / 2 + SHEET_M
+        shapes = pin.GeometryModel(self.shapes)
+        for name, shape, z_m in (
+            ("clamps", coal.Cylinder(radius_m, clamp_m), apex_offset_m - depth_m - clamp_m / 2),
+            ("cone", coal.Cone(radius_m, depth_m), apex_offset_m - depth_m / 2),
+        ):
+            at = pin.SE3(np.eye(3), np.array([0.0, 0.0, z_m]))
+            shapes.addGeometryObject(pin.GeometryObject(name, JOINTS, at, shape))
+        return shapes
+
+
+def _rates(root: ET.Element) -> RateLimits:
+    """Speed, acceleration and jerk limits of the URDF's joints."""
+    rows = []
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        try:
+            if limit is None:
+                raise KeyError("limit")
+            row = [float(limit.attrib[name]) for name in ("velocity", "acceleration", "jerk")]
+        except (KeyError, ValueError):
+            raise ValueError(f"joint {joint.get('name')} needs a limit with velocity, acceleration and jerk") from None
+        if not all(math.isfinite(value) and value > 0 for value in row):
+            raise ValueError(f"joint {joint.get('name')}'s velocity, acceleration and jerk must be above zero")
+        rows.append(row)
+    if len(rows) != JOINTS:
+        raise ValueError(f"the URDF has {len(rows)} joints, this arm has {JOINTS}")
+    return RateLimits(*np.array(rows).T.copy())
+
+
+class Scene:
+    """The arm with one size of cone in one state of the cell; immutable.
+
+    `may_touch`: names of solids that the sheet may touch (a scoop's own mortar). `margin_m`: what every
+    configuration called free is away from everything.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        shapes: pin.GeometryModel,
+        solids: Sequence[Solid],
+        margin_m: float,
+        threads: int,
+        may_touch: Iterable[str] = (),
+    ) -> None:
+        if margin_m < SMALLEST_MARGIN_M:
+            raise ValueError("coal misses penetrations when its security margin is zero")
+        self.margin_m = margin_m
+        self.threads = threads
+        self.model = arm.model
+        self.rates = arm.rates
+        self.reach_m = _reach_m(shapes, arm.model)
+        self.shapes = pin.GeometryModel(shapes)
+        moving = self.shapes.ngeoms
+        for solid in solids:
+            self.shapes.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
+        touchable = set(may_touch)
+        for first, second in _pairs(self.shapes, moving, touchable):
+            self.shapes.addCollisionPair(pin.CollisionPair(first, second))
+        # From here on the models are complete; only now may data be made of them.
+        self._pool = pin.BroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.shapes, threads)
+        for data in self._pool.getGeometryDatas():
+            for request in data.collisionRequests:
+                request.security_margin = margin_m
+        self._data = self.model.createData()
+        self._shape_data = pin.GeometryData(self.shapes)
+
+    def hits(self, q: Floats) -> np.ndarray:
+        """Which of the configurations (n, 7) come nearer than the margin to anything: (n,) bool."""
+        # Beyond the joints' limits nothing is free.
+        outside = ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any(axis=1)
+        threads = self.threads if len(q) >= 8 else 1
+        touching = pin.computeCollisionsInParallel(threads, self._pool, np.ascontiguousarray(q.T), True, False)
+        hit: np.ndarray = np.asarray(touching, dtype=bool) | outside
+        return hit
+
+    def any_hit(self, q: Floats) -> bool:
+        """Whether any of the configurations is hit; stops at the first."""
+        if ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any():
+            return True
+        threads = self.threads if len(q) >= 8 else 1
+        return bool(pin.computeCollisionsInParallel(threads, self._pool, np.ascontiguousarray(q.T), True, True).any())
+
+    def clearance_m(self, q: Floats) -> tuple[float, str]:
+        """Exact distance of the closest pair at one configuration, negative inside, and the two names."""
+        pin.computeDistances(self.model, self._data, self.shapes, self._shape_data, q)
+        distances = [result.min_distance for result in self._shape_data.distanceResults]
+        nearest = int(np.argmin(distances))
+        pair = self.shapes.collisionPairs[nearest]
+        names = [self.shapes.geometryObjects[k].name.rsplit("_0", 1)[0] for k in (pair.first, pair.second)]
+        return float(distances[nearest]), " and ".join(names)
+
+    def motion_bound_m(self, dq: Floats) -> Floats:
+        """How far anything moves at most for joint changes (..., 7)."""
+        bound: Floats = np.abs(dq) @ self.reach_m
+        return bound
+
+    def line(self, q0: Floats, q1: Floats) -> Floats:
+        """Samples of the straight joint path, close enough together to prove it: (n, 7)."""
+        count = int(float(np.abs(q1 - q0) @ self.reach_m) / (2 * self.margin_m)) + 2
+        return q0 + np.linspace(0.0, 1.0, count)[:, None] * (q1 - q0)
+
+    def curve_free(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> bool:
+        """Whether a curve over time is proven free; `acceleration` (7,) bounds its joints'."""
+        for times_s in (np.linspace(0.0, duration_s, 14), self.proving_times_s(positions_at, duration_s, acceleration)):
+            if self.any_hit(positions_at(times_s)):
+                return False
+        return True
+
+    def proving_times_s(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> Floats:
+        """Times whose samples prove the whole curve, by the bound on motion and the chord's error."""
+        longest_s = math.sqrt(8 * 0.04 * self.margin_m / float(acceleration @ self.reach_m))
+        allowed_m = 2 * (1 - 0.04) * self.margin_m
+        times_s = np.linspace(0.0, duration_s, int(duration_s / longest_s) + 2)
+        for _ in range(6):
+            steps_m = self.motion_bound_m(np.diff(positions_at(times_s), axis=0))
+            if steps_m.max() <= allowed_m:
+                return times_s
+            cuts = np.ceil(steps_m / (0.98 * allowed_m)).astype(int)
+            starts, widths = np.repeat(times_s[:-1], cuts), np.repeat(np.diff(times_s) / cuts, cuts)
+            within = np.arange(len(starts)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
+            times_s = np.append(starts + within * widths, duration_s)
+        raise ValueError("the curve jumps: no sampling proves it")
+
+
+def _pairs(shapes: pin.GeometryModel, moving: int, touchable: set[str]) -> Iterable[tuple[int, int]]:
+    objects = shapes.geometryObjects
+    sheet = {"clamps", "cone"}
+    for first in range(moving):
+        joint = objects[first].parentJoint
+        for second in range(first + 1, moving):
+            # Neighbours overlap by construction and their limits keep them apart.
+            if objects[second].parentJoint - joint > 2:
+                yield first, second
+        for second in range(moving, shapes.ngeoms):
+            # Base and shoulder stand or turn on the spot: the cell is built around them.
+            if joint > 1 and not (objects[first].name in sheet and objects[second].name in touchable):
+                yield first, second
+
+
+def _reach_m(shapes: pin.GeometryModel, model: pin.Model) -> Floats:
+    """rho_j of every joint: the farthest point beyond it from its axis, over all configurations."""
+    offsets_m = [np.asarray(model.jointPlacements[j].translation) for j in range(1, JOINTS + 1)]
+    axes = [np.array([0.0, 0.0, 1.0]) if j % 2 == 0 else np.array([0.0, 1.0, 0.0]) for j in range(JOINTS)]
+    reach_m = np.zeros(JOINTS)
+    for thing in shapes.geometryObjects:
+        points = _hull(thing)
+        for j in range(thing.parentJoint):
+            here = points if thing.parentJoint == j + 1 else offsets_m[j + 1][None, :]
+            off_axis = here - (here @ axes[j])[:, None] * axes[j]
+            distance_m = float(np.linalg.norm(off_axis, axis=1).max())
+            for k in range(j + 2, thing.parentJoint):
+                distance_m += float(np.linalg.norm(offsets_m[k]))
+            if thing.parentJoint > j + 1:
+                distance_m += float(np.linalg.norm(points, axis=1).max())
+            reach_m[j] = max(reach_m[j], distance_m)
+    return reach_m
+
+
+def _hull(thing: pin.GeometryObject) -> Floats:
+    """Points in the joint's frame whose hull encloses the shape: (n, 3)."""
+    shape = thing.geometry
+    if isinstance(shape, coal.Box):
+        half = shape.halfSide
+        points = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    else:
+        capped = shape.radius if isinstance(shape, coal.Capsule) else 0.0
+        angles = np.arange(_RIM_SIDES) * 2 * math.pi / _RIM_SIDES
+        outer_m = shape.radius / math.cos(math.pi / _RIM_SIDES)
+        rim = np.stack([np.cos(angles) * outer_m, np.sin(angles) * outer_m], axis=1)
+        ends = np.array([-1.0, 1.0]) * (shape.halfLength + capped)
+        if isinstance(shape, coal.Cone):
+            points = np.vstack([np.column_stack([rim, np.full(_RIM_SIDES, ends[0])]), [[0.0, 0.0, ends[1]]]])
+        else:
+            points = np.vstack([np.column_stack([rim, np.full(_RIM_SIDES, end)]) for end in ends])
+    placement = thing.placement
+    inside: Floats = points @ placement.rotation.T + placement.translation
+    return inside

@@ -1,0 +1,265 @@
+"""The planning service: the one object that skills ask for a motion, through the cell.
+
+A request is (start, goal, geometry, constraint); its answer is planned once and kept. Geometry is the
+cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
+built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
+request gets the same motion on every run, on every machine of the same versions.
+
+Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillFailed` with the codes
+arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion import contact as contact_path
+from scuhand_bt.motion import surroundings, transfer
+from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.kinematics import (
+    ApexPose,
+    Floats,
+    along,
+    apex,
+    checked_joints,
+    finest,
+    nearest_reachable,
+    solutions,
+    swivel_of,
+    unreachable_reason,
+)
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, rest_to_rest_s
+from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
+from scuhand_bt.specs import CellSpec, ContainerKind, Mortar
+
+CONE_DIAMETER_M = 0.090
+MARGIN_M = 0.005
+CLOSE_MARGIN_M = 0.001
+"""Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """What the arm could touch: everything a scene is built from, besides the fixed bench."""
+
+    cone_diameter_m: float = CONE_DIAMETER_M
+    container: ContainerKind | None = None
+    touching: str | None = None
+
+
+class MotionPlanner:
+    """Plans the arm's motions in one cell, and keeps what it has planned.
+
+    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name.
+    ValueError for a URDF or a cell that does not describe this arm, KeyError for an unknown station.
+    """
+
+    def __init__(
+        self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None, *, threads: int = 2
+    ) -> None:
+        self._arm = Arm(urdf)
+        self._cell = cell
+        self._mortars = dict(mortars or {})
+        for name in self._mortars:
+            self._station(name)
+        self._bench = surroundings.bench(cell)
+        self._threads = threads
+        self._offset_m = cell.hand.apex_offset_mm / 1e3
+        rates, speed = self._arm.rates, cell.arm.speed_ratio
+        self._law = TimeLaw(RateLimits(rates.speed * speed, rates.acceleration, rates.jerk))
+        self._geometry = Geometry()
+        self._scenes: dict[tuple[Geometry, float], Scene] = {}
+        self._places: dict[str, ApexPose] = {}
+        self._postures: dict[tuple[str, Geometry], Floats] = {}
+        self._plans: dict[tuple[bytes, bytes, Geometry, float | None], JointTrajectory] = {}
+
+    # What the cell looks like now -------------------------------------------------------------------
+
+    def set_cone_diameter(self, diameter_m: float) -> None:
+        """The hand has formed a cone of this rim diameter: its collision shape follows."""
+        self._geometry = Geometry(round(diameter_m, 4), self._geometry.container)
+
+    def set_container(self, kind: ContainerKind | None) -> None:
+        """This kind of container stands on the balance's pan now, or none."""
+        self._geometry = Geometry(self._geometry.cone_diameter_m, kind)
+
+    def add_place(self, name: str, pose: ApexPose) -> None:
+        """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
+        self._require_reachable(pose, name)
+        self._places[name] = pose
+
+    # Motions ----------------------------------------------------------------------------------------
+
+    def home(self) -> Floats:
+        """The park place's canonical configuration, where a simulated arm starts: shape (7,)."""
+        name = self._cell.station_of_kind("park").name
+        if name not in self._places:
+            x, y, z = self._cell.stations[name].position_mm
+            self.add_place(name, ApexPose(np.array([x, y, z]) / 1e3))
+        return self._posture(name).copy()
+
+    def prepare(self) -> None:
+        """Plan all pairs of places for the present geometry, so that 'no path' is found before anything moves."""
+        names = list(self._places)
+        for k, first in enumerate(names):
+            for second in names[k + 1 :]:
+                self.move(self._posture(first), second)
+
+    def move(self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None) -> JointTrajectory:
+        """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
+        begin = checked_joints(start)
+        if isinstance(goal, str):
+            goals = self._posture(goal)[None, :]
+            name = goal
+        else:
+            self._require_reachable(goal, "the pose")
+            goals = solutions(goal, self._offset_m)
+            goals[:, 6] = begin[6]
+            name = f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
+        key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
+        if key not in self._plans:
+            self._plans[key] = self._planned(begin, goals, name, spill_limit_deg)
+        return self._plans[key]
+
+    def contact(
+        self,
+        start: Floats,
+        waypoints: Sequence[ApexPose],
+        speed_m_per_s: float,
+        touching: str | None = None,
+    ) -> JointTrajectory:
+        """A slow motion of the apex in straight lines from `start` through the waypoints, rest to rest.
+
+        The sheet may touch the mortar at the station `touching`; nothing else may.
+        """
+        begin = checked_joints(start)
+        if touching is not None and touching not in self._mortars:
+            raise KeyError(f"no mortar stands at {touching!r}; there is one at: {', '.join(self._mortars) or 'none'}")
+        poses = [apex(begin, self._offset_m), *waypoints]
+        times_s, positions_m, axes = contact_path.apex_path(poses, speed_m_per_s)
+        if len(times_s) < 2:
+            return standing(begin)
+        for pose in waypoints:
+            self._require_reachable(pose, "a waypoint")
+        scene = self._scene(CLOSE_MARGIN_M, touching)
+        phi = swivel_of(begin, self._offset_m)
+        why = "the elbow would have to jump"
+        for turn in contact_path.TURNS_OF_SWIVEL_RAD:
+            swivels = contact_path.swivel_course(phi, turn, len(times_s))
+            course = along(positions_m, axes, swivels, begin, self._offset_m)
+            if course is None:
+                continue
+            course[0] = begin
+            motion = through(times_s, course)
+            motion = motion.stretched(max(1.0, self._law.limits.stretch_for(motion)))
+            times = scene.proving_times_s(motion.at, motion.duration_s, motion.extremes()[1])
+            hits = scene.hits(motion.at(times))
+            if not hits.any():
+                return motion
+            why = self._touching(scene, motion.at(times)[int(np.argmax(hits))])
+        raise SkillFailed("arm.no_path", f"no way through the waypoints: {why}")
+
+    # Within -----------------------------------------------------------------------------------------
+
+    def _planned(self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None) -> JointTrajectory:
+        for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
+            scene = self._scene(margin_m)
+            start_free = not scene.hits(begin[None, :])[0]
+            free = goals[~scene.hits(goals)]
+            if start_free and len(free):
+                break
+        if not start_free:
+            raise SkillFailed("arm.start_in_collision", self._touching(scene, begin))
+        if not len(free):
+            raise SkillFailed(
+                "arm.no_path",
+                f"the arm cannot stand at {name} in any of its {len(goals)} configurations: "
+                f"{self._touching(scene, goals[len(goals) // 2])}",
+            )
+        if np.abs(free - begin).max(axis=1).min() < 1e-9:
+            return standing(begin)
+        motion = transfer.plan(begin, free, scene, self._law, self._offset_m, spill_limit_deg)
+        if motion is None:
+            raise SkillFailed("arm.no_path", f"no collision-free way to {name} was found")
+        return motion
+
+    def _touching(self, scene: Scene, q: Floats) -> str:
+        distance_m, names = scene.clearance_m(q)
+        if distance_m < 0:
+            return f"{names} overlap by {-distance_m * 1e3:.0f} mm"
+        return f"{names} are {distance_m * 1e3:.1f} mm apart"
+
+    def _posture(self, place: str) -> Floats:
+        """The one configuration in which the arm stands at a place, in the present geometry."""
+        if place not in self._places:
+            raise KeyError(f"there is no place {place!r}; there are: {', '.join(self._places) or 'none'}")
+        return self._postures_of()[place]
+
+    def _postures_of(self) -> dict[str, Floats]:
+        chosen: dict[str, Floats] = {}
+        for name, pose in self._places.items():
+            key = (name, self._geometry)
+            if key not in self._postures:
+                self._postures[key] = self._canonical(name, pose)
+            chosen[name] = self._postures[key]
+        return chosen
+
+    def _canonical(self, name: str, pose: ApexPose) -> Floats:
+        q = solutions(pose, self._offset_m)
+        scene = self._scene(MARGIN_M)
+        free = q[~scene.hits(q)]
+        if not len(free):
+            raise SkillFailed(
+                "arm.no_path",
+                f"the arm cannot stand at {name} in any of its {len(q)} configurations: "
+                f"{self._touching(scene, q[len(q) // 2])}",
+            )
+        relaxed = np.array([np.arctan2(pose.position_m[1], pose.position_m[0]), -0.2, 0.0, -1.6, 0.0, -1.2, 0.0])
+        chosen = free[np.argmin(rest_to_rest_s(free - relaxed, self._law.limits))]
+        exact = finest(pose, chosen, self._offset_m)
+        return exact if not scene.hits(exact[None, :])[0] else chosen
+
+    def _require_reachable(self, pose: ApexPose, name: str) -> None:
+        reason = unreachable_reason(pose, self._offset_m)
+        if reason is None:
+            return
+        near = nearest_reachable(pose, self._offset_m)
+        instead = "nothing near can be reached"
+        if near is not None:
+            x, y, z = near.position_m * 1e3
+            instead = f"the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+        raise SkillFailed("arm.unreachable", f"{name}: {reason}; {instead}")
+
+    def _station(self, name: str) -> "surroundings.Station":
+        try:
+            return self._cell.stations[name]
+        except KeyError:
+            raise KeyError(f"the cell has no station {name!r}; it has: {', '.join(self._cell.stations)}") from None
+
+    def _scene(self, margin_m: float, touching: str | None = None) -> Scene:
+        geometry = Geometry(self._geometry.cone_diameter_m, self._geometry.container, touching)
+        key = (geometry, margin_m)
+        if key not in self._scenes:
+            shapes = self._arm.with_sheet(
+                self._offset_m, self._cell.hand.sheet_radius_mm / 1e3, geometry.cone_diameter_m
+            )
+            solids, touchable = self._solids(geometry)
+            self._scenes[key] = Scene(self._arm, shapes, solids, margin_m, self._threads, touchable)
+        return self._scenes[key]
+
+    def _solids(self, geometry: Geometry) -> tuple[list[Solid], list[str]]:
+        solids = list(self._bench)
+        touchable: list[str] = []
+        for name, mortar in self._mortars.items():
+            if name == geometry.touching:
+                parts = surroundings.hollow_mortar(self._station(name), mortar)
+                touchable = [part.name for part in parts]
+                solids += parts
+            else:
+                solids.append(surroundings.full_mortar(self._station(name), mortar))
+        if geometry.container is not None:
+            solids.append(surroundings.container(self._cell.station_of_kind("balance"), geometry.container))
+        return solids, touchable

@@ -1,0 +1,109 @@
+"""When a carried load spills: one angle, for tilt and acceleration together.
+
+To the powder the cone leans by the *spill angle*: the angle between the cone's up axis u and apparent
+"up", which acceleration turns away from the vertical
+
+    cos(angle) = u . w / |w|,        w = g z + p''        p'' apex acceleration, g = 9.81 m/s^2
+
+A liquid of volume V in a cone (half-angle alpha, t = tan alpha, rim radius R) reaches the rim at
+
+    V / V_full = ((1 - t tan theta) / (1 + t tan theta))^(3/2),       V_full = pi R^3 / (3 t)
+
+because the Lorentz map that keeps the cone turns the tilted surface level and keeps volume. So
+
+    tan theta = (1 - r) / (t (1 + r)),         r = (V / V_full)^(2/3)
+
+A powder's surface leans up to its angle of repose before it flows, its load up to the wall's friction
+before it slides; the limit is theta plus the smaller of the two, less a margin. Derivation and check
+against a numerical volume: docs/motion.md. Angles in degrees where the name says so, lengths in mm.
+"""
+
+import math
+
+import numpy as np
+
+from scuhand_bt.motion.kinematics import LINK_M, WRIST_TO_FLANGE_M, Floats
+
+GRAVITY_M_PER_S2 = 9.81
+MARGIN_DEG = 5.0
+
+
+def liquid_spill_deg(half_angle_deg: float, rim_radius_mm: float, load_mm3: float) -> float:
+    """Tilt at which a liquid of this volume reaches the rim; ValueError if the cone cannot hold it."""
+    t = math.tan(math.radians(half_angle_deg))
+    full_mm3 = math.pi * rim_radius_mm**3 / (3 * t)
+    if not 0 <= load_mm3 <= full_mm3:
+        raise ValueError(f"a cone of {full_mm3:.0f} mm^3 cannot carry {load_mm3:.0f} mm^3")
+    r = (load_mm3 / full_mm3) ** (2 / 3)
+    return math.degrees(math.atan((1 - r) / (t * (1 + r))))
+
+
+def spill_limit_deg(
+    half_angle_deg: float,
+    rim_radius_mm: float,
+    load_mm3: float,
+    repose_deg: float,
+    wall_friction_deg: float,
+    margin_deg: float = MARGIN_DEG,
+) -> float:
+    """The largest spill angle this load may see; ValueError if even a level cone would not keep it."""
+    liquid_deg = liquid_spill_deg(half_angle_deg, rim_radius_mm, load_mm3)
+    limit_deg = liquid_deg + min(repose_deg, wall_friction_deg) - margin_deg
+    if limit_deg <= 0:
+        raise ValueError(f"this load spills within the margin of {margin_deg:g} deg of a level cone")
+    return limit_deg
+
+
+def apex_motion(q: Floats, speed: Floats, acceleration: Floats, apex_offset_m: float) -> tuple[Floats, Floats]:
+    """Cone axes and apex accelerations [m/s^2] of joint motions, all (n, 7): (n, 3) each."""
+    n = len(q)
+    frame = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
+    turning, twisting = np.zeros((n, 3)), np.zeros((n, 3))
+    total = np.zeros((n, 3))
+    lengths_m = {1: LINK_M, 3: LINK_M, 5: WRIST_TO_FLANGE_M + apex_offset_m}
+    for joint in range(6):
+        axis = frame[:, :, 2] if joint % 2 == 0 else -frame[:, :, 1]
+        twisting = twisting + acceleration[:, joint, None] * axis
+        twisting += np.cross(turning, speed[:, joint, None] * axis)
+        turning = turning + speed[:, joint, None] * axis
+        c, s = np.cos(q[:, joint, None]), np.sin(q[:, joint, None])
+        x, y, z = frame[:, :, 0], frame[:, :, 1], frame[:, :, 2]
+        if joint % 2 == 0:
+            frame = np.stack([c * x + s * y, c * y - s * x, z], axis=2)
+        else:
+            frame = np.stack([c * x + s * z, y, c * z - s * x], axis=2)
+        if joint in lengths_m:
+            arm = frame[:, :, 2]
+            total += lengths_m[joint] * (np.cross(twisting, arm) + np.cross(turning, np.cross(turning, arm)))
+    return -frame[:, :, 2], total
+
+
+def spill_angles_deg(axes: Floats, accelerations: Floats) -> Floats:
+    """The spill angle at each sample: (n, 3) and (n, 3) [m/s^2] to (n,)."""
+    angles: Floats = np.degrees(_between(axes, _apparent_up(accelerations)))
+    return angles
+
+
+def worst_spill_deg(axes: Floats, accelerations: Floats) -> float:
+    """The largest spill angle of a motion sampled densely, with what may happen between two samples.
+
+    Between neighbours both directions turn by at most their own step, so the angle exceeds the larger
+    of the two ends by at most half of both steps together; a tenth is added for the steps' curvature.
+    """
+    up = _apparent_up(accelerations)
+    angles = _between(axes, up)
+    steps = _between(axes[1:], axes[:-1]) + _between(up[1:], up[:-1])
+    return float(np.degrees((np.maximum(angles[1:], angles[:-1]) + 0.55 * steps).max()))
+
+
+def _apparent_up(accelerations: Floats) -> Floats:
+    w = accelerations + (0.0, 0.0, GRAVITY_M_PER_S2)
+    up: Floats = w / np.linalg.norm(w, axis=1)[:, None]
+    return up
+
+
+def _between(first: Floats, second: Floats) -> Floats:
+    # By the chord: exact for small angles, where arccos of a dot product loses half its digits.
+    chord = np.minimum(np.linalg.norm(first - second, axis=1), 2.0)
+    angle: Floats = 2 * np.arcsin(chord / 2)
+    return angle

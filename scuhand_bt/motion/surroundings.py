@@ -1,0 +1,70 @@
+"""What stands in the cell, as solids: the bench's geometry, the mortars, the container on the pan.
+
+Elsewhere a mortar is a full cylinder. While its powder is scooped it is hollow: rings of boxes around
+the spherical bowl of radius R = (a^2 + h^2) / 2h (a: half the bore, h: depth), each ring as wide
+inside as the bowl is at the ring's lower edge, so that the boxes never reach less far than the bowl.
+
+Metres and radians, base frame.
+"""
+
+import math
+
+from scuhand_bt.motion.collision import Solid
+from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Station
+
+_RINGS = 3
+_SIDES = 16
+_CONTAINER_WALL_MM = 3.0
+
+
+def bench(cell: CellSpec) -> list[Solid]:
+    """The fixed geometry of `robot/cell.yaml`; ValueError for an obstacle that is not one shape."""
+    solids = []
+    for obstacle in cell.geometry:
+        if (obstacle.box_mm is None) == (obstacle.cylinder_mm is None):
+            raise ValueError(f"the obstacle {obstacle.name} needs either a box or a cylinder")
+        x, y, z = obstacle.at_mm
+        centre_m = (x / 1e3, y / 1e3, z / 1e3)
+        if obstacle.box_mm is not None:
+            a, b, c = obstacle.box_mm
+            solids.append(Solid(obstacle.name, centre_m, box_m=(a / 1e3, b / 1e3, c / 1e3)))
+        elif obstacle.cylinder_mm is not None:
+            diameter, length = obstacle.cylinder_mm
+            solids.append(Solid(obstacle.name, centre_m, cylinder_m=(diameter / 1e3, length / 1e3)))
+    return solids
+
+
+def full_mortar(station: Station, mortar: Mortar) -> Solid:
+    """The mortar as one cylinder that nothing may enter."""
+    x, y, z = (value / 1e3 for value in station.position_mm)
+    height_m = mortar.height_mm / 1e3
+    return Solid(station.name, (x, y, z + height_m / 2), cylinder_m=(mortar.outer_diameter_mm / 1e3, height_m))
+
+
+def hollow_mortar(station: Station, mortar: Mortar) -> list[Solid]:
+    """The mortar with its bowl open from above."""
+    x, y, z = (value / 1e3 for value in station.position_mm)
+    outer_m, radius_m = mortar.outer_diameter_mm / 2e3, mortar.bowl_radius_mm / 1e3
+    height_m, depth_m = mortar.height_mm / 1e3, mortar.depth_mm / 1e3
+    floor_m = height_m - depth_m
+    solids = [Solid(f"{station.name} floor", (x, y, z + floor_m / 2), cylinder_m=(2 * outer_m, max(floor_m, 1e-3)))]
+    ring_m = depth_m / _RINGS
+    for ring in range(_RINGS):
+        low_m = ring * ring_m
+        inner_m = math.sqrt(max(0.0, radius_m**2 - (radius_m - low_m) ** 2)) * math.cos(math.pi / _SIDES)
+        middle_m, thick_m = (outer_m + inner_m) / 2, outer_m - inner_m
+        side_m = 2 * outer_m * math.tan(math.pi / _SIDES)
+        for k in range(_SIDES):
+            yaw = 2 * math.pi * k / _SIDES
+            centre_m = (x + middle_m * math.cos(yaw), y + middle_m * math.sin(yaw), z + floor_m + low_m + ring_m / 2)
+            name = f"{station.name} wall {ring}.{k}"
+            solids.append(Solid(name, centre_m, box_m=(thick_m, side_m, ring_m), yaw_rad=yaw))
+    return solids
+
+
+def container(station: Station, kind: ContainerKind) -> Solid:
+    """What stands on the pan, as one cylinder: dispensing happens above its mouth, never in it."""
+    x, y, z = (value / 1e3 for value in station.position_mm)
+    height_m = kind.height_mm / 1e3
+    diameter_m = (kind.mouth_mm + 2 * _CONTAINER_WALL_MM) / 1e3
+    return Solid(f"{kind.name} on the pan", (x, y, z + height_m / 2), cylinder_m=(diameter_m, height_m))

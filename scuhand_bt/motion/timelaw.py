@@ -1,0 +1,136 @@
+"""How fast: the shortest jerk-limited motion between states, by Ruckig.
+
+    |q'| <= v,  |q''| <= a,  |q'''| <= j      for each joint;  all joints start and end together
+
+From rest to rest over a distance D the optimum is known in closed form (with a^2/j <= v):
+
+    T = D/v + v/a + a/j                     D >= v (v/a + a/j)       full speed is reached
+    T = a/j + sqrt((a/j)^2 + 4 D/a)         D >= 2 a^3/j^2           full acceleration is reached
+    T = 4 (D / 2j)^(1/3)                    otherwise
+
+The slowest joint's T is what Ruckig finds too; it ranks hundreds of goals at once and is the lower
+bound of every motion between the same ends, whatever its path. q [rad], v [rad/s], a [rad/s^2],
+j [rad/s^3], T [s]. Berscheid and Kröger, "Jerk-limited real-time trajectory generation with
+arbitrary target states", RSS 2021.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from ruckig import InputParameter, Result, Ruckig, RuckigError, Trajectory
+
+from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.trajectory import JointTrajectory, joined
+
+_SHORTEST_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class RateLimits:
+    """Largest speed, acceleration and jerk of each coordinate, shape (n,) each."""
+
+    speed: Floats
+    acceleration: Floats
+    jerk: Floats
+
+    def stretch_for(self, trajectory: JointTrajectory) -> float:
+        """How many times slower a motion must be to keep these limits; below 1 it could be faster."""
+        speed, acceleration, jerk = trajectory.extremes()
+        return max(
+            float((speed / self.speed).max()),
+            float((acceleration / self.acceleration).max()) ** 0.5,
+            float((jerk / self.jerk).max()) ** (1 / 3),
+        )
+
+
+def rest_to_rest_s(distances: Floats, limits: RateLimits) -> Floats:
+    """Duration of the optimum from rest to rest over distances (..., n): shape (...)."""
+    d = np.abs(distances)
+    # Where the speed limit binds before the acceleration limit does, the reachable acceleration is sqrt(v j).
+    v, j = limits.speed, limits.jerk
+    a = np.minimum(limits.acceleration, np.sqrt(v * j))
+    full_speed_s = d / v + v / a + a / j
+    full_acceleration_s = a / j + np.sqrt((a / j) ** 2 + 4 * d / a)
+    jerk_only_s = 4 * np.cbrt(d / (2 * j))
+    durations_s = np.where(
+        d >= v * (v / a + a / j), full_speed_s, np.where(d >= 2 * a**3 / j**2, full_acceleration_s, jerk_only_s)
+    )
+    longest: Floats = durations_s.max(axis=-1)
+    return longest
+
+
+class TimeLaw:
+    """Ruckig for n coordinates, with what it does not check checked, and its input kept for reuse.
+
+    Ruckig reads past its vectors when their length is not its own (or ends the process), so every
+    length is checked here. Positions are not limited by Ruckig (its community version ignores those
+    fields): whoever uses the result looks at them.
+    """
+
+    def __init__(self, limits: RateLimits) -> None:
+        self.limits = limits
+        self.size = len(limits.speed)
+        if not (len(limits.acceleration) == len(limits.jerk) == self.size):
+            raise ValueError("speed, acceleration and jerk limits differ in length")
+        self._ruckig = Ruckig(self.size)
+        self._input = InputParameter(self.size)
+        self._input.max_velocity = limits.speed.tolist()
+        self._input.max_acceleration = limits.acceleration.tolist()
+        self._input.max_jerk = limits.jerk.tolist()
+
+    def solve(self, q0: Floats, v0: Floats, q1: Floats, v1: Floats) -> Trajectory | None:
+        """Ruckig's own trajectory between two states of no acceleration, None if it finds none."""
+        for vector in (q0, v0, q1, v1):
+            if vector.shape != (self.size,):
+                raise ValueError(f"a state of {self.size} coordinates is needed, not of shape {vector.shape}")
+        given = self._input
+        given.current_position, given.current_velocity = q0.tolist(), v0.tolist()
+        given.target_position, given.target_velocity = q1.tolist(), v1.tolist()
+        trajectory = Trajectory(self.size)
+        try:
+            result = self._ruckig.calculate(given, trajectory)
+        except RuckigError:
+            return None
+        return trajectory if result in (Result.Working, Result.Finished) else None
+
+    def chain(self, points: Floats, speeds: Floats) -> list[Trajectory] | None:
+        """The solved pieces from point to point (m, n) with the speeds (m, n) there; None if one fails."""
+        pieces = []
+        for k in range(len(points) - 1):
+            piece = self.solve(points[k], speeds[k], points[k + 1], speeds[k + 1])
+            if piece is None:
+                return None
+            pieces.append(piece)
+        return pieces
+
+    def direct(self, q0: Floats, q1: Floats) -> JointTrajectory:
+        """The optimum from rest to rest: a straight line wherever one joint alone decides the duration."""
+        rest = np.zeros(self.size)
+        solved = self.solve(q0, rest, q1, rest)
+        if solved is None:
+            raise ValueError("Ruckig found no motion from rest to rest")
+        return cubics([solved])
+
+
+def cubics(pieces: list[Trajectory]) -> JointTrajectory:
+    """Ruckig's profiles as one piecewise-cubic motion, exactly."""
+    return joined([_cubics_of(piece) for piece in pieces if piece.duration > _SHORTEST_S])
+
+
+def _cubics_of(solved: Trajectory) -> JointTrajectory:
+    profiles = solved.profiles[0]
+    begins = np.zeros((len(profiles), 8))
+    begins[:, 1:] = np.cumsum([profile.t for profile in profiles], axis=1)
+    p, v, a = (np.array([getattr(profile, name) for profile in profiles])[:, :7] for name in "pva")
+    j = np.array([profile.j for profile in profiles])
+    knots_s = np.unique(np.append(begins.ravel(), solved.duration))
+    knots_s = knots_s[knots_s <= solved.duration + _SHORTEST_S]
+    knots_s = np.append(knots_s[:-1][np.diff(knots_s) > _SHORTEST_S], solved.duration)
+    knots_s[0] = 0.0
+    middles_s = (knots_s[:-1] + knots_s[1:]) / 2
+    piece = np.minimum((middles_s[None, :, None] >= begins[:, None, 1:]).sum(axis=2), 6)
+    joint = np.arange(len(profiles))[:, None]
+    u = knots_s[None, :-1] - begins[joint, piece]
+    p, v, a, j = p[joint, piece], v[joint, piece], a[joint, piece], j[joint, piece]
+    coefficients = np.stack([p + u * (v + u * (a / 2 + u * j / 6)), v + u * (a + u * j / 2), (a + u * j) / 2, j / 6])
+    return JointTrajectory(knots_s, np.ascontiguousarray(coefficients.transpose(0, 2, 1)))

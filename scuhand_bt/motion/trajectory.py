@@ -1,0 +1,120 @@
+"""A motion over time as what a jerk-limited motion is: cubics, one after another.
+
+    q(t) = c0 + c1 u + c2 u^2 + c3 u^3,    u = t - t_k,    t_k <= t <= t_{k+1}
+
+q [rad] shape (n,); position, speed and acceleration are continuous at the knots t_k [s], jerk is
+6 c3, constant in between. Extremes of speed and acceleration are therefore known exactly, and a
+motion can be stretched, reversed and joined without sampling it.
+"""
+
+import bisect
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from scuhand_bt.motion.kinematics import Floats
+
+
+class JointTrajectory:
+    """A piecewise-cubic motion of n joints; what the arm follows.
+
+    `knots_s` shape (k + 1,), strictly increasing from 0; `coefficients` shape (4, k, n), rising powers.
+    `spill_limit_deg` is what the motion was proven to keep, None for an empty cone.
+    """
+
+    def __init__(self, knots_s: Floats, coefficients: Floats, spill_limit_deg: float | None = None) -> None:
+        if len(knots_s) != coefficients.shape[1] + 1 or knots_s[0] != 0 or not (np.diff(knots_s) > 0).all():
+            raise ValueError("a trajectory's knots start at 0, increase, and enclose its cubics")
+        self.knots_s = knots_s
+        self.coefficients = coefficients
+        self.spill_limit_deg = spill_limit_deg
+        self._knots: list[float] = knots_s.tolist()
+
+    @property
+    def duration_s(self) -> float:
+        return self._knots[-1]
+
+    @cached_property
+    def start(self) -> Floats:
+        """Where it begins, shape (n,)."""
+        return self.sample(0.0)
+
+    @cached_property
+    def end(self) -> Floats:
+        """Where it ends, shape (n,)."""
+        return self.sample(self.duration_s)
+
+    def sample(self, time_s: float) -> Floats:
+        """Joint positions [rad] at one time, shape (n,); clamped to the ends."""
+        time_s = min(max(time_s, 0.0), self._knots[-1])
+        k = min(bisect.bisect_right(self._knots, time_s), len(self._knots) - 1) - 1
+        c0, c1, c2, c3 = self.coefficients[:, k]
+        u = time_s - self._knots[k]
+        position: Floats = ((c3 * u + c2) * u + c1) * u + c0
+        return position
+
+    def at(self, times_s: Floats, derivative: int = 0) -> Floats:
+        """Positions or their 1st, 2nd or 3rd derivative at many times within the motion: shape (m, n)."""
+        k = np.clip(np.searchsorted(self.knots_s, times_s, side="right") - 1, 0, self.coefficients.shape[1] - 1)
+        u = (np.clip(times_s, 0.0, self.duration_s) - self.knots_s[k])[:, None]
+        c0, c1, c2, c3 = self.coefficients[:, k]
+        value: Floats = (
+            ((c3 * u + c2) * u + c1) * u + c0,
+            (3 * c3 * u + 2 * c2) * u + c1,
+            6 * c3 * u + 2 * c2,
+            6 * c3,
+        )[derivative]
+        return value
+
+    def extremes(self) -> tuple[Floats, Floats, Floats]:
+        """The largest |speed|, |acceleration| and |jerk| of each joint anywhere in the motion: (n,) each."""
+        h = np.diff(self.knots_s)[:, None]
+        _, c1, c2, c3 = self.coefficients
+        jerk = 6 * c3
+        acceleration = np.maximum(np.abs(2 * c2), np.abs(2 * c2 + jerk * h))
+        speed = np.maximum(np.abs(c1), np.abs(c1 + 2 * c2 * h + 3 * c3 * h * h))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turn = np.where(c3 == 0, -1.0, -c2 / (3 * c3))
+        inside = (turn > 0) & (turn < h)
+        speed = np.where(inside, np.maximum(speed, np.abs(c1 - c2 * c2 / np.where(c3 == 0, 1.0, 3 * c3))), speed)
+        return speed.max(axis=0), acceleration.max(axis=0), np.abs(jerk).max(axis=0)
+
+    def stretched(self, factor: float) -> "JointTrajectory":
+        """The same path, `factor` times as long."""
+        scale = (1 / factor) ** np.arange(4)
+        return JointTrajectory(self.knots_s * factor, self.coefficients * scale[:, None, None], self.spill_limit_deg)
+
+    def reversed(self) -> "JointTrajectory":
+        """The same motion backwards; its speeds change sign, its accelerations do not."""
+        h = np.diff(self.knots_s)[:, None]
+        c0, c1, c2, c3 = self.coefficients
+        ends = np.stack([c0 + h * (c1 + h * (c2 + h * c3)), -(c1 + h * (2 * c2 + 3 * h * c3)), c2 + 3 * h * c3, -c3])
+        knots_s = self.duration_s - self.knots_s[::-1]
+        knots_s[0] = 0.0
+        return JointTrajectory(knots_s, ends[:, ::-1], self.spill_limit_deg)
+
+    def keeping(self, spill_limit_deg: float | None) -> "JointTrajectory":
+        """The same motion, marked with the spill limit it was proven to keep."""
+        return JointTrajectory(self.knots_s, self.coefficients, spill_limit_deg)
+
+
+def standing(q: Floats) -> JointTrajectory:
+    """No motion at all: a millisecond at q."""
+    coefficients = np.zeros((4, 1, len(q)))
+    coefficients[0, 0] = q
+    return JointTrajectory(np.array([0.0, 1e-3]), coefficients)
+
+
+def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:
+    """Motions one after another; each starts where and as fast as the one before it ends."""
+    offsets_s = np.cumsum([0.0, *(part.duration_s for part in parts)])
+    knots_s = np.concatenate([[0.0], *(part.knots_s[1:] + o for part, o in zip(parts, offsets_s, strict=False))])
+    return JointTrajectory(knots_s, np.concatenate([part.coefficients for part in parts], axis=1))
+
+
+def through(times_s: Floats, positions: Floats) -> JointTrajectory:
+    """The smoothest cubics through samples (m, n) of a motion that begins and ends at rest."""
+    spline = CubicSpline(times_s, positions, axis=0, bc_type="clamped")
+    return JointTrajectory(times_s, np.ascontiguousarray(spline.c[::-1]))
