@@ -51,6 +51,12 @@ class Cell:
     believed: Believed = field(default_factory=Believed)
     begin_sample: Callable[[str, int], None] = lambda sample, attempt: None
     """Told at the start of each job (sample id, attempt); the simulation draws its randomness by it."""
+    controller: str = DEFAULT_CONTROLLER
+    """The dosing controller of this run."""
+    powder_beliefs: dict[str, PowderBelief] = field(default_factory=dict)
+    """What is learnt of powders, by `Source.sheet_key`; the powder's own `belief` until then."""
+    balance_belief: BalanceBelief = field(default_factory=BalanceBelief)
+    """What is learnt of the balance."""
 
     def device(self, name: str) -> Device:
         """A device by the name that skills lease it under: arm, hand, balance, changer."""

@@ -71,7 +71,7 @@ class Cone:
         """How high above the apex a levelled load stands: h of V = pi tan^2(alpha) h^3 / 3."""
         volume_mm3 = mass_mg / bulk_density_mg_per_mm3
         tangent = math.tan(math.radians(self.half_angle_deg))
-        return (3.0 * volume_mm3 / (math.pi * tangent**2)) ** (1.0 / 3.0)
+        return math.cbrt(3.0 * volume_mm3 / (math.pi * tangent**2))
 
     def resting_apex_mm(self, mortar: Mortar) -> float:
         """Height of the apex above the bowl's lowest point when this cone, upright, just touches the bowl.

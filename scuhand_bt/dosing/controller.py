@@ -11,7 +11,7 @@ carries that out on the hand and the balance, and tells it what was measured:
 A controller lives for one dose; `Finish` is its last word.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from scuhand_bt.specs import BalanceBelief, PowderBelief
@@ -39,6 +39,9 @@ class Stream:
 @dataclass(frozen=True, slots=True)
 class Settle:
     """Close the valve, stop vibrating and wait for a stable mean."""
+
+    wait_s: float = 0.0
+    """A fixed wait before the balance is asked: until it can have noticed what fell last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +91,8 @@ class DoseRequest:
     balance_period_s: float = 0.1
     step_limit: int = 100
     """The most pulses a stepwise controller may take (paper: 100)."""
-    powder: PowderBelief = PowderBelief()
-    balance: BalanceBelief = BalanceBelief()
+    powder: PowderBelief = field(default_factory=PowderBelief)
+    balance: BalanceBelief = field(default_factory=BalanceBelief)
 
     def given_up(self, dispensed_mg: float) -> Literal["empty", "no_flow"]:
         """Why no powder comes: the cone is (all but) empty, or it holds powder that does not flow."""

@@ -4,10 +4,16 @@ The class is built without arguments and offers any of `flow(powder)`, `balance(
 `scoop(powder)`; what it does not offer is ours. Every method gets the generator it must draw from.
 """
 
-from typing import Protocol
+import importlib
+import math
+from typing import Any, Protocol
 
+import numpy as np
 from numpy.random import Generator
 
+from scuhand_bt.sim.powder import OurPowderFlow
+from scuhand_bt.sim.response import OurBalanceResponse
+from scuhand_bt.sim.scoop import OurScoopYield
 from scuhand_bt.specs import BalanceSpec, Mortar, Powder
 
 
@@ -30,12 +36,20 @@ class BalanceResponse(Protocol):
 class ScoopingCone(Protocol):
     """The cone's stroke through the powder."""
 
-    diameter_mm: float
-    """Rim diameter on contact with the wall."""
-    closed_diameter_mm: float
-    """Rim diameter at the end of the stroke."""
-    overtravel_mm: float
-    """How far the sheet was pressed onto the wall."""
+    @property
+    def diameter_mm(self) -> float:
+        """Rim diameter on contact with the wall."""
+        ...
+
+    @property
+    def closed_diameter_mm(self) -> float:
+        """Rim diameter at the end of the stroke."""
+        ...
+
+    @property
+    def overtravel_mm(self) -> float:
+        """How far the sheet was pressed onto the wall."""
+        ...
 
 
 class ScoopYield(Protocol):
@@ -46,11 +60,99 @@ class ScoopYield(Protocol):
         ...
 
 
-class Plant(Protocol):
-    """A whole replaceable physics; each method may be absent."""
+class PlantError(Exception):
+    """A plant that cannot be used, or that returned what cannot be; the text names the plant."""
 
-    def flow(self, powder: Powder) -> PowderFlow: ...
 
-    def balance(self, spec: BalanceSpec) -> BalanceResponse: ...
+class Plant:
+    """The physics of one run: the named class's where it offers a seam, ours elsewhere."""
 
-    def scoop(self, powder: Powder) -> ScoopYield: ...
+    def __init__(self, theirs: object | None = None, name: str = "our plant") -> None:
+        self.name = name
+        self._theirs: Any = theirs
+
+    def flow(self, powder: Powder) -> PowderFlow:
+        made: PowderFlow = getattr(self._theirs, "flow", OurPowderFlow)(powder)
+        self._check(made, "step", f"flow({powder.name})")
+        return made
+
+    def balance(self, spec: BalanceSpec) -> BalanceResponse:
+        made: BalanceResponse = getattr(self._theirs, "balance", OurBalanceResponse)(spec)
+        self._check(made, "step", "balance(spec)")
+        return made
+
+    def scoop(self, powder: Powder) -> ScoopYield:
+        made: ScoopYield = getattr(self._theirs, "scoop", OurScoopYield)(powder)
+        self._check(made, "collect", f"scoop({powder.name})")
+        return made
+
+    def probe(self, powder: Powder, spec: BalanceSpec, mortar: Mortar | None = None) -> None:
+        """Try every seam once, on objects that are then thrown away, so that a bad plant fails before a run.
+
+        Raises PlantError for an exception, NaN, a negative mass or more than there is.
+        """
+        rng = np.random.default_rng(0)
+        try:
+            flow, balance, scoop = self.flow(powder), self.balance(spec), self.scoop(powder)
+            for opening_mm, vibration in ((0.0, 0.0), (0.5, 0.0), (2.0, 1.0), (0.0, 0.0)):
+                self.leaving(flow.step(0.02, opening_mm, vibration, 1000.0, rng), 1000.0)
+                self.reading(balance.step(0.02, 1000.0, 0.1, vibration, rng))
+            if mortar is not None:
+                self.collected(scoop.collect(_Probe(), mortar, 1000.0, rng), 1000.0)
+        except PlantError:
+            raise
+        except Exception as error:
+            raise PlantError(f"{self.name}: {type(error).__name__} while it was tried: {error}") from error
+
+    def leaving(self, mass_mg: float, in_cone_mg: float) -> float:
+        """Let a sound flow through; PlantError otherwise."""
+        if 0.0 <= mass_mg <= in_cone_mg:
+            return mass_mg
+        raise PlantError(f"{self.name}: flow let {mass_mg!r} mg leave a cone that holds {in_cone_mg:.3f} mg")
+
+    def reading(self, value_mg: float) -> float:
+        """Let a finite reading through; PlantError otherwise."""
+        if math.isfinite(value_mg):
+            return value_mg
+        raise PlantError(f"{self.name}: balance read {value_mg!r} mg")
+
+    def collected(self, mass_mg: float, in_mortar_mg: float) -> float:
+        """Let a sound scoop through; PlantError otherwise."""
+        if 0.0 <= mass_mg <= in_mortar_mg:
+            return mass_mg
+        raise PlantError(f"{self.name}: scoop took {mass_mg!r} mg from a mortar that holds {in_mortar_mg:.3f} mg")
+
+    def _check(self, made: object, method: str, call: str) -> None:
+        if not callable(getattr(made, method, None)):
+            raise PlantError(f"{self.name}: {call} gave {made!r}, which has no method '{method}'")
+
+
+class _Probe:
+    """A full stroke, for the probe."""
+
+    diameter_mm = 88.0
+    closed_diameter_mm = 60.0
+    overtravel_mm = 2.0
+
+
+def load_plant(name: str | None) -> Plant:
+    """The plant of "module:Class", ours for None. PlantError says what is wrong with the name or the class."""
+    if name is None:
+        return Plant()
+    module_name, colon, class_name = name.partition(":")
+    if not (colon and module_name and class_name):
+        raise PlantError(f"plant '{name}': write it as module:Class, such as my_lab.plants:DampPowder")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise PlantError(f"plant '{name}': module '{module_name}' cannot be imported: {error}") from error
+    made = getattr(module, class_name, None)
+    if not isinstance(made, type):
+        known = ", ".join(key for key, value in vars(module).items() if isinstance(value, type)) or "no class"
+        raise PlantError(f"plant '{name}': module '{module_name}' has no class '{class_name}'; it has {known}")
+    if not any(callable(getattr(made, seam, None)) for seam in ("flow", "balance", "scoop")):
+        raise PlantError(f"plant '{name}': {class_name} offers none of flow(powder), balance(spec), scoop(powder)")
+    try:
+        return Plant(made(), name)
+    except Exception as error:
+        raise PlantError(f"plant '{name}': {class_name}() failed: {type(error).__name__}: {error}") from error

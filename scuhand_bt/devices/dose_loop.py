@@ -1,0 +1,118 @@
+"""Carrying out a controller's commands on a hand and a balance: the loop that every dose runs.
+
+The controller decides (`scuhand_bt.dosing.controller`), this loop acts and measures. The valve is shut and
+the motor off when it ends, however it ends: a reading that does not come for `silence_s` ends it.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from scuhand_bt.clock import Clock, Steps, Wake
+from scuhand_bt.devices.interfaces import Balance, Hand
+from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Settle, Stream
+from scuhand_bt.record import Record
+
+
+@dataclass(frozen=True, slots=True)
+class CurvePoint:
+    """One moment of a dose, for its plot: what was read, and what the hand was doing."""
+
+    time_s: float
+    net_mg: float
+    opening_mm: float
+    vibration: float
+    stable: bool
+
+
+@dataclass
+class DoseRun:
+    """What a dose came to."""
+
+    finish: Finish
+    pulses: int
+    vibration_s: float
+    duration_s: float
+    curve: list[CurvePoint] = field(default_factory=list)
+
+    def rows(self) -> list[tuple[float, float, float, float, bool]]:
+        """The curve as plain numbers, rounded to what they mean."""
+        return [
+            (round(p.time_s, 3), round(p.net_mg, 3), round(p.opening_mm, 3), round(p.vibration, 2), p.stable)
+            for p in self.curve
+        ]
+
+
+def silence_s(period_s: float) -> float:
+    """How long the balance may be silent while the valve is open."""
+    return max(0.3, 3.0 * period_s)
+
+
+def run_dose(
+    controller: Controller, hand: Hand, balance: Balance, clock: Clock, record: Record, empty_mg: float
+) -> Steps[DoseRun]:
+    """Run a controller to its `Finish`. `empty_mg` is the gross before the container's first powder.
+
+    SkillFailed from the balance: device.lost, balance.unstable, balance.overload.
+    """
+    begin_s = clock.now_s
+    period_s = balance.spec.period_s
+    curve: list[CurvePoint] = []
+    pulses, vibration_s = 0, 0.0
+    streaming = False
+    try:
+        command = controller.decide(None)
+        while not isinstance(command, Finish):
+            acted_s = clock.now_s
+            if isinstance(command, Stream):
+                pulses += not streaming
+                streaming = True
+                hand.set_vibration(command.vibration)
+                hand.set_opening(command.opening_mm)
+                reading = yield from balance.next_reading(silence_s(period_s))
+                seen = Observation(
+                    reading.time_s,
+                    reading.value_mg - empty_mg,
+                    balance.spec.readability_mg / math.sqrt(12.0),
+                    False,
+                    hand.opening_mm,
+                )
+                vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
+                level = command.vibration
+            else:
+                streaming = False
+                if isinstance(command, Pulse):
+                    pulses += 1
+                    yield from hand.pulse(command.opening_mm, command.dwell_s, command.vibration)
+                    vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
+                else:
+                    hand.stop()
+                if command.wait_s > 0.0:
+                    end_s = clock.now_s + command.wait_s
+                    while clock.now_s < end_s:
+                        yield Wake(end_s)
+                mean = yield from balance.settled()
+                # The gross before was a stable mean too: both uncertainties count.
+                seen = Observation(
+                    mean.time_s, mean.value_mg - empty_mg, math.sqrt(2.0) * mean.uncertainty_mg, True, hand.opening_mm
+                )
+                level = 0.0
+                record.pulse(_values(command, seen, acted_s))
+            curve.append(CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable))
+            command = controller.decide(seen)
+    finally:
+        hand.stop()
+    return DoseRun(command, pulses, vibration_s, clock.now_s - begin_s, curve)
+
+
+def _values(command: Pulse | Settle, seen: Observation, acted_s: float) -> dict[str, float | str]:
+    values: dict[str, float | str] = {
+        "began_s": acted_s,
+        "ended_s": seen.time_s,
+        "net_mg": seen.net_mg,
+        "uncertainty_mg": seen.uncertainty_mg,
+    }
+    if isinstance(command, Pulse):
+        return {"kind": "pulse", "opening_mm": command.opening_mm, "dwell_s": command.dwell_s} | (
+            {"vibration": command.vibration} | values
+        )
+    return {"kind": "settle"} | values

@@ -1,0 +1,100 @@
+"""The simulated balance: a response of the plant, read out at the balance's period, with its own judgement.
+
+It calls a reading stable when, over the last second, the mean of the newer half is within `BAND_DIGITS`
+digits of the mean of the older half: that holds for a settled pan in the presence of noise, and not while
+the filter still creeps.
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.sim.plant import Plant
+from scuhand_bt.specs import BalanceSpec
+
+BAND_DIGITS = 1.5
+WINDOW_S = 1.0
+MEAN_OF = 5
+"""How many stable readings in a row a stable mean is made of."""
+
+
+class SimulatedBalance:
+    """The balance under the hand; see `scuhand_bt.devices.interfaces.Balance`."""
+
+    def __init__(self, spec: BalanceSpec, clock: Clock, plant: Plant) -> None:
+        self.spec = spec
+        self.news = Signal()
+        self.latest: Reading | None = None
+        self.is_stopped = True
+        self.next_reading_s = spec.period_s
+        self._clock = clock
+        self._plant = plant
+        self._response = plant.balance(spec)
+        self._rng = np.random.default_rng(0)
+        self._half = max(3, round(WINDOW_S / spec.period_s / 2.0))
+        self._values: deque[float] = deque(maxlen=2 * self._half)
+        self._readings = 1
+        self._overloaded = False
+
+    def stop(self) -> None:
+        """A balance only reads: nothing to stop."""
+
+    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
+        deadline_s = self._clock.now_s + timeout_s
+        seen = self.news.count
+        while self.news.count == seen:
+            if self._clock.now_s >= deadline_s:
+                raise SkillFailed("device.lost", f"the balance sent nothing for {timeout_s:g} s")
+            yield Wake(deadline_s, self.news, seen)
+        return self._sound_reading()
+
+    def settled(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+        deadline_s = self._clock.now_s + timeout_s
+        stable: list[Reading] = []
+        while len(stable) < MEAN_OF:
+            reading = yield from self.next_reading()
+            if reading.stable:
+                stable.append(reading)
+            else:
+                stable.clear()
+                if self._clock.now_s >= deadline_s:
+                    raise SkillFailed("balance.unstable", f"no stable reading within {timeout_s:g} s")
+        values = [reading.value_mg for reading in stable]
+        mean = sum(values) / MEAN_OF
+        variance = sum((value - mean) ** 2 for value in values) / (MEAN_OF - 1)
+        uncertainty_mg = math.sqrt(variance / MEAN_OF + self.spec.readability_mg**2 / 12.0)
+        return StableMean(mean, uncertainty_mg, stable[-1].time_s, tuple(stable))
+
+    def _sound_reading(self) -> Reading:
+        if self._overloaded or self.latest is None:
+            raise SkillFailed("balance.overload", f"more than {self.spec.maximum_mg / 1000.0:g} g on the pan")
+        return self.latest
+
+    def use_randomness(self, rng: np.random.Generator) -> None:
+        """Draw from this generator from now on."""
+        self._rng = rng
+
+    def advance(self, end_s: float, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float) -> None:
+        """Go on by `dt_s`; at the end of a period a reading is given out."""
+        value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
+        if end_s < self.next_reading_s - 1e-9:
+            return
+        self._readings += 1
+        self.next_reading_s = self._readings * self.spec.period_s
+        digit_mg = self.spec.readability_mg
+        value_mg = round(value_mg / digit_mg) * digit_mg
+        self._overloaded = value_mg > self.spec.maximum_mg
+        values = self._values
+        values.append(value_mg)
+        stable = False
+        if len(values) == 2 * self._half:
+            newer = 0.0
+            for index in range(self._half, 2 * self._half):
+                newer += values[index] - values[index - self._half]
+            stable = abs(newer) <= BAND_DIGITS * digit_mg * self._half
+        self.latest = Reading(value_mg, stable, end_s)
+        self.news.fire()

@@ -1,0 +1,67 @@
+"""A simulated cell: the devices of `cell.yaml`, made of a world."""
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scuhand_bt.clock import Clock
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.devices.interfaces import Changer, Joints, Operator
+from scuhand_bt.record import Record
+from scuhand_bt.sim.arm import Pose, SimulatedArm
+from scuhand_bt.sim.balance import SimulatedBalance
+from scuhand_bt.sim.changer import SimulatedChanger
+from scuhand_bt.sim.hand import SimulatedHand
+from scuhand_bt.sim.plant import load_plant
+from scuhand_bt.sim.world import World
+from scuhand_bt.specs import CellSpec, Source
+
+if TYPE_CHECKING:
+    from scuhand_bt.motion import MotionPlanner
+
+ZERO: Joints = np.zeros(7)
+
+
+def simulated_cell(
+    spec: CellSpec,
+    sources: Mapping[str, Source],
+    *,
+    clock: Clock,
+    record: Record,
+    motion: "MotionPlanner",
+    operator: Operator,
+    seed: int,
+    plant: str | None = None,
+    joints: Joints = ZERO,
+    changer: Changer | None = None,
+    apex_of: Callable[[Joints], Pose] | None = None,
+) -> tuple[Cell, World]:
+    """A cell whose devices act on a `World`; the caller makes the world the clock's process.
+
+    `plant` is "module:Class", None for the cell's own (`spec.plant`) or ours; `joints` is where the arm
+    stands; `changer` replaces the simulated carousel (the operator's hands), `apex_of` the arm's forward
+    kinematics. PlantError, before anything moves, for a plant that cannot be used.
+    """
+    physics = load_plant(plant or spec.plant)
+    for source in sources.values():
+        physics.probe(source.powder, spec.balance, source.mortar)
+    arm = SimulatedArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, apex_of)
+    hand = SimulatedHand(spec.hand, clock)
+    balance = SimulatedBalance(spec.balance, clock, physics)
+    world = World(spec, sources, physics, seed, arm, hand, balance)
+    cell = Cell(
+        spec=spec,
+        clock=clock,
+        record=record,
+        arm=arm,
+        hand=hand,
+        balance=balance,
+        changer=changer or SimulatedChanger(clock, world),
+        operator=operator,
+        motion=motion,
+        sources=sources,
+        simulated=True,
+        begin_sample=world.begin_sample,
+    )
+    return cell, world

@@ -1,0 +1,165 @@
+"""The simulated hand: its sheet's size, the valve at the apex, the vibration motor.
+
+The valve's servo moves at a constant speed, a dead time after it was told to. The gap it makes is not
+quite what it was told: real opening = servo + error, where the error is drawn as the valve opens and
+stays until it is shut (the sheet buckles a little differently each time); near shut the error fades, and shut
+is shut. The servo's own encoder cannot see it: `opening_mm` reports the servo.
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.dosing.cone import Cone, edge_travel_mm
+from scuhand_bt.specs import HandSpec
+
+FADE_MM = 0.2
+"""Below this servo position the opening's error fades to nothing."""
+INITIAL_DIAMETER_MM = 90.0
+
+
+class SimulatedHand:
+    """The hand as the world moves it; see `scuhand_bt.devices.interfaces.Hand`."""
+
+    def __init__(self, spec: HandSpec, clock: Clock) -> None:
+        self.spec = spec
+        self.news = Signal()
+        self.vibration = 0.0
+        self.cone_diameter_mm = INITIAL_DIAMETER_MM
+        self._clock = clock
+        self._servo_mm = self._target_mm = self._real_mm = 0.0
+        self._error_mm = self._sample_error_mm = 0.0
+        self._commands: deque[tuple[float, float]] = deque()  # (run time it takes effect, servo target)
+        self._morph: tuple[float, float, float, float] | None = None  # start, end [s], from, to [mm]
+        self._moved = False
+        self.use_randomness(np.random.default_rng(0))
+
+    # --- what skills and drivers see ---
+
+    @property
+    def opening_mm(self) -> float:
+        return self._servo_mm
+
+    @property
+    def is_stopped(self) -> bool:
+        return not self.is_active
+
+    def stop(self) -> None:
+        self._commands.clear()
+        self._command(0.0, self._clock.now_s)
+        self._morph = None
+        self.vibration = 0.0
+
+    def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
+        Cone(cone_diameter_mm, self.spec.sheet_radius_mm)  # refuses what the sheet cannot make
+        fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
+        begin_s = self._clock.now_s
+        end_s = begin_s + max(fastest_s, duration_s or 0.0, 1e-6)
+        self._morph = (begin_s, end_s, self.cone_diameter_mm, cone_diameter_mm)
+
+    def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
+        self.start_morph(cone_diameter_mm, duration_s)
+        while self._morph is not None:
+            yield Wake.on(self.news, self._morph[1])
+
+    def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
+        if not (math.isfinite(dwell_s) and dwell_s >= 0.0):
+            raise ValueError(f"a dwell is a time of 0 s or more, not {dwell_s!r}")
+        opening_mm = self._possible(opening_mm)
+        ramp_s = opening_mm / self.spec.valve_speed_mm_per_s
+        begin_s = self._clock.now_s
+        self.set_vibration(vibration)
+        self._command(opening_mm, begin_s)
+        self._command(0.0, begin_s + ramp_s + dwell_s)
+        shut_s = begin_s + 2.0 * ramp_s + dwell_s + self.spec.valve_dead_time_s
+        while self._clock.now_s < shut_s:
+            yield Wake(shut_s)
+        self.set_vibration(0.0)
+
+    def set_opening(self, opening_mm: float) -> None:
+        if not self.spec.streaming:
+            raise RuntimeError("this hand takes the step command only: use pulse()")
+        self._command(self._possible(opening_mm), self._clock.now_s)
+
+    def set_vibration(self, level: float) -> None:
+        if not 0.0 <= level <= 1.0:
+            raise ValueError(f"vibration is 0 to 1, not {level!r}")
+        self.vibration = level
+
+    # --- what the world does with it ---
+
+    @property
+    def is_active(self) -> bool:
+        """Something moves, vibrates or is open, or is about to."""
+        return bool(self._servo_mm or self._commands or self.vibration or self._target_mm or self._morph)
+
+    @property
+    def is_closing(self) -> bool:
+        """The cone is getting smaller."""
+        return self._morph is not None and self._morph[3] < self._morph[2]
+
+    def use_randomness(self, rng: np.random.Generator) -> None:
+        """Draw from this generator from now on; a new sample's standing error is drawn at once."""
+        self._rng = rng
+        self._sample_error_mm = self.spec.simulation.sample_mm * rng.standard_normal()
+
+    def advance(self, end_s: float, dt_s: float) -> float:
+        """Move for `dt_s`; the mean real opening [mm] over it."""
+        if self._morph is not None:
+            self._advance_morph(end_s)
+        if not self._commands and self._servo_mm == self._target_mm:
+            if self._moved and not self.is_active:
+                self._moved = False
+                self.news.fire()
+            return self._real_mm
+        self._moved = True
+        opened_mm_s, at_s = 0.0, end_s - dt_s
+        while at_s < end_s:
+            until_s = end_s
+            if self._commands:
+                begin_s, target_mm = self._commands[0]
+                if begin_s <= at_s + 1e-9:
+                    self._commands.popleft()
+                    self._turn_to(target_mm)
+                    continue
+                until_s = min(end_s, begin_s)
+            step_mm = self.spec.valve_speed_mm_per_s * (until_s - at_s)
+            way_mm = self._target_mm - self._servo_mm
+            if abs(way_mm) <= step_mm:
+                self._servo_mm = self._target_mm
+            else:
+                self._servo_mm += math.copysign(step_mm, way_mm)
+            before_mm, self._real_mm = self._real_mm, self._gap_mm()
+            opened_mm_s += (before_mm + self._real_mm) / 2.0 * (until_s - at_s)
+            at_s = until_s
+        return opened_mm_s / dt_s
+
+    def _turn_to(self, target_mm: float) -> None:
+        if self._servo_mm == 0.0 and self._target_mm == 0.0 and target_mm > 0.0:
+            figures = self.spec.simulation
+            self._error_mm = self._sample_error_mm + figures.opening_mm * self._rng.standard_normal()
+            if self._rng.random() < figures.stick_probability:
+                self._error_mm += figures.stick_mm
+        self._target_mm = target_mm
+
+    def _gap_mm(self) -> float:
+        return max(0.0, self._servo_mm + self._error_mm * min(1.0, self._servo_mm / FADE_MM))
+
+    def _command(self, opening_mm: float, at_s: float) -> None:
+        self._commands.append((at_s + self.spec.valve_dead_time_s, opening_mm))
+
+    def _possible(self, opening_mm: float) -> float:
+        if not math.isfinite(opening_mm):
+            raise ValueError(f"an opening is a number of millimetres, not {opening_mm!r}")
+        return min(max(opening_mm, 0.0), self.spec.max_opening_mm)
+
+    def _advance_morph(self, now_s: float) -> None:
+        assert self._morph is not None
+        begin_s, end_s, from_mm, to_mm = self._morph
+        share = min(1.0, max(0.0, (now_s - begin_s) / (end_s - begin_s)))
+        self.cone_diameter_mm = from_mm + share * (to_mm - from_mm)
+        if share >= 1.0:
+            self._morph = None
+            self.news.fire()

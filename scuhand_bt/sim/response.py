@@ -1,0 +1,43 @@
+"""Our balance's response: from mass on the pan to the reading, before it is rounded to the readability.
+
+    u = m + dm + dm t_fall / dt        x1' = (u - x1) / tau,   x2' = (x1 - x2) / tau
+    reading = x2 + zero + noise
+
+m [mg] lies on the pan, dm [mg] lands in this step from t_fall = 0.128 s (80 mm) of fall. The momentum of
+landing powder weighs as much as what is in flight: during steady flow the pan reads what has left the
+nozzle (the hourglass problem: Tuinstra & Tuinstra, Europhysics News 41/4, 2010). tau [s] is the time
+constant of each of two equal poles; `zero` a random walk; noise white, larger while the motor shakes the
+bench.
+"""
+
+import math
+
+from numpy.random import Generator
+
+from scuhand_bt.specs import BalanceSpec
+
+FALL_TIME_S = math.sqrt(2.0 * 0.080 / 9.81)
+
+
+class OurBalanceResponse:
+    """Two poles, a wandering zero, and noise."""
+
+    def __init__(self, spec: BalanceSpec) -> None:
+        self._figures = spec.simulation
+        self._first = self._second = self._zero = 0.0
+        self._dt_s = self._step = self._walk = 0.0
+
+    def step(self, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float, rng: Generator) -> float:
+        """The reading [mg]."""
+        figures = self._figures
+        if dt_s != self._dt_s:
+            self._dt_s = dt_s
+            self._step = -math.expm1(-dt_s / figures.lag_s)
+            self._walk = figures.drift_mg * math.sqrt(dt_s / 60.0)
+        push_mg = on_pan_mg + landing_mg * (1.0 + FALL_TIME_S / dt_s)
+        before = self._first
+        self._first += (push_mg - before) * self._step
+        self._second += ((before + self._first) / 2.0 - self._second) * self._step
+        self._zero += self._walk * rng.standard_normal()
+        noise_mg = figures.noise_mg + figures.vibration_noise_mg * vibration
+        return self._second + self._zero + noise_mg * rng.standard_normal()

@@ -1,0 +1,323 @@
+"""The simulated world: where every milligram is, and how it gets from one place to the next.
+
+Mass moves by one operation, `transfer(from, to, mg)`, between compartments that never go negative:
+
+    source:NAME   in that mortar              container:ID   in that container: the true mass of its dose
+    cone          in the cone                 pan            on the balance, beside the container's mouth
+    sheet         stuck to the sheet          returned       put back into another powder's mortar
+    flight        fallen, not yet landed      waste, spilled
+
+Everything that the powder does follows from the state of the devices; nothing here is a command. Powder
+leaves the apex when the valve is open and lands, a fall later, on what stands below; it pours over the
+rim when the cone is tipped beyond what the wall's friction holds; the cone scoops when it closes while
+its sheet is pressed onto a mortar's bowl. A step is 20 ms while anything moves, else one balance period.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.sim.arm import Pose, SimulatedArm
+from scuhand_bt.sim.balance import SimulatedBalance
+from scuhand_bt.sim.hand import SimulatedHand
+from scuhand_bt.sim.plant import Plant, PowderFlow
+from scuhand_bt.sim.randomness import substream
+from scuhand_bt.specs import CellSpec, Container, Source, Station
+
+STEP_S = 0.020
+GRAVITY_MM_PER_S2 = 9810.0
+PAN_RADIUS_MM = 60.0
+WASTE_RADIUS_MM = 50.0
+POUR_TIME_S = 0.15
+"""Time constant of powder sliding out of a tipped cone."""
+STICKING_SHARE = 0.02
+"""Share of a scoop that touches bare sheet and sticks, until the sheet holds its residue."""
+RIM_POINTS = 16
+EMPTY_SPREAD = 0.2
+"""Standard deviation of single containers' empty mass, as a share of their kind's tolerance."""
+
+
+@dataclass
+class Stroke:
+    """One closing of the cone in contact with a mortar's bowl."""
+
+    source: str
+    diameter_mm: float
+    closed_diameter_mm: float
+    overtravel_mm: float
+
+
+class World:
+    """One bench's matter. `step` is what the virtual clock calls."""
+
+    def __init__(
+        self,
+        spec: CellSpec,
+        sources: Mapping[str, Source],
+        plant: Plant,
+        seed: int,
+        arm: SimulatedArm,
+        hand: SimulatedHand,
+        balance: SimulatedBalance,
+    ) -> None:
+        self.masses_mg: dict[str, float] = dict.fromkeys(
+            ("cone", "sheet", "flight", "pan", "returned", "waste", "spilled"), 0.0
+        )
+        for name, source in sources.items():
+            self.masses_mg[f"source:{name}"] = source.amount_mg
+        self.pan: str | None = None
+        """The id of the container on the pan."""
+        self._spec, self._sources, self._plant, self._seed = spec, sources, plant, seed
+        self._arm, self._hand, self._balance = arm, hand, balance
+        self._station_of = {name: spec.stations[source.station] for name, source in sources.items()}
+        self._pan_station = spec.station_of_kind("balance")
+        self._containers: dict[str, tuple[Container, float]] = {}
+        self._empty_mg = 0.0
+        self._flow: PowderFlow | None = None
+        self._cone_source: str | None = None
+        self._flying: deque[tuple[float, float, str]] = deque()  # (time of landing, mg, compartment)
+        self._place: tuple[Pose, str, float] | None = None
+        self._was_open = False
+        self._stroke: Stroke | None = None
+        self.begin_sample("", 0)
+
+    # --- for judging, never for skills ---
+
+    def true_mass(self, container_id: str) -> float:
+        """What is in this container [mg]."""
+        return self.masses_mg.get(f"container:{container_id}", 0.0)
+
+    @property
+    def total_mg(self) -> float:
+        """All there is; the same at all times."""
+        return math.fsum(self.masses_mg.values())
+
+    # --- hands that act beside the robot ---
+
+    def begin_sample(self, sample: str, attempt: int) -> None:
+        """Draw from the streams of this sample and attempt from now on."""
+
+        def stream(device: str) -> np.random.Generator:
+            return substream(self._seed, sample, attempt, device)
+
+        self._flow_rng, self._scoop_rng = stream("flow"), stream("scoop")
+        self._hand.use_randomness(stream("hand"))
+        self._balance.use_randomness(stream("balance"))
+
+    def place(self, container: Container) -> None:
+        """Put a container on the pan; one that stood there before comes back with what it holds."""
+        if self.pan is not None:
+            raise ValueError(f"'{self.pan}' stands on the pan")
+        if container.id not in self._containers:
+            rng = substream(self._seed, "container", container.id)
+            spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
+            empty_mg = container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0))
+            self._containers[container.id] = (container, max(1.0, empty_mg))
+            self.masses_mg[f"container:{container.id}"] = 0.0
+        self.pan, self._place = container.id, None
+        self._empty_mg = self._containers[container.id][1]
+
+    def remove(self) -> None:
+        """Take the container, and what it holds, off the pan."""
+        self.pan = self._place = None
+        self._empty_mg = 0.0
+
+    def load_cone(self, source: str, mass_mg: float) -> None:
+        """Put powder of a source into the cone by hand, as the paper's experiments did."""
+        self.transfer(f"source:{source}", "cone", mass_mg)
+        self._start_load(source)
+
+    def swap_sheet(self) -> None:
+        """A new sheet: what stuck to the old one, and what was still in the cone, is thrown away."""
+        for place in ("cone", "sheet"):
+            self.transfer(place, "waste", self.masses_mg[place])
+        self._flow = self._cone_source = None
+
+    def transfer(self, source: str, target: str, mass_mg: float) -> None:
+        """Move powder. ValueError for NaN, a negative mass, or more than there is."""
+        there_mg = self.masses_mg[source]
+        if not 0.0 <= mass_mg <= there_mg:
+            raise ValueError(f"cannot move {mass_mg!r} mg from {source}, which holds {there_mg!r} mg")
+        self.masses_mg[source] = there_mg - mass_mg
+        self.masses_mg[target] += mass_mg
+
+    # --- time ---
+
+    def step(self, now_s: float, limit_s: float) -> float:
+        """Go on by one step, not past `limit_s`; the new time."""
+        hand, arm, balance = self._hand, self._arm, self._balance
+        active = hand.is_active or arm.is_active or bool(self._flying) or self._was_open
+        end_s = balance.next_reading_s
+        if active and end_s > now_s + STEP_S + 1e-6:
+            end_s = now_s + STEP_S
+        end_s = min(end_s, limit_s)
+        dt_s = end_s - now_s
+        if dt_s <= 0.0:
+            return end_s
+        opening_mm = hand.advance(end_s, dt_s)
+        arm.advance(end_s)
+        if opening_mm > 0.0 or self._was_open:
+            self._leave(end_s, dt_s, opening_mm)
+        if arm.is_active:
+            self._place = None
+            self._pour(end_s, dt_s)
+        if self._stroke is not None or hand.is_closing:
+            self._scoop(end_s)
+        landing_mg = self._land(end_s) if self._flying else 0.0
+        on_pan_mg = self._empty_mg + self.masses_mg["pan"] - landing_mg
+        if self.pan is not None:
+            on_pan_mg += self.masses_mg[f"container:{self.pan}"]
+        balance.advance(end_s, dt_s, on_pan_mg, landing_mg, hand.vibration)
+        return end_s
+
+    def _leave(self, end_s: float, dt_s: float, opening_mm: float) -> None:
+        """Powder leaves the apex."""
+        in_cone_mg = self.masses_mg["cone"]
+        self._was_open = opening_mm > 0.0
+        if in_cone_mg <= 0.0 or self._flow is None:
+            return
+        leaving_mg = self._plant.leaving(
+            self._flow.step(dt_s, opening_mm, self._hand.vibration, in_cone_mg, self._flow_rng), in_cone_mg
+        )
+        if leaving_mg > 0.0:
+            self._drop(end_s, leaving_mg)
+
+    def _pour(self, end_s: float, dt_s: float) -> None:
+        """Powder slides over the rim of a cone that is tipped too far, unless the cone lies in a mortar."""
+        in_cone_mg = self.masses_mg["cone"]
+        if in_cone_mg <= 0.0 or self._cone_source is None:
+            return
+        pose = self._arm.pose(end_s)
+        cone = Cone(self._hand.cone_diameter_mm, self._hand.spec.sheet_radius_mm)
+        held_deg = cone.wall_deg + self._sources[self._cone_source].powder.wall_friction_deg
+        if pose.axis[2] >= math.cos(math.radians(min(held_deg, 179.0))) or self._mortar_around(pose) is not None:
+            return
+        gone_mg = in_cone_mg if in_cone_mg < 0.1 else in_cone_mg * min(1.0, dt_s / POUR_TIME_S)
+        self._drop(end_s, gone_mg)
+
+    def _drop(self, now_s: float, mass_mg: float) -> None:
+        if self._place is None or self._arm.is_active:
+            pose = self._arm.pose(now_s)
+            self._place = (pose, *self._below(pose))
+        _, place, fall_s = self._place
+        self.transfer("cone", "flight", mass_mg)
+        self._flying.append((now_s + fall_s, mass_mg, place))
+
+    def _land(self, now_s: float) -> float:
+        """Let what has fallen land; the mass [mg] that landed on the balance."""
+        landed_mg = 0.0
+        flying = self._flying
+        while flying and flying[0][0] <= now_s:
+            _, mass_mg, place = flying.popleft()
+            mass_mg = min(mass_mg, self.masses_mg["flight"])
+            if place == "balance":
+                landed_mg += mass_mg
+                into_mg = min(mass_mg, self._room_mg())
+                if into_mg > 0.0:
+                    self.transfer("flight", f"container:{self.pan}", into_mg)
+                self.transfer("flight", "pan", mass_mg - into_mg)
+            else:
+                landed_mg += mass_mg if place == "pan" else 0.0
+                self.transfer("flight", place, mass_mg)
+        if not flying:  # the dust of adding and subtracting
+            self.transfer("flight", "waste", self.masses_mg["flight"])
+        return landed_mg
+
+    def _room_mg(self) -> float:
+        if self.pan is None or self._cone_source is None:
+            return 0.0
+        container, _ = self._containers[self.pan]
+        density = self._sources[self._cone_source].powder.bulk_density_mg_per_mm3
+        return max(0.0, container.capacity_mm3 * density - self.masses_mg[f"container:{self.pan}"])
+
+    # --- geometry ---
+
+    def _below(self, pose: Pose) -> tuple[str, float]:
+        """What lies under the apex ("balance": the container on the pan), and the fall time to it [s]."""
+        x_mm, y_mm, z_mm = (1000.0 * float(value) for value in pose.position_m)
+
+        def aside_mm(station: Station) -> float:
+            return math.hypot(x_mm - station.position_mm[0], y_mm - station.position_mm[1])
+
+        def fall_s(floor_mm: float) -> float:
+            return math.sqrt(2.0 * max(1.0, z_mm - floor_mm) / GRAVITY_MM_PER_S2)
+
+        off_centre_mm = aside_mm(self._pan_station)
+        if off_centre_mm <= PAN_RADIUS_MM:
+            inside = self.pan is not None and off_centre_mm <= self._containers[self.pan][0].mouth_mm / 2.0
+            return "balance" if inside else "pan", fall_s(self._pan_station.position_mm[2])
+        for name, station in self._station_of.items():
+            mortar = self._sources[name].mortar
+            if aside_mm(station) <= mortar.bore_mm / 2.0:
+                place = f"source:{name}" if name == self._cone_source else "returned"
+                return place, fall_s(station.position_mm[2] + mortar.height_mm - mortar.depth_mm)
+        for station in self._spec.stations.values():
+            if station.kind == "waste" and aside_mm(station) <= WASTE_RADIUS_MM:
+                return "waste", fall_s(station.position_mm[2])
+        return "spilled", fall_s(0.0)
+
+    def _mortar_around(self, pose: Pose) -> str | None:
+        """The source whose mortar the apex is in: over its bore and below its rim."""
+        x_mm, y_mm, z_mm = (1000.0 * float(value) for value in pose.position_m)
+        for name, station in self._station_of.items():
+            mortar = self._sources[name].mortar
+            aside_mm = math.hypot(x_mm - station.position_mm[0], y_mm - station.position_mm[1])
+            if aside_mm <= mortar.bore_mm / 2.0 and z_mm < station.position_mm[2] + mortar.height_mm:
+                return name
+        return None
+
+    def _overtravel_mm(self, pose: Pose, source: str) -> float:
+        """How far the undeformed sheet, its rim or its apex, would reach beyond the mortar's bowl."""
+        mortar, station = self._sources[source].mortar, self._station_of[source]
+        radius_mm = mortar.bowl_radius_mm
+        rim_mm = station.position_mm[2] + mortar.height_mm
+        centre = np.array([*station.position_mm[:2], rim_mm - mortar.depth_mm + radius_mm])
+        cone = Cone(self._hand.cone_diameter_mm, self._hand.spec.sheet_radius_mm)
+        up = np.asarray(pose.axis)
+        apex_mm = 1000.0 * np.asarray(pose.position_m)
+        across = np.cross(up, (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0))
+        across /= np.linalg.norm(across)
+        angles = np.linspace(0.0, 2.0 * math.pi, RIM_POINTS, endpoint=False)[:, None]
+        ring = np.cos(angles) * across + np.sin(angles) * np.cross(up, across)
+        points = np.vstack([apex_mm + cone.depth_mm * up + cone.diameter_mm / 2.0 * ring, apex_mm])
+        points = points[points[:, 2] <= rim_mm + 1.0]
+        if not len(points):
+            return 0.0
+        return float(np.linalg.norm(points - centre, axis=1).max() - radius_mm)
+
+    # --- scooping ---
+
+    def _scoop(self, now_s: float) -> None:
+        """Follow a closing cone in a mortar; at the stroke's end the plant says what it has collected."""
+        diameter_mm = self._hand.cone_diameter_mm
+        if self._hand.is_closing:
+            pose = self._arm.pose(now_s)
+            source = self._mortar_around(pose)
+            overtravel_mm = self._overtravel_mm(pose, source) if source is not None else 0.0
+            if source is not None and overtravel_mm > 0.0:
+                if self._stroke is None:
+                    self._stroke = Stroke(source, diameter_mm, diameter_mm, overtravel_mm)
+                self._stroke.closed_diameter_mm = diameter_mm
+                self._stroke.overtravel_mm = max(self._stroke.overtravel_mm, overtravel_mm)
+            return
+        stroke, self._stroke = self._stroke, None
+        assert stroke is not None
+        stroke.closed_diameter_mm = diameter_mm
+        mortar, powder = self._sources[stroke.source].mortar, self._sources[stroke.source].powder
+        place = f"source:{stroke.source}"
+        in_mortar_mg = self.masses_mg[place]
+        taken_mg = self._plant.collected(
+            self._plant.scoop(powder).collect(stroke, mortar, in_mortar_mg, self._scoop_rng), in_mortar_mg
+        )
+        self.transfer(place, "cone", taken_mg)
+        room_mg = max(0.0, powder.simulation.residue_mg - self.masses_mg["sheet"])
+        self.transfer("cone", "sheet", min(room_mg, STICKING_SHARE * taken_mg))
+        self._start_load(stroke.source)
+
+    def _start_load(self, source: str) -> None:
+        self._cone_source, self._place = source, None
+        self._flow = self._plant.flow(self._sources[source].powder)

@@ -1,0 +1,97 @@
+from scuhand_bt.devices.dose_loop import DoseRun, run_dose
+from scuhand_bt.dosing import DoseRequest, new_controller
+from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps
+
+GUARD = 2.0
+"""In tolerance means so beyond this many standard uncertainties of the measurement."""
+
+
+class Dispense(Skill[Dose]):
+    """Dispense a mass from the cone's apex into the container on the balance.
+
+    What is in the container already counts: split doses add up to one target.
+    """
+
+    devices = ("hand", "balance")
+    typical_s = 30.0
+
+    mass_mg: Milligrams
+    tolerance_mg: Milligrams = 2.0
+    controller: str = ""
+    """A dosing controller by name; the run's, if none is named."""
+
+    def run(self, cell: Cell) -> Steps[Dose]:
+        request, empty_mg = self._request(cell), cell.believed.pan_empty_mg
+        if empty_mg is None:
+            raise SkillFailed("container.missing", "no container was weighed empty: `tare` comes before `dispense`")
+        controller = new_controller(self.controller or cell.controller, request)
+        before_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else empty_mg
+        run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
+        cell.believed.cone_mg = max(0.0, request.cone_mg - (run.finish.estimate_mg - (before_mg - empty_mg)))
+        self._learn(cell, run)
+        dose = self._dose(run, controller.name)
+        cell.record.event("dose", dose.model_dump() | {"reason": run.finish.reason})
+        cell.record.event("dose_curve", {"points": run.rows()})
+        self._raise_failure(cell, run, dose)
+        return dose
+
+    def _request(self, cell: Cell) -> DoseRequest:
+        hand, balance = cell.spec.hand, cell.spec.balance
+        if self.tolerance_mg < GUARD * balance.readability_mg / 2.0:
+            raise SkillFailed(
+                "dose.too_small",
+                f"a tolerance of {self.tolerance_mg:g} mg cannot be told with a readability of "
+                f"{balance.readability_mg:g} mg",
+            )
+        source = cell.sources.get(cell.believed.cone_source or "")
+        if source is None:
+            raise SkillFailed("hand.cone_empty", "the cone holds no powder")
+        powder = source.powder
+        return DoseRequest(
+            target_mg=self.mass_mg,
+            tolerance_mg=self.tolerance_mg,
+            gain=powder.gain,
+            max_opening_mm=min(powder.max_opening_mm, hand.max_opening_mm),
+            valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
+            valve_dead_time_s=hand.valve_dead_time_s,
+            readability_mg=balance.readability_mg,
+            balance_period_s=balance.period_s,
+            cone_mg=cell.believed.cone_mg,
+            streaming=hand.streaming,
+            powder=cell.powder_beliefs.get(source.sheet_key, powder.belief),
+            balance=cell.balance_belief,
+        )
+
+    def _learn(self, cell: Cell, run: DoseRun) -> None:
+        source = cell.sources[cell.believed.cone_source or ""]
+        if run.finish.powder is not None:
+            cell.powder_beliefs[source.sheet_key] = run.finish.powder
+        if run.finish.balance is not None:
+            cell.balance_belief = run.finish.balance
+
+    def _dose(self, run: DoseRun, controller: str) -> Dose:
+        error_mg = run.finish.estimate_mg - self.mass_mg
+        allowed_mg = self.tolerance_mg - GUARD * run.finish.uncertainty_mg
+        return Dose(
+            target_mg=self.mass_mg,
+            tolerance_mg=self.tolerance_mg,
+            dispensed_mg=run.finish.estimate_mg,
+            uncertainty_mg=run.finish.uncertainty_mg,
+            pulses=run.pulses,
+            vibration_s=run.vibration_s,
+            duration_s=run.duration_s,
+            controller=controller,
+            verdict="in tolerance" if abs(error_mg) <= allowed_mg else "over" if error_mg > 0.0 else "under",
+        )
+
+    def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
+        reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
+        if run.finish.reason == "empty":
+            cell.believed.cone_mg = 0.0
+            raise SkillFailed("hand.cone_empty", f"the cone ran empty at {reached}")
+        if run.finish.reason == "no_flow":
+            raise SkillFailed("hand.no_flow", f"no powder comes at {reached}, vibrating at full opening")
+        if dose.error_mg > self.tolerance_mg:
+            raise SkillFailed("dose.overshoot", f"{reached}: {dose.error_mg:.1f} mg too much")
+        if run.finish.reason == "step_limit":
+            raise SkillFailed("dose.not_reached", f"{reached} after {dose.pulses} pulses")
