@@ -1,3 +1,5 @@
+"""A dose: powder from the cone's apex into the container on the balance, by a dosing controller."""
+
 from scuhand_bt.devices.dose_loop import DoseRun, run_dose
 from scuhand_bt.dosing import DoseRequest, new_controller
 from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps

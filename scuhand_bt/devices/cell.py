@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator
+from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.record import Record
-from scuhand_bt.specs import CellSpec, Source
+from scuhand_bt.specs import BalanceBelief, CellSpec, PowderBelief, Source
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner

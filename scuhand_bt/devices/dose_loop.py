@@ -105,14 +105,9 @@ def run_dose(
 
 
 def _values(command: Pulse | Settle, seen: Observation, acted_s: float) -> dict[str, float | str]:
-    values: dict[str, float | str] = {
-        "began_s": acted_s,
-        "ended_s": seen.time_s,
-        "net_mg": seen.net_mg,
-        "uncertainty_mg": seen.uncertainty_mg,
-    }
+    values: dict[str, float | str] = {"kind": "settle"}
     if isinstance(command, Pulse):
-        return {"kind": "pulse", "opening_mm": command.opening_mm, "dwell_s": command.dwell_s} | (
-            {"vibration": command.vibration} | values
-        )
-    return {"kind": "settle"} | values
+        values = {"kind": "pulse", "opening_mm": command.opening_mm, "dwell_s": command.dwell_s}
+        values["vibration"] = command.vibration
+    values |= {"began_s": acted_s, "ended_s": seen.time_s}
+    return values | {"net_mg": seen.net_mg, "uncertainty_mg": seen.uncertainty_mg}
