@@ -55,8 +55,11 @@ class BalanceTwin(ABC):
         self._waiting: list[tuple[bytes, float]] = []
         """Commands that wait for stability, and until when."""
 
-    def hear(self, data: bytes, now_s: float) -> bytes:
-        """Answer commands, and send what is due of a stream."""
+    def hear(self, data: bytes, now_s: float) -> list[bytes]:
+        """Answer commands, and send what is due of a stream: whole lines."""
+        return self._say_now(data, now_s).splitlines(keepends=True)
+
+    def _say_now(self, data: bytes, now_s: float) -> bytes:
         out = b"".join(self.obey(command, now_s) for command in self._commands(data))
         if self._waiting and (self.is_stable(now_s) or now_s >= self._waiting[0][1]):
             (command, _), *self._waiting = self._waiting
@@ -269,8 +272,8 @@ class SbiTwin(BalanceTwin):
         self.autoprint = False
         self.print_when_stable = False
 
-    def hear(self, data: bytes, now_s: float) -> bytes:
-        out = super().hear(data, now_s)
+    def _say_now(self, data: bytes, now_s: float) -> bytes:
+        out = super()._say_now(data, now_s)
         # `ESC char` may come without a line end; one whose first letter begins a longer form may not.
         if self._typed[:1] == b"\x1b" and len(self._typed) == 2 and self._typed[1:] not in (b"x", b"k", b"s"):
             command, self._typed = self._typed, b""

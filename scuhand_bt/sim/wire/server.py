@@ -15,8 +15,8 @@ TICK_S = 0.002
 class Twin(Protocol):
     """A device as it is seen from its cable."""
 
-    def hear(self, data: bytes, now_s: float) -> bytes:
-        """Take what came in (perhaps nothing) and return what is sent at this time."""
+    def hear(self, data: bytes, now_s: float) -> list[bytes]:
+        """Take what came in (perhaps nothing) and return the messages that are sent at this time."""
         ...
 
 
@@ -111,7 +111,7 @@ class TwinServer:
                 if self.paused:
                     continue
                 now_s = self._now()
-                if message := self.twin.hear(data, now_s):
+                for message in self.twin.hear(data, now_s):
                     self._due += self.misbehaviour.afflict(message, now_s)
                 self._send_due(now_s)
             time.sleep(0.0002)  # lets go of the lock for long enough that others get it

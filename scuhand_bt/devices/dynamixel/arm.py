@@ -1,0 +1,98 @@
+"""The CRANE-X7 on the servo bus; meets `devices.interfaces.Arm`.
+
+Source of ids, models, windows, home counts and gains: `rt-net/rt_manipulators_cpp`,
+`samples/samples03/config/crane-x7_links.csv` (Apache-2.0), and RT's ROS 2 configuration.
+"""
+
+import math
+
+import numpy as np
+
+from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.devices.dynamixel.axes import Axis
+from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.registers import XM430, XM540
+from scuhand_bt.devices.interfaces import Joints, Trajectory
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.specs import ArmSpec
+
+FIRST_SERVO = 2
+GAINS = (
+    (1000, 300, 200),
+    (2200, 500, 500),
+    (3000, 800, 1000),
+    (1600, 400, 400),
+    (800, 200, 200),
+    (800, 100, 200),
+    (800, 100, 200),
+)
+"""P, I and D of joints 1 to 7."""
+START_LIMIT_RAD = math.radians(3.0)
+"""How far from the arm a trajectory may begin."""
+
+
+def arm_axes(spec: ArmSpec) -> list[Axis]:
+    """The seven joints; `options` may give `home_counts`, `directions` and `following_limit_deg`."""
+    homes = spec.options.get("home_counts", [2048] * 7)
+    directions = spec.options.get("directions", [1] * 7)
+    limit_rad = math.radians(float(spec.options.get("following_limit_deg", 10.0)))
+    return [
+        Axis(
+            servo=FIRST_SERVO + index,
+            name=f"joint {index + 1}",
+            model=XM540 if index == 1 else XM430,
+            home_count=int(homes[index]),
+            direction=int(directions[index]),
+            pid=GAINS[index],
+            following_limit_rad=limit_rad,
+        )
+        for index in range(7)
+    ]
+
+
+class DynamixelArm:
+    """The seven joints, streamed to over a chain that is already open."""
+
+    def __init__(self, chain: ServoChain, group: AxisGroup) -> None:
+        self._chain = chain
+        self._group = group
+
+    @property
+    def news(self) -> Signal:
+        return self._chain.news
+
+    @property
+    def is_stopped(self) -> bool:
+        return not self._group.is_moving
+
+    @property
+    def positions(self) -> Joints:
+        return self._group.positions_rad
+
+    def stop(self) -> None:
+        """Slow down to rest on the path, and hold there."""
+        self._group.stop()
+
+    def start(self, trajectory: Trajectory) -> None:
+        """Begin a trajectory; SkillFailed arm.not_following if it does not begin where the arm is."""
+        if self._chain.lost is not None:
+            raise self._chain.lost
+        off_rad = np.abs(trajectory.sample(0.0) - self.positions)
+        if off_rad.max() > START_LIMIT_RAD:
+            joint = int(off_rad.argmax())
+            raise SkillFailed(
+                "arm.not_following",
+                f"the trajectory begins {np.degrees(off_rad[joint]):.1f}° from where joint {joint + 1} stands",
+            )
+        self._group.move(trajectory.sample, trajectory.duration_s)
+
+    def follow(self, trajectory: Trajectory) -> Steps[None]:
+        """Start the trajectory and wait for its end; SkillFailed with the fault that ended it early."""
+        self.start(trajectory)
+        while True:
+            wake = Wake.on(self.news)
+            if self._group.fault is not None:
+                raise self._group.fault
+            if not self._group.is_moving:
+                return
+            yield wake

@@ -1,0 +1,312 @@
+"""The thread that owns the bus: streams goals at 100 Hz, reads the servos at 50 Hz, and guards them.
+
+Everything moves by streaming: a motion is a function from time to joint angles, sampled in every cycle.
+Stopping slows the motion's own time down to zero, so that the arm stops on its path. A fault freezes the
+goals where the servos are. Torque is never dropped: the arm has no brakes.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from scuhand_bt.clock import Signal
+from scuhand_bt.devices.dynamixel import registers as r
+from scuhand_bt.devices.dynamixel.axes import (
+    BLOCK_LENGTH,
+    BLOCK_START,
+    WATCHDOG_UNITS,
+    Axis,
+    AxisState,
+    hold_again,
+    set_up,
+    shut_down,
+)
+from scuhand_bt.devices.dynamixel.bus import BusError, BusLost, DynamixelBus, NoAnswer, Status
+from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.devices.serial_link import REOPEN_S, why_not_open
+from scuhand_bt.failures import SkillFailed
+
+PERIOD_S = 0.01
+"""Of the stream of goals; the servos are read in every second cycle."""
+STOPPING_S = 0.25
+"""From full speed to rest along the path."""
+MISSED_LIMIT = 5
+"""Readings in a row (100 ms) that a servo may leave unanswered."""
+FAR_LIMIT_S = 0.15
+"""How long a servo may be too far from its goal."""
+HOT_MARGIN_C = 5
+"""Below the temperature at which a servo shuts itself down (and the arm falls)."""
+
+Path = Callable[[float], Joints]
+"""Joint angles [rad] at a time [s] since the motion's start."""
+
+
+class AxisGroup:
+    """Servos that move together: the arm, or the roller alone."""
+
+    def __init__(self, axes: Sequence[Axis]) -> None:
+        self.axes = list(axes)
+        self.states: list[AxisState] = [AxisState(axis) for axis in axes]
+        self.goals_rad: Joints = np.zeros(len(axes))
+        self.fault: SkillFailed | None = None
+        """Why the last motion ended early."""
+        self._path: Path | None = None
+        self._duration_s = 0.0
+        self._at_s = 0.0
+        self._rate = 1.0
+        self._stopping = False
+        self._lock = threading.Lock()
+
+    @property
+    def positions_rad(self) -> Joints:
+        return np.array([state.position_rad for state in self.states])
+
+    @property
+    def is_moving(self) -> bool:
+        """A motion is under way, or a servo still turns."""
+        return self._path is not None or not all(state.is_still for state in self.states)
+
+    @property
+    def is_streaming(self) -> bool:
+        return self._path is not None
+
+    def move(self, path: Path, duration_s: float) -> None:
+        """Begin a motion; takes the place of one that is under way."""
+        with self._lock:
+            self.fault = None
+            self._path, self._duration_s, self._at_s = path, duration_s, 0.0
+            self._rate, self._stopping = 1.0, False
+
+    def stop(self) -> None:
+        """Slow down to rest on the path."""
+        with self._lock:
+            self._stopping = True
+
+    def freeze(self, fault: SkillFailed) -> None:
+        """End the motion at once, where the servos are."""
+        with self._lock:
+            self.fault, self._path = fault, None
+            self.goals_rad = self.positions_rad
+
+    def advance(self, dt_s: float) -> None:
+        """Go on along the path by `dt_s`; ends the motion at its end or when it has come to rest."""
+        with self._lock:
+            if self._path is None:
+                return
+            if self._stopping:
+                self._rate = max(0.0, self._rate - dt_s / STOPPING_S)
+            self._at_s += self._rate * dt_s
+            self.goals_rad = np.asarray(self._path(min(self._at_s, self._duration_s)), dtype=float)
+            if self._at_s >= self._duration_s or self._rate == 0.0:
+                self._path = None
+
+    def goal_of(self, axis: Axis) -> float:
+        """The present goal of one of its servos [rad]."""
+        return float(self.goals_rad[self.axes.index(axis)])
+
+    def beyond(self) -> SkillFailed | None:
+        """The goal that is beyond its servo's window, if there is one."""
+        for state, goal in zip(self.states, self.goals_rad, strict=True):
+            low, high = state.window_rad
+            if not low <= goal <= high:
+                what = f"{state.axis.name} would go to {np.degrees(goal):.1f}°"
+                window = f"{np.degrees(low):.1f}..{np.degrees(high):.1f}°"
+                return SkillFailed("arm.joint_limit", f"{what}, and servo {state.axis.servo} allows {window}")
+        return None
+
+
+class ServoChain:
+    """All servos of one bus, and the thread that talks to them."""
+
+    def __init__(
+        self,
+        bus: DynamixelBus,
+        groups: Sequence[AxisGroup],
+        liveness: Liveness | None = None,
+        reopen_s: float = REOPEN_S,
+    ) -> None:
+        self.bus = bus
+        self.groups = list(groups)
+        self.news = Signal()
+        self.lost: SkillFailed | None = None
+        """Why the bus cannot be used now."""
+        self._liveness = liveness or Liveness()
+        self._reopen_s = reopen_s
+        self._fast = True
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"servos {bus.url}", daemon=True)
+
+    def open(self) -> None:
+        """Open the bus, set up every servo and begin; raises SkillFailed."""
+        try:
+            self.bus.open()
+        except BusLost as error:
+            raise SkillFailed("device.lost", why_not_open(self.bus.url, error)) from error
+        try:
+            self._set_up()
+        except BusError as error:
+            self.bus.close()
+            raise SkillFailed(
+                "device.lost", f"{error} on {self.bus.url}; check the servo's cable, its id and the supply"
+            ) from error
+        except SkillFailed:
+            self.bus.close()
+            raise
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread. The servos go on holding, with their watchdogs off."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        if self.bus.is_open:
+            self._disarm()
+        self.bus.close()
+
+    def _disarm(self) -> None:
+        try:
+            self.bus.sync_write(r.BUS_WATCHDOG, {axis.servo: 0 for axis in self._axes})
+        except BusError:
+            return  # then the watchdogs stop what they guard, which stands still anyway
+
+    @property
+    def _axes(self) -> list[Axis]:
+        return [axis for group in self.groups for axis in group.axes]
+
+    def _set_up(self) -> None:
+        for group in self.groups:
+            group.states = [set_up(self.bus, axis) for axis in group.axes]
+            group.goals_rad = group.positions_rad
+        self._hold()
+        self._read()
+
+    def _run(self) -> None:
+        """One cycle every 10 ms. A cycle that comes late is not made up for: time goes on as it does."""
+        due_s = last_s = time.monotonic()
+        read_now = True
+        while not self._closing.wait(max(0.0, due_s - time.monotonic())):
+            now_s = time.monotonic()
+            dt_s, last_s = now_s - last_s, now_s
+            due_s = max(due_s + PERIOD_S, now_s)
+            try:
+                if self.lost is not None:
+                    self._come_back()
+                else:
+                    self._cycle(dt_s, now_s, read_now)
+            except BusError as error:
+                self._lose(f"{self.bus.url}: {error}; check the cable and the supply")
+            except Exception as error:
+                self._lose(f"the thread of {self.bus.url} has failed: {error!r}")
+                raise
+            read_now = not read_now
+
+    def _cycle(self, dt_s: float, now_s: float, read_now: bool) -> None:
+        if dt_s > WATCHDOG_UNITS * r.WATCHDOG_UNIT_S:
+            self._fail_all("arm.not_following", f"this computer paused for {dt_s * 1000:.0f} ms; the arm has stopped")
+            self._hold()
+        moving = [group for group in self.groups if group.is_streaming]
+        if moving and not self._liveness.is_alive:
+            pause_ms = self._liveness.silent_s * 1000
+            self._fail_all("arm.not_following", f"the run's tick hung for {pause_ms:.0f} ms; the arm was stopped")
+            self._hold()
+        for group in moving:
+            group.advance(dt_s)
+            if fault := group.beyond():
+                group.freeze(fault)
+        if moving:
+            self._write_goals(moving)
+        if read_now:
+            self._read()
+            self._guard(now_s)
+            self.news.fire()
+
+    def _write_goals(self, groups: Sequence[AxisGroup]) -> None:
+        goals = {axis.servo: axis.count(group.goal_of(axis)) for group in groups for axis in group.axes}
+        self.bus.sync_write(r.GOAL_POSITION, goals)
+
+    def _hold(self) -> None:
+        for group in self.groups:
+            hold_again(self.bus, group.axes, group.goal_of)
+
+    def _read(self) -> None:
+        answers = self._ask_all([axis.servo for axis in self._axes])
+        for group in self.groups:
+            for state in group.states:
+                answer = answers.get(state.axis.servo)
+                state.missed = 0 if answer else state.missed + 1
+                if answer is not None:
+                    state.take(answer.data)
+                    state.alert = answer.alert
+
+    def _ask_all(self, servos: list[int]) -> dict[int, Status]:
+        if self._fast:
+            try:
+                return self.bus.fast_sync_read(servos, BLOCK_START, BLOCK_LENGTH)
+            except NoAnswer:
+                # One of them is missing, or its firmware is too old for it: ask so that each answers.
+                answers = self.bus.sync_read(servos, BLOCK_START, BLOCK_LENGTH)
+                self._fast = len(answers) < len(servos)
+                return answers
+        return self.bus.sync_read(servos, BLOCK_START, BLOCK_LENGTH)
+
+    def _guard(self, now_s: float) -> None:
+        for group in self.groups:
+            for state in group.states:
+                if state.missed >= MISSED_LIMIT:
+                    raise NoAnswer(f"servo {state.axis.servo} ({state.axis.name}) does not answer")
+                if fault := self._fault_of(group, state, now_s):
+                    if group.is_streaming or state.alert:
+                        group.freeze(fault)
+                    self._hold()
+
+    def _fault_of(self, group: AxisGroup, state: AxisState, now_s: float) -> SkillFailed | None:
+        axis = state.axis
+        if state.alert:
+            if group.fault is not None and group.fault.code == "servo.overload":
+                return None  # said already
+            return shut_down(axis, self.bus.read(axis.servo, r.HARDWARE_ERROR))
+        off_rad = abs(group.goal_of(axis) - state.position_rad)
+        if off_rad <= axis.following_limit_rad:
+            state.far_since_s = None
+        elif state.far_since_s is None:
+            state.far_since_s = now_s
+        elif now_s - state.far_since_s > FAR_LIMIT_S:
+            state.far_since_s = None
+            return SkillFailed(
+                "arm.not_following", f"{axis.name} is {np.degrees(off_rad):.1f}° from where it should be"
+            )
+        if state.temperature_c >= state.temperature_limit_c - HOT_MARGIN_C and group.is_streaming:
+            return SkillFailed(
+                "servo.overload",
+                f"servo {axis.servo} ({axis.name}) is at {state.temperature_c} °C and shuts down at "
+                f"{state.temperature_limit_c} °C; let it cool",
+            )
+        return None
+
+    def _fail_all(self, code: str, detail: str) -> None:
+        for group in self.groups:
+            if group.is_streaming:
+                group.freeze(SkillFailed(code, detail))
+
+    def _lose(self, detail: str) -> None:
+        self.lost = SkillFailed("device.lost", detail)
+        for group in self.groups:
+            group.freeze(self.lost)
+        self.bus.close()
+        self.news.fire()
+
+    def _come_back(self) -> None:
+        """Open the port again and hold, if it is back and all servos are there."""
+        if self._closing.wait(self._reopen_s):
+            return
+        try:
+            self.bus.open()
+            self._set_up()
+        except (BusError, SkillFailed):
+            self.bus.close()
+            return
+        self.lost = None
+        self.news.fire()
