@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.skill import Skill
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Powder, Spec, Station
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.grammar import KEYWORDS, Workflow, read_workflow
@@ -152,8 +152,8 @@ def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]
             for value in vars(module).values()
             if isinstance(value, type)
             and issubclass(value, Skill)
-            and value not in (Skill, Condition)
             and value.__module__ == module_name
+            and not value.__pydantic_generic_metadata__["args"]  # pydantic's own class for Skill[Dose]
         ]
         if len(found) != 1:
             names = ", ".join(cls.__name__ for cls in found) or "none"

@@ -31,8 +31,8 @@ class Dispense(Skill[Dose]):
         run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
         cell.believed.cone_mg = max(0.0, request.cone_mg - (run.finish.estimate_mg - (before_mg - empty_mg)))
         self._learn(cell, run)
-        dose = self._dose(run, controller.name)
-        cell.record.event("dose", dose.model_dump() | {"reason": run.finish.reason})
+        dose = self._dose(cell, run, controller.name)
+        cell.record.dose(dose)
         cell.record.event("dose_curve", {"points": run.rows()})
         self._raise_failure(cell, run, dose)
         return dose
@@ -71,7 +71,10 @@ class Dispense(Skill[Dose]):
         if run.finish.balance is not None:
             cell.balance_belief = run.finish.balance
 
-    def _dose(self, run: DoseRun, controller: str) -> Dose:
+    def _dose(self, cell: Cell, run: DoseRun, controller: str) -> Dose:
+        so_far = cell.believed.dosing
+        so_far.pulses += run.pulses
+        so_far.vibration_s += run.vibration_s
         error_mg = run.finish.estimate_mg - self.mass_mg
         allowed_mg = self.tolerance_mg - GUARD * run.finish.uncertainty_mg
         return Dose(
@@ -79,9 +82,9 @@ class Dispense(Skill[Dose]):
             tolerance_mg=self.tolerance_mg,
             dispensed_mg=run.finish.estimate_mg,
             uncertainty_mg=run.finish.uncertainty_mg,
-            pulses=run.pulses,
-            vibration_s=run.vibration_s,
-            duration_s=run.duration_s,
+            pulses=so_far.pulses,
+            vibration_s=so_far.vibration_s,
+            duration_s=cell.clock.now_s - so_far.began_s,
             controller=controller,
             verdict="in tolerance" if abs(error_mg) <= allowed_mg else "over" if error_mg > 0.0 else "under",
         )
@@ -89,7 +92,9 @@ class Dispense(Skill[Dose]):
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
         if run.finish.reason == "empty":
-            cell.believed.cone_mg = 0.0
+            # What the cone was thought to hold still, and did not, never left the mortar.
+            cell.believed.sources_mg[cell.believed.cone_source or ""] += cell.believed.cone_mg
+            cell.believed.cone_mg, cell.believed.cone_source = 0.0, None
             raise SkillFailed("hand.cone_empty", f"the cone ran empty at {reached}")
         if run.finish.reason == "no_flow":
             raise SkillFailed("hand.no_flow", f"no powder comes at {reached}, vibrating at full opening")

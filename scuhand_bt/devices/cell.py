@@ -3,18 +3,38 @@
 Skills act only through this object.
 """
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from scuhand_bt.clock import Clock
-from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator
+import numpy as np
+
+from scuhand_bt.clock import Clock, Steps, Wake
+from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
+from scuhand_bt.devices.places import Position
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, CellSpec, PowderBelief, Source
 
+PLANNING_S = 0.05
+"""Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
+LOAD_STEP_MM3 = 2000.0
+
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
+
+
+@dataclass
+class DoseSoFar:
+    """What the container on the pan has cost until now, over all scoops and attempts."""
+
+    began_s: float = 0.0
+    pulses: int = 0
+    scoops: int = 0
+    vibration_s: float = 0.0
 
 
 @dataclass
@@ -32,6 +52,7 @@ class Believed:
     pan_empty_mg: float | None = None
     """Stable gross with that container, before its first powder: the software tare."""
     sources_mg: dict[str, float] = field(default_factory=dict)
+    dosing: DoseSoFar = field(default_factory=DoseSoFar)
 
 
 @dataclass
@@ -49,9 +70,13 @@ class Cell:
     motion: "MotionPlanner"
     sources: Mapping[str, Source]
     simulated: bool
+    places_mm: Mapping[str, Position] = field(default_factory=dict)
+    """The named places of this run (`devices/places.py`)."""
     believed: Believed = field(default_factory=Believed)
     begin_sample: Callable[[str, int], None] = lambda sample, attempt: None
     """Told at the start of each job (sample id, attempt); the simulation draws its randomness by it."""
+    sheet_mounted: Callable[[], None] = lambda: None
+    """Called when a fresh sheet has been clamped; the simulation throws the old one away by it."""
     controller: str = DEFAULT_CONTROLLER
     """The dosing controller of this run."""
     powder_beliefs: dict[str, PowderBelief] = field(default_factory=dict)
@@ -68,3 +93,47 @@ class Cell:
             "changer": self.changer,
         }
         return devices[name]
+
+    def apex_mm(self) -> tuple[float, float, float]:
+        """Where the cone's apex is now, in the base frame."""
+        x_m, y_m, z_m = apex(self.arm.positions, self.spec.hand.apex_offset_mm / 1000).position_m
+        return (1000 * x_m, 1000 * y_m, 1000 * z_m)
+
+    def place(self, name: str) -> ApexPose:
+        """The apex pose of a named place, cone upright; KeyError for an unknown one."""
+        return ApexPose(np.array(self.places_mm[name]) / 1000)
+
+    def move_to(self, place: str) -> Steps[None]:
+        """Move to a named place; a loaded cone is carried within its spill angle (`motion/spill.py`).
+
+        SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision, arm.joint_limit.
+        """
+        trajectory = self.motion.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
+        yield from self._follow(trajectory)
+
+    def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
+        """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else."""
+        yield from self._follow(self.contact(waypoints, speed_mm_per_s, station))
+
+    def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Trajectory:
+        """The trajectory of `touch`, to be started beside another motion."""
+        return self.motion.contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
+
+    def _follow(self, trajectory: Trajectory) -> Steps[None]:
+        planned_s = self.clock.now_s + PLANNING_S
+        while self.clock.now_s < planned_s:
+            yield Wake(planned_s)
+        yield from self.arm.follow(trajectory)
+
+    def _spill_limit_deg(self) -> float | None:
+        """None for an empty cone: it may be tilted as the way demands."""
+        source = self.sources.get(self.believed.cone_source or "")
+        if source is None or self.believed.cone_mg <= 0:
+            return None
+        powder, cone = source.powder, Cone(self.hand.cone_diameter_mm, self.spec.hand.sheet_radius_mm)
+        load_mm3 = min(self.believed.cone_mg / powder.bulk_density_mg_per_mm3, 0.9 * cone.volume_mm3)
+        # In steps of load, so that the same few limits come again and their plans are known already.
+        load_mm3 = math.ceil(load_mm3 / LOAD_STEP_MM3) * LOAD_STEP_MM3
+        return spill_limit_deg(
+            cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
+        )

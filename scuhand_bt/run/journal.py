@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -71,8 +71,11 @@ class Journal:
         self._db.executescript(_SCHEMA)
         self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
         self._job: int | None = None
-        self._action: int | None = None
-        self.now_s = lambda: 0.0
+        self.action: int | None = None
+        """The action that is acting now; what devices record is its doing."""
+        self.last_dose: Dose | None = None
+        """The last dose of the current job."""
+        self.now_s: Callable[[], float] = lambda: 0.0
         """The run's clock; set once the cell exists."""
 
     def describe_run(self, values: Mapping[str, Any]) -> None:
@@ -86,6 +89,7 @@ class Journal:
             (name, sample, attempt, workflow, self.now_s()),
         )
         self._job = cursor.lastrowid
+        self.action = self.last_dose = None
 
     def job_ended(self, outcome: str, code: str | None = None, detail: str | None = None) -> None:
         self._db.execute(
@@ -98,25 +102,24 @@ class Journal:
             "INSERT INTO action (job, path, visit, skill, inputs, started_s, outcome) VALUES (?, ?, ?, ?, ?, ?, 'started')",
             (self._job, path, visit, skill, to_json(inputs), self.now_s()),
         )
-        self._action = cursor.lastrowid
-        assert self._action is not None
-        return self._action
+        assert cursor.lastrowid is not None
+        return cursor.lastrowid
 
     def action_ended(self, action: int, outcome: str, code: str | None, result: Any) -> None:
         self._db.execute(
             "UPDATE action SET ended_s = ?, outcome = ?, code = ?, result = ? WHERE id = ?",
             (self.now_s(), outcome, code, None if result is None else to_json(result), action),
         )
-        self._action = None
 
     # --- the Record that devices and skills write to
 
     def pulse(self, values: Mapping[str, Any]) -> None:
         self._db.execute(
-            "INSERT INTO pulse (action, time_s, payload) VALUES (?, ?, ?)", (self._action, self.now_s(), to_json(values))
+            "INSERT INTO pulse (action, time_s, payload) VALUES (?, ?, ?)", (self.action, self.now_s(), to_json(values))
         )
 
     def dose(self, dose: Dose) -> None:
+        self.last_dose = dose
         self._db.execute(
             "INSERT INTO dose (job, time_s, payload) VALUES (?, ?, ?)",
             (self._job, self.now_s(), dose.model_dump_json(by_alias=False)),
@@ -125,7 +128,7 @@ class Journal:
     def event(self, kind: str, values: Mapping[str, Any]) -> None:
         self._db.execute(
             "INSERT INTO event (action, time_s, kind, payload) VALUES (?, ?, ?, ?)",
-            (self._action, self.now_s(), kind, to_json(values)),
+            (self.action, self.now_s(), kind, to_json(values)),
         )
 
     def close(self) -> None:

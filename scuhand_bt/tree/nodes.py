@@ -31,6 +31,10 @@ class Listener(Protocol):
 
     def started(self, leaf: "SkillLeaf", inputs: Values) -> None: ...
 
+    def acting(self, leaf: "SkillLeaf") -> None:
+        """The leaf is about to do its next step; what is recorded now is its doing."""
+        ...
+
     def ended(self, leaf: "SkillLeaf", outcome: str, result: Any) -> None: ...
 
 
@@ -94,6 +98,7 @@ class SkillLeaf(Behaviour):
             if self._wake is not None and not self._is_due(self._wake):
                 return Status.RUNNING
             assert self._steps is not None
+            self._shared.listener.acting(self)
             self._wake = next(self._steps)
         except StopIteration as stop:
             self._keep(stop.value)

@@ -1,0 +1,98 @@
+"""The person at the cell: at this terminal, simulated, or nobody."""
+
+import queue
+import sys
+import threading
+from collections.abc import Callable, Sequence
+
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.record import Record
+from scuhand_bt.specs import Container
+
+ANSWER_S = 60.0
+"""Run time that a simulated person takes to do what is asked."""
+
+
+class SimulatedOperator:
+    """Does what is asked, in a minute of run time."""
+
+    def __init__(self, clock: Clock, record: Record) -> None:
+        self._clock = clock
+        self._record = record
+
+    def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
+        self._record.event("asked", {"question": question, "choices": list(choices)})
+        ready_s = self._clock.now_s + ANSWER_S
+        while self._clock.now_s < ready_s:
+            yield Wake(ready_s)
+        self._record.event("answered", {"question": question, "answer": choices[0]})
+        return choices[0]
+
+
+class TerminalOperator:
+    """Asks on the terminal; the answer is read on a thread, so that the cell stays watched meanwhile."""
+
+    def __init__(self, clock: Clock, record: Record, show: Callable[[str], None]) -> None:
+        self._clock = clock
+        self._record = record
+        self._show = show
+
+    def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
+        if not sys.stdin.isatty():
+            raise SkillFailed("operator.absent", question)
+        self._record.event("asked", {"question": question, "choices": list(choices)})
+        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+        answered = Signal()
+        while True:
+            self._show(f"{question} [{'/'.join(choices)}]")
+            threading.Thread(target=_read_line, args=(answers, answered), daemon=True).start()
+            while answers.empty():
+                yield Wake.on(answered, self._clock.now_s + 60.0)
+            answer = answers.get().strip().lower()
+            if answer in choices:
+                self._record.event("answered", {"question": question, "answer": answer})
+                return answer
+
+
+def _read_line(answers: "queue.SimpleQueue[str]", answered: Signal) -> None:
+    answers.put(sys.stdin.readline() or "stop")
+    answered.fire()
+
+
+class OperatorChanger:
+    """A container changer that is the operator's hands; `place` and `remove` let a simulation follow."""
+
+    needs_person = True
+
+    def __init__(
+        self,
+        operator: "SimulatedOperator | TerminalOperator",
+        place: Callable[[Container], None] = lambda container: None,
+        remove: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.news = Signal()
+        self.is_stopped = True
+        self._operator = operator
+        self._place = place
+        self._remove = remove
+        self._is_loaded = False
+
+    def stop(self) -> None:
+        """Nothing moves by itself."""
+
+    def bring(self, container: Container) -> Steps[None]:
+        yield from self._do(f"Put the empty {container.name} '{container.id}' on the pan.")
+        self._place(container)
+        self._is_loaded = True
+
+    def take_away(self) -> Steps[None]:
+        if self._is_loaded:
+            yield from self._do("Take the container off the pan.")
+            self._remove()
+            self._is_loaded = False
+
+    def _do(self, request: str) -> Steps[None]:
+        answer = yield from self._operator.ask(request)
+        if answer != "done":
+            raise SkillFailed("operator.refused", request)

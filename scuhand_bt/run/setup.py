@@ -1,0 +1,76 @@
+"""Making the cell that a plan runs on: simulated, or the real one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.devices.places import Position, all_places
+from scuhand_bt.lab import Lab
+from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.plan import Plan
+from scuhand_bt.record import Record
+from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.operator import OperatorChanger, SimulatedOperator
+from scuhand_bt.sim.cell import simulated_cell
+from scuhand_bt.sim.world import World
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What a dry run is told: its seed, its physics, and how fast virtual time may pass (None: at once)."""
+
+    seed: int = 0
+    plant: str | None = None
+    speed: float | None = None
+
+
+def simulated(plan: Plan, lab: Lab, options: DryRun, record: Record) -> tuple[Cell, World]:
+    """The lab's cell with simulated devices, all motions between its places planned.
+
+    Raises SkillFailed (arm.*) if one cannot be planned, PlantError for a plant that cannot be used.
+    """
+    clock = VirtualClock(speed=options.speed)
+    motion = prepared_motion(plan, lab)
+    operator = SimulatedOperator(clock, record)
+    cell, world = simulated_cell(
+        lab.cell,
+        plan.recipe.sources,
+        clock=clock,
+        record=record,
+        motion=motion,
+        operator=operator,
+        seed=options.seed,
+        plant=options.plant,
+        joints=motion.home(),
+    )
+    clock.process = world
+    if lab.cell.changer.driver == "operator":
+        cell.changer = OperatorChanger(operator, world.place, world.remove)
+    cell.sheet_mounted = world.swap_sheet
+    _tell(cell, plan, lab)
+    return cell, world
+
+
+def prepared_motion(plan: Plan, lab: Lab) -> MotionPlanner:
+    """The motion planner with every place of the plan, and the ways between them planned."""
+    mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
+    motion = MotionPlanner(lab.urdf, lab.cell, mortars)
+    for name, position_mm in places_of(plan, lab).items():
+        motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
+    motion.prepare()
+    return motion
+
+
+def places_of(plan: Plan, lab: Lab) -> dict[str, Position]:
+    """Every named place of the plan."""
+    kinds = {sample.container.name: sample.container for sample in plan.recipe.samples if sample.container is not None}
+    return all_places(lab.cell, plan.recipe.sources, kinds.values())
+
+
+def _tell(cell: Cell, plan: Plan, lab: Lab) -> None:
+    """What the recipe says of the cell: its places, its sources' amounts, its controller."""
+    cell.places_mm = places_of(plan, lab)
+    cell.believed.sources_mg = {name: source.amount_mg for name, source in plan.recipe.sources.items()}
+    if plan.recipe.controller is not None:
+        cell.controller = plan.recipe.controller

@@ -1,0 +1,24 @@
+"""A question to the person at the cell."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.skill import Cell, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.specs import CellSpec
+
+
+class AskOperator(Skill[None]):
+    """Ask the operator to do or confirm something, and go on when it is done."""
+
+    typical_s = 60.0
+
+    question: str
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        return Forecast(cls.typical_s, str(inputs.get("question", "answer a question")))
+
+    def run(self, cell: Cell) -> Steps[None]:
+        answer = yield from cell.operator.ask(self.question)
+        if answer != "done":
+            raise SkillFailed("operator.refused", self.question)

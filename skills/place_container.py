@@ -1,0 +1,55 @@
+"""A container onto the balance, checked by its weight."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.skill import Cell, Container, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.specs import CellSpec
+
+CLEAR_MM = 90.0
+"""The apex must be this far aside from the pan's centre while containers are changed."""
+
+
+class PlaceContainer(Skill[None]):
+    """Put a container on the pan, taking away the one before, and check by weight that it is the right one."""
+
+    devices = ("changer", "balance", "arm")
+    typical_s = 20.0
+
+    container: Container
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        container = inputs.get("container")
+        by_hand = cell.changer.driver == "operator"
+        what = f"put {container.name} '{container.id}' on the pan" if isinstance(container, Container) else "put a container"
+        return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
+
+    def run(self, cell: Cell) -> Steps[None]:
+        self._require_clear(cell)
+        cell.believed.pan = cell.believed.pan_empty_mg = None
+        yield from cell.changer.take_away()
+        bare = yield from cell.balance.settled()
+        yield from cell.changer.bring(self.container)
+        cell.motion.set_container(self.container)
+        loaded = yield from cell.balance.settled()
+        mass_mg = loaded.value_mg - bare.value_mg
+        kind = self.container
+        cell.record.event("container", {"container": kind.id, "kind": kind.name, "mass_mg": mass_mg})
+        if mass_mg < kind.empty_mass_mg / 10:
+            raise SkillFailed("container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {kind.name} stands on it")
+        if abs(mass_mg - kind.empty_mass_mg) > kind.empty_mass_tolerance_mg:
+            raise SkillFailed(
+                "container.wrong_mass",
+                f"'{kind.id}' weighs {mass_mg / 1000:.3f} g; a {kind.name} weighs "
+                f"{kind.empty_mass_mg / 1000:.3f} ± {kind.empty_mass_tolerance_mg / 1000:.3f} g",
+            )
+        cell.believed.pan = kind.id
+
+    @staticmethod
+    def _require_clear(cell: Cell) -> None:
+        pan_x_mm, pan_y_mm, _ = cell.spec.station_of_kind("balance").position_mm
+        x_mm, y_mm, _ = cell.apex_mm()
+        aside_mm = ((x_mm - pan_x_mm) ** 2 + (y_mm - pan_y_mm) ** 2) ** 0.5
+        if aside_mm < CLEAR_MM:
+            raise SkillFailed("arm.in_the_way", f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")

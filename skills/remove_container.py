@@ -1,0 +1,24 @@
+"""The container off the balance."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.skill import Cell, Forecast, Skill, Steps
+from scuhand_bt.specs import CellSpec
+
+
+class RemoveContainer(Skill[None]):
+    """Take the container off the pan."""
+
+    devices = ("changer",)
+    typical_s = 6.0
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        by_hand = cell.changer.driver == "operator"
+        return Forecast(60.0 if by_hand else cls.typical_s, "take the container off the pan" if by_hand else None)
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from cell.changer.take_away()
+        cell.motion.set_container(None)
+        cell.believed.pan = cell.believed.pan_empty_mg = None

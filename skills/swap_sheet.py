@@ -1,0 +1,34 @@
+"""A fresh sheet, so that no powder touches what another has touched."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.skill import Cell, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.specs import CellSpec
+
+
+class SwapSheet(Skill[None]):
+    """Have the operator put a fresh sheet into the hand (two screws), the arm held where it is handy."""
+
+    devices = ("arm", "hand")
+    typical_s = 120.0
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        return Forecast(cls.typical_s, "swap the sheet (two screws)")
+
+    def run(self, cell: Cell) -> Steps[None]:
+        believed = cell.believed
+        if believed.sheet is None:
+            return
+        if believed.cone_source is not None:
+            raise SkillFailed("hand.wrong_powder", f"the cone still holds powder from '{believed.cone_source}'")
+        service = [station.name for station in cell.spec.stations.values() if station.kind == "service"]
+        yield from cell.move_to(service[0] if service else cell.spec.station_of_kind("park").name)
+        answer = yield from cell.operator.ask(f"Put a fresh sheet into the hand; this one has touched {believed.sheet}.")
+        if answer != "done":
+            raise SkillFailed("operator.refused", "the sheet was not swapped")
+        cell.sheet_mounted()
+        believed.sheet = None
+        believed.sheets_used += 1
+        cell.record.event("sheet", {"sheets_used": believed.sheets_used})

@@ -1,0 +1,20 @@
+"""The software tare: the stable gross before the first powder."""
+
+from scuhand_bt.skill import Cell, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.devices.cell import DoseSoFar
+
+
+class Tare(Skill[Milligrams]):
+    """Weigh the container on the pan before its first powder; no tare command is sent to the balance."""
+
+    devices = ("balance",)
+    typical_s = 4.0
+
+    def run(self, cell: Cell) -> Steps[Milligrams]:
+        if cell.believed.pan is None:
+            raise SkillFailed("container.missing", "no container was placed; `place_container` comes before `tare`")
+        mean = yield from cell.balance.settled()
+        cell.believed.pan_empty_mg = mean.value_mg
+        cell.believed.dosing = DoseSoFar(began_s=cell.clock.now_s)
+        cell.record.event("tare", {"gross_mg": mean.value_mg, "uncertainty_mg": mean.uncertainty_mg})
+        return mean.value_mg

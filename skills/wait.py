@@ -1,0 +1,20 @@
+"""A pause."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.skill import Cell, Forecast, Seconds, Skill, Steps, pause
+from scuhand_bt.specs import CellSpec
+
+
+class Wait(Skill[None]):
+    """Let time pass."""
+
+    duration_s: Seconds
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        return Forecast(inputs.get("duration", cls.typical_s))
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from pause(cell, self.duration_s)
