@@ -269,12 +269,14 @@ def _arcs(circle: _Circle, limits: Floats) -> tuple[Floats, Floats]:
 
 
 def _within(q: Floats, limits: Floats) -> NDArray[np.bool_]:
-    return ((q >= limits[0] - _EDGE) & (q <= limits[1] + _EDGE)).all(axis=-1)
+    within: NDArray[np.bool_] = ((q >= limits[0] - _EDGE) & (q <= limits[1] + _EDGE)).all(axis=-1)
+    return within
 
 
 @cache
 def _even_swivels() -> Floats:
-    return (np.arange(SWIVELS) + 0.5) * (2 * math.pi / SWIVELS)
+    swivels: Floats = (np.arange(SWIVELS) + 0.5) * (2 * math.pi / SWIVELS)
+    return swivels
 
 
 def solutions(pose: ApexPose, apex_offset_m: float, limits: Floats = LIMITS_RAD) -> Floats:
@@ -303,12 +305,10 @@ def neighbours(
     circle = _circle(pose, apex_offset_m)
     if isinstance(circle, str):
         return np.zeros((0, JOINTS))
-    c, s = math.cos(q[1]), math.sin(q[1])
-    e = np.array([-s * math.cos(q[0]), -s * math.sin(q[0]), c])
-    phi = math.atan2(float(e @ circle.up), float(e @ circle.across))
-    around = _configurations(circle, phi + np.linspace(-spread_rad, spread_rad, count))
-    around = around[_within(around, limits)]
-    return around[(np.abs(around[:, :6] - q[:6]) < 4 * spread_rad + _EDGE).all(axis=1)]
+    around = _configurations(circle, _swivel_on(circle, q) + np.linspace(-spread_rad, spread_rad, count))
+    near = (np.abs(around[:, :6] - q[:6]) < 4 * spread_rad + _EDGE).all(axis=1)
+    family: Floats = around[near & _within(around, limits)]
+    return family
 
 
 def finest(pose: ApexPose, q: Floats, apex_offset_m: float, spread_rad: float = 0.05) -> Floats:
@@ -387,8 +387,12 @@ def swivel_of(q: Floats, apex_offset_m: float) -> float:
     circle = _circle(apex(q, apex_offset_m), apex_offset_m)
     if isinstance(circle, str):
         raise ValueError(circle)
-    c, s = math.cos(q[1]), math.sin(q[1])
-    e = np.array([-s * math.cos(q[0]), -s * math.sin(q[0]), c])
+    return _swivel_on(circle, q)
+
+
+def _swivel_on(circle: _Circle, q: Floats) -> float:
+    s = math.sin(q[1])
+    e = np.array([-s * math.cos(q[0]), -s * math.sin(q[0]), math.cos(q[1])])
     return math.atan2(float(e @ circle.up), float(e @ circle.across))
 
 

@@ -9,9 +9,10 @@ Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillF
 arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
@@ -31,9 +32,10 @@ from scuhand_bt.motion.kinematics import (
     swivel_of,
     unreachable_reason,
 )
-from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, rest_to_rest_s
+from scuhand_bt.motion.stopping import Rest, Stop, stop
+from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
-from scuhand_bt.specs import CellSpec, ContainerKind, Mortar
+from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Station
 
 CONE_DIAMETER_M = 0.090
 MARGIN_M = 0.005
@@ -48,6 +50,16 @@ class Geometry:
     cone_diameter_m: float = CONE_DIAMETER_M
     container: ContainerKind | None = None
     touching: str | None = None
+
+
+Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
+"""Start and goals as their bytes, geometry, spill limit: what a plan is kept by."""
+
+
+def _rng(request: Request) -> np.random.Generator:
+    """Randomness that belongs to the request, so that its answer is the same on every run."""
+    digest = hashlib.blake2b(request[0] + request[1] + repr(request[2:]).encode(), digest_size=16).digest()
+    return np.random.default_rng(int.from_bytes(digest, "big"))
 
 
 class MotionPlanner:
@@ -69,12 +81,12 @@ class MotionPlanner:
         self._threads = threads
         self._offset_m = cell.hand.apex_offset_mm / 1e3
         rates, speed = self._arm.rates, cell.arm.speed_ratio
-        self._law = TimeLaw(RateLimits(rates.speed * speed, rates.acceleration, rates.jerk))
+        self._rates = RateLimits(rates.speed * speed, rates.acceleration, rates.jerk)
         self._geometry = Geometry()
         self._scenes: dict[tuple[Geometry, float], Scene] = {}
         self._places: dict[str, ApexPose] = {}
         self._postures: dict[tuple[str, Geometry], Floats] = {}
-        self._plans: dict[tuple[bytes, bytes, Geometry, float | None], JointTrajectory] = {}
+        self._plans: dict[Request, JointTrajectory] = {}
 
     # What the cell looks like now -------------------------------------------------------------------
 
@@ -106,10 +118,15 @@ class MotionPlanner:
         names = list(self._places)
         for k, first in enumerate(names):
             for second in names[k + 1 :]:
-                self.move(self._posture(first), second)
+                self._move(self._posture(first), second, None, transfer.POLISHED)
 
     def move(self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None) -> JointTrajectory:
         """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
+        return self._move(start, goal, spill_limit_deg, transfer.LIVE)
+
+    def _move(
+        self, start: Floats, goal: str | ApexPose, spill_limit_deg: float | None, effort: transfer.Effort
+    ) -> JointTrajectory:
         begin = checked_joints(start)
         if isinstance(goal, str):
             goals = self._posture(goal)[None, :]
@@ -120,8 +137,12 @@ class MotionPlanner:
             goals[:, 6] = begin[6]
             name = f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
         key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
+        back = (goals.tobytes(), begin.tobytes(), self._geometry, spill_limit_deg)
+        if key not in self._plans and back in self._plans:
+            # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
+            self._plans[key] = self._plans[back].reversed()
         if key not in self._plans:
-            self._plans[key] = self._planned(begin, goals, name, spill_limit_deg)
+            self._plans[key] = self._planned(begin, goals, name, spill_limit_deg, effort, _rng(key))
         return self._plans[key]
 
     def contact(
@@ -154,7 +175,7 @@ class MotionPlanner:
                 continue
             course[0] = begin
             motion = through(times_s, course)
-            motion = motion.stretched(max(1.0, self._law.limits.stretch_for(motion)))
+            motion = motion.stretched(max(1.0, self._rates.stretch_for(motion)))
             times = scene.proving_times_s(motion.at, motion.duration_s, motion.extremes()[1])
             hits = scene.hits(motion.at(times))
             if not hits.any():
@@ -162,9 +183,21 @@ class MotionPlanner:
             why = self._touching(scene, motion.at(times)[int(np.argmax(hits))])
         raise SkillFailed("arm.no_path", f"no way through the waypoints: {why}")
 
+    def stop(self, trajectory: JointTrajectory, at_s: float) -> Stop | Rest:
+        """The soonest jerk-limited stop along the path of a trajectory of this planner, from a moment of it."""
+        return stop(trajectory, at_s, self._rates, self._offset_m)
+
     # Within -----------------------------------------------------------------------------------------
 
-    def _planned(self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None) -> JointTrajectory:
+    def _planned(
+        self,
+        begin: Floats,
+        goals: Floats,
+        name: str,
+        spill_limit_deg: float | None,
+        effort: transfer.Effort,
+        rng: np.random.Generator,
+    ) -> JointTrajectory:
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
             scene = self._scene(margin_m)
             start_free = not scene.hits(begin[None, :])[0]
@@ -181,7 +214,8 @@ class MotionPlanner:
             )
         if np.abs(free - begin).max(axis=1).min() < 1e-9:
             return standing(begin)
-        motion = transfer.plan(begin, free, scene, self._law, self._offset_m, spill_limit_deg)
+        task = transfer.Task(begin, free, scene, self._rates, self._offset_m, spill_limit_deg)
+        motion = transfer.plan(task, effort, rng)
         if motion is None:
             raise SkillFailed("arm.no_path", f"no collision-free way to {name} was found")
         return motion
@@ -218,7 +252,7 @@ class MotionPlanner:
                 f"{self._touching(scene, q[len(q) // 2])}",
             )
         relaxed = np.array([np.arctan2(pose.position_m[1], pose.position_m[0]), -0.2, 0.0, -1.6, 0.0, -1.2, 0.0])
-        chosen = free[np.argmin(rest_to_rest_s(free - relaxed, self._law.limits))]
+        chosen = free[np.argmin(rest_to_rest_s(free - relaxed, self._rates))]
         exact = finest(pose, chosen, self._offset_m)
         return exact if not scene.hits(exact[None, :])[0] else chosen
 
@@ -233,7 +267,7 @@ class MotionPlanner:
             instead = f"the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
         raise SkillFailed("arm.unreachable", f"{name}: {reason}; {instead}")
 
-    def _station(self, name: str) -> "surroundings.Station":
+    def _station(self, name: str) -> Station:
         try:
             return self._cell.stations[name]
         except KeyError:

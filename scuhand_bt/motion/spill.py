@@ -97,7 +97,7 @@ def worst_spill_deg(axes: Floats, accelerations: Floats) -> float:
 
 
 def _apparent_up(accelerations: Floats) -> Floats:
-    w = accelerations + (0.0, 0.0, GRAVITY_M_PER_S2)
+    w = accelerations + np.array([0.0, 0.0, GRAVITY_M_PER_S2])
     up: Floats = w / np.linalg.norm(w, axis=1)[:, None]
     return up
 
@@ -107,3 +107,23 @@ def _between(first: Floats, second: Floats) -> Floats:
     chord = np.minimum(np.linalg.norm(first - second, axis=1), 2.0)
     angle: Floats = 2 * np.arcsin(chord / 2)
     return angle
+
+
+def stretch_for_spill(axes: Floats, accelerations: Floats, limit_deg: float) -> float | None:
+    """How many times slower (>= 1) a densely sampled motion must be to keep the limit; None if tilt alone breaks it.
+
+    Slower by k, the tilt is the same and the acceleration 1/k^2.
+    """
+    if worst_spill_deg(axes, accelerations) <= limit_deg:
+        return 1.0
+    slow, quick = 0.0, 1.0
+    if worst_spill_deg(axes, slow * accelerations) > limit_deg:
+        return None
+    for _ in range(16):
+        middle = (slow + quick) / 2
+        if worst_spill_deg(axes, middle * accelerations) <= limit_deg:
+            slow = middle
+        else:
+            quick = middle
+    # A share of the acceleration that is all but nothing is no motion that anyone would wait for.
+    return slow**-0.5 if slow > 1e-3 else None

@@ -17,7 +17,7 @@ arbitrary target states", RSS 2021.
 from dataclasses import dataclass
 
 import numpy as np
-from ruckig import InputParameter, Result, Ruckig, RuckigError, Trajectory
+from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.trajectory import JointTrajectory, joined
@@ -77,6 +77,8 @@ class TimeLaw:
         self._input.max_velocity = limits.speed.tolist()
         self._input.max_acceleration = limits.acceleration.tolist()
         self._input.max_jerk = limits.jerk.tolist()
+        # From rest to rest this is a straight line; elsewhere Ruckig falls back to a common duration.
+        self._input.synchronization = Synchronization.Phase
 
     def solve(self, q0: Floats, v0: Floats, q1: Floats, v1: Floats) -> Trajectory | None:
         """Ruckig's own trajectory between two states of no acceleration, None if it finds none."""
@@ -103,13 +105,22 @@ class TimeLaw:
             pieces.append(piece)
         return pieces
 
-    def direct(self, q0: Floats, q1: Floats) -> JointTrajectory:
-        """The optimum from rest to rest: a straight line wherever one joint alone decides the duration."""
-        rest = np.zeros(self.size)
-        solved = self.solve(q0, rest, q1, rest)
+    def straight(self, points: Floats) -> JointTrajectory:
+        """Along a polyline (m, n) exactly, at rest in every vertex."""
+        return joined([self._straight_leg(points[k], points[k + 1]) for k in range(len(points) - 1)])
+
+    def _straight_leg(self, q0: Floats, q1: Floats) -> JointTrajectory:
+        distances = q1 - q0
+        share = np.maximum(np.abs(distances), 1e-12)
+        limits = (self.limits.speed, self.limits.acceleration, self.limits.jerk)
+        one = TimeLaw(RateLimits(*(np.array([(limit / share).min()]) for limit in limits)))
+        solved = one.solve(np.zeros(1), np.zeros(1), np.ones(1), np.zeros(1))
         if solved is None:
-            raise ValueError("Ruckig found no motion from rest to rest")
-        return cubics([solved])
+            raise ValueError("Ruckig found no motion along a line")
+        course = cubics([solved])
+        coefficients = course.coefficients * distances
+        coefficients[0] += q0
+        return JointTrajectory(course.knots_s, coefficients)
 
 
 def cubics(pieces: list[Trajectory]) -> JointTrajectory:

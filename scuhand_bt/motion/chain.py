@@ -1,0 +1,145 @@
+"""From a polyline to a motion: a chain of time-optimal pieces through via points that may move.
+
+    minimise   sum_k T(p_k, v_k; p_{k+1}, v_{k+1})        over via points p_k and the speeds v_k there
+
+T is the jerk-limited optimum between two states (`timelaw`), each solved in microseconds; that the
+whole motion is free, keeps the joints' limits and keeps the load is then *proven* (`collision`,
+`spill`). A chain is not bound to its polyline: it is shortened by a random search that proposes many
+chains, ranks them by duration, proves only those that would be quicker, widens its steps after a
+success and narrows them after a failure, and tries again in a direction that has just paid.
+
+Chart coordinates (m, 7), times [s].
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scuhand_bt.motion.charts import JointChart
+from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.roadmap import Space
+from scuhand_bt.motion.spill import apex_motion, stretch_for_spill
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
+from scuhand_bt.motion.trajectory import JointTrajectory, through
+
+_FIRST_SPEEDS = (1.6, 1.2, 0.8, 0.4)
+_PROPOSALS = 16
+_PROVEN_PER_ROUND = 3
+_GRID_S = 0.01
+_SPILL_GRID_S = 0.005
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Via points and speeds (m, 7), ends included, and the proven motion through them."""
+
+    points: Floats
+    speeds: Floats
+    motion: JointTrajectory
+
+    @property
+    def duration_s(self) -> float:
+        return self.motion.duration_s
+
+
+class Shaper:
+    """Makes chains in one space and proves them.
+
+    `rates` are the joints' limits; `spill_limit_deg` the load's, None for an empty cone.
+    """
+
+    def __init__(self, space: Space, rates: RateLimits, apex_offset_m: float, spill_limit_deg: float | None) -> None:
+        self._space = space
+        self._law = TimeLaw(space.chart.rates)
+        self._rates = rates
+        self._offset_m = apex_offset_m
+        self._spill_deg = spill_limit_deg
+
+    def proven(self, points: Floats, speeds: Floats, quicker_than_s: float = np.inf) -> Chain | None:
+        """The chain as a motion that is free and within all limits; None if it is not, or not quicker."""
+        pieces = self._law.chain(points, speeds)
+        if pieces is None or sum(piece.duration for piece in pieces) >= quicker_than_s:
+            return None
+        motion = self._proven(cubics(pieces), quicker_than_s)
+        return None if motion is None else Chain(points, speeds, motion)
+
+    def _proven(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
+        """A motion in the chart's coordinates as a proven one of the joints, as slow as it must be."""
+        motion = course
+        if not isinstance(self._space.chart, JointChart):
+            times_s = np.linspace(0.0, course.duration_s, int(course.duration_s / _GRID_S) + 2)
+            motion = through(times_s, self._space.chart.joints(course.at(times_s)))
+            motion = motion.stretched(max(1.0, self._rates.stretch_for(motion)))
+        if self._spill_deg is not None:
+            factor = self._spill_stretch(motion)
+            if factor is None:
+                return None
+            motion = motion.stretched(factor).keeping(self._spill_deg)
+        if motion.duration_s >= quicker_than_s:
+            return None
+        free = self._space.scene.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
+        return motion if free else None
+
+    def _spill_stretch(self, motion: JointTrajectory) -> float | None:
+        assert self._spill_deg is not None
+        times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / _SPILL_GRID_S) + 2)
+        axes, accelerations = apex_motion(
+            motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), self._offset_m
+        )
+        return stretch_for_spill(axes, accelerations, self._spill_deg)
+
+    def first(self, path: Floats) -> Chain | None:
+        """A proven chain through a free polyline's vertices, as quick as a few guesses of its speeds find."""
+        legs_s = rest_to_rest_s(np.diff(path, axis=0), self._space.chart.rates)
+        speeds = np.zeros_like(path)
+        speeds[1:-1] = (path[2:] - path[:-2]) / (legs_s[1:] + legs_s[:-1])[:, None]
+        for scale in _FIRST_SPEEDS:
+            chain = self.proven(path, np.clip(scale * speeds, -self._law.limits.speed, self._law.limits.speed))
+            if chain is not None:
+                return chain
+        # Each edge was proven as a line, so following the lines is free, whatever else is not.
+        motion = self._proven(self._law.straight(path))
+        return None if motion is None else Chain(path, np.zeros_like(path), motion)
+
+    def improved(self, chain: Chain, rng: np.random.Generator, rounds: int) -> Chain:
+        """A quicker chain, after at most `rounds` of proposals."""
+        spread, direction = 0.3, np.zeros((2, *chain.points.shape))
+        speed_limit = self._law.limits.speed
+        for _ in range(rounds):
+            vias = len(chain.points) - 2
+            if vias == 0:
+                break
+            proposals = []
+            for k in range(_PROPOSALS):
+                step = np.zeros((2, *chain.points.shape))
+                step[:, 1:-1] = rng.normal(size=(2, vias, chain.points.shape[1])) * spread
+                step[1] *= 3.0
+                if k % 2:
+                    step = step / 2 + direction * rng.uniform(0.3, 1.5)
+                points = chain.points + step[0]
+                speeds = np.clip(chain.speeds + step[1], -0.98 * speed_limit, 0.98 * speed_limit)
+                if k == 0 and vias > 1:
+                    dropped = int(rng.integers(1, vias + 1))
+                    points, speeds = np.delete(points, dropped, axis=0), np.delete(speeds, dropped, axis=0)
+                pieces = self._law.chain(points, speeds)
+                if pieces is not None:
+                    proposals.append((sum(piece.duration for piece in pieces), k, points, speeds))
+            proposals.sort(key=lambda proposal: proposal[:2])
+            better = None
+            for duration_s, _, points, speeds in proposals[:_PROVEN_PER_ROUND]:
+                if duration_s >= chain.duration_s:
+                    break
+                better = self.proven(points, speeds, chain.duration_s)
+                if better is not None:
+                    break
+            if better is None:
+                spread = max(0.6 * spread, 0.01)
+                direction *= 0.5
+                continue
+            if better.points.shape == chain.points.shape:
+                direction = np.stack([better.points - chain.points, better.speeds - chain.speeds])
+            else:
+                direction = np.zeros((2, *better.points.shape))
+            spread = min(1.5 * spread, 0.6)
+            chain = better
+        return chain

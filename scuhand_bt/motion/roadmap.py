@@ -1,0 +1,140 @@
+"""A collision-free polyline from the start to any of the goals: RRT-Connect on certified edges.
+
+Two trees grow towards random points and towards each other [Kuffner and LaValle, "RRT-Connect", ICRA
+2000]. An edge is a straight line of the chart, sampled so closely that nothing can touch in between
+(`collision`), and grows as far as it is free. Shortcuts then replace pieces of the polyline by one
+edge wherever that is free and quicker from rest to rest.
+
+Chart coordinates c shape (7,); polylines (m, 7). Budgets are iterations; randomness is the caller's.
+"""
+
+import numpy as np
+
+from scuhand_bt.motion.charts import Chart
+from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.kinematics import Floats, apex_positions_m
+from scuhand_bt.motion.timelaw import rest_to_rest_s
+
+_BATCH = 48
+_REACH_M = 0.6
+"""The longest edge grown at once, by the bound on motion."""
+
+
+class Space:
+    """What is free: configurations of a chart that the scene does not hit and that keep the cone upright."""
+
+    def __init__(self, chart: Chart, scene: Scene, tilt_limit_deg: float | None = None) -> None:
+        self.chart = chart
+        self.scene = scene
+        self._upright = None if tilt_limit_deg is None else float(np.cos(np.radians(tilt_limit_deg)))
+
+    def edge(self, c0: Floats, c1: Floats) -> tuple[Floats, Floats]:
+        """Shares (n,) and joints (n, 7) along the line, neighbours at most twice the margin apart."""
+        count = 12
+        for _ in range(3):
+            shares = np.linspace(0.0, 1.0, count)
+            q = self.chart.joints(c0 + shares[:, None] * (c1 - c0))
+            longest_m = float(self.scene.motion_bound_m(np.diff(q, axis=0)).max())
+            if longest_m <= 2 * self.scene.margin_m:
+                break
+            count = int((count - 1) * longest_m / (1.96 * self.scene.margin_m)) + 2
+        return shares, q
+
+    def blocked(self, q: Floats) -> np.ndarray:
+        """Which configurations (n, 7) are not free: (n,)."""
+        blocked = self.scene.hits(q)
+        if self._upright is not None:
+            blocked |= apex_positions_m(q, 0.0)[1][:, 2] < self._upright
+        return blocked
+
+    def advance(self, c0: Floats, c1: Floats) -> tuple[Floats, bool]:
+        """How far the line from c0 to c1 is free, and whether that is all of it."""
+        shares, q = self.edge(c0, c1)
+        for begin in range(0, len(q), _BATCH):
+            blocked = self.blocked(q[begin : begin + _BATCH])
+            if blocked.any():
+                last = begin + int(np.argmax(blocked)) - 1
+                return c0 + max(shares[max(last, 0)], 0.0) * (c1 - c0), False
+        return c1, True
+
+    def free(self, c0: Floats, c1: Floats) -> bool:
+        """Whether all of the line is free."""
+        _, q = self.edge(c0, c1)
+        # A few samples spread over the line find most of what blocks it.
+        return not self.blocked(q[:: max(1, len(q) // 10)]).any() and not self.blocked(q).any()
+
+
+class _Tree:
+    def __init__(self, roots: Floats, weights: Floats) -> None:
+        self._nodes = np.empty((256, roots.shape[1]))
+        self._nodes[: len(roots)] = roots
+        self._parents = [-1] * len(roots)
+        self._weights = weights
+
+    def nearest(self, c: Floats) -> int:
+        away = (self._nodes[: len(self._parents)] - c) * self._weights
+        return int(np.argmin((away * away).sum(axis=1)))
+
+    def node(self, k: int) -> Floats:
+        node: Floats = self._nodes[k]
+        return node
+
+    def add(self, c: Floats, parent: int) -> int:
+        if len(self._parents) == len(self._nodes):
+            self._nodes = np.concatenate([self._nodes, np.empty_like(self._nodes)])
+        self._nodes[len(self._parents)] = c
+        self._parents.append(parent)
+        return len(self._parents) - 1
+
+    def to_root(self, k: int) -> list[Floats]:
+        branch = []
+        while k >= 0:
+            branch.append(self._nodes[k].copy())
+            k = self._parents[k]
+        return branch
+
+
+def connect(space: Space, start: Floats, goals: Floats, rng: np.random.Generator, iterations: int) -> Floats | None:
+    """A free polyline (m, 7) from start (7,) to one of goals (n, 7), or None within the iterations."""
+    weights = space.scene.reach_m
+    if len(goals) > 128:
+        raise ValueError("choose among the goals first: at most 128 root a tree")
+    ours, theirs = _Tree(start[None, :], weights), _Tree(goals, weights)
+    forward = True
+    for _ in range(iterations):
+        target = space.chart.draw(rng)
+        near = ours.nearest(target)
+        origin = ours.node(near).copy()
+        length_m = float(np.abs(target - origin) @ weights)
+        new, _ = space.advance(origin, origin + min(1.0, _REACH_M / length_m) * (target - origin))
+        if not np.array_equal(new, origin):
+            added = ours.add(new, near)
+            other = theirs.nearest(new)
+            met, whole = space.advance(theirs.node(other).copy(), new)
+            if whole:
+                one, two = ours.to_root(added), theirs.to_root(other)
+                path = one[::-1] + two if forward else two[::-1] + one
+                return np.array(path)
+            if not np.array_equal(met, theirs.node(other)):
+                theirs.add(met, other)
+        ours, theirs, forward = theirs, ours, not forward
+    return None
+
+
+def shortened(space: Space, path: Floats, rng: np.random.Generator, tries: int) -> Floats:
+    """The polyline with pieces replaced by single edges where that is free and quicker."""
+    limits = space.chart.rates
+    points = list(path)
+    for _ in range(tries):
+        if len(points) < 3:
+            break
+        i, j = sorted(rng.choice(len(points) - 1, size=2, replace=len(points) == 3))
+        if i == j:
+            continue
+        first = points[i] + rng.uniform() * (points[i + 1] - points[i]) if rng.uniform() < 0.6 else points[i]
+        last = points[j] + rng.uniform() * (points[j + 1] - points[j]) if rng.uniform() < 0.6 else points[j + 1]
+        now_s = rest_to_rest_s(np.diff(np.array([first, *points[i + 1 : j + 1], last]), axis=0), limits).sum()
+        if rest_to_rest_s(last - first, limits) < now_s and space.free(first, last):
+            points = [*points[: i + 1], first, last, *points[j + 1 :]]
+            points = [p for k, p in enumerate(points) if k == 0 or not np.array_equal(p, points[k - 1])]
+    return np.array(points)
