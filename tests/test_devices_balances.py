@@ -217,6 +217,11 @@ class Bench:
         self.balance.close()
         self.server.__exit__(None, None, None)
 
+    def read_on(self) -> None:
+        """Read until that fails."""
+        while True:
+            carry_out(self.balance.next_reading(), self.clock)
+
     def reads(self, value_mg: float) -> None:
         """Wait until the balance reads this."""
         wait_for(lambda: (latest := self.balance.latest) is not None and latest.value_mg == value_mg)
@@ -255,8 +260,7 @@ def test_overload_and_underload_fail_with_their_own_code_and_pass_when_they_pass
         for load_mg in (300_000.0, -50_000.0):
             bench.pan.load_mg = load_mg
             with pytest.raises(SkillFailed, match=r"balance\.overload"):
-                while True:
-                    carry_out(bench.balance.next_reading(), bench.clock)
+                bench.read_on()
         bench.pan.load_mg = 5.0
         bench.reads(5.0)
 

@@ -32,8 +32,10 @@ from dynamixel_sdk import (
 from scuhand_bt.devices.dynamixel.registers import Register
 from scuhand_bt.devices.serial_link import PORT_ERRORS
 
+LENGTH_END = 7
+"""FF FF FD 00, id, two bytes of length; the length counts what follows."""
 HEADER_SIZE = 8
-"""FF FF FD 00, id, two bytes of length, instruction."""
+"""The same and the instruction."""
 STATUS_OVERHEAD = 11
 """A status packet without parameters: the header with error and CRC."""
 ALERT = 0x80
@@ -78,13 +80,18 @@ class Status:
 
 
 class _Packets(Protocol2PacketHandler):  # type: ignore[misc]
-    """The SDK's packets, stuffed."""
+    """The SDK's packets, rightly stuffed and unstuffed."""
 
     def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
         # The SDK builds the stuffed packet in a new list, and its caller goes on with the old one.
         stuffed: list[int] = super().addStuffing(packet)
         packet[:] = stuffed
         return packet
+
+    def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
+        # The SDK corrects the length that the packet names, but leaves as many bytes behind its end.
+        packet = super().removeStuffing(packet)
+        return packet[: packet[5] + (packet[6] << 8) + LENGTH_END]
 
 
 class _Port(PortHandler):  # type: ignore[misc]

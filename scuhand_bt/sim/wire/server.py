@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 from scuhand_bt.sim.wire.port import Port
 
@@ -18,6 +18,9 @@ class Twin(Protocol):
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
         """Take what came in (perhaps nothing) and return the messages that are sent at this time."""
         ...
+
+
+TwinT = TypeVar("TwinT", bound=Twin)
 
 
 @dataclass
@@ -59,10 +62,10 @@ class Misbehaviour:
         return left > 0
 
 
-class TwinServer:
+class TwinServer(Generic[TwinT]):
     """A twin at a port, on a thread of its own; a context manager."""
 
-    def __init__(self, twin: Twin, port: Port, now: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, twin: TwinT, port: Port, now: Callable[[], float] = time.monotonic) -> None:
         self.twin = twin
         self.port = port
         self.misbehaviour = Misbehaviour()
@@ -74,7 +77,7 @@ class TwinServer:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"twin {port.url}", daemon=True)
 
-    def __enter__(self) -> "TwinServer":
+    def __enter__(self) -> "TwinServer[TwinT]":
         self._thread.start()
         return self
 

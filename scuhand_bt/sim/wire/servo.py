@@ -176,8 +176,13 @@ class Servo:
         if self._stepped_s is None:
             self._stepped_s = self._spoken_to_s = now_s
         dt_s = now_s - self._stepped_s
-        if dt_s <= 0 or (dt_s < TICK_S and not force):
+        if dt_s < TICK_S and not force:
             return
+        if dt_s > 0:
+            self._move(now_s, dt_s)
+        self._tell()
+
+    def _move(self, now_s: float, dt_s: float) -> None:
         self._stepped_s = now_s
         self._watch(now_s)
         before = self.position
@@ -185,7 +190,6 @@ class Servo:
             self._follow(dt_s)
         self.velocity = (self.position - before) / dt_s
         self._heat(dt_s)
-        self._tell()
 
     def _watch(self, now_s: float) -> None:
         units = self.get(98, 1, signed=True)

@@ -1,0 +1,259 @@
+import math
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from wire_helpers import carry_out, wait_for
+
+from scuhand_bt.devices.dynamixel import registers as r
+from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
+from scuhand_bt.devices.dynamixel.axes import Axis
+from scuhand_bt.devices.dynamixel.bus import DynamixelBus
+from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.run.clock import WallClock
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
+from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.server import TwinServer
+from scuhand_bt.specs import ArmSpec
+
+READY = np.array([0.0, 0.4, 0.0, -1.6, 0.0, 0.5, 0.0])
+
+
+class Sway:
+    """A smooth motion from where the arm is by `swing_rad` on every joint."""
+
+    def __init__(self, start: Joints, swing_rad: float, duration_s: float) -> None:
+        self.start = start
+        self.swing = np.full(7, swing_rad)
+        self.duration_s = duration_s
+
+    def sample(self, time_s: float) -> Joints:
+        s = min(max(time_s / self.duration_s, 0.0), 1.0)
+        return self.start + self.swing * (10 * s**3 - 15 * s**4 + 6 * s**5)
+
+
+class Bench:
+    """The arm's driver and its twin."""
+
+    def __init__(self) -> None:
+        servos = crane_x7(roller=False)
+        for servo, angle in zip(servos, READY, strict=True):
+            servo.position = 2048 + angle * r.COUNTS_PER_RAD
+        self.twin = DynamixelTwin(servos)
+        self.server = TwinServer(self.twin, PtyPort())
+        self.clock = WallClock()
+        self.liveness = Liveness()
+        self.group = AxisGroup(arm_axes(ArmSpec()))
+        self.chain = ServoChain(DynamixelBus(self.server.url), [self.group], self.liveness, reopen_s=0.005)
+        self.arm = DynamixelArm(self.chain, self.group)
+
+    def goal_counts(self) -> list[int]:
+        return [servo.get(116, 4) for servo in self.twin.servos.values()]
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    with bench.server:
+        bench.chain.open()
+        yield bench
+        bench.chain.close()
+
+
+def test_opening_holds_the_arm_where_it_is_and_arms_the_watchdogs(bench: Bench) -> None:
+    assert np.allclose(bench.arm.positions, READY, atol=0.002)
+    for servo, pid in zip(bench.twin.servos.values(), [axis.pid for axis in bench.group.axes], strict=True):
+        assert servo.has_torque
+        assert servo.table[9] == 0
+        assert servo.table[11] == r.POSITION_MODE
+        assert tuple(servo.get(address, 2) for address in (84, 82, 80)) == pid
+        assert servo.get(98, 1) == 4
+
+
+def test_torque_is_never_dropped_by_opening_closing_and_opening_again() -> None:
+    bench = Bench()
+    with bench.server:
+        for _ in range(2):
+            bench.chain = ServoChain(DynamixelBus(bench.server.url), [bench.group])
+            bench.chain.open()
+            assert all(servo.has_torque for servo in bench.twin.servos.values())
+            bench.chain.close()
+        time.sleep(0.1)
+        assert all(servo.has_torque for servo in bench.twin.servos.values())
+        assert all(servo.get(98, 1) == 0 for servo in bench.twin.servos.values()), "and nobody is left to trip"
+
+
+def test_a_trajectory_is_kept_within_half_a_degree_as_a_curve(bench: Bench) -> None:
+    trajectory = Sway(bench.arm.positions, 0.3, 1.0)
+    seen: list[Joints] = []
+    steps = bench.arm.follow(trajectory)
+    for wake in steps:
+        bench.clock.wait([wake])
+        seen.append(bench.arm.positions)
+    assert bench.arm.is_stopped
+    path = np.array([trajectory.sample(t) for t in np.linspace(0.0, 1.0, 2001)])
+    apart = [np.abs(path - positions).max(axis=1).min() for positions in seen]
+    assert len(seen) > 40, "the joints are read 50 times a second"
+    assert math.degrees(max(apart)) < 0.5
+    assert np.allclose(bench.arm.positions, trajectory.sample(1.0), atol=0.005)
+
+
+def test_goals_are_written_a_hundred_times_a_second(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    times: list[float] = []
+    write = bench.chain.bus.sync_write
+    monkeypatch.setattr(bench.chain.bus, "sync_write", lambda *a: (times.append(time.monotonic()), write(*a)))
+    carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.2, 1.0)), bench.clock)
+    assert 90 <= len(times) <= 105
+
+
+def test_stop_ends_the_motion_on_its_path_and_holds(bench: Bench) -> None:
+    start = bench.arm.positions
+    trajectory = Sway(start, 0.4, 1.5)
+    bench.arm.start(trajectory)
+    wait_for(lambda: bench.arm.positions[0] > start[0] + 0.1)
+    bench.arm.stop()
+    wait_for(lambda: bench.arm.is_stopped)
+    offset = bench.arm.positions - start
+    assert 0.1 < offset[0] < 0.39
+    assert np.ptp(offset) < 0.01, "all joints are at the same point of the path"
+    assert all(servo.has_torque for servo in bench.twin.servos.values())
+
+
+def test_a_trajectory_that_begins_elsewhere_is_refused(bench: Bench) -> None:
+    with pytest.raises(SkillFailed, match=r"arm\.not_following: the trajectory begins 5\.7° from where joint \d"):
+        bench.arm.start(Sway(bench.arm.positions + 0.1, 0.2, 1.0))
+
+
+def test_no_goal_beyond_a_servos_window_is_ever_sent(bench: Bench) -> None:
+    windows = [(servo.get(52, 4), servo.get(48, 4)) for servo in bench.twin.servos.values()]
+    with pytest.raises(SkillFailed, match=r"arm\.joint_limit: joint 6 would go to 90\.\d°"):
+        carry_out(bench.arm.follow(Sway(bench.arm.positions, 1.5, 1.0)), bench.clock)
+    assert all(low <= goal <= high for goal, (low, high) in zip(bench.goal_counts(), windows, strict=True))
+
+
+def test_a_blocked_joint_stops_the_arm_and_then_overload_is_named(bench: Bench) -> None:
+    bench.twin.servos[5].blocked = True
+    with pytest.raises(SkillFailed, match=r"arm\.not_following: joint 4 is 1\d\.\d° from where it should be"):
+        carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.5, 1.0)), bench.clock)
+    bench.twin.servos[5].fail(5)
+    with pytest.raises(SkillFailed, match=r"servo\.overload: servo 5 \(joint 4\) has shut down on overload"):
+        carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.01, 1.0)), bench.clock)
+
+
+def test_a_servo_that_is_too_hot_ends_the_motion_before_it_shuts_down(bench: Bench) -> None:
+    bench.twin.servos[3].temperature_c = 77.0
+    with pytest.raises(SkillFailed, match=r"servo\.overload: servo 3 \(joint 2\) is at 7\d °C and shuts down at 80"):
+        carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.1, 1.0)), bench.clock)
+
+
+def test_a_hung_tick_stops_the_arm_within_a_tenth_of_a_second(bench: Bench) -> None:
+    start = bench.arm.positions
+    bench.liveness.beat()
+    bench.arm.start(Sway(start, 0.4, 2.0))
+    end_s = time.monotonic() + 0.8
+    while time.monotonic() < end_s:
+        bench.liveness.beat()
+        time.sleep(0.01)
+    time.sleep(0.1)  # the tick hangs
+    stopped_at = bench.goal_counts()
+    time.sleep(0.1)
+    assert bench.goal_counts() == stopped_at
+    assert bench.group.fault is not None
+    assert "the run's tick hung" in bench.group.fault.detail
+    wait_for(lambda: bench.arm.is_stopped)
+    bench.liveness.beat()
+    carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.005, 0.05)), bench.clock)
+
+
+def test_a_host_that_falls_silent_is_stopped_by_the_servos_themselves(bench: Bench) -> None:
+    bench.arm.start(Sway(bench.arm.positions, 0.5, 2.0))
+    time.sleep(0.8)
+    bench.server.misbehaviour.drop = 10_000
+    bench.chain.bus.sync_write = lambda *a: None  # type: ignore[method-assign]
+    bench.chain.bus.fast_sync_read = lambda *a: {}  # type: ignore[method-assign]
+    time.sleep(0.1)
+    before = [servo.position for servo in bench.twin.servos.values()]
+    time.sleep(0.1)
+    assert [servo.position for servo in bench.twin.servos.values()] == pytest.approx(before, abs=1.0)
+    assert all(servo.get(98, 1, signed=True) == -1 for servo in bench.twin.servos.values())
+
+
+def test_a_computer_that_paused_is_noticed_and_the_tripped_watchdogs_are_cleared(bench: Bench) -> None:
+    trajectory = Sway(bench.arm.positions, 0.3, 1.0)
+    steps = bench.arm.follow(trajectory)
+    cycle = bench.chain._cycle
+
+    def pause(dt_s: float, now_s: float, read_now: bool) -> None:
+        bench.chain._cycle = cycle  # type: ignore[method-assign]
+        time.sleep(0.15)
+
+    for count, wake in enumerate(_until_failure(steps, "this computer paused for 1")):
+        bench.clock.wait([wake])
+        if count == 10:
+            bench.chain._cycle = pause  # type: ignore[method-assign]
+    wait_for(lambda: bench.arm.is_stopped)
+    carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.1, 0.3)), bench.clock)
+
+
+def _until_failure(steps, detail):  # type: ignore[no-untyped-def]
+    with pytest.raises(SkillFailed, match=detail):
+        yield from steps
+
+
+def test_a_servo_that_falls_off_the_line_is_named_and_taken_back(bench: Bench) -> None:
+    bench.twin.missing.add(6)
+    wait_for(lambda: bench.chain.lost is not None)
+    with pytest.raises(SkillFailed, match=r"device\.lost: .*servo 6 \(joint 5\) does not answer"):
+        carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.1, 0.3)), bench.clock)
+    bench.twin.missing.clear()
+    wait_for(lambda: bench.chain.lost is None)
+    carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.1, 0.3)), bench.clock)
+
+
+def test_an_unplugged_bus_is_reported_and_comes_back_holding(bench: Bench) -> None:
+    for _ in range(20):
+        bench.server.unplug()
+        wait_for(lambda: bench.chain.lost is not None)
+        assert bench.chain.lost is not None
+        assert bench.chain.lost.code == "device.lost"
+        bench.server.plug()
+        wait_for(lambda: bench.chain.lost is None)
+    carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.1, 0.3)), bench.clock)
+
+
+def test_a_line_that_now_and_then_garbles_or_drops_does_not_stop_a_motion(bench: Bench) -> None:
+    trajectory = Sway(bench.arm.positions, 0.2, 1.0)
+    for count, wake in enumerate(bench.arm.follow(trajectory)):
+        bench.clock.wait([wake])
+        if count % 10 == 0:
+            setattr(bench.server.misbehaviour, ("drop", "garble", "duplicate")[count // 10 % 3], 1)
+    assert np.allclose(bench.arm.positions, trajectory.sample(1.0), atol=0.01)
+
+
+def test_the_wrong_servo_at_an_id_is_named() -> None:
+    bench = Bench()
+    bench.twin.servos[3].put(0, 2, 1020)
+    with (
+        bench.server,
+        pytest.raises(SkillFailed, match=r"servo 3 \(joint 2\) .* is a XM430-W350, not a XM540-W270"),
+    ):
+        bench.chain.open()
+
+
+def test_a_servo_that_is_shut_down_is_named_at_the_start() -> None:
+    bench = Bench()
+    bench.twin.servos[3].fail(2)
+    with bench.server, pytest.raises(SkillFailed, match=r"servo\.overload: .*overheating and holds nothing"):
+        bench.chain.open()
+
+
+def test_directions_and_home_counts_come_from_the_cells_description() -> None:
+    axis = Axis(2, "joint 1", r.XM430, home_count=1000, direction=-1)
+    assert axis.count(math.pi / 2) == 1000 - 1024
+    assert axis.angle_rad(1000 - 1024) == pytest.approx(math.pi / 2)
+    spec = ArmSpec(options={"home_counts": [1, 2, 3, 4, 5, 6, 7], "directions": [1, -1, 1, 1, 1, 1, 1]})
+    assert [(axis.home_count, axis.direction) for axis in arm_axes(spec)][:2] == [(1, 1), (2, -1)]
