@@ -11,7 +11,7 @@ from scuhand_bt.skill import Forecast
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs
 from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent
-from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
+from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Decorator, Reference, TreeNode, Workflow
 from scuhand_bt.yaml_source import Mark, Problems
 
 CHANGE_POWDER = "change_powder"

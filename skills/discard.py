@@ -1,8 +1,8 @@
 """What is in the cone goes to waste."""
 
-from ._emptying import empty_cone
-
 from scuhand_bt.skill import Cell, Skill, Steps
+
+from ._emptying import empty_cone
 
 
 class Discard(Skill[None]):

@@ -22,7 +22,11 @@ class PlaceContainer(Skill[None]):
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
         container = inputs.get("container")
         by_hand = cell.changer.driver == "operator"
-        what = f"put {container.name} '{container.id}' on the pan" if isinstance(container, Container) else "put a container"
+        what = (
+            f"put {container.name} '{container.id}' on the pan"
+            if isinstance(container, Container)
+            else "put a container"
+        )
         return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
 
     def run(self, cell: Cell) -> Steps[None]:
@@ -37,7 +41,9 @@ class PlaceContainer(Skill[None]):
         kind = self.container
         cell.record.event("container", {"container": kind.id, "kind": kind.name, "mass_mg": mass_mg})
         if mass_mg < kind.empty_mass_mg / 10:
-            raise SkillFailed("container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {kind.name} stands on it")
+            raise SkillFailed(
+                "container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {kind.name} stands on it"
+            )
         if abs(mass_mg - kind.empty_mass_mg) > kind.empty_mass_tolerance_mg:
             raise SkillFailed(
                 "container.wrong_mass",

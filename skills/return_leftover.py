@@ -1,8 +1,8 @@
 """What is left in the cone goes back into its mortar."""
 
-from ._emptying import empty_cone
-
 from scuhand_bt.skill import Cell, Skill, SkillFailed, Source, Steps
+
+from ._emptying import empty_cone
 
 
 class ReturnLeftover(Skill[None]):

@@ -84,7 +84,9 @@ class Scoop(Skill[Milligrams]):
     def _require_clean(self, cell: Cell) -> None:
         believed = cell.believed
         if believed.sheet not in (None, self.source.sheet_key):
-            raise SkillFailed("hand.wrong_powder", f"the sheet has touched {believed.sheet}, not {self.source.sheet_key}")
+            raise SkillFailed(
+                "hand.wrong_powder", f"the sheet has touched {believed.sheet}, not {self.source.sheet_key}"
+            )
         if believed.cone_source not in (None, self.source.name) and believed.cone_mg > 0:
             raise SkillFailed("hand.wrong_powder", f"the cone still holds powder from '{believed.cone_source}'")
 

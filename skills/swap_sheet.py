@@ -25,7 +25,9 @@ class SwapSheet(Skill[None]):
             raise SkillFailed("hand.wrong_powder", f"the cone still holds powder from '{believed.cone_source}'")
         service = [station.name for station in cell.spec.stations.values() if station.kind == "service"]
         yield from cell.move_to(service[0] if service else cell.spec.station_of_kind("park").name)
-        answer = yield from cell.operator.ask(f"Put a fresh sheet into the hand; this one has touched {believed.sheet}.")
+        answer = yield from cell.operator.ask(
+            f"Put a fresh sheet into the hand; this one has touched {believed.sheet}."
+        )
         if answer != "done":
             raise SkillFailed("operator.refused", "the sheet was not swapped")
         cell.sheet_mounted()

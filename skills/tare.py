@@ -1,7 +1,7 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.skill import Cell, Milligrams, Skill, SkillFailed, Steps
 from scuhand_bt.devices.cell import DoseSoFar
+from scuhand_bt.skill import Cell, Milligrams, Skill, SkillFailed, Steps
 
 
 class Tare(Skill[Milligrams]):

@@ -10,7 +10,7 @@ from scuhand_bt.clock import Signal
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.plan import AFTER_FAILURE, Job, Plan
 from scuhand_bt.run.journal import Journal
-from scuhand_bt.run.runner import Outcome, Runner
+from scuhand_bt.run.runner import Outcome, Runner, SkillBug
 from scuhand_bt.sample import Sample
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
@@ -41,6 +41,11 @@ class SampleResult:
     code: str | None
     detail: str | None
     true_mg: float | None
+
+    @property
+    def is_good(self) -> bool:
+        """A dose in tolerance, or a workflow that was to dose nothing; and no failure."""
+        return self.code is None and self.verdict == ("no dose" if self.target_mg is None else "in tolerance")
 
 
 @dataclass(frozen=True)
@@ -87,9 +92,11 @@ class Batch:
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
-        exit_code, reason = EXIT_CELL_FAULT, ""
+        exit_code, reason = EXIT_CELL_FAULT, "broken"
         try:
             exit_code, reason = self._run_jobs()
+        except SkillBug as bug:
+            reason = str(bug)
         finally:
             if not self._runner.make_safe():
                 exit_code, reason = EXIT_CELL_FAULT, f"{reason}; a device did not stop".lstrip("; ")
@@ -98,7 +105,7 @@ class Batch:
                     self._note(self._result(job.sample, None, "not run", None, 0.0, 1))
             self._journal.event("ended", {"exit_code": exit_code, "reason": reason})
         in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
-        if exit_code == EXIT_OK and any(not _is_good(result) for result in in_order):
+        if exit_code == EXIT_OK and any(not result.is_good for result in in_order):
             exit_code = EXIT_FLAGGED
         return BatchResult(in_order, exit_code, reason, self._cell.clock.now_s)
 
@@ -214,9 +221,3 @@ def _inputs_for(sample: Sample, attempt: int) -> dict[str, Any]:
             if isinstance(value, Container):
                 inputs[name] = value.model_copy(update={"id": f"{value.id}.{attempt}"})
     return inputs
-
-
-def _is_good(result: SampleResult) -> bool:
-    """True for a dose in tolerance, or for a workflow that doses nothing; without any failure."""
-    has_target = result.target_mg is not None
-    return result.code is None and result.verdict == ("in tolerance" if has_target else "no dose")

@@ -25,7 +25,8 @@ CREATE TABLE action (
 CREATE TABLE pulse (
     id INTEGER PRIMARY KEY, action INTEGER REFERENCES action(id), time_s REAL NOT NULL, payload TEXT NOT NULL) STRICT;
 CREATE TABLE dose (
-    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job(id), time_s REAL NOT NULL, payload TEXT NOT NULL) STRICT;
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job(id), time_s REAL NOT NULL,
+    payload TEXT NOT NULL) STRICT;
 CREATE TABLE event (
     id INTEGER PRIMARY KEY, action INTEGER REFERENCES action(id), time_s REAL NOT NULL, kind TEXT NOT NULL,
     payload TEXT NOT NULL) STRICT;
@@ -53,7 +54,9 @@ def to_json(values: Any) -> str:
     """Compact JSON with sorted keys."""
     if isinstance(values, Mapping):
         values = {str(key): plain_value(value) for key, value in values.items()}
-    return json.dumps(plain_value(values) if not isinstance(values, dict) else values, sort_keys=True, default=plain_value)
+    return json.dumps(
+        plain_value(values) if not isinstance(values, dict) else values, sort_keys=True, default=plain_value
+    )
 
 
 class Journal:
@@ -99,7 +102,8 @@ class Journal:
 
     def action_started(self, path: str, visit: int, skill: str, inputs: Mapping[str, Any]) -> int:
         cursor = self._db.execute(
-            "INSERT INTO action (job, path, visit, skill, inputs, started_s, outcome) VALUES (?, ?, ?, ?, ?, ?, 'started')",
+            "INSERT INTO action (job, path, visit, skill, inputs, started_s, outcome) "
+            "VALUES (?, ?, ?, ?, ?, ?, 'started')",
             (self._job, path, visit, skill, to_json(inputs), self.now_s()),
         )
         assert cursor.lastrowid is not None

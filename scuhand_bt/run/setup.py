@@ -10,8 +10,8 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.plan import Plan
 from scuhand_bt.record import Record
-from scuhand_bt.run.clock import VirtualClock
-from scuhand_bt.run.operator import OperatorChanger, SimulatedOperator
+from scuhand_bt.run.clock import VirtualClock, WallClock
+from scuhand_bt.run.operator import OperatorChanger, SimulatedOperator, TerminalOperator
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.world import World
 
@@ -50,6 +50,33 @@ def simulated(plan: Plan, lab: Lab, options: DryRun, record: Record) -> tuple[Ce
     cell.sheet_mounted = world.swap_sheet
     _tell(cell, plan, lab)
     return cell, world
+
+
+def real(plan: Plan, lab: Lab, record: Record) -> Cell:
+    """The lab's cell with the devices that `cell.yaml` names.
+
+    Raises SkillFailed device.lost for a device that cannot be opened, arm.* for a way that cannot be planned.
+    """
+    from scuhand_bt.devices.connect import connect_cell_devices
+
+    clock = WallClock()
+    operator = TerminalOperator(clock, record, lambda question: print(question, flush=True))
+    arm, hand, balance, changer = connect_cell_devices(lab.cell, clock)
+    cell = Cell(
+        spec=lab.cell,
+        clock=clock,
+        record=record,
+        arm=arm,
+        hand=hand,
+        balance=balance,
+        changer=changer or OperatorChanger(operator),
+        operator=operator,
+        motion=prepared_motion(plan, lab),
+        sources=plan.recipe.sources,
+        simulated=False,
+    )
+    _tell(cell, plan, lab)
+    return cell
 
 
 def prepared_motion(plan: Plan, lab: Lab) -> MotionPlanner:

@@ -1,0 +1,325 @@
+"""The command line. Each command is a few lines over the public API; heavy imports wait until they are needed."""
+
+import json
+import shutil
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+import scuhand_bt
+from scuhand_bt.failures import CATALOGUE, SkillFailed
+from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.yaml_source import SourceError
+
+if TYPE_CHECKING:
+    from scuhand_bt.clock import Signal
+    from scuhand_bt.lab import Lab
+    from scuhand_bt.plan import Plan
+    from scuhand_bt.run.batch import BatchResult
+    from scuhand_bt.run.session import Session
+
+EXIT_BAD_INPUT = 2
+EXIT_CELL_FAULT = 3
+
+app = typer.Typer(
+    help="Scoop and dispense powders by recipe. Exit codes: 0 all doses in tolerance; 1 finished with flagged doses; "
+    "2 bad input; 3 cell fault; 130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+RecipeArgument = Annotated[Path, typer.Argument(help="A recipe file (YAML).", show_default=False)]
+LabOption = Annotated[
+    Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one upward from the recipe.")
+]
+NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
+
+
+def main() -> None:
+    """Entry point: runs a command and turns bad input into located lines and an exit code."""
+    try:
+        app()
+    except SourceError as error:
+        for problem in error.problems:
+            err.print(Text(str(problem)))
+        count = len(error.problems)
+        if count > 1:
+            err.print(f"{count} problems; nothing was moved.")
+        sys.exit(EXIT_BAD_INPUT)
+    except SkillFailed as error:
+        remedy = CATALOGUE[error.code].remedy if error.code in CATALOGUE else ""
+        err.print(Text(f"{error}. {remedy}".rstrip()))
+        sys.exit(EXIT_CELL_FAULT)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        out.print(f"scuhand-bt {scuhand_bt.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
+    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.plan import make_plan
+    from scuhand_bt.recipe import load_recipe
+
+    lab = load_lab(find_lab(recipe, folder))
+    return make_plan(load_recipe(recipe, lab), lab), lab
+
+
+@app.command()
+def run(
+    recipe: RecipeArgument,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Run on simulated devices.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness of a dry run.")] = 0,
+    speed: Annotated[float | None, typer.Option(help="Watch a dry run at so many times real time.")] = None,
+    controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
+    plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
+    lab: LabOption = None,
+) -> None:
+    """Run a recipe on the cell, or with --dry-run on simulated devices."""
+    from scuhand_bt.live import doses_table, end_line
+
+    if speed is not None and not 0 < speed < float("inf"):
+        raise typer.BadParameter("must be more than 0", param_hint="--speed")
+    if not dry_run and (plant is not None or speed is not None):
+        raise typer.BadParameter("only a dry run has a simulated plant and a speed", param_hint="--plant/--speed")
+    if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
+        raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
+    began = time.monotonic()
+    plan, loaded = _plan(recipe, lab)
+    from scuhand_bt.run.session import Options, Session
+    from scuhand_bt.run.setup import DryRun
+    from scuhand_bt.sim.plant import PlantError
+
+    what = f"{plan.recipe.name}: {len(plan.recipe.samples)} samples on the cell '{loaded.cell.cell}'"
+    title = f"{what}, SIMULATED (seed {seed})" if dry_run else f"{what}, real devices"
+    try:
+        session = Session(plan, loaded, Options(DryRun(seed, plant, speed) if dry_run else None, controller))
+        out.print(Text(title))
+        with stopping_on_signals(session.stop):
+            result = _watched(session, title)
+    except PlantError as error:
+        err.print(Text(f"{error}"))
+        raise typer.Exit(EXIT_BAD_INPUT) from None
+    out.print(doses_table(result.samples))
+    out.print(Text(end_line(result, time.monotonic() - began)))
+    out.print(Text(f"Journal: {session.journal.path}"))
+    if json_file is not None:
+        from scuhand_bt.run.export import canonical
+
+        json_file.write_text(canonical(session.journal.path), encoding="utf-8")
+    raise typer.Exit(result.exit_code)
+
+
+def _watched(session: "Session", title: str) -> "BatchResult":
+    """Run with the live view on a terminal, else with plain lines."""
+    from scuhand_bt.live import LiveView, PlainLines
+
+    try:
+        if out.is_terminal:
+            with LiveView(out, session.cell, session.plan, title) as view:
+                return session.run(view)
+        return session.run(PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples)))
+    finally:
+        session.close()
+
+
+@contextmanager
+def stopping_on_signals(stop: "Signal") -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the run safely instead of the process at once."""
+    before = {number: signal.signal(number, lambda *_: stop.fire()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@app.command()
+def check(recipe: RecipeArgument, lab: LabOption = None, as_json: NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
+JsonFlag = False) -> None:
+    """Check a recipe, its tables and its workflows, without running anything."""
+    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.plan import make_plan
+    from scuhand_bt.recipe import load_recipe
+
+    try:
+        loaded = load_lab(find_lab(recipe, lab))
+        checked = load_recipe(recipe, loaded)
+        make_plan(checked, loaded)
+    except SourceError as error:
+        if not as_json:
+            raise
+        problems = [
+            {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
+            for p in error.problems
+        ]
+        out.print_json(json.dumps({"ok": False, "problems": problems}))
+        raise typer.Exit(EXIT_BAD_INPUT) from None
+    if as_json:
+        out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": []}))
+    else:
+        out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
+
+
+@app.command()
+def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
+JsonFlag = False) -> None:
+    """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
+    made, _ = _plan(recipe, lab)
+    if as_json:
+        out.print_json(json.dumps(_plan_values(made)))
+        return
+    jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
+    for number, job in enumerate(made.jobs, start=1):
+        sample = job.sample
+        if sample is None:
+            jobs.add_row(str(number), job.name, job.workflow, "", "", "", "", style="cyan")
+            continue
+        jobs.add_row(
+            str(number),
+            sample.id,
+            sample.workflow,
+            sample.source.name if sample.source else "",
+            sample.container.name if sample.container else "",
+            format_mass(sample.mass_mg) if sample.mass_mg is not None else "",
+            f"{sample.tolerance_mg:g} mg" if sample.tolerance_mg is not None else "",
+        )
+    out.print(jobs)
+    powders = Table("source", "powder", "samples", "needed with losses", "amount", show_edge=False)
+    for demand in made.demands:
+        source = demand.source
+        needed, amount = format_mass(demand.needed_mg), format_mass(source.amount_mg)
+        powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
+    out.print()
+    out.print(powders)
+    out.print(f"\nSheet swaps: {made.swaps}. Estimated duration: {format_duration(made.duration_s)}.")
+    out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
+    if not made.persons:
+        out.print("After the start no person is needed.")
+    for person in made.persons:
+        out.print(Text(f"A person is needed at '{person.job}': {person.what}."))
+
+
+def _plan_values(made: "Plan") -> dict[str, Any]:
+    return {
+        "recipe": made.recipe.name,
+        "jobs": [
+            {
+                "name": job.name,
+                "workflow": job.workflow,
+                "sample": job.sample.id if job.sample else None,
+                "source": job.sample.source.name if job.sample and job.sample.source else None,
+                "container": job.sample.container.name if job.sample and job.sample.container else None,
+                "mass_mg": job.sample.mass_mg if job.sample else None,
+                "tolerance_mg": job.sample.tolerance_mg if job.sample else None,
+            }
+            for job in made.jobs
+        ],
+        "swaps": made.swaps,
+        "sources": [
+            {
+                "name": demand.source.name,
+                "powder": demand.source.powder.name,
+                "samples": demand.samples,
+                "needed_mg": demand.needed_mg,
+                "amount_mg": demand.source.amount_mg,
+            }
+            for demand in made.demands
+        ],
+        "persons": [{"job": person.job, "what": person.what} for person in made.persons],
+        "duration_s": made.duration_s,
+    }
+
+
+@app.command()
+def skills(
+    name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None, lab: LabOption = None
+) -> None:
+    """List the lab's skills, or show one with its parameters."""
+    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.tree.wires import of_field
+
+    library = load_lab(find_lab(None, lab)).library
+    if name is None:
+        table = Table("skill", "what it is for", show_edge=False)
+        for key, skill in library.skills.items():
+            table.add_row(key, skill.summary())
+        out.print(table)
+        return
+    if name not in library.skills:
+        raise typer.BadParameter(f"unknown skill '{name}'; known: {', '.join(library.skills)}")
+    skill = library.skills[name]
+    out.print(f"{name}: {skill.summary()}")
+    out.print(f"commands: {', '.join(skill.devices) or 'nothing'}; gives: {of_field(skill.result_type()).name}")
+    table = Table("parameter", "type", "default", show_edge=False)
+    for key, parameter in library.parameters(name).items():
+        field = next(info for field_name, info in skill.model_fields.items() if (info.alias or field_name) == key)
+        table.add_row(key, parameter.wire.name, "required" if parameter.required else str(field.default))
+    out.print(table)
+
+
+@app.command()
+def trees(
+    name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None, lab: LabOption = None
+) -> None:
+    """List the lab's workflows, or show one; all of them are checked."""
+    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.tree.check import check_workflows
+    from scuhand_bt.yaml_source import Problems
+
+    loaded = load_lab(find_lab(None, lab))
+    problems = Problems()
+    check_workflows(loaded.library, loaded.library.workflows, problems)
+    problems.raise_any()
+    if name is not None:
+        if name not in loaded.library.workflows:
+            raise typer.BadParameter(f"unknown workflow '{name}'; known: {', '.join(loaded.library.workflows)}")
+        out.print(Text((loaded.folder / "trees" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()))
+        return
+    table = Table("workflow", "inputs", "what it is for", show_edge=False)
+    for key, workflow in loaded.library.workflows.items():
+        inputs = ", ".join(f"{declared.name}: {declared.type.name}" for declared in workflow.inputs.values())
+        table.add_row(key, inputs, workflow.summary)
+    out.print(table)
+
+
+@app.command()
+def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", show_default=False)]) -> None:
+    """Make a lab of your own: a copy of the starter lab's robot, skills, trees and recipes."""
+    from scuhand_bt.lab import starter_lab
+
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise typer.BadParameter(f"'{folder}' exists and is not empty")
+    for part in ("robot", "skills", "trees", "recipes"):
+        ignore = shutil.ignore_patterns("__pycache__", ".scuhand")
+        shutil.copytree(starter_lab() / part, folder / part, ignore=ignore)
+    out.print(Text(f"A lab in {folder}. Try: scuhand-bt run {folder / 'recipes' / 'xrd_holders.yaml'} --dry-run"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,176 @@
+"""What a person sees while a batch runs, and the table at its end."""
+
+import time
+from collections.abc import Callable
+from datetime import timedelta
+
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from rich.box import SIMPLE
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.plan import Job, Plan
+from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.run.batch import BatchResult, SampleResult
+
+REFRESH_S = 0.1
+LAST_DOSES = 8
+_STATUS = {
+    Status.SUCCESS: ("✓", "green"),
+    Status.FAILURE: ("✗", "red"),
+    Status.RUNNING: ("▶", "bold yellow"),
+    Status.INVALID: ("·", "dim"),
+}
+
+
+class PlainLines:
+    """The batch as plain lines, for a log: one for every sample that has ended."""
+
+    def __init__(self, write: Callable[[str], None], total: int) -> None:
+        self._write = write
+        self._total = total
+        self._done = 0
+
+    def ticked(self, root: Behaviour) -> None:
+        pass
+
+    def job_started(self, job: Job, number: int) -> None:
+        if job.sample is None:
+            self._write(f"{job.name}")
+
+    def sample_ended(self, result: SampleResult) -> None:
+        self._done += 1
+        self._write(f"[{self._done}/{self._total}] {result.id}: {_in_words(result)}")
+
+
+class LiveView:
+    """The current job's tree, progress and time left, the balance, and the finished doses; on a terminal."""
+
+    def __init__(self, console: Console, cell: Cell, plan: Plan, title: str) -> None:
+        self._cell = cell
+        self._plan = plan
+        self._title = title
+        self._total = len(plan.recipe.samples)
+        self._results: list[SampleResult] = []
+        self._job: Job | None = None
+        self._root: Behaviour | None = None
+        self._shown_at = 0.0
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+
+    def __enter__(self) -> "LiveView":
+        self._live.__enter__()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._live.__exit__(None, None, None)
+
+    def ticked(self, root: Behaviour) -> None:
+        self._root = root
+        now = time.monotonic()
+        if now - self._shown_at >= REFRESH_S:
+            self._shown_at = now
+            self._live.update(self._picture(), refresh=True)
+
+    def job_started(self, job: Job, number: int) -> None:
+        self._job = job
+
+    def sample_ended(self, result: SampleResult) -> None:
+        self._results.append(result)
+
+    def _picture(self) -> Group:
+        done = len(self._results)
+        left_s = self._time_left_s()
+        progress = Table.grid(padding=(0, 1))
+        progress.add_row(
+            ProgressBar(total=max(self._total, 1), completed=done, width=40),
+            f"{done}/{self._total} samples",
+            f"about {format_duration(left_s)} left" if left_s is not None else "",
+        )
+        reading = self._cell.balance.latest
+        balance = "no reading"
+        if reading is not None:
+            balance = f"{reading.value_mg / 1000:10.4f} g  {'stable' if reading.stable else 'moving'}"
+            empty_mg = self._cell.believed.pan_empty_mg
+            if empty_mg is not None:
+                balance += f"   net {format_mass(reading.value_mg - empty_mg)}"
+        status = Table.grid(padding=(0, 2))
+        status.add_row("balance", balance)
+        status.add_row("valve", f"{self._cell.hand.opening_mm:.2f} mm")
+        status.add_row("run time", str(timedelta(seconds=round(self._cell.clock.now_s))))
+        tree = Text() if self._root is None else tree_text(self._root)
+        name = self._job.name if self._job is not None else ""
+        parts = [Text(self._title, style="bold"), progress, Panel(tree, title=name, title_align="left"), status]
+        if self._results:
+            parts.append(doses_table(self._results[-LAST_DOSES:]))
+        return Group(*parts)
+
+    def _time_left_s(self) -> float | None:
+        """The forecast's rest, corrected by how the samples until now compared with it."""
+        done = len(self._results)
+        if not done:
+            return self._plan.duration_s
+        return self._cell.clock.now_s / done * (self._total - done)
+
+
+def tree_text(root: Behaviour, indent: int = 0) -> Text:
+    """A tree as indented lines, each node with the sign of its status."""
+    sign, style = _STATUS[root.status]
+    text = Text("  " * indent + f"{sign} {root.name}\n", style=style)
+    for child in root.children:
+        text.append_text(tree_text(child, indent + 1))
+    return text
+
+
+def doses_table(results: list[SampleResult] | tuple[SampleResult, ...]) -> Table:
+    """The doses as a table."""
+    is_judged = any(result.true_mg is not None for result in results)
+    table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("id")
+    table.add_column("container")
+    for name in ("target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds"):
+        table.add_column(name, justify="right")
+    table.add_column("verdict")
+    table.add_column("controller")
+    if is_judged:
+        table.add_column("true (sim.)", justify="right")
+    for result in results:
+        cells = [
+            result.id,
+            result.container or "",
+            format_mass(result.target_mg) if result.target_mg is not None else "",
+            format_mass(result.dispensed_mg) if result.dispensed_mg is not None else "–",
+            f"{result.error_mg:+.1f} ± {result.uncertainty_mg:.1f}" if result.error_mg is not None else "–",
+            f"{result.tolerance_mg:g}" if result.tolerance_mg is not None else "",
+            str(result.pulses),
+            str(result.scoops),
+            f"{result.vibration_s:.0f}",
+            f"{result.duration_s:.0f}",
+        ]
+        verdict = result.verdict if result.code is None else f"{result.verdict}, {result.code}"
+        last: list[str | Text] = [Text(verdict, style="green" if result.is_good else "red"), result.controller or ""]
+        if is_judged:
+            last.append(format_mass(result.true_mg) if result.true_mg is not None else "–")
+        table.add_row(*cells, *last)
+    return table
+
+
+def end_line(result: BatchResult, seconds: float) -> str:
+    """One sentence about the whole run."""
+    good = sum(1 for sample in result.samples if sample.is_good)
+    line = f"{good} of {len(result.samples)} samples good; {format_duration(result.duration_s)} of run time"
+    line += f", computed in {seconds:.1f} s"
+    return f"{line}. Ended early: {result.reason}" if result.reason else f"{line}."
+
+
+def _in_words(result: SampleResult) -> str:
+    if result.dispensed_mg is None or result.target_mg is None or result.error_mg is None:
+        return f"{result.verdict}" + (f" ({result.code}: {result.detail})" if result.code else "")
+    line = f"{format_mass(result.dispensed_mg)} of {format_mass(result.target_mg)} ({result.error_mg:+.1f} mg)"
+    line += f" in {result.pulses} pulses, {format_duration(result.duration_s)}: {result.verdict}"
+    return line + (f" ({result.code})" if result.code else "")

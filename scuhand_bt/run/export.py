@@ -1,0 +1,51 @@
+"""The canonical export of a run: what happened, so written that two runs of one seed compare equal.
+
+Virtual times, no wall times, no ids of the run, no paths; keys sorted, numbers rounded to a fixed
+number of decimals. It is made from the journal.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from scuhand_bt.run.journal import read
+
+DECIMALS = 6
+RUN_KEYS = ("recipe", "recipe_hash", "seed", "simulated", "plant", "controller", "version")
+
+
+def canonical(journal: Path) -> str:
+    """The export of a journal as JSON text."""
+    return json.dumps(_export(journal), sort_keys=True, indent=1, ensure_ascii=False) + "\n"
+
+
+def _export(journal: Path) -> dict[str, Any]:
+    run = {row["key"]: row["value"] for row in read(journal, "run")}
+    events = read(journal, "event")
+    actions = read(journal, "action")
+    ends = [event["payload"] for event in events if event["kind"] == "ended"]
+    matter = [event["payload"] for event in events if event["kind"] == "matter"]
+    return _rounded(
+        {
+            "run": {key: run[key] for key in RUN_KEYS if key in run},
+            "samples": [event["payload"] for event in events if event["kind"] == "sample"],
+            "end": ends[-1] if ends else None,
+            "matter_mg": matter[-1] if matter else None,
+            "jobs": [{key: value for key, value in row.items() if key != "id"} for row in read(journal, "job")],
+            "actions": [{key: value for key, value in row.items() if key not in ("id", "job")} for row in actions],
+            "pulses": [{"time_s": row["time_s"], **row["payload"]} for row in read(journal, "pulse")],
+            "events": [
+                {"time_s": event["time_s"], "kind": event["kind"], **event["payload"]}
+                for event in events
+                if event["kind"] not in ("sample", "ended", "matter", "dose_curve")
+            ],
+        }
+    )
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, DECIMALS) + 0.0  # no minus zero
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list) else value

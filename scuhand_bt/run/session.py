@@ -1,0 +1,127 @@
+"""One run from plan to result: the cell, its journal, and the batch between them."""
+
+import os
+import secrets
+import sqlite3
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import scuhand_bt
+from scuhand_bt.clock import Signal
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.dosing import CONTROLLERS
+from scuhand_bt.lab import Lab, starter_lab
+from scuhand_bt.plan import Plan
+from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
+from scuhand_bt.run.journal import Journal
+from scuhand_bt.run.setup import DryRun, real, simulated
+from scuhand_bt.sim.world import World
+from scuhand_bt.yaml_source import Mark, Problem, SourceError
+
+LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a plan is run: `dry_run` is None on the real cell; `controller` overrides the recipe's."""
+
+    dry_run: DryRun | None
+    controller: str | None = None
+    folder: Path | None = None
+    """Where the journal goes; the lab's own `.scuhand/runs` if None."""
+
+
+class Session:
+    """A cell made ready for a plan. `run` once, then `close`.
+
+    Raises, before anything moves: SourceError for an unknown controller or an unwritable folder, PlantError for
+    a plant that cannot be used, SkillFailed for places without a way between them, or a device that does not answer.
+    """
+
+    def __init__(self, plan: Plan, lab: Lab, options: Options) -> None:
+        _check_controller(options.controller)
+        self.plan = plan
+        self.stop = Signal()
+        """Fire it to end the run safely at the next tick (Ctrl-C does)."""
+        self.run_id = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
+        folder = options.folder or runs_folder(lab)
+        self.journal = _open_journal(folder / f"{self.run_id}.sqlite", durable=options.dry_run is None)
+        self.world: World | None = None
+        try:
+            if options.dry_run is not None:
+                self.cell, self.world = simulated(plan, lab, options.dry_run, self.journal)
+            else:
+                self.cell = real(plan, lab, self.journal)
+        except BaseException:
+            self.journal.close()
+            raise
+        if options.controller is not None:
+            self.cell.controller = options.controller
+        self.journal.now_s = lambda: self.cell.clock.now_s
+        self.journal.describe_run(_describe(plan, lab, options, self.cell, self.run_id))
+        self._library = lab.library
+
+    def run(self, observer: BatchObserver) -> BatchResult:
+        """Run the batch to its end; whatever happens, the cell ends safe."""
+        world = self.world
+        judge: Callable[[str], float] | None = world.true_mass if world is not None else None
+        batch = Batch(self.plan, self.cell, self._library, self.journal, observer, self.stop, judge)
+        try:
+            return batch.run()
+        finally:
+            if world is not None:
+                self.journal.event("matter", world.masses_mg)
+
+    def close(self) -> None:
+        self.journal.close()
+
+
+def runs_folder(lab: Lab) -> Path:
+    """Where journals go: the lab's `.scuhand/runs`, or the working folder's where the lab is not the user's own."""
+    packed = lab.folder == starter_lab() and lab.folder.name == "starter_lab"
+    home = Path.cwd() if packed or not os.access(lab.folder, os.W_OK) else lab.folder
+    return home / ".scuhand" / "runs"
+
+
+def _open_journal(path: Path, *, durable: bool) -> Journal:
+    try:
+        return Journal(path, durable=durable)
+    except (OSError, sqlite3.Error) as error:
+        problem = Problem(Mark(str(path)), f"the journal cannot be written: {error}; nothing was moved")
+        raise SourceError([problem]) from None
+
+
+def _check_controller(name: str | None) -> None:
+    if name is not None and name not in CONTROLLERS:
+        problem = f"unknown controller '{name}'; known: {', '.join(CONTROLLERS)}"
+        raise SourceError([Problem(Mark("--controller"), problem)])
+
+
+def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> dict[str, object]:
+    dry_run = options.dry_run
+    return {
+        "run": run_id,
+        "recipe": plan.recipe.name,
+        "recipe_hash": plan.recipe.hash,
+        "recipe_text": plan.recipe.text,
+        "recipe_path": str(plan.recipe.path),
+        "lab": str(lab.folder),
+        "cell": lab.cell.cell,
+        "simulated": dry_run is not None,
+        "seed": dry_run.seed if dry_run is not None else None,
+        "plant": (dry_run.plant or lab.cell.plant or "scuhand_bt") if dry_run is not None else None,
+        "controller": cell.controller,
+        "version": scuhand_bt.__version__,
+        "libraries": {name: _version(name) for name in LIBRARIES},
+        "started": datetime.now().astimezone().isoformat(timespec="seconds"),
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"
