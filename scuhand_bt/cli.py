@@ -160,8 +160,7 @@ def stopping_on_signals(stop: "Signal") -> Iterator[None]:
 
 
 @app.command()
-def check(recipe: RecipeArgument, lab: LabOption = None, as_json: NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
-JsonFlag = False) -> None:
+def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Check a recipe, its tables and its workflows, without running anything."""
     from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.plan import make_plan
@@ -187,8 +186,7 @@ JsonFlag = False) -> None:
 
 
 @app.command()
-def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
-JsonFlag = False) -> None:
+def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
     made, _ = _plan(recipe, lab)
     if as_json:
