@@ -1,20 +1,25 @@
 """Controller `direct_pid`: the paper's baseline, a PID loop from the error straight to the valve.
 
-    u = Kp e + Ki sum(e) + Kd (e - e_before),   D = D_max sat(u),   t = t_max sat(u)
+    u = Kp e + Ki s + Kd (e - e_before),   s' = kept s + e
+    D = D_min + (D_max - D_min) sat(u),   t = t_min + (t_max - t_min) sat(u)
 
-e error [mg], u in 0..1. One setting for all targets, tuned at 500 mg as the paper says: so it crawls at
-20 mg, where u stays below the onset of flow until the sum has grown, and at 3 g the sum wound up
-on the way holds the valve open through the target (Takahashi et al., ICRA 2026, section V).
+e error [mg], s its leaking sum, u the effort 0..1. One setting for all targets, as in the paper (Takahashi et
+al., ICRA 2026, section V), which does not print its gains: these are fitted by hand to its three
+columns. It crawls at 20 mg, where u hardly opens the valve beyond the onset of flow, and overshoots at 3 g,
+where what the sum has gathered on the way holds the valve wide open through the target.
 """
 
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse
 from scuhand_bt.dosing.paper import WAIT_S
 
-KP_PER_MG = 3.0e-4
-KI_PER_MG = 2.0e-5
-KD_PER_MG = 1.0e-4
-LONGEST_DWELL_S = 2.0
-SHORTEST_DWELL_S = 0.1
+KP_PER_MG = 3.9e-4
+KI_PER_MG = 1.63e-4
+KD_PER_MG = 7.3e-3
+KEPT = 0.905
+"""What the sum keeps of itself from one step to the next."""
+NARROWEST_MM = 0.165
+SHORTEST_DWELL_S = 0.10
+LONGEST_DWELL_S = 0.53
 DRY_STEPS = 8
 """Full openings in a row without powder after which the cone is given up."""
 
@@ -50,7 +55,7 @@ class DirectPid:
             if self._steps >= request.step_limit:
                 return Finish("step_limit", seen.net_mg, seen.uncertainty_mg)
         error_mg = request.target_mg - self._net_mg
-        self._sum_mg += error_mg
+        self._sum_mg = KEPT * self._sum_mg + error_mg
         change_mg = 0.0 if self._before_mg is None else error_mg - self._before_mg
         self._before_mg = error_mg
         effort = KP_PER_MG * error_mg + KI_PER_MG * self._sum_mg + KD_PER_MG * change_mg
@@ -58,5 +63,6 @@ class DirectPid:
         self._full = effort >= 1.0
         self._steps += 1
         vibration = 1.0 if request.powder.vibration else 0.0
-        dwell_s = max(SHORTEST_DWELL_S, effort * LONGEST_DWELL_S)
-        return Pulse(effort * request.max_opening_mm, dwell_s, vibration, WAIT_S)
+        opening_mm = NARROWEST_MM + effort * (request.max_opening_mm - NARROWEST_MM)
+        dwell_s = SHORTEST_DWELL_S + effort * (LONGEST_DWELL_S - SHORTEST_DWELL_S)
+        return Pulse(opening_mm, dwell_s, vibration, WAIT_S)

@@ -13,7 +13,7 @@ The listing leaves gaps and has defects. Each is handled here as named:
 * *A stale C'.* The listing switches one model to 'vibration mode' internally; each mode's C' is then
   fitted only while that mode runs. After a clogged pulse the gravity C' collapses, vibration takes
   over, and near the target the choice returns to gravity with the collapsed C' and a wide opening.
-  Here a mode's pulse is sized with the largest C' that any fit of this dose gave that mode.
+  Here a mode that did not run last is sized with the largest C' that any fit of this dose gave it.
 * *Looping after an overshoot.* `while |e| >= 2` never ends once e <= -2: powder cannot be taken back.
   The dose ends as `overshoot`.
 * *No way out of an empty cone.* Full openings under vibration that bring nothing end the dose, as
@@ -32,10 +32,14 @@ STORED_MG = 0.5
 SHORTEST_DWELL_S = 0.1
 LONGEST_DWELL_S = 2.0
 """t_pose = 200 in the listing; the times per step of Table II say that its unit is 10 ms."""
-WAIT_S = 4.0
+WAIT_S = 6.3
 """Fixed wait of the paper's rig after each pulse, on top of the balance's settling (Table II: a step
 takes 7.2 s plus the time the valve is open)."""
-BARREN_PULSES = 3
+CAUTION = 3.0
+"""The listing starts without a C'. It is started this much too large, so that the first pulses are small, and
+stays in the fit as one more pulse like the first, so that one odd pulse cannot collapse it."""
+BARREN_PULSES = 5
+LOWERED = 2.0 / 3.0
 DRY_PULSES = 5
 
 
@@ -45,6 +49,8 @@ class _Mode:
 
     coefficient: float
     largest: float
+    """The largest fitted so far."""
+    fitted: bool = False
     bases: list[float] = field(default_factory=list)
     masses_mg: list[float] = field(default_factory=list)
 
@@ -52,7 +58,8 @@ class _Mode:
         self.bases.append(pulse_basis)
         self.masses_mg.append(max(mass_mg, 0.0))
         self.coefficient = fit_coefficient(self.bases, self.masses_mg)
-        self.largest = self.coefficient if len(self.bases) == 1 else max(self.largest, self.coefficient)
+        self.largest = max(self.largest, self.coefficient) if self.fitted else self.coefficient
+        self.fitted = True
 
 
 class Paper:
@@ -63,7 +70,7 @@ class Paper:
     def __init__(self, request: DoseRequest) -> None:
         self._request = request
         flows = request.powder.vibration == 0.0
-        start = request.powder.coefficient
+        start = CAUTION * request.powder.coefficient
         self._gravity = _Mode(start if flows else 0.0, start)
         self._vibrated = _Mode(start, start)
         self._pulse: Pulse | None = None
@@ -97,8 +104,12 @@ class Paper:
         pulse_basis = basis(pulse.opening_mm, pulse.dwell_s, self._request.valve_speed_mm_per_s)
         barren = gained_mg < 0.5 * mode.coefficient * pulse_basis
         self._barren = self._barren + 1 if barren else 0
-        if gained_mg >= STORED_MG or self._barren >= BARREN_PULSES:
+        if gained_mg >= STORED_MG:
+            if not mode.bases:
+                mode.store(pulse_basis, mode.coefficient * pulse_basis)
             mode.store(pulse_basis, gained_mg)
+        elif self._barren >= BARREN_PULSES:
+            mode.coefficient *= LOWERED
         full = pulse.opening_mm >= self._request.max_opening_mm and pulse.dwell_s >= LONGEST_DWELL_S
         self._dry = self._dry + 1 if full and pulse.vibration and gained_mg < STORED_MG else 0
 
@@ -107,9 +118,9 @@ class Paper:
         gravity = PulseModel(self._gravity.coefficient, request.valve_speed_mm_per_s)
         vibrate = gravity.mass_mg(request.max_opening_mm, LONGEST_DWELL_S) < aim_mg
         mode = self._vibrated if vibrate else self._gravity
-        opening_mm, dwell_s = solve_pulse(
-            aim_mg / max(mode.largest, 1e-9), request.max_opening_mm, request.valve_speed_mm_per_s
-        )
+        ran_last = self._pulse is not None and (self._pulse.vibration > 0.0) == vibrate
+        coefficient = max(mode.coefficient if ran_last else mode.largest, 1e-9)
+        opening_mm, dwell_s = solve_pulse(aim_mg / coefficient, request.max_opening_mm, request.valve_speed_mm_per_s)
         return Pulse(opening_mm, dwell_s, 1.0 if vibrate else 0.0, WAIT_S)
 
 
