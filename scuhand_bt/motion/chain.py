@@ -36,6 +36,8 @@ class Chain:
     points: Floats
     speeds: Floats
     motion: JointTrajectory
+    polyline: Floats
+    """The free polyline it began as."""
 
     @property
     def duration_s(self) -> float:
@@ -55,13 +57,13 @@ class Shaper:
         self._offset_m = apex_offset_m
         self._spill_deg = spill_limit_deg
 
-    def proven(self, points: Floats, speeds: Floats, quicker_than_s: float = np.inf) -> Chain | None:
+    def proven(self, points: Floats, speeds: Floats, polyline: Floats, quicker_than_s: float = np.inf) -> Chain | None:
         """The chain as a motion that is free and within all limits; None if it is not, or not quicker."""
         pieces = self._law.chain(points, speeds)
         if pieces is None or sum(piece.duration for piece in pieces) >= quicker_than_s:
             return None
         motion = self._proven(cubics(pieces), quicker_than_s)
-        return None if motion is None else Chain(points, speeds, motion)
+        return None if motion is None else Chain(points, speeds, motion, polyline)
 
     def _proven(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
         """A motion in the chart's coordinates as a proven one of the joints, as slow as it must be."""
@@ -94,12 +96,12 @@ class Shaper:
         speeds = np.zeros_like(path)
         speeds[1:-1] = (path[2:] - path[:-2]) / (legs_s[1:] + legs_s[:-1])[:, None]
         for scale in _FIRST_SPEEDS:
-            chain = self.proven(path, np.clip(scale * speeds, -self._law.limits.speed, self._law.limits.speed))
+            chain = self.proven(path, np.clip(scale * speeds, -self._law.limits.speed, self._law.limits.speed), path)
             if chain is not None:
                 return chain
         # Each edge was proven as a line, so following the lines is free, whatever else is not.
         motion = self._proven(self._law.straight(path))
-        return None if motion is None else Chain(path, np.zeros_like(path), motion)
+        return None if motion is None else Chain(path, np.zeros_like(path), motion, path)
 
     def improved(self, chain: Chain, rng: np.random.Generator, rounds: int) -> Chain:
         """A quicker chain, after at most `rounds` of proposals."""
@@ -129,7 +131,7 @@ class Shaper:
             for duration_s, _, points, speeds in proposals[:_PROVEN_PER_ROUND]:
                 if duration_s >= chain.duration_s:
                     break
-                better = self.proven(points, speeds, chain.duration_s)
+                better = self.proven(points, speeds, chain.polyline, chain.duration_s)
                 if better is not None:
                     break
             if better is None:

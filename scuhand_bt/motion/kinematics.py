@@ -275,8 +275,7 @@ def _within(q: Floats, limits: Floats) -> NDArray[np.bool_]:
 
 @cache
 def _even_swivels() -> Floats:
-    swivels: Floats = (np.arange(SWIVELS) + 0.5) * (2 * math.pi / SWIVELS)
-    return swivels
+    return np.linspace(0.0, 2 * math.pi, SWIVELS, endpoint=False)
 
 
 def solutions(pose: ApexPose, apex_offset_m: float, limits: Floats = LIMITS_RAD) -> Floats:

@@ -19,8 +19,10 @@ import numpy as np
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import contact as contact_path
 from scuhand_bt.motion import surroundings, transfer
+from scuhand_bt.motion.chain import Chain
 from scuhand_bt.motion.collision import Arm, Scene, Solid
 from scuhand_bt.motion.kinematics import (
+    COUNT_RAD,
     ApexPose,
     Floats,
     along,
@@ -35,10 +37,15 @@ from scuhand_bt.motion.kinematics import (
 from scuhand_bt.motion.stopping import Rest, Stop, stop
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
+from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Station
 
 CONE_DIAMETER_M = 0.090
 MARGIN_M = 0.005
+RELAXED_RAD = (-0.2, 0.0, -1.6, 0.0, -1.2, 0.0)
+"""j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
+SETTLED_RAD = 2 * COUNT_RAD
+"""How far an arm at rest may report to be from where it was sent."""
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
 
@@ -72,6 +79,7 @@ class MotionPlanner:
     def __init__(
         self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None, *, threads: int = 2
     ) -> None:
+        self.urdf = urdf
         self._arm = Arm(urdf)
         self._cell = cell
         self._mortars = dict(mortars or {})
@@ -81,7 +89,7 @@ class MotionPlanner:
         self._threads = threads
         self._offset_m = cell.hand.apex_offset_mm / 1e3
         rates, speed = self._arm.rates, cell.arm.speed_ratio
-        self._rates = RateLimits(rates.speed * speed, rates.acceleration, rates.jerk)
+        self.rates = RateLimits(rates.speed * speed, rates.acceleration, rates.jerk)
         self._geometry = Geometry()
         self._scenes: dict[tuple[Geometry, float], Scene] = {}
         self._places: dict[str, ApexPose] = {}
@@ -113,37 +121,38 @@ class MotionPlanner:
             self.add_place(name, ApexPose(np.array([x, y, z]) / 1e3))
         return self._posture(name).copy()
 
-    def prepare(self) -> None:
+    def prepare(self, effort: Effort = POLISHED) -> None:
         """Plan all pairs of places for the present geometry, so that 'no path' is found before anything moves."""
         names = list(self._places)
         for k, first in enumerate(names):
             for second in names[k + 1 :]:
-                self._move(self._posture(first), second, None, transfer.POLISHED)
+                self.move(self._posture(first), second, effort=effort)
 
-    def move(self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None) -> JointTrajectory:
-        """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
-        return self._move(start, goal, spill_limit_deg, transfer.LIVE)
-
-    def _move(
-        self, start: Floats, goal: str | ApexPose, spill_limit_deg: float | None, effort: transfer.Effort
+    def move(
+        self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None, effort: Effort = LIVE
     ) -> JointTrajectory:
-        begin = checked_joints(start)
-        if isinstance(goal, str):
-            goals = self._posture(goal)[None, :]
-            name = goal
-        else:
-            self._require_reachable(goal, "the pose")
-            goals = solutions(goal, self._offset_m)
-            goals[:, 6] = begin[6]
-            name = f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
+        """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
+        begin, goals, name = self._request(start, goal)
         key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
         back = (goals.tobytes(), begin.tobytes(), self._geometry, spill_limit_deg)
         if key not in self._plans and back in self._plans:
             # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
             self._plans[key] = self._plans[back].reversed()
         if key not in self._plans:
-            self._plans[key] = self._planned(begin, goals, name, spill_limit_deg, effort, _rng(key))
+            chain = self._chain(begin, goals, name, spill_limit_deg, effort)
+            self._plans[key] = standing(begin) if chain is None else chain.motion
         return self._plans[key]
+
+    def chain(
+        self,
+        start: Floats,
+        goal: str | ApexPose,
+        *,
+        spill_limit_deg: float | None = None,
+        effort: Effort = LIVE,
+    ) -> Chain | None:
+        """The same as `move`, planned anew, with how it was found; None where there is nothing to move."""
+        return self._chain(*self._request(start, goal), spill_limit_deg, effort)
 
     def contact(
         self,
@@ -165,7 +174,7 @@ class MotionPlanner:
             return standing(begin)
         for pose in waypoints:
             self._require_reachable(pose, "a waypoint")
-        scene = self._scene(CLOSE_MARGIN_M, touching)
+        scene = self.scene(CLOSE_MARGIN_M, touching)
         phi = swivel_of(begin, self._offset_m)
         why = "the elbow would have to jump"
         for turn in contact_path.TURNS_OF_SWIVEL_RAD:
@@ -175,7 +184,7 @@ class MotionPlanner:
                 continue
             course[0] = begin
             motion = through(times_s, course)
-            motion = motion.stretched(max(1.0, self._rates.stretch_for(motion)))
+            motion = motion.stretched(max(1.0, self.rates.stretch_for(motion)))
             times = scene.proving_times_s(motion.at, motion.duration_s, motion.extremes()[1])
             hits = scene.hits(motion.at(times))
             if not hits.any():
@@ -185,21 +194,33 @@ class MotionPlanner:
 
     def stop(self, trajectory: JointTrajectory, at_s: float) -> Stop | Rest:
         """The soonest jerk-limited stop along the path of a trajectory of this planner, from a moment of it."""
-        return stop(trajectory, at_s, self._rates, self._offset_m)
+        return stop(trajectory, at_s, self.rates, self._offset_m)
 
     # Within -----------------------------------------------------------------------------------------
 
-    def _planned(
-        self,
-        begin: Floats,
-        goals: Floats,
-        name: str,
-        spill_limit_deg: float | None,
-        effort: transfer.Effort,
-        rng: np.random.Generator,
-    ) -> JointTrajectory:
+    def _request(self, start: Floats, goal: str | ApexPose) -> tuple[Floats, Floats, str]:
+        """The start, the goal's configurations (n, 7), and what to call the goal."""
+        begin = self._settled(checked_joints(start))
+        if isinstance(goal, str):
+            return begin, self._posture(goal)[None, :], goal
+        self._require_reachable(goal, "the pose")
+        goals = solutions(goal, self._offset_m)
+        goals[:, 6] = begin[6]
+        return begin, goals, f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
+
+    def _settled(self, q: Floats) -> Floats:
+        """The posture that the arm was sent to, where it reports to be within its own error of one."""
+        for place in self._places:
+            posture = self._posture(place)
+            if np.abs(posture - q).max() <= SETTLED_RAD:
+                return posture
+        return q
+
+    def _chain(
+        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
+    ) -> Chain | None:
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
-            scene = self._scene(margin_m)
+            scene = self.scene(margin_m)
             start_free = not scene.hits(begin[None, :])[0]
             free = goals[~scene.hits(goals)]
             if start_free and len(free):
@@ -207,18 +228,21 @@ class MotionPlanner:
         if not start_free:
             raise SkillFailed("arm.start_in_collision", self._touching(scene, begin))
         if not len(free):
-            raise SkillFailed(
-                "arm.no_path",
-                f"the arm cannot stand at {name} in any of its {len(goals)} configurations: "
-                f"{self._touching(scene, goals[len(goals) // 2])}",
-            )
+            raise SkillFailed("arm.no_path", self._blocked(scene, name, goals))
         if np.abs(free - begin).max(axis=1).min() < 1e-9:
-            return standing(begin)
-        task = transfer.Task(begin, free, scene, self._rates, self._offset_m, spill_limit_deg)
-        motion = transfer.plan(task, effort, rng)
-        if motion is None:
-            raise SkillFailed("arm.no_path", f"no collision-free way to {name} was found")
-        return motion
+            return None
+        task = transfer.Task(begin, free, scene, self.rates, self._offset_m, spill_limit_deg)
+        rng = _rng((begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg))
+        chain = transfer.plan(task, effort, rng)
+        if chain is None:
+            raise SkillFailed("arm.no_path", f"no way to {name} was found that is free and keeps its limits")
+        return chain
+
+    def _blocked(self, scene: Scene, name: str, q: Floats) -> str:
+        best_m, names = max(scene.clearance_m(one) for one in q[:: max(1, len(q) // 12)])
+        return f"the arm cannot stand at {name} in any of its {len(q)} configurations: at best {names} " + (
+            f"overlap by {-best_m * 1e3:.0f} mm" if best_m < 0 else f"are {best_m * 1e3:.1f} mm apart"
+        )
 
     def _touching(self, scene: Scene, q: Floats) -> str:
         distance_m, names = scene.clearance_m(q)
@@ -227,34 +251,28 @@ class MotionPlanner:
         return f"{names} are {distance_m * 1e3:.1f} mm apart"
 
     def _posture(self, place: str) -> Floats:
-        """The one configuration in which the arm stands at a place, in the present geometry."""
+        """The one configuration in which the arm stands at a place; another where geometry does not let it."""
         if place not in self._places:
             raise KeyError(f"there is no place {place!r}; there are: {', '.join(self._places) or 'none'}")
-        return self._postures_of()[place]
+        key = (place, self._geometry)
+        if key not in self._postures:
+            usual = self._postures.get((place, Geometry()))
+            fits = usual is not None and not self.scene().hits(usual[None, :])[0]
+            self._postures[key] = usual if usual is not None and fits else self._canonical(place)
+        return self._postures[key]
 
-    def _postures_of(self) -> dict[str, Floats]:
-        chosen: dict[str, Floats] = {}
-        for name, pose in self._places.items():
-            key = (name, self._geometry)
-            if key not in self._postures:
-                self._postures[key] = self._canonical(name, pose)
-            chosen[name] = self._postures[key]
-        return chosen
-
-    def _canonical(self, name: str, pose: ApexPose) -> Floats:
+    def _canonical(self, place: str) -> Floats:
+        pose = self._places[place]
         q = solutions(pose, self._offset_m)
-        scene = self._scene(MARGIN_M)
+        scene = self.scene()
         free = q[~scene.hits(q)]
         if not len(free):
-            raise SkillFailed(
-                "arm.no_path",
-                f"the arm cannot stand at {name} in any of its {len(q)} configurations: "
-                f"{self._touching(scene, q[len(q) // 2])}",
-            )
-        relaxed = np.array([np.arctan2(pose.position_m[1], pose.position_m[0]), -0.2, 0.0, -1.6, 0.0, -1.2, 0.0])
-        chosen = free[np.argmin(rest_to_rest_s(free - relaxed, self._rates))]
+            raise SkillFailed("arm.no_path", self._blocked(scene, place, q))
+        azimuth_rad = float(np.arctan2(pose.position_m[1], pose.position_m[0]))
+        relaxed = np.array([azimuth_rad, *RELAXED_RAD])
+        chosen: Floats = free[np.argmin(rest_to_rest_s(free - relaxed, self.rates))]
         exact = finest(pose, chosen, self._offset_m)
-        return exact if not scene.hits(exact[None, :])[0] else chosen
+        return chosen if scene.hits(exact[None, :])[0] else exact
 
     def _require_reachable(self, pose: ApexPose, name: str) -> None:
         reason = unreachable_reason(pose, self._offset_m)
@@ -273,7 +291,8 @@ class MotionPlanner:
         except KeyError:
             raise KeyError(f"the cell has no station {name!r}; it has: {', '.join(self._cell.stations)}") from None
 
-    def _scene(self, margin_m: float, touching: str | None = None) -> Scene:
+    def scene(self, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
+        """The arm in the present geometry."""
         geometry = Geometry(self._geometry.cone_diameter_m, self._geometry.container, touching)
         key = (geometry, margin_m)
         if key not in self._scenes:

@@ -21,7 +21,6 @@ from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.roadmap import Space, connect, shortened
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
-from scuhand_bt.motion.trajectory import JointTrajectory
 
 _DIRECT_GOALS = 16
 _ROOTS = 32
@@ -71,8 +70,8 @@ class Task:
         return spaces
 
 
-def plan(task: Task, effort: Effort, rng: np.random.Generator) -> JointTrajectory | None:
-    """The quickest motion found within the effort, or None."""
+def plan(task: Task, effort: Effort, rng: np.random.Generator) -> Chain | None:
+    """The quickest chain found within the effort, with its proven motion, or None."""
     goals = task.goals[np.argsort(rest_to_rest_s(task.goals - task.start, task.rates), kind="stable")]
     best: Chain | None = None
     for chart, space in task.charts():
@@ -81,7 +80,7 @@ def plan(task: Task, effort: Effort, rng: np.random.Generator) -> JointTrajector
             found = _best_in(chart, space, task, reached, effort, rng)
             if found is not None and (best is None or found.duration_s < best.duration_s):
                 best = found
-    return None if best is None else best.motion
+    return best
 
 
 def _best_in(
@@ -92,7 +91,8 @@ def _best_in(
     ends = chart.coordinates(goals)
     rest = np.zeros((2, len(start)))
     for end in ends[:_DIRECT_GOALS]:
-        direct = shaper.proven(np.array([start, end]), rest)
+        line = np.array([start, end])
+        direct = shaper.proven(line, rest, line)
         if direct is not None:
             return direct
     best: Chain | None = None
