@@ -174,6 +174,11 @@ class Container(ContainerKind):
 
     id: str
 
+    @property
+    def kind(self) -> ContainerKind:
+        """What it has in common with all of its kind."""
+        return ContainerKind.model_construct(**{name: getattr(self, name) for name in ContainerKind.model_fields})
+
 
 Point = Annotated[tuple[Millimetres, Millimetres, Millimetres], Field(description="x, y, z in the base frame")]
 

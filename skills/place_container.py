@@ -35,7 +35,7 @@ class PlaceContainer(Skill[None]):
         yield from cell.changer.take_away()
         bare = yield from cell.balance.settled()
         yield from cell.changer.bring(self.container)
-        cell.motion.set_container(self.container)
+        cell.motion.set_container(self.container.kind)
         loaded = yield from cell.balance.settled()
         mass_mg = loaded.value_mg - bare.value_mg
         kind = self.container
