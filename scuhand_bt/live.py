@@ -7,7 +7,7 @@ from datetime import timedelta
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from rich.box import SIMPLE
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
 from rich.progress_bar import ProgressBar
@@ -105,7 +105,7 @@ class LiveView:
         status.add_row("run time", str(timedelta(seconds=round(self._cell.clock.now_s))))
         tree = Text() if self._root is None else tree_text(self._root)
         name = self._job.name if self._job is not None else ""
-        parts = [Text(self._title, style="bold"), progress, Panel(tree, title=name, title_align="left"), status]
+        parts: list[RenderableType] = [Text(self._title, style="bold"), progress, Panel(tree, title=name, title_align="left"), status]
         if self._results:
             parts.append(doses_table(self._results[-LAST_DOSES:]))
         return Group(*parts)

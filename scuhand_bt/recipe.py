@@ -281,10 +281,10 @@ class _Reader:
         if node is None:
             self.problems.add(entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample")
             return None
-        name = node.text if isinstance(node, Scalar) else None
+        name = (node.text or "") if isinstance(node, Scalar) else ""
         workflows = self.lab.library.workflows
         if name not in workflows:
-            self.problems.add(node.mark, f"unknown workflow {describe(node)}", unknown=name or "", known=workflows)
+            self.problems.add(node.mark, f"unknown workflow {describe(node)}", unknown=name, known=workflows)
             return None
         return workflows[name]
 
@@ -297,10 +297,10 @@ class _Reader:
         python = declared.type.python
         if isinstance(python, type) and python in named:
             known, what = named[python]
-            name = node.text if isinstance(node, Scalar) else None
+            name = (node.text or "") if isinstance(node, Scalar) else ""
             if name not in known:
                 if not (python is Source and name in self.source_marks):
-                    self.problems.add(node.mark, f"unknown {what} {describe(node)}", unknown=name or "", known=known)
+                    self.problems.add(node.mark, f"unknown {what} {describe(node)}", unknown=name, known=known)
                 return None
             found = known[name]
             return Container.model_construct(**{**found.__dict__, "id": sample_id}) if python is Container else found

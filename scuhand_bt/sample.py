@@ -5,6 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from scuhand_bt.devices import places
 from scuhand_bt.motion.kinematics import ApexPose, unreachable_reason
 from scuhand_bt.quantity import format_mass
@@ -127,7 +129,7 @@ def check_reach(
         place_marks.setdefault(places.over_balance(cell, sample.container)[0], sample.mark)
     anywhere = samples[0].mark if samples else next(iter(marks.values()), Mark("recipe"))
     for place, position_mm in places.all_places(cell, sources, containers).items():
-        pose = ApexPose([value / 1000 for value in position_mm])
+        pose = ApexPose(np.array(position_mm) / 1000)
         reason = unreachable_reason(pose, cell.hand.apex_offset_mm / 1000)
         if reason is not None:
             what = f"the arm cannot reach '{place}' of robot/cell.yaml with the cone upright"

@@ -276,7 +276,9 @@ class _Reader:
         self.root: Node | None = None
 
     def take(self, event: yaml.Event) -> None:
-        mark = Mark(self._file, event.start_mark.line + 1, event.start_mark.column + 1)
+        where = event.start_mark
+        assert where is not None
+        mark = Mark(self._file, where.line + 1, where.column + 1)
         if tag := getattr(event, "tag", None):
             self._refuse(mark, f"the tag '{shorten(tag)}' is not accepted; write plain values")
         if isinstance(event, yaml.ScalarEvent):
@@ -292,7 +294,7 @@ class _Reader:
             children = closed.items if isinstance(closed, Items) else closed.values.values()
             self._sizes[id(closed)] = 1 + sum(self._sizes.get(id(child), 1) for child in children)
         elif isinstance(event, yaml.AliasEvent):
-            target = self._anchors.get(event.anchor)
+            target = self._anchors.get(event.anchor or "")
             if target is None:
                 self._refuse(mark, f"the alias *{event.anchor} has no anchor &{event.anchor} before it")
             if any(target is node for node in self._open):

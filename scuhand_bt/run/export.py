@@ -25,7 +25,7 @@ def _export(journal: Path) -> dict[str, Any]:
     actions = read(journal, "action")
     ends = [event["payload"] for event in events if event["kind"] == "ended"]
     matter = [event["payload"] for event in events if event["kind"] == "matter"]
-    return _rounded(
+    export: dict[str, Any] = _rounded(
         {
             "run": {key: run[key] for key in RUN_KEYS if key in run},
             "samples": [event["payload"] for event in events if event["kind"] == "sample"],
@@ -41,6 +41,7 @@ def _export(journal: Path) -> dict[str, Any]:
             ],
         }
     )
+    return export
 
 
 def _rounded(value: Any) -> Any:

@@ -124,7 +124,7 @@ class _Recorder:
         self._actions: dict[SkillLeaf, int] = {}
 
     def started(self, leaf: SkillLeaf, inputs: Mapping[str, Any]) -> None:
-        self._actions[leaf] = self._journal.action_started(leaf.path, leaf.visit, leaf.name, inputs)
+        self._actions[leaf] = self._journal.action_started(leaf.path, leaf.visits, leaf.name, inputs)
 
     def acting(self, leaf: SkillLeaf) -> None:
         self._journal.action = self._actions[leaf]

@@ -74,7 +74,7 @@ class SkillLeaf(Behaviour):
         super().__init__(name)
         self.path = path
         self.skill = skill
-        self.visit = 0
+        self.visits = 0
         self.failure: SkillFailed | None = None
         self._arguments = arguments
         self._keep = keep
@@ -85,7 +85,7 @@ class SkillLeaf(Behaviour):
         self._is_recorded = False
 
     def initialise(self) -> None:
-        self.visit += 1
+        self.visits += 1
         self.failure = None
         self._steps = self._wake = None
         self._is_recorded = False

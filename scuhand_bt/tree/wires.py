@@ -9,7 +9,6 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
@@ -116,8 +115,16 @@ def read_attribute(value: Any, name: str) -> Any:
     return getattr(value, _attributes(type(value))[name][0])
 
 
-@cache
+_ATTRIBUTES: dict[type, Mapping[str, tuple[str, WireType]]] = {}
+
+
 def _attributes(cls: type) -> Mapping[str, tuple[str, WireType]]:
+    if cls not in _ATTRIBUTES:
+        _ATTRIBUTES[cls] = _find_attributes(cls)
+    return _ATTRIBUTES[cls]
+
+
+def _find_attributes(cls: type) -> Mapping[str, tuple[str, WireType]]:
     found: dict[str, tuple[str, WireType]] = {}
     if issubclass(cls, BaseModel):
         for name, info in cls.model_fields.items():
