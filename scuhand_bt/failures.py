@@ -65,6 +65,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "A device did not stop in the time it should.",
         "Look at the cell; if it stands still, start again.",
     ),
+    "device.emergency_stop": Failure(
+        "The emergency stop is, or was, pressed: the valve closed and vibration stopped.",
+        "Make the cell safe, release the emergency stop, and start again.",
+    ),
     "balance.unstable": Failure(
         "The balance did not settle in time.",
         "Close the draft shield, look for vibration, fume-hood draughts or a touching container.",

@@ -48,7 +48,7 @@ class Bench:
         self.clock = WallClock()
         self.liveness = Liveness()
         self.group = AxisGroup(arm_axes(ArmSpec()))
-        self.chain = ServoChain(DynamixelBus(self.server.url), [self.group], self.liveness, reopen_s=0.005)
+        self.chain = ServoChain(DynamixelBus(self.server.url), [self.group], liveness=self.liveness, reopen_s=0.005)
         self.arm = DynamixelArm(self.chain, self.group)
 
     def goal_counts(self) -> list[int]:

@@ -69,6 +69,10 @@ class DynamixelArm:
     def positions(self) -> Joints:
         return self._group.positions_rad
 
+    def close(self) -> None:
+        """Close the bus; the servos go on holding."""
+        self._chain.close()
+
     def stop(self) -> None:
         """Slow down to rest on the path, and hold there."""
         self._group.stop()

@@ -125,12 +125,13 @@ class ServoChain:
         self,
         bus: DynamixelBus,
         groups: Sequence[AxisGroup],
+        news: Signal | None = None,
         liveness: Liveness | None = None,
         reopen_s: float = REOPEN_S,
     ) -> None:
         self.bus = bus
         self.groups = list(groups)
-        self.news = Signal()
+        self.news = news or Signal()
         self.lost: SkillFailed | None = None
         """Why the bus cannot be used now."""
         self._liveness = liveness or Liveness()

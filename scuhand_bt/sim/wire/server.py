@@ -110,14 +110,17 @@ class TwinServer(Generic[TwinT]):
     def _run(self) -> None:
         while not self._closing.is_set():
             with self._plugging:
-                data = self.port.read(TICK_S)
-                if self.paused:
-                    continue
-                now_s = self._now()
-                for message in self.twin.hear(data, now_s):
-                    self._due += self.misbehaviour.afflict(message, now_s)
-                self._send_due(now_s)
+                self._go_on()
             time.sleep(0.0002)  # lets go of the lock for long enough that others get it
+
+    def _go_on(self) -> None:
+        data = self.port.read(TICK_S)
+        if self.paused:
+            return
+        now_s = self._now()
+        for message in self.twin.hear(data, now_s):
+            self._due += self.misbehaviour.afflict(message, now_s)
+        self._send_due(now_s)
 
     def _send_due(self, now_s: float) -> None:
         for message in [message for due_s, message in self._due if due_s <= now_s]:

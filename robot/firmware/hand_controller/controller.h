@@ -1,0 +1,77 @@
+// The hand controller's state machine: valve, vibration, emergency stop and dead-man.
+// Plain C++11 without Arduino; time comes in as milliseconds that may wrap around.
+#pragma once
+
+#include "protocol.h"
+
+namespace hand {
+
+constexpr const char* kFirmware = "1.0";
+constexpr uint32_t kDeadManMs = 300;       // silence after which the valve closes and vibration stops
+constexpr uint32_t kStuckMs = 2500;        // a valve that has not arrived by then is stuck
+constexpr int32_t kArrivedUm = 30;         // the valve counts as arrived this near
+constexpr int32_t kLongestDwellMs = 60000;
+
+// What a board is built with; calibrated, and told to the host in the answer to hello.
+struct Settings {
+  int32_t max_opening_um = 2400;
+  int32_t um_per_degree = 105;  // rack and pinion: valve travel for each degree of its servo
+};
+
+// The hardware below.
+class Hardware {
+ public:
+  virtual void move_valve(int32_t opening_um) = 0;
+  virtual int32_t valve_um() = 0;
+  virtual bool valve_is_healthy() = 0;  // its servo answers and has no hardware error
+  virtual int32_t valve_temperature_c() = 0;
+  virtual void vibrate(int32_t permille) = 0;
+  virtual bool emergency_stop_is_pressed() = 0;
+
+ protected:
+  ~Hardware() = default;
+};
+
+enum Fault : uint8_t { kEmergencyStop = 1, kDeadMan = 2, kServo = 4, kStuck = 8 };
+
+class Controller {
+ public:
+  Controller(Hardware& hardware, const Settings& settings) : hardware_(hardware), settings_(settings) {}
+
+  // Take one line of the host (without its end). True if `reply` now holds the answer.
+  bool take(const char* line, size_t length, uint32_t now_ms, LineWriter* reply);
+
+  // Call at least every 20 ms.
+  void tick(uint32_t now_ms);
+
+ private:
+  enum class Phase : uint8_t { kIdle, kOpening, kDwelling };
+
+  const char* obey(const Command& command, uint32_t now_ms);
+  const char* reset();
+  void go_to(int32_t opening_um, uint32_t now_ms);
+  void set_vibration(int32_t permille);
+  void make_safe(uint32_t now_ms);
+  bool has_arrived();
+  const char* state();
+  void report(uint16_t sequence, const char* refusal, LineWriter* reply);
+
+  Hardware& hardware_;
+  const Settings settings_;
+  bool started_ = false;
+  bool greeted_ = false;
+  bool has_last_ = false;
+  uint16_t last_sequence_ = 0;
+  uint16_t last_crc_ = 0;
+  const char* last_refusal_ = nullptr;
+  uint8_t faults_ = 0;
+  Phase phase_ = Phase::kIdle;
+  int32_t target_um_ = 0;
+  int32_t vibration_ = 0;
+  uint32_t dwell_ms_ = 0;
+  uint32_t moving_since_ms_ = 0;
+  uint32_t dwelling_since_ms_ = 0;
+  uint32_t heard_ms_ = 0;
+};
+
+}  // namespace hand

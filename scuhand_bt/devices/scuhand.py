@@ -1,0 +1,178 @@
+"""The SCU-Hand-SV: its roller on the servo bus, its valve and vibration behind a microcontroller.
+
+Meets `devices.interfaces.Hand`.
+"""
+
+import math
+
+import numpy as np
+
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.dynamixel import registers as r
+from scuhand_bt.devices.dynamixel.axes import Axis
+from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.hand_controller import HandController
+from scuhand_bt.devices.hand_protocol import FAULTS
+from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.dosing.cone import Cone, edge_travel_mm
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.specs import HandSpec
+
+ROLLER_SERVO = 9
+ROLLER_SPEED_RAD_PER_S = 0.9 * r.XM430.velocity_limit * r.RPM_PER_COUNT * 2 * math.pi / 60
+"""The fastest the roller is asked to turn."""
+MOVE_TIMEOUT_S = 5.0
+"""Dead time, the way to the opening and back; the controller itself calls a stuck valve after 2.5 s."""
+
+
+def roller_axis(spec: HandSpec) -> Axis:
+    """The roller's servo; `options` may give `roller_id` and `roller_direction`."""
+    return Axis(
+        servo=int(spec.options.get("roller_id", ROLLER_SERVO)),
+        name="roller",
+        model=r.XM430,
+        mode=r.EXTENDED_POSITION_MODE,
+        home_count=0,
+        direction=int(spec.options.get("roller_direction", 1)),
+        following_limit_rad=math.radians(30.0),
+    )
+
+
+class ScuHand:
+    """The hand, over a chain and a controller that are already open.
+
+    The roller drives the sheet by friction and has no mark: the cone must have `start_diameter_mm` now.
+    """
+
+    def __init__(
+        self,
+        spec: HandSpec,
+        controller: HandController,
+        chain: ServoChain,
+        roller: AxisGroup,
+        clock: Clock,
+        start_diameter_mm: float,
+    ) -> None:
+        self.spec = spec
+        self.news: Signal = controller.news
+        """The same signal as the chain's."""
+        self._controller = controller
+        self._chain = chain
+        self._roller = roller
+        self._clock = clock
+        self._at_zero_deg = self._cone(start_diameter_mm).roller_deg(spec) - self._roller_deg
+        """What the roller's angle counted from the flat sheet is at the servo's zero."""
+
+    @property
+    def is_stopped(self) -> bool:
+        report = self._controller.report
+        valve_is_safe = report is not None and report.is_safe and self._controller.is_done
+        return valve_is_safe and not self._roller.is_moving
+
+    @property
+    def cone_diameter_mm(self) -> float:
+        return Cone.from_roller(self._at_zero_deg + self._roller_deg, self.spec).diameter_mm
+
+    @property
+    def opening_mm(self) -> float:
+        report = self._controller.report
+        return 0.0 if report is None else max(0.0, report.opening_mm)
+
+    def stop(self) -> None:
+        """Close the valve, stop vibrating, and let the roller come to rest."""
+        self._controller.make_safe()
+        self._roller.stop()
+
+    def close(self) -> None:
+        """Close the valve and the controller's port; the chain is the arm's to close."""
+        self._controller.close()
+
+    def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
+        """Begin to change the cone's size, no faster than the roller's servo can."""
+        if self._chain.lost is not None:
+            raise self._chain.lost
+        begin_rad = float(self._roller.goals_rad[0])
+        end_rad = math.radians(self._cone(cone_diameter_mm).roller_deg(self.spec) - self._at_zero_deg)
+        if duration_s is None:
+            duration_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
+        duration_s = max(duration_s, abs(end_rad - begin_rad) / ROLLER_SPEED_RAD_PER_S, 0.02)
+
+        def turn(time_s: float) -> Joints:
+            return np.array([begin_rad + (end_rad - begin_rad) * time_s / duration_s])
+
+        self._roller.move(turn, duration_s)
+
+    def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
+        """Change the cone's size and wait for it; SkillFailed with what ended it early."""
+        self.start_morph(cone_diameter_mm, duration_s)
+        while True:
+            wake = Wake.on(self.news)
+            if self._roller.fault is not None:
+                raise self._roller.fault
+            if not self._roller.is_moving:
+                return
+            yield wake
+
+    def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
+        """The step command; returns when the valve is shut. SkillFailed with what went wrong.
+
+        Closed early, by a halt or a failure, it closes the valve.
+        """
+        self._raise_trouble()
+        hello = self._controller.hello
+        if hello is None or not 0.0 < opening_mm <= self.spec.max_opening_mm:
+            raise SkillFailed("device.lost", f"no opening of {opening_mm:g} mm can be asked of the valve")
+        self._controller.step(opening_mm / hello.mm_per_deg, dwell_s, vibration)
+        deadline_s = self._clock.now_s + dwell_s + MOVE_TIMEOUT_S
+        shut = False
+        try:
+            while not shut:
+                wake = Wake.on(self.news, deadline_s)
+                self._raise_trouble()
+                report = self._controller.report
+                shut = self._controller.is_done and report is not None and report.is_safe
+                if not shut:
+                    if self._clock.now_s >= deadline_s:
+                        raise SkillFailed("device.busy", f"the valve was not shut {MOVE_TIMEOUT_S:g} s after its dwell")
+                    yield wake
+        finally:
+            if not shut:
+                self._controller.make_safe()
+
+    def set_opening(self, opening_mm: float) -> None:
+        """Go to this opening now. Opening fails while something is wrong; closing never does."""
+        if opening_mm > 0.0:
+            self._raise_trouble()
+        self._controller.set_opening(min(max(opening_mm, 0.0), self.spec.max_opening_mm))
+
+    def set_vibration(self, level: float) -> None:
+        """Vibrate at this level. Starting fails while something is wrong; stopping never does."""
+        if level > 0.0:
+            self._raise_trouble()
+        self._controller.set_vibration(min(max(level, 0.0), 1.0))
+
+    @property
+    def _roller_deg(self) -> float:
+        return math.degrees(float(self._roller.positions_rad[0]))
+
+    def _cone(self, diameter_mm: float) -> Cone:
+        return Cone(diameter_mm, self.spec.sheet_radius_mm)
+
+    def _raise_trouble(self) -> None:
+        """Raise what is wrong; what was raised once is cleared, where its cause has gone."""
+        controller = self._controller
+        if controller.trouble is not None:
+            raise controller.trouble
+        report, refused = controller.report, controller.refused
+        controller.refused = None
+        if report is not None and report.faults:
+            controller.reset()
+            code = "device.emergency_stop" if "e" in report.faults else FAULT_CODES[report.faults[0]]
+            raise SkillFailed(code, f"the hand controller: {report.why}")
+        if refused is not None:
+            raise refused
+
+
+FAULT_CODES = {"d": "device.lost", "s": "servo.overload", "t": "servo.overload"}
+"""The failure that each of the controller's faults is."""
+assert FAULT_CODES.keys() | {"e"} == FAULTS.keys()

@@ -1,0 +1,316 @@
+import random
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from wire_helpers import carry_out, wait_for
+
+from scuhand_bt.devices.connect import Devices, connect_cell_devices
+from scuhand_bt.devices.hand_protocol import Hello, Report, decode, encode
+from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.run.clock import WallClock
+from scuhand_bt.sim.wire.balances import ShimadzuTwin, StillPan
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
+from scuhand_bt.sim.wire.hand import HandTwin
+from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.server import TwinServer
+from scuhand_bt.specs import ArmSpec, BalanceSpec, CellSpec, ChangerSpec, HandSpec
+
+FIRMWARE = Path(__file__).parent.parent / "robot" / "firmware"
+
+
+class Cell:
+    """All drivers, each with its twin."""
+
+    def __init__(self) -> None:
+        self.pan = StillPan(9_200.0)
+        self.bus = TwinServer(DynamixelTwin(crane_x7()), PtyPort())
+        self.hand_twin = TwinServer(HandTwin(FIRMWARE), PtyPort())
+        self.balance_twin = TwinServer(ShimadzuTwin(self.pan), PtyPort())
+        self.clock = WallClock()
+        self.liveness = Liveness()
+        self.spec = CellSpec(
+            cell="bench",
+            arm=ArmSpec(port=self.bus.url),
+            hand=HandSpec(port=self.hand_twin.url, morph_speed_mm_per_s=20.0),
+            balance=BalanceSpec(port=self.balance_twin.url, options={"bits": "8N1"}),
+            changer=ChangerSpec(driver="operator"),
+            stations={},
+        )
+
+    def connect(self) -> Devices:
+        return connect_cell_devices(self.spec, self.clock, self.liveness)
+
+    @property
+    def servers(self) -> tuple[TwinServer, ...]:  # type: ignore[type-arg]
+        return self.bus, self.hand_twin, self.balance_twin
+
+    @property
+    def valve(self) -> HandTwin:
+        return self.hand_twin.twin
+
+
+@pytest.fixture
+def cell() -> Iterator[Cell]:
+    cell = Cell()
+    with cell.bus, cell.hand_twin, cell.balance_twin:
+        yield cell
+
+
+@pytest.fixture
+def devices(cell: Cell) -> Iterator[Devices]:
+    devices = cell.connect()
+    yield devices
+    devices.close()
+
+
+def test_a_whole_cell_is_opened_from_its_description(cell: Cell, devices: Devices) -> None:
+    arm, hand, balance, changer = devices
+    assert hand.cone_diameter_mm == pytest.approx(90.0)
+    assert carry_out(balance.next_reading(), cell.clock).value_mg == 9_200.0
+    assert changer is None
+    wait_for(lambda: arm.is_stopped and hand.is_stopped and balance.is_stopped)
+
+
+@pytest.mark.parametrize("device", ["arm", "hand", "balance"])
+def test_a_port_that_cannot_be_opened_is_named_and_the_other_ports_are_closed_again(cell: Cell, device: str) -> None:
+    gone = getattr(cell.spec, device).model_copy(update={"port": "/dev/no-such-port"})
+    cell.spec = cell.spec.model_copy(update={device: gone})
+    with pytest.raises(SkillFailed, match=r"device\.lost: cannot open /dev/no-such-port"):
+        cell.connect()
+
+
+@pytest.mark.parametrize(
+    ("device", "problem"),
+    [("arm", "no driver for the arm is called 'abacus'; .* may name dynamixel"), ("balance", "and, mt_sics, sbi")],
+)
+def test_an_unknown_driver_is_named_with_the_known_ones(cell: Cell, device: str, problem: str) -> None:
+    odd = getattr(cell.spec, device).model_copy(update={"driver": "abacus"})
+    cell.spec = cell.spec.model_copy(update={device: odd})
+    with pytest.raises(SkillFailed, match=problem):
+        cell.connect()
+
+
+def test_a_pulse_opens_holds_and_shuts(cell: Cell, devices: Devices) -> None:
+    began_s = time.monotonic()
+    widest = 0.0
+    for wake in devices.hand.pulse(1.2, 0.2, vibration=0.5):
+        cell.clock.wait([wake])
+        widest = max(widest, devices.hand.opening_mm)
+    took_s = time.monotonic() - began_s
+    assert widest == pytest.approx(1.2, abs=0.04)
+    assert 0.9 < took_s < 1.2, "0.06 s dead time and 0.3 s of way, twice, and 0.2 s of dwell"
+    assert cell.valve.opening_mm < 0.04
+    assert cell.valve.vibration == 0.0
+    assert devices.hand.is_stopped
+
+
+def test_streamed_openings_are_followed_and_closing_closes(cell: Cell, devices: Devices) -> None:
+    for step in range(1, 25):
+        devices.hand.set_opening(0.05 * step)
+        devices.hand.set_vibration(0.3)
+        time.sleep(0.02)
+    wait_for(lambda: abs(devices.hand.opening_mm - 1.2) < 0.04)
+    assert cell.valve.vibration == 0.3
+    assert not devices.hand.is_stopped
+    devices.hand.stop()
+    wait_for(lambda: devices.hand.is_stopped)
+    assert cell.valve.vibration == 0.0
+
+
+def test_the_controller_hears_from_the_host_more_than_twenty_times_a_second(
+    cell: Cell, devices: Devices, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = 0
+    hear = cell.valve.hear
+
+    def count(data: bytes, now_s: float) -> list[bytes]:
+        nonlocal heard
+        heard += data.count(b"\n")
+        return hear(data, now_s)
+
+    monkeypatch.setattr(cell.valve, "hear", count)
+    time.sleep(1.0)
+    assert 20 <= heard <= 60
+
+
+def test_the_cone_is_morphed_by_the_roller(cell: Cell, devices: Devices) -> None:
+    roller = cell.bus.twin.servos[9]
+    before = roller.position
+    carry_out(devices.hand.morph(85.0), cell.clock)
+    assert devices.hand.cone_diameter_mm == pytest.approx(85.0, abs=0.05)
+    turned_deg = (roller.position - before) * 360 / 4096
+    assert turned_deg == pytest.approx(3.14159 * 5.0 * 11.46, rel=0.01)
+
+
+def test_a_pulse_that_is_halted_closes_the_valve(cell: Cell, devices: Devices) -> None:
+    steps = devices.hand.pulse(1.2, 30.0, vibration=1.0)
+    for wake in steps:
+        cell.clock.wait([wake])
+        if devices.hand.opening_mm > 1.0:
+            break
+    steps.close()
+    wait_for(lambda: devices.hand.is_stopped)
+    assert cell.valve.opening_mm < 0.04
+
+
+def test_a_lost_answer_does_not_repeat_the_pulse(cell: Cell, devices: Devices) -> None:
+    cell.hand_twin.misbehaviour.drop = 3
+    openings = []
+    for wake in devices.hand.pulse(0.4, 0.05):
+        cell.clock.wait([wake])
+        openings.append(cell.valve.opening_mm > 0.2)
+    time.sleep(0.3)
+    assert cell.valve.opening_mm < 0.04
+    assert sum(now and not before for before, now in zip(openings, openings[1:], strict=False)) == 1
+
+
+def test_the_emergency_stop_ends_a_pulse_and_is_named(cell: Cell, devices: Devices) -> None:
+    steps = devices.hand.pulse(1.2, 30.0)
+    with pytest.raises(SkillFailed, match=r"device\.emergency_stop"):
+        for wake in steps:
+            cell.clock.wait([wake])
+            cell.valve.emergency_stop = devices.hand.opening_mm > 1.0
+    wait_for(lambda: cell.valve.opening_mm < 0.04)
+    with pytest.raises(SkillFailed, match=r"device\.emergency_stop"):
+        cell.valve.emergency_stop = True
+        carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
+    time.sleep(0.1)  # still pressed
+    cell.valve.emergency_stop = False
+    with pytest.raises(SkillFailed, match="is .or was. pressed"):
+        carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
+    time.sleep(0.1)
+    carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
+
+
+def test_a_stuck_valve_and_a_dead_servo_are_named(cell: Cell, devices: Devices) -> None:
+    cell.valve.healthy = False
+    wait_for(lambda: (report := devices.hand._controller.report) is not None and report.faults)
+    with pytest.raises(SkillFailed, match=r"servo\.overload: .*does not answer or has shut down"):
+        devices.hand.set_opening(1.0)
+    devices.hand.set_opening(0.0)
+    devices.hand.set_vibration(0.0)
+
+
+def test_a_hung_tick_closes_the_valve_and_is_said(cell: Cell, devices: Devices) -> None:
+    cell.liveness.beat()
+    devices.hand.set_opening(1.0)
+    devices.hand.set_vibration(1.0)
+    for _ in range(40):
+        cell.liveness.beat()
+        time.sleep(0.01)
+    assert cell.valve.opening_mm > 0.9
+    time.sleep(0.25)  # the tick hangs
+    assert cell.valve.opening_mm < 0.9
+    assert cell.valve.vibration == 0.0
+    cell.liveness.beat()
+    with pytest.raises(SkillFailed, match="the run's tick hung for"):
+        devices.hand.set_opening(1.0)
+    cell.liveness.end()
+    carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
+
+
+def test_a_restarted_controller_is_greeted_again_and_the_pulse_fails(cell: Cell, devices: Devices) -> None:
+    with pytest.raises(SkillFailed, match="has restarted"):
+        for count, wake in enumerate(devices.hand.pulse(0.8, 30.0)):
+            cell.clock.wait([wake])
+            if count == 10:
+                cell.valve.reboot()
+    wait_for(lambda: devices.hand.is_stopped)
+    carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
+
+
+def test_a_controller_that_hangs_is_lost_and_comes_back(cell: Cell, devices: Devices) -> None:
+    cell.hand_twin.paused = True
+    wait_for(lambda: devices.hand._controller.trouble is not None)
+    with pytest.raises(SkillFailed, match=r"device\.lost: the hand controller .* does not answer"):
+        devices.hand.set_opening(1.0)
+    assert not devices.hand.is_stopped, "nobody knows"
+    cell.hand_twin.paused = False
+    wait_for(lambda: devices.hand.is_stopped)
+    carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
+
+
+def test_hundreds_of_unplugs_of_the_hand_are_each_reported_and_survived(cell: Cell, devices: Devices) -> None:
+    controller = devices.hand._controller
+    controller._link._reopen_s = 0.005
+    for _ in range(100):
+        cell.hand_twin.unplug()
+        wait_for(lambda: controller.trouble is not None)
+        cell.hand_twin.plug()
+        wait_for(lambda: controller.trouble is None and controller.report is not None)
+    carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
+
+
+def test_noise_and_broken_answers_do_not_disturb_a_pulse(cell: Cell, devices: Devices) -> None:
+    rng = random.Random(2)
+    cell.hand_twin.misbehaviour.delay_s = 0.02
+    for count, wake in enumerate(devices.hand.pulse(1.0, 0.5)):
+        cell.clock.wait([wake])
+        if count % 10 == 0:
+            setattr(cell.hand_twin.misbehaviour, rng.choice(["drop", "garble", "duplicate", "split"]), 1)
+        if count % 17 == 0:
+            cell.hand_twin.misbehaviour.noise = rng.randbytes(20)
+    assert cell.valve.opening_mm < 0.04
+
+
+REPORT = Report(17, "", "open", 1.248, 0.0, "ed", 31)
+
+
+def test_an_answer_is_read_with_all_it_says() -> None:
+    body = "17 ok open 1.248 0.000 ed 31"
+    assert decode(encode(17, body.removeprefix("17 "))) == REPORT
+    assert REPORT.why.startswith("the emergency stop")
+    refused = decode(encode(18, "no fault closed -0.012 0.000 - 31"))
+    assert refused == Report(18, "fault", "closed", -0.012, 0.0, "", 31)
+    assert decode(encode(0, "hello 1 1.0 2.400 0.105")) == Hello(0, "1.0", 2.4, 0.105)
+
+
+@given(st.binary(max_size=80))
+def test_no_bytes_make_the_decoder_fail(data: bytes) -> None:
+    decode(data)
+    decode(data + b"\n")
+
+
+def test_no_single_or_double_error_of_an_answer_goes_unnoticed() -> None:
+    line = encode(17, "ok open 1.248 0.000 ed 31")
+    rng = random.Random(4)
+    for at in range(len(line) - 1):
+        for bit in range(7):
+            broken = bytearray(line)
+            broken[at] ^= 1 << bit
+            assert decode(bytes(broken)) is None
+            broken[rng.randrange(len(line) - 1)] ^= 1 << rng.randrange(7)
+            assert decode(bytes(broken)) in (None, REPORT)
+
+
+def test_a_killed_host_is_noticed_by_the_controller_and_the_valve_closes(cell: Cell) -> None:
+    """A process opens the valve through the twin's port and is stopped with SIGSTOP, then killed."""
+    script = (
+        "import sys, time\n"
+        "from scuhand_bt.devices.hand_controller import HandController\n"
+        "hand = HandController(sys.argv[1]); hand.open()\n"
+        "hand.set_opening(2.0); hand.set_vibration(1.0)\n"
+        "time.sleep(60)\n"
+    )
+    import signal
+    import sys
+
+    host = subprocess.Popen([sys.executable, "-c", script, cell.hand_twin.url])
+    try:
+        wait_for(lambda: cell.valve.opening_mm > 1.9, timeout_s=10.0)
+        for blow in (signal.SIGSTOP, signal.SIGKILL):
+            host.send_signal(blow)
+            if blow == signal.SIGSTOP:
+                time.sleep(0.2)
+                assert cell.valve.vibration == 1.0, "not before its time"
+            wait_for(lambda: cell.valve.vibration == 0.0, timeout_s=0.25)
+            wait_for(lambda: cell.valve.opening_mm < 0.04)
+    finally:
+        host.kill()
+        host.wait()
