@@ -49,6 +49,7 @@ FRAMES = [
     ("mt_sics", b"C3 B\r\n", Busy("C3 B", adjusting=True)),
     ("mt_sics", b'I4 A "B207696838"\r\n', Answer("B207696838")),
     ("mt_sics", b"ES\r\n", Refused("ES")),
+    ("mt_sics", b"S S Error 10b\r\n", Refused("Error 10b")),
     ("sbi", b"+   123.56 g  \r\n", weight("123.56", "g", True)),
     ("sbi", b"+   123.56    \r\n", weight("123.56", "", False)),
     ("sbi", b"-  1234567 mg \r\n", weight("-1234567", "mg", True)),
@@ -166,6 +167,15 @@ def test_a_balance_that_does_not_say_its_name_is_read_all_the_same() -> None:
 def test_a_stream_that_ended_is_started_again() -> None:
     talk = Talk(DIALECTS["and"]).after(ANSWER_TIMEOUT_S)
     assert talk.after(3.0).said[-1] == b"?SN\r\n"
+
+
+def test_a_balance_that_cannot_stream_is_asked_instead() -> None:
+    talk = Talk(DIALECTS["mt_sics"])
+    talk.it.heard(Answer("B207696838"))
+    talk.it.heard(Refused("ES"))
+    assert talk.said == [b"@\r\n", b"SIR\r\n", b"SI\r\n"]
+    talk.it.heard(weight("1", "g", True))
+    assert talk.after(0.1).said[-1] == b"SI\r\n"
 
 
 def test_one_question_at_a_time_and_not_before_the_period_is_over() -> None:

@@ -41,4 +41,5 @@ DIALECT = Dialect(
     parse=parse,
     identify=b"?SN\r\n",
     stream=b"SIR\r\n",
+    poll=b"Q\r\n",
 )

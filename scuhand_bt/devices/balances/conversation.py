@@ -2,7 +2,7 @@
 
     identifying ──answer, or none in time──► listening                     (a dialect that streams)
                                        └───► asked ──line──► resting ──period──► asked …  (one that is polled)
-    asked ──no line in time──► draining ──quiet line──► asked
+    listening ──the stream is refused──► asked           asked ──no line in time──► draining ──quiet line──► asked
 
 Dialects that are polled have no sequence numbers. What arrives after a question was given up is the
 answer to that one, measured who knows when; `draining` throws it away.
@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from enum import Enum, auto
 
-from scuhand_bt.devices.balances.frames import Answer, Dialect, Frame, Weight
+from scuhand_bt.devices.balances.frames import Answer, Dialect, Frame, Refused, Weight
 
 ANSWER_TIMEOUT_S = 2.0
 """Replies of more than a second are common: they wait for the balance's measuring cycle."""
@@ -49,6 +49,7 @@ class Conversation:
         self._period_s = period_s
         self._now = now
         self._since_s = now()
+        self._polls = not dialect.stream
 
     def begin(self) -> None:
         """The port has just been opened, or the balance has to be woken again."""
@@ -62,8 +63,11 @@ class Conversation:
         if self.state is State.DRAINING:
             self._go_to(State.DRAINING)
             return False
-        unasked = isinstance(frame, Weight) and self._dialect.poll
-        if self.state is State.LISTENING:
+        unasked = isinstance(frame, Weight) and self._polls
+        if self.state is State.LISTENING and isinstance(frame, Refused) and self._dialect.poll:
+            self._polls = True  # not every model can stream
+            self._read_on()
+        elif self.state is State.LISTENING:
             self._go_to(State.LISTENING)
         elif self.state is State.ASKED and not isinstance(frame, Answer):
             self.state = State.RESTING  # the period counts from the question
@@ -89,7 +93,7 @@ class Conversation:
             self.begin()
 
     def _read_on(self) -> None:
-        if self._dialect.poll:
+        if self._polls:
             self._go_to(State.ASKED, self._dialect.poll)
         else:
             self._go_to(State.LISTENING, self._dialect.stream)

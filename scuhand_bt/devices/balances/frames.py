@@ -74,7 +74,7 @@ class Dialect:
     stream: bytes = b""
     """Starts continuous readings; empty where the driver polls."""
     poll: bytes = b""
-    """Asks for one reading, stable or not."""
+    """Asks for one reading, stable or not; used without, or instead of a refused `stream`."""
     identify: bytes = b""
     """Asks for the serial number; sent first."""
 

@@ -13,6 +13,7 @@ _WEIGHT = re.compile(rb"S ([SD]) ([ 0-9.\-]{10,12}) ([A-Za-z%]{1,5})\r\n")
 _STATUS = re.compile(rb"([A-Z]{1,3}\d{0,2}) ([ABIL+\-])(?: ([ -~]*))?\r\n")
 _SAID_TARE = re.compile(rb"(?:T|TI|TA) [SDA] [ 0-9.\-]{10,12} [A-Za-z%]{1,5}\r\n")
 _SAID_ZERO = re.compile(rb"ZI [SD]\r\n")
+_FAULTY = re.compile(rb"S S Error +([0-9A-Za-z]{1,4})\r\n")
 _ERRORS = (b"ES\r\n", b"ET\r\n", b"EL\r\n")
 
 
@@ -21,6 +22,8 @@ def parse(line: bytes) -> Frame | None:
     if match := _WEIGHT.fullmatch(line):
         value = number(match[2])
         return None if value is None else Weight(value, match[3].decode(), match[1] == b"S")
+    if match := _FAULTY.fullmatch(line):
+        return Refused(f"Error {match[1].decode()}")  # boot, EEPROM, adjustment needed, …
     if _SAID_TARE.fullmatch(line) or _SAID_ZERO.fullmatch(line):
         return Answer(line.decode().strip())
     if match := _STATUS.fullmatch(line):
@@ -46,4 +49,5 @@ DIALECT = Dialect(
     parse=parse,
     identify=b"@\r\n",  # also ends whatever an earlier program left running
     stream=b"SIR\r\n",
+    poll=b"SI\r\n",
 )

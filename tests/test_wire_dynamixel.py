@@ -1,0 +1,181 @@
+"""The bus twin: byte by byte against the e-manual's examples, and with the raw SDK as its client."""
+
+import random
+from collections.abc import Iterator
+
+import dynamixel_sdk as sdk
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, PacketReader, crane_x7, fast_status, packet
+from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.server import TwinServer
+from scuhand_bt.sim.wire.servo import ACCESS_ERROR, LIMIT_ERROR, RANGE_ERROR, XM430, Servo
+
+
+def test_packets_are_those_of_the_manual() -> None:
+    assert packet(1, 1, b"") == bytes.fromhex("fffffd00 01 0300 01 194e")
+    assert packet(1, 2, bytes([132, 0, 4, 0])) == bytes.fromhex("fffffd00 01 0700 02 8400 0400 1d15")
+    three = fast_status([(3, 0, b"\xa6\0\0\0"), (7, 0, b"\x1f\x08\0\0"), (4, 0, b"\xff\x03\0\0")])
+    assert three[:16] == bytes.fromhex("fffffd00 fe 1900 55 00 03 a6000000 8408")
+    assert three[16:24] == bytes.fromhex("00 07 1f080000 16ca")
+
+
+def test_what_looks_like_a_header_is_stuffed_and_comes_out_again() -> None:
+    data = b"\xff\xff\xfd\xff\xff\xfd\xfd\xff\xff\xff\xfd"
+    assert b"\xff\xff\xfd\xfd" in packet(1, 3, data)
+    assert list(PacketReader().feed(packet(1, 3, data))) == [(1, 3, data, True)]
+
+
+@given(st.lists(st.binary(max_size=30), max_size=5), st.integers(0, 200))
+def test_packets_come_out_of_any_stream_however_it_is_cut(payloads: list[bytes], cut: int) -> None:
+    stream = b"".join(packet(1, 3, payload) for payload in payloads)
+    reader = PacketReader()
+    seen = [*reader.feed(stream[:cut]), *reader.feed(stream[cut:])]
+    assert [parameters for _, _, parameters, _ in seen] == payloads
+
+
+def test_a_million_random_and_mutated_bytes_do_not_hang_the_twin_or_move_a_servo_wrongly() -> None:
+    rng = random.Random(7)
+    twin = DynamixelTwin(crane_x7())
+    good = [packet(2, 3, bytes([116, 0, 0, 8, 0, 0])), packet(254, 0x83, bytes([116, 0, 4, 0, 3, 0, 8, 0, 0]))]
+    good += [packet(i, code, rng.randbytes(8)) for i in (2, 3, 99) for code in (1, 2, 5, 8, 16, 0x55, 0x92)]
+    fed = 0
+    while fed < 1_000_000:
+        chunk = bytearray(rng.choice(good) if rng.random() < 0.8 else rng.randbytes(300))
+        for _ in range(rng.randrange(3)):
+            chunk[rng.randrange(len(chunk))] = rng.randrange(256)
+        fed += len(chunk)
+        twin.hear(bytes(chunk), 0.0)
+    assert all(servo.get(116, 4) in (2048,) for servo in twin.servos.values())
+
+
+def test_eeprom_is_locked_while_torque_is_on_and_the_present_values_always() -> None:
+    servo = Servo(2, XM430)
+    assert servo.write(11, b"\x04", 0.0) == 0
+    assert servo.write(64, b"\x01", 0.0) == 0
+    assert servo.write(11, b"\x03", 0.0) == ACCESS_ERROR
+    assert servo.write(132, b"\0\0\0\0", 0.0) == ACCESS_ERROR
+    assert servo.write(64, b"\x02", 0.0) == RANGE_ERROR
+    assert servo.write(116, (1_048_576).to_bytes(4, "little"), 0.0) == LIMIT_ERROR
+
+
+def test_a_change_of_mode_resets_gains_and_profile() -> None:
+    servo = Servo(2, XM430)
+    servo.write(112, b"\x64\0\0\0", 0.0)
+    servo.write(84, b"\xe8\x03", 0.0)
+    servo.write(11, b"\x04", 0.0)
+    assert (servo.get(112, 4), servo.get(84, 2)) == (0, 800)
+
+
+def test_a_profile_takes_its_time_and_no_profile_goes_at_the_servos_speed() -> None:
+    for profile, expected_s in ((20, 3.3), (0, 0.35)):
+        servo = Servo(2, XM430, position=1024.0)
+        servo.step(0.0)
+        servo.write(112, profile.to_bytes(4, "little"), 0.0)
+        servo.write(64, b"\x01", 0.0)
+        servo.write(116, (2048).to_bytes(4, "little"), 0.0)
+        now_s = 0.0
+        while abs(servo.position - 2048) > 5:
+            now_s += 0.005
+            servo.step(now_s)
+        assert now_s == pytest.approx(expected_s, rel=0.15)
+
+
+def test_a_blocked_servo_overloads_shuts_down_and_only_a_reboot_brings_it_back() -> None:
+    servo = Servo(2, XM430)
+    servo.step(0.0)
+    servo.write(64, b"\x01", 0.0)
+    servo.blocked = True
+    servo.write(116, (3000).to_bytes(4, "little"), 0.0)
+    for step in range(1, 400):
+        servo.step(step * 0.005)
+    assert servo.table[70] == 1 << 5
+    assert not servo.has_torque
+    assert servo.write(64, b"\x01", 2.0) == ACCESS_ERROR
+    servo.blocked = False
+    servo.reboot(2.0)
+    assert servo.write(64, b"\x01", 2.1) == 0
+
+
+def test_the_watchdog_stops_the_servo_and_refuses_goals_until_it_is_cleared() -> None:
+    servo = Servo(2, XM430)
+    servo.step(0.0)
+    servo.write(64, b"\x01", 0.0)
+    servo.write(98, b"\x04", 0.0)
+    servo.write(112, b"\x05\0\0\0", 0.0)
+    servo.write(116, (3000).to_bytes(4, "little"), 0.0)
+    for step in range(1, 50):
+        servo.step(step * 0.01)
+    assert servo.get(98, 1, signed=True) == -1
+    assert servo.position < 2200
+    assert servo.write(116, (2500).to_bytes(4, "little"), 0.5) == RANGE_ERROR
+    assert servo.write(98, b"\0", 0.5) == 0
+    assert servo.write(116, (2500).to_bytes(4, "little"), 0.5) == 0
+
+
+@pytest.fixture
+def twin() -> Iterator[TwinServer[DynamixelTwin]]:
+    with TwinServer(DynamixelTwin(crane_x7()), PtyPort()) as server:
+        yield server
+
+
+@pytest.fixture
+def port(twin: TwinServer[DynamixelTwin]) -> Iterator[sdk.PortHandler]:
+    port = sdk.PortHandler(twin.url)
+    assert port.setBaudRate(3_000_000)
+    yield port
+    port.closePort()
+
+
+Twin = TwinServer[DynamixelTwin]
+ph = sdk.PacketHandler(2.0)
+
+
+def test_the_raw_sdk_finds_reads_and_writes_the_servos(twin: Twin, port: sdk.PortHandler) -> None:
+    assert ph.ping(port, 2)[:2] == (1020, sdk.COMM_SUCCESS)
+    assert ph.ping(port, 3)[:2] == (1120, sdk.COMM_SUCCESS)
+    assert ph.ping(port, 42)[1] == sdk.COMM_RX_TIMEOUT
+    found, result = ph.broadcastPing(port)
+    assert result == sdk.COMM_SUCCESS
+    assert sorted(found) == list(range(2, 10))
+    assert ph.write1ByteTxRx(port, 2, 64, 1) == (sdk.COMM_SUCCESS, 0)
+    assert ph.write1ByteTxRx(port, 2, 11, 4) == (sdk.COMM_SUCCESS, ACCESS_ERROR)
+    assert ph.read4ByteTxRx(port, 2, 132) == (2048, sdk.COMM_SUCCESS, 0)
+
+
+def test_the_raw_sdk_reads_and_writes_many_at_once(twin: Twin, port: sdk.PortHandler) -> None:
+    write = sdk.GroupSyncWrite(port, ph, 116, 4)
+    read = sdk.GroupSyncRead(port, ph, 116, 4)
+    for servo in (2, 3, 4):
+        assert write.addParam(servo, list((2000 + servo).to_bytes(4, "little")))
+        assert read.addParam(servo)
+    assert write.txPacket() == sdk.COMM_SUCCESS
+    for answer in (read.txRxPacket, read.fastSyncRead):
+        assert answer() == sdk.COMM_SUCCESS
+        assert [read.getData(servo, 116, 4) for servo in (2, 3, 4)] == [2002, 2003, 2004]
+    bulk = sdk.GroupBulkRead(port, ph)
+    bulk.addParam(2, 0, 2)
+    bulk.addParam(3, 116, 4)
+    assert bulk.txRxPacket() == sdk.COMM_SUCCESS
+    assert (bulk.getData(2, 0, 2), bulk.getData(3, 116, 4)) == (1020, 2003)
+    many = sdk.GroupBulkWrite(port, ph)
+    many.addParam(2, 116, 4, list((2100).to_bytes(4, "little")))
+    many.addParam(4, 65, 1, [1])
+    assert many.txPacket() == sdk.COMM_SUCCESS
+    assert ph.read4ByteTxRx(port, 2, 116)[0] == 2100
+    assert ph.read1ByteTxRx(port, 4, 65)[0] == 1
+
+
+def test_the_raw_sdk_registers_acts_and_reboots(twin: Twin, port: sdk.PortHandler) -> None:
+    assert ph.regWriteTxRx(port, 2, 116, 4, list((1900).to_bytes(4, "little"))) == (sdk.COMM_SUCCESS, 0)
+    assert ph.read1ByteTxRx(port, 2, 69)[0] == 1
+    assert ph.read4ByteTxRx(port, 2, 116)[0] == 2048
+    assert ph.action(port, 254) == sdk.COMM_SUCCESS
+    assert ph.read4ByteTxRx(port, 2, 116)[0] == 1900
+    twin.twin.servos[2].fail(5)
+    assert ph.ping(port, 2)[2] == 0x80
+    assert ph.reboot(port, 2)[0] == sdk.COMM_SUCCESS
+    assert ph.ping(port, 2)[2] == 0
+    assert ph.clearMultiTurn(port, 2) == (sdk.COMM_SUCCESS, 0)
