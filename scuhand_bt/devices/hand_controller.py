@@ -34,6 +34,9 @@ class HandController:
         self.report: Report | None = None
         """The last one; None while the controller is lost."""
         self.hello: Hello | None = None
+        """Its greeting; None until it has come, and again after a restart."""
+        self.mm_per_deg = 1.0
+        """Of the valve: its travel for each degree of its servo, as the controller told it."""
         self.trouble: SkillFailed | None = None
         """Why the controller cannot be used now."""
         self.refused: SkillFailed | None = None
@@ -133,7 +136,7 @@ class HandController:
                 return  # noise, or the answer to a command that was given up
             said, self._in_flight = self._in_flight, ""
             if isinstance(answer, Hello):
-                self.hello, self.trouble = answer, None
+                self.hello, self.mm_per_deg, self.trouble = answer, answer.mm_per_deg, None
             elif answer.refusal == "hello":
                 self.refused = SkillFailed("device.lost", f"the hand controller on {self._url} has restarted")
                 self._greet()

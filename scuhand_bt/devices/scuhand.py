@@ -118,11 +118,11 @@ class ScuHand:
 
         Closed early, by a halt or a failure, it closes the valve.
         """
+        if not (math.isfinite(dwell_s) and dwell_s >= 0.0):
+            raise ValueError(f"a dwell is a time of 0 s or more, not {dwell_s!r}")
         self._raise_trouble()
-        hello = self._controller.hello
-        if hello is None or not 0.0 < opening_mm <= self.spec.max_opening_mm:
-            raise SkillFailed("device.lost", f"no opening of {opening_mm:g} mm can be asked of the valve")
-        self._controller.step(opening_mm / hello.mm_per_deg, dwell_s, vibration)
+        angle_deg = self._possible(opening_mm) / self._controller.mm_per_deg
+        self._controller.step(angle_deg, dwell_s, _level(vibration))
         deadline_s = self._clock.now_s + dwell_s + MOVE_TIMEOUT_S
         shut = False
         try:
@@ -143,13 +143,18 @@ class ScuHand:
         """Go to this opening now. Opening fails while something is wrong; closing never does."""
         if opening_mm > 0.0:
             self._raise_trouble()
-        self._controller.set_opening(min(max(opening_mm, 0.0), self.spec.max_opening_mm))
+        self._controller.set_opening(self._possible(opening_mm))
 
     def set_vibration(self, level: float) -> None:
         """Vibrate at this level. Starting fails while something is wrong; stopping never does."""
         if level > 0.0:
             self._raise_trouble()
-        self._controller.set_vibration(min(max(level, 0.0), 1.0))
+        self._controller.set_vibration(_level(level))
+
+    def _possible(self, opening_mm: float) -> float:
+        if not math.isfinite(opening_mm):
+            raise ValueError(f"an opening is a number of millimetres, not {opening_mm!r}")
+        return min(max(opening_mm, 0.0), self.spec.max_opening_mm)
 
     @property
     def _roller_deg(self) -> float:
@@ -171,6 +176,12 @@ class ScuHand:
             raise SkillFailed(code, f"the hand controller: {report.why}")
         if refused is not None:
             raise refused
+
+
+def _level(vibration: float) -> float:
+    if not 0.0 <= vibration <= 1.0:
+        raise ValueError(f"vibration is 0 to 1, not {vibration!r}")
+    return vibration
 
 
 FAULT_CODES = {"d": "device.lost", "s": "servo.overload", "t": "servo.overload"}

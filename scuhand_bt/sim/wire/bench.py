@@ -1,0 +1,183 @@
+"""All twins of one cell at once, backed by one simulated world that goes on in real time.
+
+    with WireBench(spec, sources, firmware, joints, clock) as bench:
+        arm, hand, balance, _ = connect_cell_devices(bench.spec, clock)
+
+The world sees the servos' shafts and the valve's position, not commands; the balance's twin shows what the
+world's balance reads.
+"""
+
+import math
+import threading
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from scuhand_bt.clock import Clock
+from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.sim.arm import SimulatedArm
+from scuhand_bt.sim.balance import SimulatedBalance
+from scuhand_bt.sim.hand import INITIAL_DIAMETER_MM, SimulatedHand
+from scuhand_bt.sim.plant import load_plant
+from scuhand_bt.sim.wire.balances import TWINS
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
+from scuhand_bt.sim.wire.hand import HandTwin
+from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.server import TwinServer
+from scuhand_bt.sim.wire.servo import Servo
+from scuhand_bt.sim.world import STEP_S, World
+from scuhand_bt.specs import CellSpec, HandSpec, Source
+
+STILL_AFTER_S = 0.1
+"""What has not moved for this long stands still."""
+SHUT_MM = 0.01
+COUNTS_PER_RAD = 4096 / (2 * math.pi)
+
+
+class WireArm(SimulatedArm):
+    """The world's arm: it is where the servos are."""
+
+    def __init__(self, clock: Clock, apex_offset_m: float, joints: Joints, servos: list[Servo]) -> None:
+        super().__init__(clock, apex_offset_m, joints)
+        self._servos = servos
+        self._moved_s = float("-inf")
+        self._now_s = 0.0
+        for servo, angle_rad in zip(servos, joints, strict=True):
+            servo.position = 2048 + float(angle_rad) * COUNTS_PER_RAD
+
+    @property
+    def is_active(self) -> bool:
+        return self._now_s - self._moved_s < STILL_AFTER_S
+
+    def advance(self, end_s: float) -> None:
+        """See where the servos are."""
+        joints = np.array([(servo.position - 2048) / COUNTS_PER_RAD for servo in self._servos])
+        if np.abs(joints - self._rest).max() > 0.5 / COUNTS_PER_RAD:
+            self._moved_s = end_s
+            self._hold(joints)
+        self._now_s = end_s
+
+
+class WireHand(SimulatedHand):
+    """The world's hand: its valve is where the twin's is, its cone what the roller's servo has made of it."""
+
+    def __init__(self, spec: HandSpec, clock: Clock, valve: HandTwin, roller: Servo) -> None:
+        super().__init__(spec, clock)
+        self._valve = valve
+        self._roller = roller
+        self._at_zero_deg = Cone(INITIAL_DIAMETER_MM, spec.sheet_radius_mm).roller_deg(spec) - self._roller_deg
+        self._morphed_s = self._closed_s = float("-inf")
+        self._now_s = 0.0
+
+    @property
+    def _roller_deg(self) -> float:
+        return self._roller.position * 360 / 4096
+
+    @property
+    def is_active(self) -> bool:
+        morphs = self._now_s - self._morphed_s < STILL_AFTER_S
+        return bool(self._servo_mm or self.vibration) or morphs
+
+    @property
+    def is_closing(self) -> bool:
+        return self._now_s - self._closed_s < STILL_AFTER_S
+
+    def advance(self, end_s: float, dt_s: float) -> float:
+        """See where the valve and the roller are; the mean real opening [mm] since the last look."""
+        self._now_s = end_s
+        self.vibration = self._valve.vibration
+        opening_mm = self._valve.opening_mm if self._valve.opening_mm > SHUT_MM else 0.0
+        self._turn_to(opening_mm)
+        self._servo_mm = opening_mm
+        before_mm, self._real_mm = self._real_mm, self._gap_mm()
+        diameter_mm = Cone.from_roller(self._at_zero_deg + self._roller_deg, self.spec).diameter_mm
+        if abs(diameter_mm - self.cone_diameter_mm) > 0.001:
+            self._morphed_s = end_s
+            if diameter_mm < self.cone_diameter_mm:
+                self._closed_s = end_s
+            self.cone_diameter_mm = diameter_mm
+        return (before_mm + self._real_mm) / 2.0
+
+
+class WirePan:
+    """What the balance's twin weighs: the reading of the world's balance."""
+
+    def __init__(self, balance: SimulatedBalance) -> None:
+        self._balance = balance
+
+    def gross_mg(self, now_s: float) -> float:
+        return self._balance.latest.value_mg if self._balance.latest is not None else 0.0
+
+    def is_stable(self, now_s: float) -> bool:
+        return self._balance.latest is not None and self._balance.latest.stable
+
+
+class WireBench:
+    """The twins of one cell on pseudo-terminals, and their world; a context manager.
+
+    `firmware` is the lab's `robot/firmware`, `joints` where the arm stands [rad]. Raises NoCompiler where the
+    firmware cannot be built, PlantError for a plant that cannot be used.
+    """
+
+    def __init__(
+        self,
+        spec: CellSpec,
+        sources: Mapping[str, Source],
+        firmware: Path,
+        joints: Joints,
+        clock: Clock,
+        seed: int = 0,
+        plant: str | None = None,
+    ) -> None:
+        physics = load_plant(plant or spec.plant)
+        *arm_servos, roller = servos = crane_x7()
+        self.bus = TwinServer(DynamixelTwin(servos), PtyPort())
+        valve = HandTwin(firmware, None, spec.hand.valve_speed_mm_per_s, spec.hand.valve_dead_time_s)
+        self.hand = TwinServer(valve, PtyPort())
+        arm = WireArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, arm_servos)
+        hand = WireHand(spec.hand, clock, valve, roller)
+        balance = SimulatedBalance(spec.balance, clock, physics)
+        self.world = World(spec, sources, physics, seed, arm, hand, balance)
+        kind = TWINS[spec.balance.driver]
+        twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
+        self.balance = TwinServer(twin, PtyPort())
+        self.spec = spec.model_copy(
+            update={
+                "arm": spec.arm.model_copy(update={"port": self.bus.url}),
+                "hand": spec.hand.model_copy(update={"port": self.hand.url}),
+                # A pseudo-terminal cannot be set to seven bits or parity twice.
+                "balance": spec.balance.model_copy(
+                    update={"port": self.balance.url, "options": spec.balance.options | {"bits": "8N1"}}
+                ),
+                "changer": spec.changer.model_copy(update={"driver": "operator"}),
+            }
+        )
+        """The cell's description with the twins' ports in it."""
+        self._clock = clock
+        self._running = ExitStack()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._go_on, name="world", daemon=True)
+
+    def __enter__(self) -> "WireBench":
+        for server in (self.bus, self.hand, self.balance):
+            self._running.enter_context(server)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.set()
+        self._thread.join()
+        self._running.close()
+
+    def _go_on(self) -> None:
+        now_s = self._clock.now_s
+        while not self._closing.wait(STEP_S):
+            end_s = self._clock.now_s
+            while now_s < end_s:
+                now_s = self.world.step(now_s, end_s)
