@@ -5,6 +5,7 @@ Pure: no device, no clock, no file.
 
 from collections.abc import Callable, Mapping
 
+from scuhand_bt.dosing.adaptive import Adaptive
 from scuhand_bt.dosing.controller import (
     Command,
     Controller,
@@ -33,6 +34,7 @@ __all__ = [
 ]
 
 CONTROLLERS: Mapping[str, Callable[[DoseRequest], Controller]] = {
+    Adaptive.name: Adaptive,
     Paper.name: Paper,
     DirectPid.name: DirectPid,
 }

@@ -35,9 +35,10 @@ LONGEST_DWELL_S = 2.0
 WAIT_S = 6.3
 """Fixed wait of the paper's rig after each pulse, on top of the balance's settling (Table II: a step
 takes 7.2 s plus the time the valve is open)."""
-CAUTION = 3.0
-"""The listing starts without a C'. It is started this much too large, so that the first pulses are small, and
-stays in the fit as one more pulse like the first, so that one odd pulse cannot collapse it."""
+CAUTION = 2.5
+"""The listing starts without a C'. It is started this many spreads of the powder's first guess too large, so
+that the first pulses are small, and stays in the fit as one more pulse like the first, so that one odd pulse
+cannot collapse it."""
 BARREN_PULSES = 5
 LOWERED = 2.0 / 3.0
 DRY_PULSES = 5
@@ -70,7 +71,7 @@ class Paper:
     def __init__(self, request: DoseRequest) -> None:
         self._request = request
         flows = request.powder.vibration == 0.0
-        start = CAUTION * request.powder.coefficient
+        start = (1.0 + CAUTION * request.powder.spread) * request.powder.coefficient
         self._gravity = _Mode(start if flows else 0.0, start)
         self._vibrated = _Mode(start, start)
         self._pulse: Pulse | None = None

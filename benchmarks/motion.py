@@ -1,0 +1,377 @@
+"""The arm's motion, measured: `python -m benchmarks.motion [--tasks 1000] [--json FILE] [--peers]`.
+
+Tasks are seeded, a third each: mortar to pan and back; between random level poses; from any free
+configuration to inside the shield. Each plan is checked by an *audit of its own*: plain Pinocchio (no
+pool, no broad phase, no margin; contacts enabled, without which coal misses penetrations), at instants
+between which no point of any shape's hull moves more than 1 mm. Durations are compared with L, the
+jerk-limited optimum to the best free goal with nothing in the way, and for plans with via points with
+toppra's time law (which has no jerk limit) on the plan's own polyline, where toppra is installed.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks import motion_peers
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.motion import MotionPlanner, spill_limit_deg, transfer
+from scuhand_bt.motion.kinematics import (
+    COUNT_RAD,
+    LIMITS_RAD,
+    ApexPose,
+    Floats,
+    apex,
+    apex_positions_m,
+    finest,
+    solutions,
+    unreachable_reason,
+)
+from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
+from scuhand_bt.motion.timelaw import rest_to_rest_s
+from scuhand_bt.motion.trajectory import JointTrajectory
+
+SEED = 20260
+OFFSET_M = 0.120
+GENTLE_DEG = 10.0
+AUDIT_M = 0.001
+
+
+@dataclass
+class Task:
+    """One transfer: a start configuration and a goal pose."""
+
+    kind: str
+    start: Floats
+    goal: ApexPose
+
+
+@dataclass
+class Outcome:
+    """What came of a task at one effort."""
+
+    task: Task
+    plan_s: float
+    chain: Any
+    bound_s: float
+    notes: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def is_direct(self) -> bool:
+        return len(self.chain.points) == 2
+
+
+class Bench:
+    """The starter lab's cell, and tasks in it."""
+
+    def __init__(self) -> None:
+        lab = load_lab(starter_lab())
+        mortar = lab.library.mortars["agate_mortar"]
+        self.planner = MotionPlanner(lab.urdf, lab.cell, {"mortar_bay": mortar, "mortar_bay_2": mortar})
+        self.planner.set_container(lab.library.containers["alumina_crucible"])
+        self.cell = lab.cell
+        self.scene = self.planner.scene()
+        self.rates = self.planner.rates
+
+    def over(self, station: str, height_mm: float, rng: np.random.Generator | None = None) -> ApexPose:
+        x, y, z = self.cell.stations[station].position_mm
+        dx, dy = (0.0, 0.0) if rng is None else rng.uniform(-8, 8, 2)
+        return ApexPose(np.array([x + dx, y + dy, z + height_mm]) / 1e3)
+
+    def free(self, pose: ApexPose) -> Floats:
+        q = solutions(pose, OFFSET_M)
+        return q[~self.scene.hits(q)] if len(q) else q
+
+    def tasks(self, count: int) -> list[Task]:
+        rng = np.random.default_rng(SEED)
+        tasks = []
+        while len(tasks) < count:
+            kind = ("mortar and pan", "random pair", "anywhere to pan")[len(tasks) % 3]
+            mortar = self.over(str(rng.choice(["mortar_bay", "mortar_bay_2"])), rng.uniform(70, 120), rng)
+            pan = self.over("balance", rng.uniform(75, 100), rng)
+            if kind == "mortar and pan":
+                first, second = (mortar, pan) if rng.uniform() < 0.5 else (pan, mortar)
+            elif kind == "random pair":
+                first, second = (ApexPose(rng.uniform([0.15, -0.28, 0.03], [0.42, 0.28, 0.2])) for _ in range(2))
+            else:
+                first, second = mortar, pan
+            starts, goals = self.free(first), self.free(second)
+            if kind == "anywhere to pan":
+                starts = rng.uniform(LIMITS_RAD[0], LIMITS_RAD[1], (20, 7))
+                starts = starts[~self.scene.hits(starts)]
+            if len(starts) and len(goals):
+                tasks.append(Task(kind, starts[rng.integers(len(starts))], second))
+        return tasks
+
+    def run(self, task: Task, effort: transfer.Effort, spill_deg: float | None = None) -> Outcome:
+        """One task from pose to proven motion, timed: IK, ranking, path, time law, certificate."""
+        begin_s = time.perf_counter()
+        try:
+            chain = self.planner.chain(task.start, task.goal, spill_limit_deg=spill_deg, effort=effort)
+        except SkillFailed:
+            chain = None
+        plan_s = time.perf_counter() - begin_s
+        bound_s = float(rest_to_rest_s(self.free(task.goal)[:, :6] - task.start[:6], self.six()).min())
+        return Outcome(task, plan_s, chain, bound_s)
+
+    def six(self) -> Any:
+        return type(self.rates)(*(getattr(self.rates, name)[:6] for name in ("speed", "acceleration", "jerk")))
+
+
+class Audit:
+    """An exact check of whole motions that shares no code with the planner's own proof."""
+
+    def __init__(self, bench: Bench) -> None:
+        scene = bench.scene
+        self.model, self.shapes = scene.model, scene.shapes
+        self.data, self.shape_data = self.model.createData(), pin.GeometryData(self.shapes)
+        for request in self.shape_data.collisionRequests:
+            request.enable_contact = True
+            request.security_margin = 0.0
+        self.hulls = [_box_corners(thing) for thing in self.shapes.geometryObjects if thing.parentJoint > 0]
+        self.joints = [thing.parentJoint for thing in self.shapes.geometryObjects if thing.parentJoint > 0]
+
+    def touches(self, motion: JointTrajectory) -> bool:
+        count = max(64, int(motion.duration_s / 0.002))
+        times_s = np.linspace(0.0, motion.duration_s, count)
+        previous = self._points(motion.sample(0.0))
+        if self._hit(motion.sample(0.0)):
+            return True
+        for begin_s, end_s in zip(times_s[:-1], times_s[1:], strict=True):
+            points = self._points(motion.sample(end_s))
+            moved_m = float(np.linalg.norm(points - previous, axis=1).max())
+            for time_s in np.linspace(begin_s, end_s, int(moved_m / AUDIT_M) + 2)[1:]:
+                if self._hit(motion.sample(time_s)):
+                    return True
+            previous = points
+        return False
+
+    def _points(self, q: Floats) -> Floats:
+        pin.forwardKinematics(self.model, self.data, q)
+        return np.vstack(
+            [
+                corners @ self.data.oMi[joint].rotation.T + self.data.oMi[joint].translation
+                for joint, corners in zip(self.joints, self.hulls, strict=True)
+            ]
+        )
+
+    def _hit(self, q: Floats) -> bool:
+        return bool(pin.computeCollisions(self.model, self.data, self.shapes, self.shape_data, q, True))
+
+
+def _box_corners(thing: pin.GeometryObject) -> Floats:
+    shape = thing.geometry
+    shape.computeLocalAABB()
+    box = shape.aabb_local
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    local = box.min_ + corners * (box.max_ - box.min_)
+    placed: Floats = local @ thing.placement.rotation.T + thing.placement.translation
+    return placed
+
+
+def spread(values: list[float], unit: str) -> str:
+    if not values:
+        return "none"
+    median, p95 = np.percentile(values, [50, 95])
+    return f"median {median:.3g}, p95 {p95:.3g}, worst {max(values):.3g}, mean {np.mean(values):.3g} {unit}"
+
+
+def excess(motion: JointTrajectory, rates: Any) -> float:
+    """By how much the worst sample of a motion is beyond a limit, as a share of it; negative inside."""
+    times_s = np.linspace(0.0, motion.duration_s, 2000)
+    worst = -np.inf
+    for k, limit in ((1, rates.speed), (2, rates.acceleration), (3, rates.jerk)):
+        worst = max(worst, float((np.abs(motion.at(times_s, k)) / limit).max() - 1))
+    q = motion.at(times_s)
+    return max(worst, float((LIMITS_RAD[0] - q).max()), float((q - LIMITS_RAD[1]).max()))
+
+
+def transfers(bench: Bench, tasks: list[Task], effort: transfer.Effort, audit: Audit, peers: bool) -> dict[str, Any]:
+    """Every figure of the transfers at one effort."""
+    outcomes = [bench.run(task, effort) for task in tasks]
+    solved = [outcome for outcome in outcomes if outcome.chain is not None]
+    via = [outcome for outcome in solved if not outcome.is_direct]
+    ends_m = [
+        float(np.linalg.norm(apex(o.chain.motion.end, OFFSET_M).position_m - o.task.goal.position_m)) for o in solved
+    ]
+    ratios = []
+    if peers:
+        ratios = [o.chain.duration_s / motion_peers.toppra_s(o.chain.polyline, bench.rates) for o in via]
+    direct = [
+        o.chain.duration_s / float(rest_to_rest_s(o.chain.points[1] - o.chain.points[0], bench.rates))
+        for o in solved
+        if o.is_direct
+    ]
+    result = {
+        "tasks": len(tasks),
+        "failures": len(tasks) - len(solved),
+        "touching in the audit": sum(audit.touches(o.chain.motion) for o in solved),
+        "plan_ms": spread([o.plan_s * 1e3 for o in outcomes], "ms"),
+        "direct": len(solved) - len(via),
+        "direct / optimum": spread(direct, ""),
+        "duration / bound": spread([o.chain.duration_s / o.bound_s for o in solved], ""),
+        "via / toppra": spread(ratios, ""),
+        "beyond limits": max(excess(o.chain.motion, bench.rates) for o in solved),
+        "apex error_m": max(ends_m),
+    }
+    for kind in dict.fromkeys(task.kind for task in tasks):
+        result[f"plan_ms, {kind}"] = spread([o.plan_s * 1e3 for o in outcomes if o.task.kind == kind], "ms")
+    return result
+
+
+def carrying(bench: Bench, tasks: list[Task], limit_deg: float, effort: transfer.Effort) -> dict[str, Any]:
+    """Loaded moves between mortar and pan against the same tasks with an empty cone."""
+    ratios, plan_ms, worst_deg, failures = [], [], 0.0, 0
+    for task in tasks:
+        empty = bench.run(task, effort)
+        loaded = bench.run(task, effort, limit_deg)
+        plan_ms.append(loaded.plan_s * 1e3)
+        if empty.chain is None or loaded.chain is None:
+            failures += 1
+            continue
+        ratios.append(loaded.chain.duration_s / empty.chain.duration_s)
+        motion = loaded.chain.motion
+        times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / 0.001))
+        angles = spill_angles_deg(
+            *apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), OFFSET_M)
+        )
+        worst_deg = max(worst_deg, float(angles.max()))
+    return {
+        "limit_deg": round(limit_deg, 2),
+        "tasks": len(tasks),
+        "failures": failures,
+        "duration / empty": spread(ratios, ""),
+        "plan_ms": spread(plan_ms, "ms"),
+        "worst spill_deg": worst_deg,
+    }
+
+
+def inverse_kinematics() -> dict[str, Any]:
+    """500 reachable poses, 10 000 poses against a dense search, and what whole servo counts cost."""
+    rng = np.random.default_rng(SEED)
+    error_m, times_ms, missed, none_ms = 0.0, [], 0, []
+    rounded_mm, finest_mm = [], []
+    found = 0
+    while found < 500:
+        pose = ApexPose(rng.uniform([0.15, -0.28, 0.03], [0.42, 0.28, 0.35]))
+        if not _dense_search_reaches(pose):
+            continue
+        found += 1
+        begin_s = time.perf_counter()
+        q = solutions(pose, OFFSET_M)
+        times_ms.append((time.perf_counter() - begin_s) * 1e3)
+        missed += len(q) == 0
+        if not len(q):
+            continue
+        positions_m, axes = apex_positions_m(q, OFFSET_M)
+        error_m = max(
+            error_m, float(np.abs(positions_m - pose.position_m).max()), float(np.abs(axes - pose.axis).max())
+        )
+        for store, chosen in ((rounded_mm, q[len(q) // 2]), (finest_mm, finest(pose, q[len(q) // 2], OFFSET_M))):
+            counted = apex(np.round(chosen / COUNT_RAD) * COUNT_RAD, OFFSET_M).position_m
+            store.append(float(np.linalg.norm(counted - pose.position_m)) * 1e3)
+    wrong = 0
+    for _ in range(10_000):
+        axis = rng.normal(size=3)
+        pose = ApexPose(rng.uniform([-0.3, -0.5, 0.0], [0.6, 0.5, 0.6]), axis / np.linalg.norm(axis))
+        begin_s = time.perf_counter()
+        reason = unreachable_reason(pose, OFFSET_M)
+        if reason is not None:
+            none_ms.append((time.perf_counter() - begin_s) * 1e3)
+            wrong += _dense_search_reaches(pose)
+        else:
+            wrong += len(solutions(pose, OFFSET_M)) == 0
+    return {
+        "poses": found,
+        "missed": missed,
+        "error": error_m,
+        "ik_ms": spread(times_ms, "ms"),
+        "none_ms": spread(none_ms, "ms"),
+        "none, of 10000": len(none_ms),
+        "wrongly none": wrong,
+        "apex error rounded to counts_mm": spread(rounded_mm, "mm"),
+        "apex error, finest_mm": spread(finest_mm, "mm"),
+    }
+
+
+def _dense_search_reaches(pose: ApexPose) -> bool:
+    """Whether any of 3600 elbow positions gives joints within limits: vectors and angles only, no intervals."""
+    wrist = pose.position_m + (0.019 + OFFSET_M) * pose.axis - (0.0, 0.0, 0.105)
+    distance_m = float(np.linalg.norm(wrist))
+    if distance_m > 0.5 or distance_m < 1e-6:
+        return False
+    q4 = -2 * np.arccos(distance_m / 0.5)
+    if q4 < LIMITS_RAD[0, 3]:
+        return False
+    towards = wrist / distance_m
+    side = np.cross(towards, [1.0, 0.0, 0.0] if abs(towards[0]) < 0.9 else [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    phi = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)[:, None]
+    sine = np.sqrt(1 - (distance_m / 0.5) ** 2)
+    e = towards * distance_m / 0.5 + sine * (np.cos(phi) * side + np.sin(phi) * np.cross(towards, side))
+    f = wrist / 0.25 - e
+    h = np.broadcast_to(-pose.axis, e.shape)
+    for shoulder in (1.0, -1.0):
+        q2 = shoulder * np.arccos(np.clip(e[:, 2], -1, 1))
+        q1 = np.arctan2(-shoulder * e[:, 1], -shoulder * e[:, 0])
+        f2 = _into_frame(f, q1, q2)
+        q3 = np.arctan2(f2[:, 1], f2[:, 0])
+        h4 = _into_frame(_into_frame(h, q1, q2), q3, np.full(len(q1), q4))
+        for wrist_side in (1.0, -1.0):
+            q6 = wrist_side * np.arccos(np.clip(h4[:, 2], -1, 1))
+            q5 = np.arctan2(-wrist_side * h4[:, 1], -wrist_side * h4[:, 0])
+            q = np.stack([q1, q2, q3, np.full(len(q1), q4), q5, q6], axis=1)
+            if ((q >= LIMITS_RAD[0, :6]) & (q <= LIMITS_RAD[1, :6])).all(axis=1).any():
+                return True
+    return False
+
+
+def _into_frame(v: Floats, about_z: Floats, about_minus_y: Floats) -> Floats:
+    c, s = np.cos(about_z), np.sin(about_z)
+    x, y, z = c * v[:, 0] + s * v[:, 1], -s * v[:, 0] + c * v[:, 1], v[:, 2]
+    c, s = np.cos(about_minus_y), np.sin(about_minus_y)
+    return np.stack([c * x + s * z, y, c * z - s * x], axis=1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.motion", description=__doc__)
+    parser.add_argument("--tasks", type=int, default=1000)
+    parser.add_argument("--carrying", type=int, default=100, help="loaded moves per limit")
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--peers", action="store_true", help="compare with pink and toppra, which must be installed")
+    given = parser.parse_args()
+    bench = Bench()
+    audit = Audit(bench)
+    tasks = bench.tasks(given.tasks)
+    moves = [task for task in tasks if task.kind == "mortar and pan"][: given.carrying]
+    own_deg = spill_limit_deg(64.16, 45.0, 5000 / 1.5, 25.0, 18.0)
+    results: dict[str, Any] = {"inverse kinematics": inverse_kinematics()}
+    show("inverse kinematics", results["inverse kinematics"])
+    for name, effort in (("live", transfer.LIVE), ("polished", transfer.POLISHED)):
+        results[f"transfers, {name}"] = transfers(bench, tasks, effort, audit, given.peers)
+        show(f"transfers, {name}", results[f"transfers, {name}"])
+        for load, limit_deg in (("5 g of glass beads", own_deg), ("gentle", GENTLE_DEG)):
+            title = f"carrying {load}, {name}"
+            results[title] = carrying(bench, moves, limit_deg, effort)
+            show(title, results[title])
+    if given.peers:
+        results["peers"] = motion_peers.pink_ik(bench.planner.urdf, bench.cell, SEED)
+        show("peers", results["peers"])
+    if given.json:
+        given.json.write_text(json.dumps(results, indent=2) + "\n")
+
+
+def show(title: str, figures: dict[str, Any]) -> None:
+    print(f"\n{title}")
+    for name, value in figures.items():
+        print(f"  {name:36} {value}")
+
+
+if __name__ == "__main__":
+    main()

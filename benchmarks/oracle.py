@@ -1,0 +1,99 @@
+"""The floor: a controller that sees the true mass, landed and in flight, at every instant.
+
+It has the same hand and the same stopping rules as `adaptive`: it closes once what will have left lies within
+the tolerance, and ends on a stable mean of the balance. What it cannot know is what the valve and the
+powder will do next; its error is what no measurement can avoid.
+"""
+
+import math
+
+from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.devices.dose_loop import DoseRun
+from scuhand_bt.dosing import DoseRequest, Finish
+from scuhand_bt.dosing.valve import FlowShape
+from scuhand_bt.sim.world import World
+
+LOOK_S = 0.02
+AHEAD_S = 0.35
+"""Time constant of its approach: what is left divided by this is its flow."""
+GUARD_MG = 0.3
+QUIET_S = 0.8
+
+
+class Oracle:
+    """Picks the opening from the true remaining mass and the true flow of the last moments."""
+
+    def __init__(self, request: DoseRequest) -> None:
+        self.request = request
+        self.shape = FlowShape(request.powder.threshold_mm, request.powder.exponent)
+        self.coefficient = request.powder.coefficient
+
+    def aim_mg(self) -> float:
+        """Where it closes: inside the tolerance from below, where a lump has the most room."""
+        return self.request.target_mg - self.request.tolerance_mg + GUARD_MG
+
+    def opening_mm(self, remaining_mg: float, slowest: float) -> float:
+        flow = max(remaining_mg / AHEAD_S, slowest)
+        opening_mm = self.shape.opening_mm(flow / self.coefficient)
+        return min(max(opening_mm, self.shape.threshold_mm + 0.05), self.request.max_opening_mm)
+
+    def tail_mg(self, opening_mm: float) -> float:
+        request = self.request
+        return self.coefficient * self.shape.closing(
+            opening_mm, request.valve_dead_time_s, request.valve_speed_mm_per_s
+        )
+
+
+def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Steps[DoseRun]:
+    """Run it to its end."""
+    request, hand, clock = oracle.request, cell.hand, cell.clock
+    begin_s = clock.now_s
+    vibration = request.powder.vibration
+    surge_mg = request.powder.surge_mg
+    openings = 0
+    reason = "step_limit"
+
+    def left_mg() -> float:
+        return world.true_mass(container) + world.masses_mg["flight"]
+
+    while openings < 25:
+        openings += 1
+        quiet_s, shaking = 0.0, vibration
+        before_mg, opening_mm, slowest = left_mg(), 0.0, 3.0 if surge_mg < 1.0 else 1.0
+        while left_mg() + oracle.tail_mg(hand.opening_mm) < oracle.aim_mg():
+            opening_mm = oracle.opening_mm(oracle.aim_mg() - left_mg(), slowest)
+            hand.set_vibration(shaking)
+            hand.set_opening(opening_mm)
+            end_s = clock.now_s + LOOK_S
+            phi = oracle.shape.value(hand.opening_mm)
+            while clock.now_s < end_s - 1e-9:
+                yield Wake(end_s)
+            now_mg = left_mg()
+            gained_mg, before_mg = now_mg - before_mg, now_mg
+            phi = (phi + oracle.shape.value(hand.opening_mm)) / 2.0
+            if gained_mg > 0.0:
+                quiet_s = 0.0
+                if phi > 0.0 and gained_mg < 3.0 * oracle.coefficient * phi * LOOK_S:
+                    oracle.coefficient += 0.15 * (gained_mg / (phi * LOOK_S) - oracle.coefficient)
+                    oracle.coefficient = max(oracle.coefficient, 0.3 * request.powder.coefficient)
+            elif phi > 0.0:
+                quiet_s += LOOK_S
+                if quiet_s > QUIET_S:
+                    shaking = 1.0
+                if quiet_s > 2.0 * QUIET_S:
+                    slowest = min(slowest * 1.02, 50.0)
+                if quiet_s > 30.0:
+                    break
+        hand.stop()
+        mean = yield from cell.balance.settled()
+        error_mg = world.true_mass(container) - request.target_mg
+        if quiet_s > 30.0:
+            reason = "no_flow"
+            break
+        if error_mg >= -request.tolerance_mg + 0.02:
+            reason = "reached" if error_mg <= request.tolerance_mg else "overshoot"
+            break
+    true_mg = world.true_mass(container)
+    finish = Finish(reason, true_mg, math.sqrt(2.0) * mean.uncertainty_mg)  # type: ignore[arg-type]
+    return DoseRun(finish, openings, 0.0, clock.now_s - begin_s)

@@ -1,0 +1,143 @@
+"""What has left the nozzle, and how fast powder flows, from readings that lag behind.
+
+State (y2, y1, M, k), with the balance as two equal poles of time constant tau:
+
+    y1' = (M - y1) / tau,   y2' = (y1 - y2) / tau,   M' = k phi(D(t)),   k' = noise;     reading = y2 + noise
+
+M [mg] is what has left the nozzle: while powder lands steadily its momentum weighs as much as what is in
+flight (the hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/4, 2010), so the pan reads what
+has left. k [mg s^-1 mm^-n] is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`). Between two
+readings phi is taken at its mean, for which the transition is exact. M is disturbed by surges: lumps of
+mean mass m at a rate q/m give M the variance 2 m q dt; m is tuned until the innovations have the size that
+they claim (adaptive Kalman filtering, Mehra, IEEE Trans. Autom. Control 17, 1972).
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+K_WALK_PER_S = 0.35
+"""Relative random walk of k, per square root of a second."""
+SURGE_GAIN = 0.04
+LARGEST_SURGE_MG = 8.0
+SMALLEST_SURGE_MG = 0.03
+
+
+class FlowFilter:
+    """A Kalman filter over the balance's lag and the powder's flow."""
+
+    def __init__(self, net_mg: float, coefficient: float, spread: float, surge_mg: float, lag_s: float) -> None:
+        self.lag_s = lag_s
+        self.surge_mg = max(surge_mg, SMALLEST_SURGE_MG)
+        self._x = np.array([net_mg, net_mg, net_mg, coefficient])
+        self._p = np.diag([0.02, 0.02, 0.02, (spread * coefficient) ** 2])
+        self._f = np.eye(4)
+
+    @property
+    def mass_mg(self) -> float:
+        """What has left the nozzle."""
+        return float(self._x[2])
+
+    @property
+    def mass_sd_mg(self) -> float:
+        return math.sqrt(max(float(self._p[2, 2]), 0.0))
+
+    @property
+    def coefficient(self) -> float:
+        """k, never negative."""
+        return max(float(self._x[3]), 0.0)
+
+    @property
+    def coefficient_sd(self) -> float:
+        return math.sqrt(max(float(self._p[3, 3]), 0.0))
+
+    def widen(self, relative_sd: float, reference: float) -> None:
+        """The opening has changed: what was learnt of k holds a little less."""
+        self._p[3, 3] += (relative_sd * reference) ** 2
+
+    def restart(self, net_mg: float, sd_mg: float, reference: float, spread: float) -> None:
+        """A stable mean, valve shut: the masses are known, k is as good as at a new opening."""
+        coefficient = self.coefficient
+        self._x = np.array([net_mg, net_mg, net_mg, coefficient])
+        variance = sd_mg * sd_mg
+        self._p = np.diag([variance, variance, variance, float(self._p[3, 3]) + (spread * reference) ** 2])
+
+    def update(self, dt_s: float, phi_s: float, reading_mg: float, noise_mg: float, reference: float) -> float:
+        """Take in a reading `dt_s` after the last, over which phi integrated to `phi_s`.
+
+        Returns the innovation in standard deviations.
+        """
+        tau = self.lag_s
+        a = math.exp(-dt_s / tau)
+        b = dt_s / tau * a
+        mean_phi = phi_s / dt_s
+        f = self._f
+        f[0, 0], f[0, 1], f[0, 2] = a, b, 1.0 - a - b
+        f[0, 3] = mean_phi * (dt_s - 2.0 * tau * (1.0 - a) + dt_s * a)
+        f[1, 1], f[1, 2], f[1, 3] = a, 1.0 - a, mean_phi * (dt_s - tau * (1.0 - a))
+        f[2, 3] = phi_s
+        x = f @ self._x
+        p = f @ self._p @ f.T
+        flow_mg = max(self.coefficient, 0.1 * reference) * phi_s
+        p[2, 2] += 2.0 * self.surge_mg * flow_mg + 1e-6
+        if phi_s > 0.0:
+            p[3, 3] += (K_WALK_PER_S * reference) ** 2 * dt_s
+        variance = float(p[0, 0]) + noise_mg * noise_mg
+        innovation_mg = reading_mg - float(x[0])
+        gain = p[:, 0] / variance
+        self._x = x + gain * innovation_mg
+        self._p = p - np.outer(gain, p[0])
+        if self._x[3] < 0.0:
+            self._x[3] = 0.0
+        score = innovation_mg / math.sqrt(variance)
+        if flow_mg > 0.01:
+            self.surge_mg *= math.exp(SURGE_GAIN * (min(score * score, 9.0) - 1.0))
+            self.surge_mg = min(max(self.surge_mg, SMALLEST_SURGE_MG), LARGEST_SURGE_MG)
+        return score
+
+
+def lagged(dts_s: Sequence[float], phis_s: Sequence[float], lag_s: float) -> NDArray[np.float64]:
+    """The reading that a unit coefficient would have given: two poles after the integral of phi."""
+    first = second = mass = 0.0
+    out = np.empty(len(dts_s))
+    for index, (dt_s, phi_s) in enumerate(zip(dts_s, phis_s, strict=True)):
+        a = math.exp(-dt_s / lag_s)
+        b = dt_s / lag_s * a
+        rate = phi_s / dt_s
+        second = a * second + b * first + (1.0 - a - b) * mass + rate * (dt_s - 2.0 * lag_s * (1.0 - a) + dt_s * a)
+        first = a * first + (1.0 - a) * mass + rate * (dt_s - lag_s * (1.0 - a))
+        mass += phi_s
+        out[index] = second
+    return out
+
+
+LAGS_S: NDArray[np.float64] = np.geomspace(0.05, 1.6, 26)
+
+
+def fit_lag(
+    dts_s: Sequence[float], phis_s: Sequence[float], readings_mg: Sequence[float], noise_mg: float
+) -> float | None:
+    """The lag per pole that explains one opening's readings, by least squares over offset and flow.
+
+    None where the pulse was too small to tell, or no lag explains the readings well.
+    """
+    readings = np.asarray(readings_mg)
+    if len(readings) < 12:
+        return None
+    best: tuple[float, float, float] | None = None
+    for lag_s in LAGS_S:
+        shape = lagged(dts_s, phis_s, float(lag_s))
+        design = np.column_stack([np.ones_like(shape), shape])
+        solution, *_ = np.linalg.lstsq(design, readings, rcond=None)
+        error = float(np.sum((design @ solution - readings) ** 2))
+        gained_mg = float(solution[1]) * sum(phis_s)
+        if best is None or error < best[0]:
+            best = (error, float(lag_s), gained_mg)
+    assert best is not None
+    error, lag_s, gained_mg = best
+    rms_mg = math.sqrt(error / len(readings))
+    if gained_mg < 4.0 or rms_mg > max(3.0 * noise_mg, 0.06 * gained_mg) or not LAGS_S[0] < lag_s < LAGS_S[-1]:
+        return None
+    return lag_s

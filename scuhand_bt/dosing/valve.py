@@ -1,0 +1,76 @@
+"""Where the valve is, as far as its commands tell: a dead time, then a constant speed.
+
+    D(t) -> D_target at v [mm/s], from `dead_time_s` after the command;    phi(D) = max(0, D - D0)^n
+
+phi is what the flow follows, q = k phi(D), with the threshold D0 [mm] and exponent n of the powder
+(Beverloo's law has n = 2.5). Its integral while the valve shuts is the tail that every prediction needs.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+GRAIN_S = 0.02
+"""The integral of phi is taken in pieces of about this length."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlowShape:
+    """phi(D) of a powder."""
+
+    threshold_mm: float
+    exponent: float
+
+    def value(self, opening_mm: float) -> float:
+        """phi in mm^n."""
+        gap_mm = opening_mm - self.threshold_mm
+        return float(gap_mm**self.exponent) if gap_mm > 0.0 else 0.0
+
+    def opening_mm(self, value: float) -> float:
+        """The opening with this phi."""
+        return self.threshold_mm + float(max(value, 0.0) ** (1.0 / self.exponent))
+
+    def closing(self, opening_mm: float, dead_time_s: float, speed_mm_per_s: float) -> float:
+        """Integral of phi [mm^n s] from the command to shut until it is shut."""
+        gap_mm = opening_mm - self.threshold_mm
+        if gap_mm <= 0.0:
+            return 0.0
+        ramp = gap_mm ** (self.exponent + 1.0) / ((self.exponent + 1.0) * speed_mm_per_s)
+        return float(gap_mm**self.exponent * dead_time_s + ramp)
+
+
+class ValvePath:
+    """The valve's servo, followed by dead reckoning from the commands given."""
+
+    def __init__(self, shape: FlowShape, dead_time_s: float, speed_mm_per_s: float) -> None:
+        self.opening_mm = 0.0
+        self.target_mm = 0.0
+        self._shape = shape
+        self._dead_time_s = dead_time_s
+        self._speed_mm_per_s = speed_mm_per_s
+        self._commands: deque[tuple[float, float]] = deque()
+
+    def command(self, time_s: float, opening_mm: float) -> None:
+        """Remember a command given at this time."""
+        if opening_mm != self.target_mm:
+            self.target_mm = opening_mm
+            self._commands.append((time_s + self._dead_time_s, opening_mm))
+
+    def advance(self, from_s: float, to_s: float) -> float:
+        """Move on; the integral of phi [mm^n s] over that time."""
+        if not self._commands and self.opening_mm == self._going_to:
+            return self._shape.value(self.opening_mm) * (to_s - from_s)
+        pieces = max(1, round((to_s - from_s) / GRAIN_S))
+        dt_s = (to_s - from_s) / pieces
+        total = 0.0
+        for piece in range(pieces):
+            end_s = from_s + (piece + 1) * dt_s
+            while self._commands and self._commands[0][0] <= end_s - dt_s / 2.0:
+                self._going_to = self._commands.popleft()[1]
+            way_mm = self._going_to - self.opening_mm
+            step_mm = self._speed_mm_per_s * dt_s
+            before_mm = self.opening_mm
+            self.opening_mm += min(max(way_mm, -step_mm), step_mm)
+            total += self._shape.value((before_mm + self.opening_mm) / 2.0) * dt_s
+        return total
+
+    _going_to = 0.0
