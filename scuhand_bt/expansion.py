@@ -1,33 +1,36 @@
 """From what stands under `samples` to single samples: the rows of a table, lists side by side, repeats."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from scuhand_bt.table import read_table
 from scuhand_bt.yaml_source import Entries, Items, Node, Problems, Scalar, describe
 
 
-def expand(node: Node, folder: Path, problems: Problems) -> list[Entries]:
+def expand(node: Node, folder: Path, problems: Problems) -> Iterator[Entries]:
     """One entry of `samples` as the samples it stands for: the rows of a table, lists, repeats."""
     if not isinstance(node, Entries):
         problems.add(node.mark, f"{describe(node)} is no sample", "- {id: …, container: …, mass: …}")
-        return []
+        return
     table = node.get("table")
     if table is None:
-        return _expand_lists(node, problems)
-    if not isinstance(table, Scalar) or not table.text:
+        yield from _expand_lists(node, problems)
+    elif not isinstance(table, Scalar) or not table.text:
         problems.add(table.mark, f"'table': {describe(table)} is no file name")
-        return []
-    shared = node.without("table")
-    rows = read_table(folder / table.text, problems)
-    return [one for row in rows for one in _expand_lists(_merge(shared, row), problems)]
+    else:
+        shared = node.without("table")
+        for row in read_table(folder / table.text, problems):
+            if "table" in row.keys:
+                problems.add(row.keys["table"], "a table cannot name another table")
+            yield from _expand_lists(_merge(shared, row), problems)
 
 
 def _merge(shared: Entries, row: Entries) -> Entries:
     return Entries(row.mark, {**shared.keys, **row.keys}, {**shared.values, **row.values})
 
 
-def _expand_lists(entry: Entries, problems: Problems) -> list[Entries]:
+def _expand_lists(entry: Entries, problems: Problems) -> Iterator[Entries]:
     """Lists side by side give one sample each; `repeat: n` gives n of them."""
     lists = {key: value.items for key, value in entry.values.items() if isinstance(value, Items)}
     count = len(next(iter(lists.values()), ()))
@@ -35,27 +38,25 @@ def _expand_lists(entry: Entries, problems: Problems) -> list[Entries]:
         if len(items) != count:
             first = next(iter(lists))
             problems.add(entry.values[key].mark, f"'{key}' lists {len(items)} values, but '{first}' lists {count}")
-            return []
+            return
     if (repeat := entry.get("repeat")) is not None:
         text = repeat.text if isinstance(repeat, Scalar) else None
         if text is None or not re.fullmatch(r"[1-9]\d{0,4}", text):
             problems.add(repeat.mark, f"'repeat': {describe(repeat)} is no number of samples", "1 to 99999")
-            return []
+            return
         if lists:
             problems.add(repeat.mark, "'repeat' and a list stand in one sample", "use one of them")
-            return []
+            return
         count = int(text)
     elif not lists:
-        return [entry]
+        yield entry
+        return
     if count == 0:
         problems.add(entry.mark, "an empty list gives no sample")
-        return []
     digits = len(str(count))
     id_node = entry.get("id")
-    expanded = []
     for number in range(1, count + 1):
         values = {key: lists[key][number - 1] if key in lists else value for key, value in entry.values.items()}
         if isinstance(id_node, Scalar) and id_node.text:
             values["id"] = Scalar(id_node.mark, f"{id_node.text}-{number:0{digits}d}")
-        expanded.append(Entries(entry.mark, entry.keys, values))
-    return expanded
+        yield Entries(entry.mark, entry.keys, values)

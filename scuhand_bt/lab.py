@@ -4,6 +4,7 @@ A lab's skills are imported under one constant package name, `scuhand_lab`, whos
 """
 
 import importlib
+import inspect
 import sys
 import traceback
 import types
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from scuhand_bt.skill import Skill
+from scuhand_bt.skill import DEVICES, Condition, Skill
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Powder, Spec, Station
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.grammar import KEYWORDS, Workflow, read_workflow
@@ -61,16 +62,23 @@ def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
     Raises SourceError if the chosen folder is no lab.
     """
     if chosen is not None:
-        if not (chosen / CELL_FILE).is_file():
+        if not _is_lab(chosen):
             problems = Problems()
             problems.add(Mark(str(chosen)), "is no lab", f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one")
             problems.raise_any()
         return chosen
     start = (recipe.parent if recipe is not None else Path()).resolve()
     for folder in (start, *start.parents):
-        if (folder / CELL_FILE).is_file():
+        if _is_lab(folder):
             return folder
     return starter_lab()
+
+
+def _is_lab(folder: Path) -> bool:
+    try:
+        return (folder / CELL_FILE).is_file()
+    except OSError:  # not ours to read, or a name that cannot be
+        return False
 
 
 def load_lab(folder: Path) -> Lab:
@@ -84,9 +92,13 @@ def load_lab(folder: Path) -> Lab:
     containers: dict[str, ContainerKind] = {}
     mortars: dict[str, Mortar] = {}
     if (vessels := _root(folder / "robot" / "containers.yaml", problems)) is not None:
+        kinds = ("containers", "mortars")
         for key, mark in vessels.keys.items():
-            if key not in ("containers", "mortars"):
-                problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=("containers", "mortars"))
+            if key not in kinds:
+                problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=kinds)
+        for key in kinds:
+            if key not in vessels.keys:
+                problems.add(vessels.mark, f"'{key}' is missing", "name: {…}, as in the starter lab")
         containers = _load_named(ContainerKind, vessels.get("containers"), problems)
         mortars = _load_named(Mortar, vessels.get("mortars"), problems)
     library = Library(
@@ -125,10 +137,12 @@ def _load_cell(path: Path, problems: Problems) -> CellSpec | None:
     root = _root(path, problems)
     if root is None:
         return None
+    found_before = len(problems.found)
     stations = _load_named(Station, root.get("stations"), problems)
+    is_complete = len(problems.found) == found_before
     cell = validate(CellSpec, root.without("stations"), problems, stations=stations)
     for kind in ("balance", "waste", "park"):
-        if stations and not any(station.kind == kind for station in stations.values()):
+        if is_complete and not any(station.kind == kind for station in stations.values()):
             problems.add(
                 root.mark, f"the cell has no station of kind '{kind}'", "it needs a balance, a waste and a park"
             )
@@ -144,7 +158,7 @@ def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]
         module_name = f"{PACKAGE}.skills.{path.stem}"
         try:
             module = importlib.import_module(module_name)
-        except Exception as error:  # a lab's file may fail in any way; the user is told where
+        except (Exception, SystemExit) as error:  # a lab's file may fail in any way; the user is told where
             problems.add(_where(error, path), f"the skill cannot be loaded: {type(error).__name__}: {error}")
             continue
         found = [
@@ -158,31 +172,55 @@ def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]
         if len(found) != 1:
             names = ", ".join(cls.__name__ for cls in found) or "none"
             problems.add(Mark(str(path)), f"a skill's file holds one Skill class; here: {names}")
-        elif not found[0].__doc__:
-            problems.add(Mark(str(path)), f"{found[0].__name__} has no docstring", "one line that says what it is for")
         else:
+            _check_skill(found[0], Mark(str(path), inspect.getsourcelines(found[0])[1]), problems)
             skills[path.stem] = found[0]
     return skills
 
 
+def _check_skill(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> None:
+    """What Python does not check of a skill's class, and would otherwise come up in the middle of a run."""
+    name = skill.__name__
+    if not skill.__doc__:
+        problems.add(mark, f"{name} has no docstring", "one line that says what it is for")
+    if inspect.isabstract(skill):
+        missing = ", ".join(sorted(skill.__abstractmethods__))
+        problems.add(mark, f"{name} has no '{missing}'", f"def {missing}(self, cell: Cell)")
+    listed = {"devices": skill.devices}
+    if issubclass(skill, Condition):
+        listed["watches"] = skill.watches
+        if skill.devices:
+            problems.add(mark, f"{name} is a condition and commands nothing, but has devices", "use 'watches'")
+    for key, devices in listed.items():
+        if not isinstance(devices, tuple):
+            problems.add(mark, f"'{key}' of {name} is no tuple", f'{key} = ("hand",), with the comma')
+            continue
+        for device in devices:
+            if device not in DEVICES:
+                what = f"'{key}' of {name} names an unknown device '{shorten(str(device))}'"
+                problems.add(mark, what, unknown=str(device), known=DEVICES)
+
+
 def _mount(folder: Path) -> None:
     """Make `scuhand_lab` this folder, forgetting any other lab's modules."""
+    home = str(folder.absolute())
     package = sys.modules.get(PACKAGE)
-    if package is not None and list(package.__path__) == [str(folder)]:
+    if package is not None and list(package.__path__) == [home]:
         return
     for name in [name for name in sys.modules if name == PACKAGE or name.startswith(PACKAGE + ".")]:
         del sys.modules[name]
     package = types.ModuleType(PACKAGE)
-    package.__path__ = [str(folder)]
+    package.__path__ = [home]
     sys.modules[PACKAGE] = package
     importlib.invalidate_caches()
 
 
-def _where(error: Exception, path: Path) -> Mark:
+def _where(error: BaseException, path: Path) -> Mark:
     """The line of the lab's file that an import failed at."""
-    if isinstance(error, SyntaxError) and error.filename == str(path):
+    file = str(path.absolute())
+    if isinstance(error, SyntaxError) and error.filename == file:
         return Mark(str(path), error.lineno or 1, error.offset or 1)
-    lines = [frame.lineno or 1 for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    lines = [frame.lineno or 1 for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     return Mark(str(path), lines[-1] if lines else 1)
 
 

@@ -105,7 +105,12 @@ class LiveView:
         status.add_row("run time", str(timedelta(seconds=round(self._cell.clock.now_s))))
         tree = Text() if self._root is None else tree_text(self._root)
         name = self._job.name if self._job is not None else ""
-        parts: list[RenderableType] = [Text(self._title, style="bold"), progress, Panel(tree, title=name, title_align="left"), status]
+        parts: list[RenderableType] = [
+            Text(self._title, style="bold"),
+            progress,
+            Panel(tree, title=name, title_align="left"),
+            status,
+        ]
         if self._results:
             parts.append(doses_table(self._results[-LAST_DOSES:]))
         return Group(*parts)

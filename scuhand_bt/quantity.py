@@ -27,13 +27,15 @@ second = [time] = s = sec
 minute = 60 * second = min
 hour = 60 * minute = h = hr
 liter = 1e-3 * meter ** 3 = L = l = litre
-radian = [] = rad
+radian = [angle] = rad
 degree = 0.017453292519943295 * radian = deg = °
 percent = 0.01 = %
 newton = kilogram * meter / second ** 2 = N
 hertz = 1 / second = Hz
 """
-_NUMBER = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*?)\s*", re.DOTALL)
+MAX_LENGTH = 60
+_NUMBER = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
+_COMMA = re.compile(r"[+-]?\d+,\d+(?!.*[.,])")
 _UNIT = re.compile(r"[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?(?:/[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?)?")
 
 
@@ -51,13 +53,15 @@ class Unit:
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return {"type": "string", "description": f"a {self.dimension}, such as {self.examples}"}
+        return {"type": "string", "description": f"{self.noun}, such as {self.examples}"}
 
     def _read(self, value: Any) -> Any:
         if isinstance(value, str):
             return self.parse(value)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise PydanticCustomError("quantity", self._wanted(f"{value!r} is no {self.dimension}"))
+            shown = "nothing" if value is None else f"'{_short(str(value))}'"
+            why = self.wanted(f"{shown} is no {self.dimension}")
+            raise PydanticCustomError("quantity", "{why}", {"why": why})
         return float(value)
 
     def parse(self, text: str) -> float:
@@ -67,8 +71,14 @@ class Unit:
         except ValueError as error:
             raise PydanticCustomError("quantity", "{why}", {"why": str(error)}) from None
 
-    def _wanted(self, problem: str) -> str:
-        return f"{problem}; write a {self.dimension} with its unit, such as {self.examples}"
+    def wanted(self, problem: str) -> str:
+        """A problem as a message: what is wrong, and what to write instead."""
+        return f"{problem}; write {self.noun} with its unit, such as {self.examples}"
+
+    @property
+    def noun(self) -> str:
+        """The dimension with its article: "a mass", "an angle"."""
+        return f"{'an' if self.dimension[0] in 'aeiou' else 'a'} {self.dimension}"
 
 
 @cache
@@ -86,16 +96,21 @@ def _factor(unit_text: str, unit: Unit) -> float:
     try:
         return float(_registry().Quantity(1.0, normal).to(unit.unit).magnitude)
     except pint.DimensionalityError as error:
-        raise ValueError(
-            unit._wanted(f"'{unit_text}' is a unit of {_dimension_name(str(error.dim1))}, not of {unit.dimension}")
-        ) from None
-    except (pint.UndefinedUnitError, pint.DefinitionSyntaxError, AttributeError):
-        raise ValueError(unit._wanted(f"'{unit_text}' is no unit known here")) from None
+        found = _DIMENSIONS.get(str(error.dim1))
+        what = f"a unit of {found}, not of {unit.dimension}" if found else f"no unit of {unit.dimension}"
+        raise ValueError(unit.wanted(f"'{unit_text}' is {what}")) from None
+    except (pint.PintError, AttributeError, ValueError):  # pint has more ways to refuse a unit than one
+        raise ValueError(unit.wanted(f"'{unit_text}' is no unit known here")) from None
 
 
-def _dimension_name(dimensions: str) -> str:
-    known = {"[mass]": "mass", "[length]": "length", "[time]": "duration", "dimensionless": "ratio or angle"}
-    return known.get(dimensions, dimensions)
+_DIMENSIONS = {
+    "[mass]": "mass",
+    "[length]": "length",
+    "[length] ** 3": "volume",
+    "[time]": "duration",
+    "[angle]": "angle",
+    "dimensionless": "ratio",
+}
 
 
 @cache
@@ -105,22 +120,23 @@ def parse(text: str, unit: Unit) -> float:
     Raises ValueError, worded for the user, for anything that is not one finite number and one unit of
     the right dimension.
     """
-    match = _NUMBER.fullmatch(text)
-    if match is None:
-        raise ValueError(unit._wanted(f"'{_short(text)}' is no {unit.dimension}"))
+    text = text.strip()
+    match = _NUMBER.fullmatch(text) if len(text) <= MAX_LENGTH else None
+    if match is None or (match[2] and not _UNIT.fullmatch(match[2])):
+        if _COMMA.match(text[:MAX_LENGTH]):
+            raise ValueError(unit.wanted(f"'{_short(text)}' has a comma; decimals are written with a point"))
+        raise ValueError(unit.wanted(f"'{_short(text)}' is no {unit.dimension}"))
     number, unit_text = float(match[1]), match[2]
     if not unit_text:
-        raise ValueError(unit._wanted(f"'{_short(text)}' has no unit"))
-    if not _UNIT.fullmatch(unit_text):
-        raise ValueError(unit._wanted(f"'{_short(text)}' is no {unit.dimension}"))
+        raise ValueError(unit.wanted(f"'{_short(text)}' has no unit"))
     value = float(f"{number * _factor(unit_text, unit):.12g}")  # 0.1 + 0.2 is nobody's mass
     if not math.isfinite(value):
-        raise ValueError(unit._wanted(f"'{_short(text)}' is too large"))
+        raise ValueError(unit.wanted(f"'{_short(text)}' is too large"))
     return value
 
 
 def _short(text: str) -> str:
-    return text if len(text) <= 40 else text[:37] + "..."
+    return text if len(text) <= 40 else text[:39] + "…"
 
 
 MASS = Unit("mg", "mass", '"50 mg" or "3 g"')

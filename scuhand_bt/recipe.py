@@ -2,18 +2,21 @@
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from scuhand_bt.expansion import expand
 from scuhand_bt.lab import Lab
+from scuhand_bt.quantity import Milligrams
 from scuhand_bt.sample import Sample, check_demand, check_reach, check_sample, check_source
-from scuhand_bt.specs import Container, Source, Spec
+from scuhand_bt.specs import Container, Positive, Source, Spec
 from scuhand_bt.tree.build import bound_inputs
-from scuhand_bt.tree.check import check_workflows, literal
-from scuhand_bt.tree.grammar import Input, Workflow
+from scuhand_bt.tree.check import Percent, check_workflows, literal
+from scuhand_bt.tree.grammar import RECIPE_WORDS, Input, Workflow
 from scuhand_bt.yaml_source import (
     Entries,
     Items,
@@ -37,10 +40,10 @@ ACTIONS: Mapping[str, str] = {
 }
 DEFAULT_ON_FAILURE: Mapping[str, Action] = {"dose.overshoot": "flag", "dose.not_reached": "flag", "otherwise": "stop"}
 ORDERS = ("by_powder", "as_written")
-SAMPLE_KEYS = ("id", "workflow", "repeat", "table")
 RECIPE_KEYS = ("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples", "on_failure")
 MAX_SAMPLES = 20_000
-_ID = re.compile(r"[\w][\w.+-]{0,63}")
+_ID = re.compile(r"\w[\w.+-]{0,63}")
+_ID_ALLOWED = "letters, digits and . _ - +, at most 64, beginning with a letter or digit"
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class _SourceText(Spec):
     station: str
     container: str
     powder: str
-    amount_mg: Any
+    amount_mg: Annotated[Milligrams, Positive]
     lot: str = ""
 
 
@@ -97,6 +100,8 @@ class _Reader:
     text: str
     problems: Problems
     source_marks: dict[str, Mark] = field(default_factory=dict)
+    workflows: dict[str, Workflow] = field(default_factory=dict)
+    """Those that the recipe names."""
 
     def read(self) -> Recipe | None:
         root = parse(self.text, str(self.path), "a recipe")
@@ -106,7 +111,7 @@ class _Reader:
         for key, mark in root.keys.items():
             if key not in RECIPE_KEYS:
                 self.problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=RECIPE_KEYS)
-        name = self._word(root, "recipe") or self.path.stem
+        name = self._name(root)
         order = self._word(root, "order") or ORDERS[0]
         if order not in ORDERS:
             self.problems.add(root.values["order"].mark, f"'{order}' is no order", unknown=order, known=ORDERS)
@@ -116,11 +121,17 @@ class _Reader:
         sources = self._read_sources(root)
         samples = self._read_samples(root, sources)
         on_failure = self._read_on_failure(root.get("on_failure"))
-        used = {sample.workflow for sample in samples}
-        check_workflows(self.lab.library, sorted(used), self.problems)
+        check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
         check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
         return Recipe(self.path, self.text, name, order, controller, sources, tuple(samples), on_failure)
+
+    def _name(self, root: Entries) -> str:
+        name = self._word(root, "recipe") or self.path.stem
+        if not _ID.fullmatch(name):
+            mark = root.values["recipe"].mark if "recipe" in root.values else root.mark
+            self.problems.add(mark, f"'{shorten(name)}' is no name for a recipe", _ID_ALLOWED)
+        return name
 
     def _word(self, node: Entries, key: str) -> str | None:
         value = node.get(key)
@@ -165,26 +176,29 @@ class _Reader:
     def _read_source(self, name: str, node: Node) -> Source | None:
         lab, before = self.lab, len(self.problems.found)
         text = validate(_SourceText, node, self.problems)
-        if text is None:
+        if not isinstance(node, Entries):
             return None
-        assert isinstance(node, Entries)
         mortar_stations = [s.name for s in lab.cell.stations.values() if s.kind == "mortar"]
-        self._known(node, "station", text.station, mortar_stations, "mortar station")
-        self._known(node, "container", text.container, lab.library.mortars, "mortar")
-        self._known(node, "powder", text.powder, lab.library.powders, "powder")
-        if len(self.problems.found) > before:
+        self._require_known(node, "station", mortar_stations, "mortar station")
+        self._require_known(node, "container", lab.library.mortars, "mortar")
+        self._require_known(node, "powder", lab.library.powders, "powder")
+        if text is None or len(self.problems.found) > before:
             return None
-        mortar, powder = lab.library.mortars[text.container], lab.library.powders[text.powder]
-        source = validate(
-            Source, node.without("container", "powder"), self.problems, name=name, mortar=mortar, powder=powder
+        source = Source(
+            name=name,
+            station=text.station,
+            mortar=lab.library.mortars[text.container],
+            powder=lab.library.powders[text.powder],
+            amount_mg=text.amount_mg,
+            lot=text.lot,
         )
-        if source is not None:
-            check_source(source, node.values["amount"].mark, self.problems)
+        check_source(source, node.values["amount"].mark, self.problems)
         return source
 
-    def _known(self, node: Entries, key: str, name: str, known: Any, what: str) -> None:
-        if name not in known:
-            self.problems.add(node.values[key].mark, f"unknown {what} '{shorten(name)}'", unknown=name, known=known)
+    def _require_known(self, node: Entries, key: str, known: Collection[str], what: str) -> None:
+        value = node.get(key)
+        if isinstance(value, Scalar) and value.text is not None and value.text not in known:
+            self.problems.add(value.mark, f"unknown {what} {describe(value)}", unknown=value.text, known=known)
 
     # --- samples
 
@@ -199,15 +213,19 @@ class _Reader:
             self.problems.add(defaults.mark, f"'defaults': {describe(defaults)} is no mapping")
             defaults = Entries(root.mark, {}, {})
         default_workflow = root.get("workflow")
+        if default_workflow is not None:
+            self._workflow(default_workflow)
         samples: list[Sample] = []
-        used_inputs: set[str] = set()
         seen: dict[str, Mark] = {}
-        entries = [one for item in node.items for one in expand(item, self.path.parent, self.problems)]
+        expanded = (one for item in node.items for one in expand(item, self.path.parent, self.problems))
+        entries = list(islice(expanded, MAX_SAMPLES + 1))
         if len(entries) > MAX_SAMPLES:
-            self.problems.add(node.mark, f"these are {len(entries)} samples", f"at most {MAX_SAMPLES} in one recipe")
+            self.problems.add(
+                node.mark, f"these are more than {MAX_SAMPLES} samples", "split them into several recipes"
+            )
             return []
         for entry in entries:
-            sample = self._read_sample(entry, defaults, default_workflow, sources, used_inputs)
+            sample = self._read_sample(entry, defaults, default_workflow, sources)
             id_node = entry.get("id")
             if isinstance(id_node, Scalar) and id_node.text:
                 if id_node.text in seen:
@@ -217,30 +235,27 @@ class _Reader:
                 seen.setdefault(id_node.text, id_node.mark)
             if sample is not None:
                 samples.append(sample)
+        inputs = {name for workflow in self.workflows.values() for name in workflow.inputs}
         for key, mark in defaults.keys.items():
-            if samples and key not in used_inputs:
-                known = {name for sample in samples for name in self.lab.library.workflows[sample.workflow].inputs}
-                self.problems.add(
-                    mark, f"no workflow of this recipe has an input '{shorten(key)}'", unknown=key, known=known
-                )
+            if self.workflows and key not in inputs:
+                what = f"no workflow of this recipe has an input '{shorten(key)}'"
+                self.problems.add(mark, what, unknown=key, known=inputs)
         return samples
 
     def _read_sample(
-        self,
-        entry: Entries,
-        defaults: Entries,
-        default_workflow: Node | None,
-        sources: Mapping[str, Source],
-        used_inputs: set[str],
+        self, entry: Entries, defaults: Entries, default_workflow: Node | None, sources: Mapping[str, Source]
     ) -> Sample | None:
-        before = len(self.problems.found)
+        """The sample with all of its values that could be read; None without a workflow."""
         sample_id = self._sample_id(entry)
-        workflow = self._workflow_of(entry, default_workflow)
+        workflow_node = entry.get("workflow") or default_workflow
+        if workflow_node is None:
+            self.problems.add(entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample")
+            return None
+        workflow = self._workflow(workflow_node)
         if workflow is None:
             return None
-        used_inputs.update(workflow.inputs)
         merged = {key: value for key, value in defaults.values.items() if key in workflow.inputs}
-        merged.update(entry.without(*SAMPLE_KEYS).values)
+        merged.update(entry.without(*RECIPE_WORDS).values)
         inputs: dict[str, Any] = {}
         for key, node in merged.items():
             declared = workflow.inputs.get(key)
@@ -249,43 +264,43 @@ class _Reader:
                     entry.keys[key],
                     f"the workflow '{workflow.name}' has no input '{shorten(key)}'",
                     unknown=key,
-                    known=[*workflow.inputs, *SAMPLE_KEYS],
+                    known=[*workflow.inputs, *RECIPE_WORDS],
                 )
                 continue
-            value = self._read_value(declared, node, sample_id or "?", sources)
+            value = self._read_value(declared, node, sample_id, sources)
             if value is not None:
                 inputs[key] = value
         for declared in workflow.inputs.values():
             if declared.default is None and declared.name not in merged:
                 what = f"'{declared.name}' is missing"
                 self.problems.add(entry.mark, what, f"the workflow '{workflow.name}' needs it ({declared.type.name})")
-        if len(self.problems.found) > before or sample_id is None:
-            return None
-        sample = Sample(entry.mark, sample_id, workflow.name, bound_inputs(workflow, inputs, self.lab.library))
-        check_sample(sample, merged, self.lab.cell.balance, self.problems)
+        if isinstance(inputs.get("tolerance"), Percent) and "mass" not in workflow.inputs:
+            what = f"a tolerance in % is one of the mass, but the workflow '{workflow.name}' has no input 'mass'"
+            self.problems.add(merged["tolerance"].mark, what)
+        with suppress(ValueError):  # a wrong default, which is reported where it stands
+            inputs = bound_inputs(workflow, inputs, self.lab.library)
+        sample = Sample(entry.mark, sample_id, workflow.name, inputs)
+        check_sample(sample, entry.values, defaults.values, self.lab.cell.balance, self.problems)
         return sample
 
-    def _sample_id(self, entry: Entries) -> str | None:
+    def _sample_id(self, entry: Entries) -> str:
         node = entry.get("id")
         if node is None:
             self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own")
-            return None
+            return ""
         text = node.text if isinstance(node, Scalar) else None
         if text is None or not _ID.fullmatch(text):
-            self.problems.add(node.mark, f"{describe(node)} is no id", "letters, digits and . _ - +, at most 64")
-            return None
+            self.problems.add(node.mark, f"{describe(node)} is no id", _ID_ALLOWED)
+            return ""
         return text
 
-    def _workflow_of(self, entry: Entries, default: Node | None) -> Workflow | None:
-        node = entry.get("workflow") or default
-        if node is None:
-            self.problems.add(entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample")
-            return None
+    def _workflow(self, node: Node) -> Workflow | None:
         name = (node.text or "") if isinstance(node, Scalar) else ""
         workflows = self.lab.library.workflows
         if name not in workflows:
             self.problems.add(node.mark, f"unknown workflow {describe(node)}", unknown=name, known=workflows)
             return None
+        self.workflows[name] = workflows[name]
         return workflows[name]
 
     def _read_value(self, declared: Input, node: Node, sample_id: str, sources: Mapping[str, Source]) -> Any:

@@ -33,11 +33,15 @@ class Sample:
 
     @property
     def mass_mg(self) -> float | None:
-        return self.inputs.get("mass")
+        return self._mass("mass")
 
     @property
     def tolerance_mg(self) -> float | None:
-        return self.inputs.get("tolerance")
+        return self._mass("tolerance")
+
+    def _mass(self, name: str) -> float | None:
+        value = self.inputs.get(name)
+        return value if isinstance(value, float) else None
 
     @property
     def scoops(self) -> int:
@@ -65,11 +69,20 @@ def check_source(source: Source, mark: Mark, problems: Problems) -> None:
         problems.add(mark, what, f"it holds {format_mass(holds_mg)}")
 
 
-def check_sample(sample: Sample, nodes: Mapping[str, Node], balance: BalanceSpec, problems: Problems) -> None:
-    """One sample against its container, its powder and the balance; `nodes` are its values' places."""
+def check_sample(
+    sample: Sample, own: Mapping[str, Node], shared: Mapping[str, Node], balance: BalanceSpec, problems: Problems
+) -> None:
+    """One sample against its container, its powder and the balance.
 
-    def at(key: str) -> Mark:
-        return nodes[key].mark if key in nodes else sample.mark
+    `own` and `shared` are the places of its values: its own, and the recipe's defaults.
+    """
+
+    def at(*names: str) -> Mark:
+        """Where a value stands; for one that disagrees with another, in the sample that puts them together."""
+        places = [own[name] for name in names if name in own]
+        if not places and len(names) == 1:
+            places = [shared[name] for name in names if name in shared]
+        return places[0].mark if places else sample.mark
 
     mass_mg, tolerance_mg = sample.mass_mg, sample.tolerance_mg
     container, source = sample.container, sample.source
@@ -80,13 +93,17 @@ def check_sample(sample: Sample, nodes: Mapping[str, Node], balance: BalanceSpec
         what = f"the tolerance {tolerance_mg:g} mg is below the balance's readability"
         problems.add(at("tolerance"), what, f"at least {balance.readability_mg:g} mg")
     elif mass_mg is not None and tolerance_mg is not None and mass_mg <= tolerance_mg:
-        problems.add(at("mass"), f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg")
+        problems.add(
+            at("mass", "tolerance"), f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"
+        )
     if mass_mg is None or container is None:
         return
     if container.empty_mass_mg + mass_mg > balance.maximum_mg:
         together = f"{container.name} ({format_mass(container.empty_mass_mg)}) and {format_mass(mass_mg)}"
         problems.add(
-            at("mass"), f"{together} are too heavy for the balance", f"its maximum is {format_mass(balance.maximum_mg)}"
+            at("mass", "container"),
+            f"{together} are too heavy for the balance",
+            f"its maximum is {format_mass(balance.maximum_mg)}",
         )
     if source is None:
         return
@@ -95,7 +112,7 @@ def check_sample(sample: Sample, nodes: Mapping[str, Node], balance: BalanceSpec
         volume = f"{mass_mg / density / 1000:.2f} cm³"
         what = f"{format_mass(mass_mg)} of {source.powder.name} ({volume}) does not fit into a {container.name}"
         holds = f"{container.capacity_mm3 / 1000:.2f} cm³, {format_mass(container.capacity_mm3 * density)}"
-        problems.add(at("mass"), what, f"it holds {holds}")
+        problems.add(at("mass", "container"), what, f"it holds {holds}")
 
 
 def check_demand(

@@ -72,6 +72,9 @@ __all__ = [
 
 R = TypeVar("R")
 
+DEVICES = ("arm", "hand", "balance", "changer")
+"""What a skill can command."""
+
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
@@ -91,10 +94,11 @@ class Skill(BaseModel, Generic[R]):
         alias_generator=plain_name,
         populate_by_name=True,
         ignored_types=(property,),
+        allow_inf_nan=False,
     )
 
     devices: ClassVar[tuple[str, ...]] = ()
-    """The devices it commands, and so leases: of "arm", "hand", "balance", "changer"."""
+    """The devices it commands, and so leases: of `DEVICES`."""
     failures: ClassVar[Mapping[str, Failure]] = {}
     """Failure codes of its own, beyond the shared catalogue."""
     typical_s: ClassVar[float] = 5.0

@@ -5,9 +5,9 @@ values that travel on a workflow's wires (`Powder`, `Source`, `Container`).
 """
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from scuhand_bt.quantity import (
     CubicMillimetres,
@@ -25,7 +25,9 @@ from scuhand_bt.quantity import (
 class Spec(BaseModel):
     """A frozen part of a lab's description; in YAML its fields are written without their unit suffix."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", alias_generator=plain_name, populate_by_name=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", alias_generator=plain_name, populate_by_name=True, allow_inf_nan=False
+    )
 
 
 Positive = Field(gt=0)
@@ -142,6 +144,12 @@ class Mortar(Spec):
     """Rim above the table."""
     outer_diameter_mm: Annotated[Millimetres, Positive]
 
+    @model_validator(mode="after")
+    def _is_a_cap(self) -> Self:
+        if self.depth_mm > self.bore_mm / 2:
+            raise ValueError("the bowl is a cap of a sphere: its depth is at most half its bore")
+        return self
+
     @property
     def bowl_radius_mm(self) -> float:
         """Radius of the sphere whose cap the bowl is: (a^2 + h^2) / 2h."""
@@ -199,6 +207,12 @@ class Obstacle(Spec):
     box_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
     cylinder_mm: tuple[Millimetres, Millimetres] | None = None
     """Diameter and length."""
+
+    @model_validator(mode="after")
+    def _has_one_shape(self) -> Self:
+        if (self.box_mm is None) == (self.cylinder_mm is None):
+            raise ValueError("it has one shape: a box, or a cylinder")
+        return self
 
 
 class ArmSpec(Spec):

@@ -5,13 +5,25 @@ becomes the same kind of node that a sample written in YAML is, with the place o
 """
 
 import csv
+import io
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 from scuhand_bt.yaml_source import Entries, Mark, Problems, Scalar, SourceError, read_text, shorten
 
-_HEADER = re.compile(r"\s*([A-Za-z_]\w*)\s*(?:[\[(]\s*([^\])]+?)\s*[\])])?\s*")
+_HEADER = re.compile(r"([A-Za-z_]\w*)\s*(?:[\[(]([^\])]+)[\])])?")
+_NUMBER = re.compile(r"[+-]?[\d.]+(?:[eE][+-]?\d+)?")
 _DECIMAL_COMMA = re.compile(r"([+-]?\d+),(\d+)(\s*[A-Za-zµμ°%]*)")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the header; `unit` belongs to the plain numbers below it."""
+
+    mark: Mark
+    name: str
+    unit: str
 
 
 def read_table(path: Path, problems: Problems) -> list[Entries]:
@@ -22,11 +34,11 @@ def read_table(path: Path, problems: Problems) -> list[Entries]:
     except SourceError as error:
         problems.found.extend(error.problems)
         return []
-    lines = text.splitlines(keepends=True)
+    lines = list(io.StringIO(text, newline=""))  # as csv wants them: only line ends end a line
     first = next(line for line in lines if line.strip())
     delimiter = max(";\t,", key=first.count)
     reader = csv.reader(lines, delimiter=delimiter, strict=True)
-    header: list[tuple[str, str] | None] | None = None
+    header: list[Column | None] | None = None
     rows: list[Entries] = []
     line_number = 1
     try:
@@ -34,38 +46,39 @@ def read_table(path: Path, problems: Problems) -> list[Entries]:
             begins_at, line_number = line_number, reader.line_num + 1
             if not any(cell.strip() for cell in cells):
                 continue
-            starts = _cell_starts(lines[begins_at - 1], delimiter)
-            marks = [Mark(file, begins_at, starts[min(i, len(starts) - 1)]) for i in range(len(cells))]
+            places = _cell_places(lines[begins_at - 1 : reader.line_num], delimiter)
+            marks = [Mark(file, begins_at + line, column) for line, column in places]
             if header is None:
                 header = _read_header(cells, marks, problems)
             else:
                 rows.append(_read_row(cells, marks, header, delimiter != ",", problems))
     except csv.Error as error:
         problems.add(Mark(file, line_number), f"is no valid CSV: {error}")
-    if header is not None and not rows:
-        problems.add(Mark(file), "has no rows below its header")
+    else:
+        if not rows:
+            problems.add(Mark(file), "has no rows below its header")
     return rows
 
 
-def _read_header(cells: list[str], marks: list[Mark], problems: Problems) -> list[tuple[str, str] | None]:
-    columns: list[tuple[str, str] | None] = []
+def _read_header(cells: list[str], marks: list[Mark], problems: Problems) -> list[Column | None]:
+    columns: list[Column | None] = []
     for cell, mark in zip(cells, marks, strict=True):
-        match = _HEADER.fullmatch(cell)
+        match = _HEADER.fullmatch(cell.strip())
         if match is None:
             if cell.strip():
                 what = f"'{shorten(cell)}' is no column name"
                 problems.add(mark, what, "a name such as id, container, mass or mass [mg]")
             columns.append(None)
-        elif match[1] in [column[0] for column in columns if column]:
+        elif match[1] in [column.name for column in columns if column]:
             problems.add(mark, f"the column '{match[1]}' stands here a second time")
             columns.append(None)
         else:
-            columns.append((match[1], match[2] or ""))
+            columns.append(Column(mark, match[1], (match[2] or "").strip()))
     return columns
 
 
 def _read_row(
-    cells: list[str], marks: list[Mark], header: list[tuple[str, str] | None], has_comma: bool, problems: Problems
+    cells: list[str], marks: list[Mark], header: list[Column | None], has_comma: bool, problems: Problems
 ) -> Entries:
     row = Entries(marks[0], {}, {})
     for i, (cell, mark) in enumerate(zip(cells, marks, strict=True)):
@@ -78,22 +91,24 @@ def _read_row(
         column = header[i]
         if column is None:
             continue
-        name, unit = column
         if has_comma and (match := _DECIMAL_COMMA.fullmatch(text)):
             text = f"{match[1]}.{match[2]}{match[3]}"
-        if unit and re.fullmatch(r"[+-]?[\d.]+(?:[eE][+-]?\d+)?", text):
-            text = f"{text} {unit}"
-        row.keys[name] = mark
-        row.values[name] = Scalar(mark, text)
+        if column.unit and _NUMBER.fullmatch(text):
+            text = f"{text} {column.unit}"
+        row.keys[column.name] = column.mark
+        row.values[column.name] = Scalar(mark, text)
     return row
 
 
-def _cell_starts(line: str, delimiter: str) -> list[int]:
-    """The column (from 1) that each cell of a line begins in."""
-    starts, is_quoted = [1], False
-    for column, character in enumerate(line, start=1):
-        if character == '"':
-            is_quoted = not is_quoted
-        elif character == delimiter and not is_quoted:
-            starts.append(column + 1)
-    return starts
+def _cell_places(lines: list[str], delimiter: str) -> list[tuple[int, int]]:
+    """Where each cell of a record begins: its line (0: the record's first) and its column (from 1)."""
+    places, is_quoted, may_open = [(0, 1)], False, True
+    for line, text in enumerate(lines):
+        for column, character in enumerate(text, start=1):
+            if character == '"' and (is_quoted or may_open):
+                is_quoted, may_open = not is_quoted, True  # a doubled quote closes and opens again
+                continue
+            may_open = character == delimiter and not is_quoted
+            if may_open:
+                places.append((line, column + 1))
+    return places

@@ -6,8 +6,10 @@ that is wrong, so that a user sees all of it at once.
 """
 
 import difflib
+import typing
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -23,6 +25,8 @@ MAX_BYTES = 2_000_000
 """A recipe of 10 000 samples is below 1 MB; beyond this a file is not what it is taken for."""
 MAX_NODES = 400_000
 MAX_DEPTH = 60
+LONGEST_NAME = 80
+"""Nothing longer is anyone's misspelling of a name."""
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -70,14 +74,27 @@ class Problems:
         known = sorted(known)
         if allowed or known:
             parts.append(allowed or "known: " + (", ".join(known[:30]) + (", …" if len(known) > 30 else "")))
-        nearest = difflib.get_close_matches(unknown, known, 1, 0.6) if unknown else []
-        if nearest:
-            parts.append(f"did you mean '{nearest[0]}'?")
-        self.found.append(Problem(mark, "; ".join(part.replace("\n", " ") for part in parts)))
+        if nearest := _nearest(unknown, tuple(known)):
+            parts.append(f"did you mean '{nearest}'?")
+        self.found.append(Problem(mark, _one_line("; ".join(parts))))
 
     def raise_any(self) -> None:
         if self.found:
             raise SourceError(self.found)
+
+
+@cache
+def _nearest(unknown: str, known: tuple[str, ...]) -> str | None:
+    """The known name that was probably meant; whoever writes `Mass` or `pellet-die` meant `mass`, `pellet_die`."""
+    if not 0 < len(unknown) <= LONGEST_NAME:
+        return None
+    plain = {_plain_spelling(name): name for name in reversed(known) if len(name) <= LONGEST_NAME}
+    found = difflib.get_close_matches(_plain_spelling(unknown), plain, 1, 0.6)
+    return plain[found[0]] if found else None
+
+
+def _plain_spelling(name: str) -> str:
+    return name.lower().replace("-", "_").replace(" ", "_")
 
 
 @dataclass(slots=True, eq=False)
@@ -126,17 +143,20 @@ class Entries(Node):
 def describe(node: Node) -> str:
     """What a node is, in a user's words."""
     if isinstance(node, Items):
-        return "a list"
+        return "a list" if node.items else "an empty list"
     if isinstance(node, Entries):
-        return "a mapping (key: value)"
+        return "a mapping (key: value)" if node.values else "an empty mapping"
     assert isinstance(node, Scalar)
     return "nothing" if node.text is None else f"'{shorten(node.text)}'"
 
 
 def shorten(text: str, length: int = 40) -> str:
     """Text on one line, cut for a message."""
-    flat = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text[: length + 1])
-    return flat if len(text) <= length else flat[: length - 1] + "…"
+    return _one_line(text if len(text) <= length else text[: length - 1] + "…")
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else " " if c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def plain(node: Node) -> Any:
@@ -155,15 +175,17 @@ def read_text(path: Path, what: str) -> str:
     def refuse(message: str) -> SourceError:
         return SourceError([Problem(Mark(str(path)), message)])
 
-    if path.is_dir():
-        raise refuse(f"is a directory, not {what}")
     try:
+        if path.is_dir():
+            raise refuse(f"is a directory, not {what}")
+        if path.is_fifo():
+            raise refuse(f"is a pipe, not {what}; save it as a file")
         with path.open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
         raise refuse(f"no such file; wanted {what}") from None
-    except OSError as error:
-        raise refuse(f"cannot be read: {error.strerror}") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise refuse(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if len(raw) > MAX_BYTES:
         raise refuse(f"is larger than {MAX_BYTES // 1_000_000} MB, too large for {what}")
     try:
@@ -190,19 +212,32 @@ def parse(text: str, file: str, what: str) -> Node:
         for event in yaml.parse(text, Loader=_Loader):
             reader.take(event)
     except yaml.MarkedYAMLError as error:
-        where = error.problem_mark or error.context_mark
-        mark = Mark(file, where.line + 1, where.column + 1) if where else Mark(file)
         problem = error.problem or "not understood"
+        is_open_quote = problem == "found unexpected end of stream"  # where it began says more than where the file ends
+        where = (error.context_mark if is_open_quote else None) or error.problem_mark or error.context_mark
+        mark = Mark(file, where.line + 1, where.column + 1) if where else Mark(file)
+        problem = _YAML_PROBLEMS.get(problem, problem)
         if "'\\t'" in problem or "\t" in _line(text, mark.line)[: mark.column + 1]:
             problem = "a tab; YAML is indented with spaces"
         raise SourceError([Problem(mark, f"is no valid YAML: {problem}")]) from None
-    except yaml.YAMLError as error:
-        raise SourceError(
-            [Problem(Mark(file), f"is no valid YAML: {shorten(str(error).splitlines()[0], 120)}")]
-        ) from None
+    except yaml.reader.ReaderError as error:
+        before = text.encode()[: error.position].decode(errors="ignore")
+        mark = Mark(file, before.count("\n") + 1, len(before) - before.rfind("\n"))
+        raise SourceError([Problem(mark, f"is no valid YAML: {error.reason}")]) from None
     if reader.root is None:
         raise SourceError([Problem(Mark(file), f"is empty; wanted {what}")])
     return reader.root
+
+
+_YAML_PROBLEMS = {
+    "found unexpected end of stream": "a quote is not closed",
+    "mapping values are not allowed in this context": "a ':' too many; look at the indentation, or quote the text",
+    "did not find expected key": "no 'key: value' where one should be; look at the indentation",
+    "did not find expected node content": "a bracket is not closed, or a value is missing",
+    "did not find expected ',' or '}'": "a '}' or a ',' is missing",
+    "did not find expected ',' or ']'": "a ']' or a ',' is missing",
+}
+"""What the parser says, in words that help."""
 
 
 def _line(text: str, number: int) -> str:
@@ -218,8 +253,13 @@ def validate(model: type[M], node: Node, problems: Problems, known: str = "", **
     if not isinstance(node, Entries):
         problems.add(node.mark, f"{describe(node)} stands where {known or 'a mapping (key: value)'} should be")
         return None
+    found_before = len(problems.found)
+    for key in extra:
+        if key in node.keys:
+            problems.add(node.keys[key], f"unknown key '{key}'", known=set(_keys_at(model, ())).difference(extra))
     try:
-        return model.model_validate({**plain(node), **extra}, by_alias=True, by_name=False)
+        made = model.model_validate({**plain(node), **extra}, by_alias=True, by_name=False)
+        return made if len(problems.found) == found_before else None
     except ValidationError as error:
         for item in error.errors(include_url=False):
             _explain(model, node, item, problems)
@@ -228,37 +268,37 @@ def validate(model: type[M], node: Node, problems: Problems, known: str = "", **
 
 def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems) -> None:
     mark, owner = node.mark, node
-    path = [str(step) for step in error["loc"]]
-    for i, step in enumerate(error["loc"]):
+    for i, step in enumerate(error["loc"], start=1):
         if isinstance(owner, Entries) and step in owner.values:
-            is_key_wrong = error["type"] == "extra_forbidden" and i == len(path) - 1
+            is_key_wrong = error["type"] == "extra_forbidden" and i == len(error["loc"])
             mark = owner.keys[step] if is_key_wrong else owner.values[step].mark
             if not is_key_wrong:
                 owner = owner.values[step]
         elif isinstance(owner, Items) and isinstance(step, int) and step < len(owner.items):
             owner = owner.items[step]
             mark = owner.mark
-    name = path[-1] if path else ""
+    name = next((step for step in reversed(error["loc"]) if isinstance(step, str)), "")
     if error["type"] == "extra_forbidden":
-        known = _fields_at(model, error["loc"][:-1])
+        known = _keys_at(model, error["loc"][:-1])
         problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known)
     elif error["type"] == "missing":
         problems.add(mark, f"'{name}' is missing")
     elif error["type"] == "quantity":
         problems.add(mark, f"'{name}': {error['msg']}")
     else:
-        given = error["input"]
+        given, why = error["input"], error["msg"].removeprefix("Value error, ")
         shown = f"'{shorten(given)}'" if isinstance(given, str) else "nothing" if given is None else "this"
-        problems.add(mark, f"'{name}': {shown} is not accepted", error["msg"][:1].lower() + error["msg"][1:])
+        where = f"'{name}': " if name else ""
+        problems.add(mark, f"{where}{shown} is not accepted", why[:1].lower() + why[1:])
 
 
-def _fields_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
-    """The keys a model, or the model nested in it at `path`, accepts."""
+def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
+    """The keys that a model, or the model nested in it at `path`, accepts."""
     for step in path:
         for name, info in model.model_fields.items():
-            if step in (name, info.alias) and isinstance(info.annotation, type):
-                if issubclass(info.annotation, BaseModel):
-                    model = info.annotation
+            if step in (name, info.alias):
+                nested = (info.annotation, *typing.get_args(info.annotation))
+                model = next((t for t in nested if isinstance(t, type) and issubclass(t, BaseModel)), model)
                 break
     return [info.alias or name for name, info in model.model_fields.items()]
 
@@ -271,7 +311,9 @@ class _Reader:
         self._open: list[Items | Entries] = []
         self._pending_keys: list[Scalar | None] = []
         self._anchors: dict[str, Node] = {}
-        self._sizes: dict[int, int] = {}  # of closed lists and mappings, aliases counted as what they stand for
+        # Of closed lists and mappings, aliases counted as what they stand for:
+        self._sizes: dict[int, int] = {}
+        self._heights: dict[int, int] = {}
         self._count = 0
         self.root: Node | None = None
 
@@ -293,6 +335,7 @@ class _Reader:
             closed = self._open.pop()
             children = closed.items if isinstance(closed, Items) else closed.values.values()
             self._sizes[id(closed)] = 1 + sum(self._sizes.get(id(child), 1) for child in children)
+            self._heights[id(closed)] = 1 + max((self._heights.get(id(child), 0) for child in children), default=0)
         elif isinstance(event, yaml.AliasEvent):
             target = self._anchors.get(event.anchor or "")
             if target is None:
@@ -304,8 +347,6 @@ class _Reader:
             self._refuse(mark, "a second document begins here; one file holds one document")
 
     def _enter(self, node: Items | Entries, anchor: str | None) -> None:
-        if len(self._open) >= MAX_DEPTH:
-            self._refuse(node.mark, f"is nested deeper than {MAX_DEPTH} levels")
         self._place(node, anchor)
         self._open.append(node)
         self._pending_keys.append(None)
@@ -314,6 +355,8 @@ class _Reader:
         self._count += self._sizes.get(id(node), 1)
         if self._count > MAX_NODES:
             self._refuse(node.mark, "is too large once its aliases are expanded")
+        if len(self._open) + self._heights.get(id(node), 1) > MAX_DEPTH:
+            self._refuse(node.mark, f"is nested deeper than {MAX_DEPTH} levels")
         if anchor is not None:
             self._anchors[anchor] = node
         if not self._open:
@@ -326,7 +369,7 @@ class _Reader:
         key = self._pending_keys[-1]
         if key is None:
             if not isinstance(node, Scalar) or node.text is None:
-                self._refuse(node.mark, f"a key must be a word, not {describe(node)}")
+                self._refuse(node.mark, "a key must be one word")
             if node.text in parent.keys:
                 self._refuse(node.mark, f"the key '{shorten(node.text)}' stands here a second time")
             self._pending_keys[-1] = node

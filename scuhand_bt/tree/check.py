@@ -120,7 +120,8 @@ class _Checker:
         self._codes = library.failures()
         self._results: dict[str, WireType] = {}
         self._calling: list[str] = []
-        self._types: dict[str, WireType] = {}
+        self._types: dict[str, WireType | None] = {}
+        """By name; None where what gives the value is wrong, and reported, itself."""
 
     def result_of(self, name: str, caller: Mark | None = None) -> WireType:
         """Check a workflow once, and say what it returns."""
@@ -135,7 +136,10 @@ class _Checker:
         outer_types, self._types = self._types, {key: declared.type for key, declared in workflow.inputs.items()}
         for declared in workflow.inputs.values():
             if declared.default is not None:
-                self._check_literal(declared.name, declared.type, declared.default)
+                value = self._check_literal(declared.name, declared.type, declared.default)
+                if isinstance(value, Percent) and "mass" not in workflow.inputs:
+                    what = "a tolerance in % is one of the mass, but this workflow has no input 'mass'"
+                    self._problems.add(declared.default.mark, what)
         defined = self._check(workflow.tree, frozenset(workflow.inputs))
         result = NOTHING
         if workflow.result is not None:
@@ -202,11 +206,14 @@ class _Checker:
             for argument in node.arguments.values():
                 if isinstance(argument, Reference):
                     self._type_of(argument, defined)
-            return defined | {node.result} if node.result else defined
+            return self._keep(node, None, defined)
         parameters = library.parameters(node.name)
         for name, argument in node.arguments.items():
             if name in parameters:
-                self._check_argument(name, parameters[name].wire, argument, defined)
+                value = self._check_argument(name, parameters[name].wire, argument, defined)
+                if isinstance(value, Percent) and "mass" not in node.arguments:
+                    what = f"a tolerance in % is one of the mass, but '{node.name}' is given no 'mass' here"
+                    self._problems.add(argument.mark, what)
             else:
                 what = f"'{node.name}' has no parameter '{shorten(name)}'"
                 takes = f"it takes {', '.join(parameters) or 'none'}"
@@ -219,13 +226,17 @@ class _Checker:
         else:
             skill = library.skills[node.name]
             result = of_field(skill.result_type())
+        return self._keep(node, result, defined)
+
+    def _keep(self, node: Call, result: WireType | None, defined: frozenset[str]) -> frozenset[str]:
+        """The names defined once this call has succeeded, with its result (None: unknown) under its `as`."""
         if node.result is None:
             return defined
+        before = self._types.get(node.result)
         if result == NOTHING:
             self._problems.add(node.result_mark, f"'{node.name}' has no result to keep as '{node.result}'")
-            return defined
-        before = self._types.get(node.result)
-        if before is not None and not before.accepts(result):
+            result = None
+        elif before is not None and result is not None and not before.accepts(result):
             self._problems.add(node.result_mark, f"'{node.result}' is a {before.name} already, not a {result.name}")
         self._types[node.result] = result
         return defined | {node.result}
@@ -249,17 +260,22 @@ class _Checker:
             return None
 
     def _type_of(self, reference: Reference, defined: frozenset[str]) -> WireType | None:
-        wire = self._types.get(reference.name)
-        if wire is None:
+        if reference.name not in self._types:
             known = [f"${name}" for name in self._types]
             what = f"unknown value '{reference}'"
             self._problems.add(reference.mark, what, unknown=f"${reference.name}", known=known)
+            return None
+        wire = self._types[reference.name]
+        if wire is None:
             return None
         if reference.name not in defined:
             self._problems.add(
                 reference.mark, f"'${reference.name}' may not have a value yet here", "it is set on another way only"
             )
         for attribute in reference.attributes:
+            if wire.optional:
+                self._problems.add(reference.mark, f"{reference} reads '{attribute}' of what may be nothing")
+                return None
             attributes = wire.attributes()
             if attribute not in attributes:
                 what = f"a {wire.name} has no attribute '{attribute}'"

@@ -25,6 +25,11 @@ PARAMETERS = {"attempts": INPUT_TYPES["Integer"], "duration": INPUT_TYPES["Durat
 """The decorators' own parameters and their types; like a call's, each is a literal or a `$name`."""
 KEYWORDS = (*COMPOSITES, *DECORATOR_KEYS)
 
+QUANTITY_INPUTS = {"mass": "Mass", "tolerance": "Mass"}
+"""Inputs whose name says what they are: recipes and plans reckon with them."""
+RECIPE_WORDS = ("id", "workflow", "repeat", "table")
+"""Keys of a sample that are not its workflow's inputs."""
+
 _REFERENCE = re.compile(r"\$([A-Za-z_]\w*)((?:\.[A-Za-z_]\w*)*)")
 _NAME = re.compile(r"[A-Za-z_]\w*")
 
@@ -156,6 +161,8 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
         if not _NAME.fullmatch(name):
             problems.add(mark, f"'{shorten(name)}' is no name", "letters, digits and _, not beginning with a digit")
             continue
+        if name == "as" or name in RECIPE_WORDS:
+            problems.add(mark, f"'{name}' cannot be an input", "it has a meaning of its own where a workflow is used")
         type_node, default = declared, None
         if isinstance(declared, Entries):
             _only_keys(declared, ("type", "default"), problems)
@@ -167,6 +174,9 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
             problems.add(
                 type_node.mark, f"{describe(type_node)} is no type", unknown=type_name or "", known=INPUT_TYPES
             )
+            continue
+        if name in QUANTITY_INPUTS and wire.name != QUANTITY_INPUTS[name]:
+            problems.add(type_node.mark, f"'{name}' must be a {QUANTITY_INPUTS[name]}, not a {wire.name}")
             continue
         inputs[name] = Input(mark, name, wire, default)
     return inputs
@@ -233,13 +243,14 @@ def _read_decorator(mark: Mark, kind: str, body: Node, problems: Problems) -> De
 def _read_codes(node: Node | None, problems: Problems) -> dict[str, Mark]:
     if node is None:
         return {}
-    items = node.items if isinstance(node, Items) else [node]
+    items = node.items if isinstance(node, Items) and node.items else [node]
     codes: dict[str, Mark] = {}
     for item in items:
         if isinstance(item, Scalar) and item.text:
             codes[item.text] = item.mark
         else:
-            problems.add(item.mark, f"{describe(item)} is no failure code", "such as [hand.cone_empty]")
+            allowed = "such as [hand.cone_empty]; without 'on', every failure is retried"
+            problems.add(item.mark, f"{describe(item)} is no failure code", allowed)
     return codes
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, FiniteFloat, TypeAdapter, ValidationError
 
 from scuhand_bt import quantity
 from scuhand_bt.quantity import Unit, plain_name
@@ -70,7 +70,7 @@ _QUANTITIES = {
 
 INPUT_TYPES: Mapping[str, WireType] = {
     **{name: WireType(name, typing.Annotated[float, unit]) for name, unit in _QUANTITIES.items()},
-    "Number": WireType("Number", float),
+    "Number": WireType("Number", FiniteFloat),
     "Integer": WireType("Integer", int),
     "Text": WireType("Text", str),
     "Flag": WireType("Flag", bool),
