@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.dosing.scooping import BEST_SHARE, bed_diameter_mm, collected_share
+from scuhand_bt.dosing.scooping import BEST_SHARE, FULL_STROKE_MM, bed_diameter_mm, collected_share
 from scuhand_bt.motion import ApexPose
 from scuhand_bt.skill import (
     Cell,
@@ -32,6 +32,10 @@ WALL_GAP_MM = 4.0
 """Between the mortar's bore and the largest rim that goes in."""
 STROKE_MM = 24.0
 """How much the rim's diameter shrinks in a stroke."""
+NARROWEST_MM = 46.0
+"""The smallest rim that a scoop begins with."""
+LOAD_AIM = 0.95
+"""Share of the powder's load limit that a scoop aims at: what it collects varies."""
 BED_GAP_MM = 6.0
 """The rim meets the wall this much wider than the powder bed."""
 MAX_SWING_DEG = 8.0
@@ -91,17 +95,19 @@ class Scoop(Skill[Milligrams]):
             raise SkillFailed("hand.wrong_powder", f"the cone still holds powder from '{believed.cone_source}'")
 
     def _choose_stroke(self, cell: Cell, in_mortar_mg: float) -> Stroke:
-        """The rim as wide as the bed, unless that would load the cone beyond the powder's limit."""
+        """The rim as wide as the bed; narrower, and then a shorter stroke, where that would overload the cone."""
         mortar, powder = self.source.mortar, self.source.powder
         bed_mm = bed_diameter_mm(mortar, in_mortar_mg, powder.bulk_density_mg_per_mm3)
-        room_mg = max(0.0, powder.load_limit_mg - cell.believed.cone_mg)
-        share = min(1.0, room_mg / (BEST_SHARE * in_mortar_mg))
+        room_mg = LOAD_AIM * powder.load_limit_mg - cell.believed.cone_mg
+        share = max(0.0, room_mg) / (BEST_SHARE * in_mortar_mg)
         widest_mm = min(mortar.bore_mm, 2 * cell.spec.hand.sheet_radius_mm) - WALL_GAP_MM
         wanted_mm = bed_mm * math.sqrt(share) if share < 1.0 else bed_mm + BED_GAP_MM
-        open_mm = min(widest_mm, max(STROKE_MM + 20.0, wanted_mm))
+        open_mm = min(widest_mm, max(NARROWEST_MM, wanted_mm))
+        reach = min(1.0, (open_mm / bed_mm) ** 2)
+        stroke_mm = STROKE_MM if share >= reach else FULL_STROKE_MM * share / reach
         bowl_mm = mortar.bowl_radius_mm
         room_deg = math.degrees(math.asin(mortar.bore_mm / 2 / bowl_mm) - math.asin(open_mm / 2 / bowl_mm))
-        return Stroke(open_mm, open_mm - STROKE_MM, min(MAX_SWING_DEG, max(0.0, room_deg - 2.0)))
+        return Stroke(open_mm, open_mm - stroke_mm, min(MAX_SWING_DEG, max(0.0, room_deg - 2.0)))
 
     def _poses(self, cell: Cell, stroke: Stroke) -> Iterator[ApexPose]:
         """The apex pressed onto the wall, then along the stroke; poses of the cone swinging about the bowl's centre."""

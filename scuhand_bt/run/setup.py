@@ -82,7 +82,8 @@ def real(plan: Plan, lab: Lab, record: Record) -> Cell:
 def prepared_motion(plan: Plan, lab: Lab) -> MotionPlanner:
     """The motion planner with every place of the plan, and the ways between them planned."""
     mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
-    motion = MotionPlanner(lab.urdf, lab.cell, mortars)
+    # One thread: beside other work on the machine, a second one costs more in waiting than it gains.
+    motion = MotionPlanner(lab.urdf, lab.cell, mortars, threads=1)
     for name, position_mm in places_of(plan, lab).items():
         motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
     motion.prepare()

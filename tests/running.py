@@ -1,0 +1,127 @@
+"""Dry runs for tests: a small lab, and sessions that share one planner per set of places."""
+
+import functools
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scuhand_bt.lab import Lab, load_lab, starter_lab
+from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.recipe import load_recipe
+from scuhand_bt.run import setup
+from scuhand_bt.run.batch import BatchResult, SampleResult
+from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.setup import DryRun
+
+HEAD = """
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}
+  msg: {station: mortar_bay_2, container: small_agate_mortar, powder: monosodium_glutamate, amount: 8 g}
+"""
+
+
+def share_planners(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Planning is the same for the same places: do it once for all runs of a test session."""
+    monkeypatch.setattr(setup, "prepared_motion", _planner)
+
+
+_PLANNERS: dict[Any, Any] = {}
+_prepare = setup.prepared_motion
+
+
+def _planner(plan: Plan, lab: Lab) -> Any:
+    key = (str(lab.cell), str(sorted(setup.places_of(plan, lab).items())))
+    if key not in _PLANNERS:
+        _PLANNERS[key] = _prepare(plan, lab)
+    _PLANNERS[key].set_container(None)
+    _PLANNERS[key].set_cone_diameter(0.090)
+    return _PLANNERS[key]
+
+
+def make_lab(folder: Path, **files: str) -> Path:
+    """A copy of the starter lab with more files: `trees__mine="…"` writes trees/mine.yaml."""
+    for part in ("robot", "skills", "trees"):
+        shutil.copytree(starter_lab() / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+    for name, text in files.items():
+        part, stem = name.split("__", 1)
+        (folder / part / f"{stem}.{'py' if part == 'skills' else 'yaml'}").write_text(text, encoding="utf-8")
+    return folder
+
+
+@dataclass
+class Watching:
+    """An observer that counts ticks, and may stop the run at one of them."""
+
+    session: Session | None = None
+    stop_at: int | None = None
+    ticks: int = 0
+    at_tick: Callable[[Any], None] = lambda root: None
+    results: list[SampleResult] = field(default_factory=list)
+
+    def ticked(self, root: Any) -> None:
+        self.ticks += 1
+        self.at_tick(root)
+        if self.ticks == self.stop_at and self.session is not None:
+            self.session.stop.fire()
+
+    def job_started(self, job: Job, number: int) -> None:
+        pass
+
+    def sample_ended(self, result: SampleResult) -> None:
+        self.results.append(result)
+
+
+@dataclass
+class Ran:
+    """A finished dry run."""
+
+    result: BatchResult
+    session: Session
+    watching: Watching
+
+    @property
+    def journal(self) -> Path:
+        return self.session.journal.path
+
+    def sample(self, sample_id: str) -> SampleResult:
+        return next(sample for sample in self.result.samples if sample.id == sample_id)
+
+
+def dry_run(
+    tmp_path: Path,
+    recipe: str,
+    *,
+    lab: Path | None = None,
+    seed: int = 0,
+    plant: str | None = None,
+    controller: str | None = "paper",
+    stop_at: int | None = None,
+    at_tick: Callable[[Any], None] | None = None,
+) -> Ran:
+    """Run a recipe's text (without its sources, those of `HEAD` are used) to its end."""
+    path = tmp_path / "recipe.yaml"
+    path.write_text(recipe if "sources:" in recipe else recipe + HEAD, encoding="utf-8")
+    loaded = _load(lab or starter_lab())
+    plan = make_plan(load_recipe(path, loaded), loaded)
+    session = Session(plan, loaded, Options(DryRun(seed, plant), controller, tmp_path / "runs"))
+    watching = Watching(session, stop_at)
+    if at_tick is not None:
+        watching.at_tick = at_tick
+    try:
+        result = session.run(watching)
+    finally:
+        session.close()
+    return Ran(result, session, watching)
+
+
+def _load(folder: Path) -> Lab:
+    return _starter() if folder == starter_lab() else load_lab(folder)
+
+
+@functools.cache
+def _starter() -> Lab:
+    return load_lab(starter_lab())

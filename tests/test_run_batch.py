@@ -1,0 +1,262 @@
+"""Whole batches on simulated devices: verdicts, failure policies, stopping, and safe ends."""
+
+from pathlib import Path
+
+import pytest
+from running import Ran, dry_run, make_lab, share_planners
+
+from scuhand_bt.run.batch import EXIT_CELL_FAULT, EXIT_FLAGGED, EXIT_INTERRUPTED, EXIT_OK
+from scuhand_bt.run.export import canonical
+from scuhand_bt.run.journal import read
+from scuhand_bt.sim.plant import PlantError
+
+ONE_DOSE = """
+recipe: one
+workflow: scoop_and_dispense
+samples: [{id: a, source: beads, container: pellet_die_13mm, mass: 500 mg, tolerance: 10 mg}]
+"""
+
+
+@pytest.fixture(autouse=True)
+def planners(monkeypatch: pytest.MonkeyPatch) -> None:
+    share_planners(monkeypatch)
+
+
+def assert_safe(ran: Ran) -> None:
+    cell = ran.session.cell
+    assert cell.hand.opening_mm == 0.0
+    assert cell.hand.vibration == 0.0
+    assert cell.arm.is_stopped
+    assert cell.hand.is_stopped
+
+
+def test_a_dose_lands_in_tolerance_and_the_container_holds_what_the_table_says(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, ONE_DOSE)
+    dose = ran.sample("a")
+    assert ran.result.exit_code == EXIT_OK
+    assert dose.verdict == "in tolerance"
+    assert dose.dispensed_mg == pytest.approx(500, abs=10)
+    assert dose.true_mg == pytest.approx(dose.dispensed_mg, abs=1.5)
+    assert dose.pulses > 1
+    assert dose.scoops == 1
+    assert_safe(ran)
+
+
+def test_the_same_seed_gives_the_same_export_and_another_seed_another(tmp_path: Path) -> None:
+    exports = []
+    for number, seed in enumerate((3, 3, 4)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        exports.append(canonical(dry_run(folder, ONE_DOSE, seed=seed).journal))
+    assert exports[0] == exports[1]
+    assert exports[0] != exports[2]
+
+
+def test_a_dose_beyond_one_load_is_scooped_again_and_adds_up_to_one_target(tmp_path: Path) -> None:
+    recipe = """
+recipe: large
+workflow: scoop_and_dispense
+samples: [{id: a, source: beads, container: alumina_crucible, mass: 7 g, tolerance: 50 mg}]
+"""
+    dose = dry_run(tmp_path, recipe).sample("a")
+    assert dose.verdict == "in tolerance"
+    assert dose.scoops == 2
+    assert dose.true_mg == pytest.approx(7000, abs=52)
+
+
+def test_powders_are_grouped_with_one_sheet_swap_and_never_mixed(tmp_path: Path) -> None:
+    recipe = """
+recipe: two
+workflow: scoop_and_dispense
+defaults: {container: pellet_die_13mm, mass: 300 mg, tolerance: 20 mg}
+samples: [{id: a, source: beads}, {id: b, source: msg}, {id: c, source: beads}]
+"""
+    ran = dry_run(tmp_path, recipe)
+    jobs = [row["sample"] for row in read(ran.journal, "job") if row["sample"]]
+    assert jobs == ["a", "c", "b"]
+    assert [sample.id for sample in ran.result.samples] == ["a", "b", "c"]
+    assert sum(1 for event in read(ran.journal, "event") if event["kind"] == "sheet") == 1
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["returned"] == 0.0
+
+
+def test_order_as_written_swaps_the_sheet_at_each_change(tmp_path: Path) -> None:
+    recipe = """
+recipe: two
+order: as_written
+workflow: scoop_and_dispense
+defaults: {container: pellet_die_13mm, mass: 300 mg, tolerance: 20 mg}
+samples: [{id: a, source: beads}, {id: b, source: msg}, {id: c, source: beads}]
+"""
+    ran = dry_run(tmp_path, recipe)
+    assert [row["sample"] for row in read(ran.journal, "job") if row["sample"]] == ["a", "b", "c"]
+    assert sum(1 for event in read(ran.journal, "event") if event["kind"] == "sheet") == 2
+
+
+class Gusher:
+    """A plant whose every opening gives far too much."""
+
+    class Flow:
+        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
+            return min(in_cone_mg, 40_000 * dt_s) if opening_mm > 0 else 0.0
+
+    def flow(self, powder: object) -> "Gusher.Flow":
+        return self.Flow()
+
+
+class Dry:
+    """A plant whose powder never flows."""
+
+    class Flow:
+        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
+            return 0.0
+
+    def flow(self, powder: object) -> "Dry.Flow":
+        return self.Flow()
+
+
+class LaterNan:
+    """A plant that is sound when it is tried, and breaks in the run."""
+
+    class Flow:
+        steps = 0
+
+        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
+            type(self).steps += 1
+            return float("nan") if self.steps > 100 else 0.0
+
+    def flow(self, powder: object) -> "LaterNan.Flow":
+        return self.Flow()
+
+
+TWO_DOSES = """
+recipe: two
+workflow: scoop_and_dispense
+defaults: {source: beads, container: pellet_die_13mm, mass: 100 mg}
+samples: [{id: a}, {id: b}]
+on_failure: {dose.overshoot: %s, hand.no_flow: %s, otherwise: stop}
+"""
+
+
+def test_an_overshoot_is_flagged_and_never_reported_as_in_tolerance(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, TWO_DOSES % ("flag", "stop"), plant="test_run_batch:Gusher")
+    assert ran.result.exit_code == EXIT_FLAGGED
+    for sample in ran.result.samples:
+        assert (sample.verdict, sample.code) == ("over", "dose.overshoot")
+        assert sample.dispensed_mg > 102
+        assert sample.dispensed_mg == pytest.approx(sample.true_mg, abs=2)
+    assert_safe(ran)
+
+
+def test_stop_ends_the_batch_and_what_was_not_run_says_so(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, TWO_DOSES % ("stop", "stop"), plant="test_run_batch:Gusher")
+    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert "dose.overshoot" in ran.result.reason
+    assert [sample.verdict for sample in ran.result.samples] == ["over", "not run"]
+    assert_safe(ran)
+
+
+def test_skip_sample_goes_on_with_the_next(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, TWO_DOSES % ("flag", "skip_sample"), plant="test_run_batch:Dry")
+    assert ran.result.exit_code == EXIT_FLAGGED
+    assert [sample.verdict for sample in ran.result.samples] == ["skipped", "skipped"]
+
+
+def test_redo_doses_a_new_container_once_and_then_flags(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, TWO_DOSES % ("redo", "stop"), plant="test_run_batch:Gusher")
+    attempts = [(row["sample"], row["attempt"]) for row in read(ran.journal, "job") if row["sample"]]
+    assert attempts == [("a", 1), ("a", 2), ("b", 1), ("b", 2)]
+    assert ran.result.exit_code == EXIT_FLAGGED
+    assert ran.sample("a").true_mg == pytest.approx(ran.sample("a").dispensed_mg, abs=2)
+
+
+def test_a_plant_that_breaks_in_the_run_ends_it_safe_and_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PlantError, match="LaterNan"):
+        dry_run(tmp_path, ONE_DOSE, plant="test_run_batch:LaterNan")
+
+
+BROKEN_SKILL = '''
+"""A skill with a bug."""
+from scuhand_bt.skill import Cell, Skill, Steps, pause
+
+class Broken(Skill[None]):
+    """Divide by nothing while the valve is open."""
+    devices = ("hand",)
+    def run(self, cell: Cell) -> Steps[None]:
+        cell.hand.set_opening(2.0)
+        cell.hand.set_vibration(1.0)
+        yield from pause(cell, 1.0)
+        1 / 0
+'''
+
+
+def test_a_bug_in_a_skill_stops_the_run_safe_and_says_which(tmp_path: Path) -> None:
+    tree = "workflow: w\ninputs: {source: Source}\ntree: {sequence: [{park: }, {broken: }]}\n"
+    lab = make_lab(tmp_path / "lab", skills__broken=BROKEN_SKILL, trees__w=tree)
+    ran = dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)
+    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert "broken" in ran.result.reason
+    assert "ZeroDivisionError" in ran.result.reason
+    assert [sample.verdict for sample in ran.result.samples] == ["not run"]
+    assert_safe(ran)
+
+
+STUCK_SKILL = '''
+"""A skill that waits for nothing."""
+from scuhand_bt.skill import Cell, Signal, Skill, Steps, Wake
+
+class Stuck(Skill[None]):
+    """Wait for a signal that nobody fires."""
+    def run(self, cell: Cell) -> Steps[None]:
+        yield Wake.on(Signal())
+
+'''
+BUSY_SKILL = '''
+"""A skill that never lets time pass."""
+from scuhand_bt.skill import Cell, Skill, Steps, Wake
+
+class Stuck(Skill[None]):
+    """Ask for the next tick at once, for ever."""
+    def run(self, cell: Cell) -> Steps[None]:
+        while True:
+            yield Wake(cell.clock.now_s)
+'''
+
+
+@pytest.mark.parametrize(("skill", "words"), [(STUCK_SKILL, "never comes"), (BUSY_SKILL, "without letting time")])
+def test_a_skill_that_would_hang_ends_the_run(tmp_path: Path, skill: str, words: str) -> None:
+    tree = "workflow: w\ninputs: {source: Source}\ntree: {stuck: }\n"
+    lab = make_lab(tmp_path / "lab", skills__stuck=skill, trees__w=tree)
+    ran = dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)
+    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert words in ran.result.reason
+
+
+@pytest.mark.parametrize("stop_at", [1, 7, 20, 33, 60])
+def test_a_stop_at_any_tick_ends_safe_with_a_verdict_for_every_sample(tmp_path: Path, stop_at: int) -> None:
+    ran = dry_run(tmp_path, TWO_DOSES % ("flag", "flag"), stop_at=stop_at)
+    assert ran.result.exit_code == EXIT_INTERRUPTED
+    assert [sample.verdict for sample in ran.result.samples] == ["not run", "not run"]
+    assert_safe(ran)
+    assert read(ran.journal, "event")[-1]["kind"] == "matter"
+
+
+def test_every_action_is_in_the_journal_before_it_acts(tmp_path: Path) -> None:
+    seen: list[str] = []
+
+    def look(root: object) -> None:
+        actions = read(next(tmp_path.glob("runs/*.sqlite")), "action")
+        seen.append(actions[-1]["outcome"] if actions else "none")
+
+    ran = dry_run(tmp_path, ONE_DOSE, at_tick=look)
+    assert "started" in seen
+    actions = read(ran.journal, "action")
+    assert {row["outcome"] for row in actions} <= {"done", "failed"}
+    assert [row["skill"] for row in actions if row["skill"] != "cone_holds"][:4] == [
+        "place_container",
+        "tare",
+        "scoop",
+        "move_over",
+    ]
+    assert len(read(ran.journal, "pulse")) >= ran.sample("a").pulses
+    assert len(read(ran.journal, "dose")) == 1

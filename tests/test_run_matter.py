@@ -1,0 +1,110 @@
+"""No powder is made, lost or mixed: over random recipes, workflows, seeds, and stops at random moments."""
+
+import math
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from running import Ran, dry_run, make_lab, share_planners
+
+from scuhand_bt.run.export import canonical
+
+SOURCES = ("beads", "msg")
+CONTAINERS = {"xrd_holder": 100, "pellet_die_13mm": 900, "alumina_crucible": 2500}
+WORKFLOWS = ("scoop_and_dispense", "fill_xrd_holder", "fill_crucible", "odd")
+ODD = """
+workflow: odd
+inputs: {source: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 3 mg}}
+result: $dose
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - parallel:
+        - sequence: [{scoop: {source: $source}}, {shake: {duration: 1 s}}]
+        - wait: {duration: 30 s}
+    - move_over: {container: $container}
+    - optional:
+        child:
+          timeout: {duration: 25 s, child: {dispense: {mass: $mass, tolerance: $tolerance}}}
+    - while:
+        guards: [{cone_holds: {powder: $source.powder}}]
+        child: {dispense: {mass: $mass, tolerance: $tolerance, as: dose}}
+    - fallback: [{invert: {wait: {duration: 1 s}}}, {discard: }]
+    - park:
+"""
+
+
+@pytest.fixture(autouse=True)
+def planners(monkeypatch: pytest.MonkeyPatch) -> None:
+    share_planners(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_lab(tmp_path_factory.mktemp("matter") / "lab", trees__odd=ODD)
+
+
+def assert_conserved(ran: Ran) -> None:
+    world = ran.session.world
+    assert world is not None
+    loaded_mg = sum(source.amount_mg for source in ran.session.plan.recipe.sources.values())
+    assert math.fsum(world.masses_mg.values()) == pytest.approx(loaded_mg, abs=1e-6)
+    assert min(world.masses_mg.values()) >= 0.0
+    assert world.masses_mg["flight"] == 0.0
+    assert world.masses_mg["spilled"] == 0.0
+
+
+@st.composite
+def recipes(draw: st.DrawFn) -> str:
+    samples = []
+    for number in range(draw(st.integers(1, 3))):
+        container = draw(st.sampled_from(sorted(CONTAINERS)))
+        mass_mg = draw(st.integers(20, CONTAINERS[container]))
+        workflow, source = draw(st.sampled_from(WORKFLOWS)), draw(st.sampled_from(SOURCES))
+        tolerance_mg = draw(st.sampled_from([2, 5, 15]))
+        samples.append(
+            f"  - {{id: s{number}, source: {source}, container: {container}, mass: {mass_mg} mg, "
+            f"tolerance: {tolerance_mg} mg, workflow: {workflow}}}\n"
+        )
+    order = draw(st.sampled_from(["by_powder", "as_written"]))
+    policy = draw(st.sampled_from(["flag", "skip_sample", "redo", "stop"]))
+    return f"recipe: any\norder: {order}\nsamples:\n{''.join(samples)}on_failure: {{otherwise: {policy}}}\n"
+
+
+@given(recipe=recipes(), seed=st.integers(0, 10_000), stop_at=st.one_of(st.none(), st.integers(1, 400)))
+@settings(
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+def test_matter_is_conserved_whatever_runs_and_whenever_it_is_stopped(
+    lab: Path, recipe: str, seed: int, stop_at: int | None
+) -> None:
+    with TemporaryDirectory() as folder:
+        ran = dry_run(Path(folder), recipe, lab=lab, seed=seed, stop_at=stop_at)
+        assert_conserved(ran)
+        assert ran.session.cell.hand.opening_mm == 0.0
+        assert all(sample.verdict for sample in ran.result.samples)
+        for sample in ran.result.samples:
+            if sample.verdict == "in tolerance" and sample.target_mg is not None:
+                assert sample.true_mg == pytest.approx(sample.target_mg, abs=(sample.tolerance_mg or 0) + 1.5)
+        assert canonical(ran.journal)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_batch_ends_for_every_seed_with_a_verdict_for_every_dose(tmp_path: Path, seed: int) -> None:
+    recipe = """
+recipe: seeds
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, mass: 30 mg}
+samples: [{id: a, source: beads}, {id: b, source: msg}]
+on_failure: {otherwise: flag}
+"""
+    ran = dry_run(tmp_path, recipe, seed=seed)
+    assert ran.result.exit_code in (0, 1)
+    assert all(sample.verdict in ("in tolerance", "under", "over") for sample in ran.result.samples)
+    assert_conserved(ran)
