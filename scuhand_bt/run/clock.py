@@ -3,7 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from scuhand_bt.clock import Wake
@@ -50,11 +50,12 @@ class VirtualClock:
 
 
 class WallClock:
-    """Time of a run on real devices, whose threads fire the signals."""
+    """Time of a run on real devices, whose threads fire the signals. `beat` is called while it waits."""
 
-    def __init__(self) -> None:
+    def __init__(self, beat: Callable[[], None] = lambda: None) -> None:
         self._began = time.monotonic()
         self._news = threading.Condition()
+        self._beat = beat
 
     @property
     def now_s(self) -> float:
@@ -68,7 +69,8 @@ class WallClock:
                 wake.signal.on_fire = self._notify
         with self._news:
             while self.now_s < limit_s and not any(wake.has_fired for wake in wakes):
-                # A slice, not for ever: a signal handler of Python only runs between waits.
+                # In slices: a signal handler of Python runs between waits only, and the drivers want to hear a beat.
+                self._beat()
                 self._news.wait(min(limit_s - self.now_s, 0.05))
 
     def _notify(self) -> None:

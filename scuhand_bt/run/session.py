@@ -50,11 +50,12 @@ class Session:
         folder = options.folder or runs_folder(lab)
         self.journal = _open_journal(folder / f"{self.run_id}.sqlite", durable=options.dry_run is None)
         self.world: World | None = None
+        self._close_cell: Callable[[], None] = lambda: None
         try:
             if options.dry_run is not None:
                 self.cell, self.world = simulated(plan, lab, options.dry_run, self.journal)
             else:
-                self.cell = real(plan, lab, self.journal)
+                self.cell, self._close_cell = real(plan, lab, self.journal)
         except BaseException:
             self.journal.close()
             raise
@@ -76,6 +77,8 @@ class Session:
                 self.journal.event("matter", world.masses_mg)
 
     def close(self) -> None:
+        """Close the devices and the journal."""
+        self._close_cell()
         self.journal.close()
 
 

@@ -1,10 +1,13 @@
 """Making the cell that a plan runs on: simulated, or the real one."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from scuhand_bt.devices.cell import Cell
+from scuhand_bt.devices.connect import connect_cell_devices
+from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.places import Position, all_places
 from scuhand_bt.lab import Lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
@@ -52,31 +55,36 @@ def simulated(plan: Plan, lab: Lab, options: DryRun, record: Record) -> tuple[Ce
     return cell, world
 
 
-def real(plan: Plan, lab: Lab, record: Record) -> Cell:
-    """The lab's cell with the devices that `cell.yaml` names.
+def real(plan: Plan, lab: Lab, record: Record) -> tuple[Cell, Callable[[], None]]:
+    """The lab's cell with the devices that `cell.yaml` names, and what closes them.
 
-    Raises SkillFailed device.lost for a device that cannot be opened, arm.* for a way that cannot be planned.
+    Raises SkillFailed arm.* for a way that cannot be planned, device.lost for a device that cannot be opened.
     """
-    from scuhand_bt.devices.connect import connect_cell_devices
-
-    clock = WallClock()
+    motion = prepared_motion(plan, lab)
+    liveness = Liveness()
+    clock = WallClock(liveness.beat)
     operator = TerminalOperator(clock, record, lambda question: print(question, flush=True))
-    arm, hand, balance, changer = connect_cell_devices(lab.cell, clock)
+    devices = connect_cell_devices(lab.cell, clock, liveness)
     cell = Cell(
         spec=lab.cell,
         clock=clock,
         record=record,
-        arm=arm,
-        hand=hand,
-        balance=balance,
-        changer=changer or OperatorChanger(operator),
+        arm=devices.arm,
+        hand=devices.hand,
+        balance=devices.balance,
+        changer=OperatorChanger(operator),
         operator=operator,
-        motion=prepared_motion(plan, lab),
+        motion=motion,
         sources=plan.recipe.sources,
         simulated=False,
     )
     _tell(cell, plan, lab)
-    return cell
+
+    def close() -> None:
+        liveness.end()
+        devices.close()
+
+    return cell, close
 
 
 def prepared_motion(plan: Plan, lab: Lab) -> MotionPlanner:
