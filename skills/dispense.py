@@ -6,6 +6,8 @@ from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps
 
 GUARD = 2.0
 """In tolerance means so beyond this many standard uncertainties of the measurement."""
+EXPECTED_UNCERTAINTY_DIGITS = 1.0
+"""A net mass's standard uncertainty to expect, in digits of the balance: controllers aim that much inside the tolerance."""
 
 
 class Dispense(Skill[Dose]):
@@ -51,7 +53,7 @@ class Dispense(Skill[Dose]):
         powder = source.powder
         return DoseRequest(
             target_mg=self.mass_mg,
-            tolerance_mg=self.tolerance_mg,
+            tolerance_mg=self.tolerance_mg - GUARD * EXPECTED_UNCERTAINTY_DIGITS * balance.readability_mg,
             gain=powder.gain,
             max_opening_mm=min(powder.max_opening_mm, hand.max_opening_mm),
             valve_speed_mm_per_s=hand.valve_speed_mm_per_s,

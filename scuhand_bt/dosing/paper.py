@@ -24,7 +24,7 @@ The comparison stays the paper's strict |e| < tolerance, on the first settled re
 
 from dataclasses import dataclass, field
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse
+from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse, Settle
 from scuhand_bt.dosing.flow import EXPONENT, PulseModel, basis, fit_coefficient
 
 STORED_MG = 0.5
@@ -81,21 +81,22 @@ class Paper:
 
     def decide(self, seen: Observation | None) -> Command:
         request = self._request
-        if seen is not None:
-            if self._pulse is None:
-                self._start_mg = seen.net_mg
-            else:
-                self._learn(self._pulse, seen.net_mg - self._net_mg)
-            self._net_mg = seen.net_mg
-            error_mg = request.target_mg - seen.net_mg
-            if abs(error_mg) < request.tolerance_mg:
-                return Finish("reached", seen.net_mg, seen.uncertainty_mg)
-            if error_mg < 0.0:
-                return Finish("overshoot", seen.net_mg, seen.uncertainty_mg)
-            if self._dry >= DRY_PULSES:
-                return Finish(request.given_up(seen.net_mg - self._start_mg), seen.net_mg, seen.uncertainty_mg)
-            if self._pulses >= request.step_limit:
-                return Finish("step_limit", seen.net_mg, seen.uncertainty_mg)
+        if seen is None:
+            return Settle()  # what is in the container already counts
+        if self._pulse is None:
+            self._start_mg = seen.net_mg
+        else:
+            self._learn(self._pulse, seen.net_mg - self._net_mg)
+        self._net_mg = seen.net_mg
+        error_mg = request.target_mg - seen.net_mg
+        if abs(error_mg) < request.tolerance_mg:
+            return Finish("reached", seen.net_mg, seen.uncertainty_mg)
+        if error_mg < 0.0:
+            return Finish("overshoot", seen.net_mg, seen.uncertainty_mg)
+        if self._dry >= DRY_PULSES:
+            return Finish(request.given_up(seen.net_mg - self._start_mg), seen.net_mg, seen.uncertainty_mg)
+        if self._pulses >= request.step_limit:
+            return Finish("step_limit", seen.net_mg, seen.uncertainty_mg)
         self._pulse = self._aim(request.gain * (request.target_mg - self._net_mg))
         self._pulses += 1
         return self._pulse
