@@ -7,7 +7,7 @@ from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps
 GUARD = 2.0
 """In tolerance means so beyond this many standard uncertainties of the measurement."""
 EXPECTED_UNCERTAINTY_DIGITS = 1.0
-"""A net mass's standard uncertainty to expect, in digits of the balance: controllers aim that much inside the tolerance."""
+"""A net mass's standard uncertainty to expect, in digits of the balance: controllers aim so much inside."""
 
 
 class Dispense(Skill[Dose]):

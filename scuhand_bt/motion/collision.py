@@ -232,7 +232,7 @@ class Scene:
             steps_m = self.motion_bound_m(np.diff(positions_at(times_s), axis=0))
             if steps_m.max() <= allowed_m:
                 return times_s
-            cuts = np.ceil(steps_m / (0.98 * allowed_m)).astype(int)
+            cuts = np.maximum(1, np.ceil(steps_m / (0.98 * allowed_m)).astype(int))
             starts, widths = np.repeat(times_s[:-1], cuts), np.repeat(np.diff(times_s) / cuts, cuts)
             within = np.arange(len(starts)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
             times_s = np.append(starts + within * widths, duration_s)
