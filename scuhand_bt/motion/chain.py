@@ -11,6 +11,7 @@ success and narrows them after a failure, and tries again in a direction that ha
 Chart coordinates (m, 7), times [s].
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,12 @@ from scuhand_bt.motion.trajectory import JointTrajectory, through
 _FIRST_SPEEDS = (1.6, 1.2, 0.8, 0.4)
 _PROPOSALS = 16
 _PROVEN_PER_ROUND = 3
+_FIRST_SPREAD = 0.2
+_SPEED_PER_RAD = 3.0
+"""How much a via's speed is varied [rad/s] where its position is varied by 1 rad."""
+_FASTEST = 0.98
+_DETOURS = 64
+_DETOUR_SPREAD = 0.5
 _GRID_S = 0.01
 _SPILL_GRID_S = 0.005
 
@@ -92,40 +99,69 @@ class Shaper:
 
     def first(self, path: Floats) -> Chain | None:
         """A proven chain through a free polyline's vertices, as quick as a few guesses of its speeds find."""
-        legs_s = rest_to_rest_s(np.diff(path, axis=0), self._space.chart.rates)
-        speeds = np.zeros_like(path)
-        speeds[1:-1] = (path[2:] - path[:-2]) / (legs_s[1:] + legs_s[:-1])[:, None]
         for scale in _FIRST_SPEEDS:
-            chain = self.proven(path, np.clip(scale * speeds, -self._law.limits.speed, self._law.limits.speed), path)
+            chain = self.proven(path, self._passing(path, scale), path)
             if chain is not None:
                 return chain
         # Each edge was proven as a line, so following the lines is free, whatever else is not.
         motion = self._proven(self._law.straight(path))
         return None if motion is None else Chain(path, np.zeros_like(path), motion, path)
 
-    def improved(self, chain: Chain, rng: np.random.Generator, rounds: int) -> Chain:
-        """A quicker chain, after at most `rounds` of proposals."""
-        spread, direction = 0.3, np.zeros((2, *chain.points.shape))
-        speed_limit = self._law.limits.speed
+    def detour(self, start: Floats, goals: Floats, rng: np.random.Generator, quicker_than_s: float) -> Chain | None:
+        """The quickest chain found through one random via point near a line to one of the goals (n, 7).
+
+        Most obstacles need no more than one via point, and looking at many at once is cheap: the via
+        points themselves, then a glance along both legs, then the few quickest chains are proven.
+        """
+        limits = self._space.chart.rates
+        ends = goals[rng.integers(len(goals), size=_DETOURS)]
+        vias = start + rng.uniform(0.2, 0.8, (_DETOURS, 1)) * (ends - start)
+        vias += rng.normal(size=vias.shape) * _DETOUR_SPREAD * self._space.chart.scatter
+        shortest_s = rest_to_rest_s(np.abs(vias - start) + np.abs(ends - vias), limits)
+        order = np.argsort(shortest_s, kind="stable")
+        order = order[shortest_s[order] < quicker_than_s]
+        for legs in (None, (start, vias), (vias, ends)):
+            if len(order) and legs is None:
+                order = order[~self._space.blocked(self._space.chart.joints(vias[order]))]
+            elif len(order) and legs is not None:
+                first, last = (np.broadcast_to(ends_of, vias.shape)[order] for ends_of in legs)
+                order = order[self._space.glance(first, last)]
+        quickest: list[tuple[float, int, Floats, Floats]] = []
+        for k in order:
+            points = np.array([start, vias[k], ends[k]])
+            speeds = self._passing(points, 1.2)
+            pieces = self._law.chain(points, speeds)
+            if pieces is not None:
+                quickest.append((sum(piece.duration for piece in pieces), int(k), points, speeds))
+        quickest.sort(key=lambda found: found[:2])
+        for duration_s, _, points, speeds in quickest[:_PROVEN_PER_ROUND]:
+            chain = self.proven(points, speeds, points, quicker_than_s) if duration_s < quicker_than_s else None
+            if chain is not None:
+                return chain
+        return None
+
+    def _passing(self, points: Floats, scale: float) -> Floats:
+        """Speeds at a polyline's vertices: towards the one after next, rest at both ends."""
+        legs_s = rest_to_rest_s(np.diff(points, axis=0), self._space.chart.rates)
+        speeds = np.zeros_like(points)
+        speeds[1:-1] = scale * (points[2:] - points[:-2]) / (legs_s[1:] + legs_s[:-1])[:, None]
+        return self._capped(speeds)
+
+    def _capped(self, speeds: Floats) -> Floats:
+        capped: Floats = np.clip(speeds, -_FASTEST * self._law.limits.speed, _FASTEST * self._law.limits.speed)
+        return capped
+
+    def improved(self, chain: Chain, goals: Floats, rng: np.random.Generator, rounds: int) -> Chain:
+        """A quicker chain to any of the goals (n, 7), after at most `rounds` of proposals."""
+        spread, direction = _FIRST_SPREAD, np.zeros((2, *chain.points.shape))
         for _ in range(rounds):
-            vias = len(chain.points) - 2
-            if vias == 0:
+            if len(chain.points) == 2:
                 break
-            proposals = []
-            for k in range(_PROPOSALS):
-                step = np.zeros((2, *chain.points.shape))
-                step[:, 1:-1] = rng.normal(size=(2, vias, chain.points.shape[1])) * spread
-                step[1] *= 3.0
-                if k % 2:
-                    step = step / 2 + direction * rng.uniform(0.3, 1.5)
-                points = chain.points + step[0]
-                speeds = np.clip(chain.speeds + step[1], -0.98 * speed_limit, 0.98 * speed_limit)
-                if k == 0 and vias > 1:
-                    dropped = int(rng.integers(1, vias + 1))
-                    points, speeds = np.delete(points, dropped, axis=0), np.delete(speeds, dropped, axis=0)
+            proposals: list[tuple[float, int, Floats, Floats]] = []
+            for points, speeds in self._proposals(chain, goals, spread, direction, rng):
                 pieces = self._law.chain(points, speeds)
                 if pieces is not None:
-                    proposals.append((sum(piece.duration for piece in pieces), k, points, speeds))
+                    proposals.append((sum(piece.duration for piece in pieces), len(proposals), points, speeds))
             proposals.sort(key=lambda proposal: proposal[:2])
             better = None
             for duration_s, _, points, speeds in proposals[:_PROVEN_PER_ROUND]:
@@ -136,12 +172,33 @@ class Shaper:
                     break
             if better is None:
                 spread = max(0.6 * spread, 0.01)
-                direction *= 0.5
+                direction = 0.5 * direction
                 continue
+            spread = min(1.5 * spread, 0.6)
             if better.points.shape == chain.points.shape:
                 direction = np.stack([better.points - chain.points, better.speeds - chain.speeds])
             else:
                 direction = np.zeros((2, *better.points.shape))
-            spread = min(1.5 * spread, 0.6)
             chain = better
         return chain
+
+    def _proposals(
+        self, chain: Chain, goals: Floats, spread: float, direction: Floats, rng: np.random.Generator
+    ) -> Iterator[tuple[Floats, Floats]]:
+        """Points and speeds near the chain's: one via left out; one or all moved; now and then another goal."""
+        vias = len(chain.points) - 2
+        if vias > 1:
+            dropped = int(rng.integers(1, vias + 1))
+            yield np.delete(chain.points, dropped, axis=0), np.delete(chain.speeds, dropped, axis=0)
+        for _ in range(_PROPOSALS):
+            step = np.zeros_like(direction)
+            moved = slice(1, -1) if rng.uniform() < 0.4 else int(rng.integers(1, vias + 1))
+            step[:, moved] = rng.normal(size=step[:, moved].shape) * self._space.chart.scatter
+            step *= spread * rng.uniform(0.3, 1.2)
+            step[1] *= _SPEED_PER_RAD
+            if rng.uniform() < 0.4:
+                step = step / 2 + direction * rng.uniform(0.3, 2.0)
+            points = chain.points + step[0]
+            if rng.uniform() < 0.15:
+                points[-1] = goals[rng.integers(len(goals))]
+            yield points, self._capped(chain.speeds + step[1])

@@ -27,6 +27,8 @@ class Chart(Protocol):
     """Planning coordinates and their map to the joints."""
 
     rates: RateLimits
+    scatter: Floats
+    """How far random points are strewn, by coordinate: shape (7,)."""
 
     def joints(self, c: Floats) -> Floats:
         """Coordinates (n, 7) to joints (n, 7)."""
@@ -50,6 +52,7 @@ class JointChart:
 
     def __init__(self, rates: RateLimits, q_start: Floats, level: "LevelChart | None" = None) -> None:
         self.rates = rates
+        self.scatter = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
         self._q7_rad = q_start[6]
         self._level = level
 
@@ -78,6 +81,7 @@ class LevelChart:
         limits = np.stack([rates.speed, rates.acceleration, rates.jerk])
         limits[:, 4:6] = np.array(_AXIS_RATES)[:, None]
         self.rates = RateLimits(*limits)
+        self.scatter = np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
         self._side = math.copysign(1.0, q_start[5])
         self._q7_rad = q_start[6]
 

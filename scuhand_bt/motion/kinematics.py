@@ -378,7 +378,8 @@ def checked_joints(q: ArrayLike, limits: Floats = LIMITS_RAD) -> Floats:
             f"{math.degrees(limits[0, joint]):.0f}..{math.degrees(limits[1, joint]):.0f} deg",
         )
     # Within one encoder count of a limit the servo itself calls it inside.
-    return np.clip(joints, limits[0], limits[1])
+    clipped: Floats = np.clip(joints, limits[0], limits[1])
+    return clipped
 
 
 def swivel_of(q: Floats, apex_offset_m: float) -> float:

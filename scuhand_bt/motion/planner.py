@@ -65,7 +65,10 @@ Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
 
 def _rng(request: Request) -> np.random.Generator:
     """Randomness that belongs to the request, so that its answer is the same on every run."""
-    digest = hashlib.blake2b(request[0] + request[1] + repr(request[2:]).encode(), digest_size=16).digest()
+    start, goals, geometry, spill_limit_deg = request
+    kind = geometry.container.name if geometry.container is not None else ""
+    words = f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}"
+    digest = hashlib.blake2b(start + goals + words.encode(), digest_size=16).digest()
     return np.random.default_rng(int.from_bytes(digest, "big"))
 
 

@@ -16,6 +16,7 @@ from scuhand_bt.motion.kinematics import Floats, apex_positions_m
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 
 _BATCH = 48
+_GLANCES = 6
 _REACH_M = 0.6
 """The longest edge grown at once, by the bound on motion."""
 
@@ -46,6 +47,13 @@ class Space:
         if self._upright is not None:
             blocked |= apex_positions_m(q, 0.0)[1][:, 2] < self._upright
         return blocked
+
+    def glance(self, first: Floats, last: Floats) -> np.ndarray:
+        """Which of the lines from (n, 7) to (n, 7) look free at a few samples, all looked at in one go: (n,)."""
+        shares = np.linspace(0.0, 1.0, _GLANCES + 2)[1:-1, None, None]
+        lines = first + shares * (last - first)
+        blocked = self.blocked(self.chart.joints(lines.reshape(-1, lines.shape[2])))
+        return np.logical_not(blocked.reshape(_GLANCES, -1).any(axis=0))
 
     def advance(self, c0: Floats, c1: Floats) -> tuple[Floats, bool]:
         """How far the line from c0 to c1 is free, and whether that is all of it."""

@@ -14,6 +14,7 @@ j [rad/s^3], T [s]. Berscheid and Kröger, "Jerk-limited real-time trajectory ge
 arbitrary target states", RSS 2021.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,8 +39,8 @@ class RateLimits:
         speed, acceleration, jerk = trajectory.extremes()
         return max(
             float((speed / self.speed).max()),
-            float((acceleration / self.acceleration).max()) ** 0.5,
-            float((jerk / self.jerk).max()) ** (1 / 3),
+            math.sqrt((acceleration / self.acceleration).max()),
+            math.cbrt((jerk / self.jerk).max()),
         )
 
 

@@ -2,7 +2,8 @@
 
 1. The direct motion to each goal, in the order of its duration. It is the optimum of its end points;
    for two transfers in three one of the first goals is free.
-2. Else a free polyline (`roadmap`), made into a chain of optimal pieces and shortened (`chain`).
+2. Else, and where another goal could be reached sooner: through one random via point, or along a free
+   polyline (`roadmap`), as a chain of optimal pieces that is then shortened (`chain`).
 
 An empty cone is planned in the joints alone. For a load both are done in the joints, where tilting is
 allowed up to the spill limit, and in the level chart, where it does not happen; the quicker one is
@@ -22,7 +23,13 @@ from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.roadmap import Space, connect, shortened
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
-_DIRECT_GOALS = 16
+_ITERATIONS = 4000
+_SHORTCUTS = 20
+_GOALS_AT_ONCE = 12
+_NEAR_OPTIMUM = 1.2
+"""A direct motion this near to the bound of the best goal is not worth a search."""
+_QUICKER = 0.8
+"""A goal is worth a search if its bound is below this share of the direct motion's duration."""
 _ROOTS = 32
 _LEAST_LEAN_DEG = 4.0
 """Below this much tilt, planning in the joints finds nothing that the level chart does not."""
@@ -32,17 +39,16 @@ _TILT_SHARE = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """Budgets: polylines tried, iterations to find each, shortcuts, rounds for each chain and for the best."""
+    """Budgets: chains begun, batches of detours for each, then rounds for each chain and for the best."""
 
-    polylines: int
-    iterations: int
-    shortcuts: int
+    chains: int
+    detours: int
     rounds_each: int
     rounds_best: int
 
 
-LIVE = Effort(polylines=1, iterations=3000, shortcuts=20, rounds_each=8, rounds_best=0)
-POLISHED = Effort(polylines=3, iterations=3000, shortcuts=30, rounds_each=8, rounds_best=40)
+LIVE = Effort(chains=1, detours=1, rounds_each=6, rounds_best=0)
+POLISHED = Effort(chains=2, detours=6, rounds_each=15, rounds_best=30)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,21 +95,51 @@ def _best_in(
     shaper = Shaper(space, task.rates, task.apex_offset_m, task.spill_limit_deg)
     start = chart.coordinates(task.start[None, :])[0]
     ends = chart.coordinates(goals)
-    rest = np.zeros((2, len(start)))
-    for end in ends[:_DIRECT_GOALS]:
-        line = np.array([start, end])
-        direct = shaper.proven(line, rest, line)
-        if direct is not None:
-            return direct
+    bounds_s = rest_to_rest_s(goals - task.start, task.rates)
+    best = _direct(space, shaper, start, ends)
+    if best is not None and best.duration_s <= _NEAR_OPTIMUM * bounds_s[0]:
+        return best
+    worthwhile = ends[: _ROOTS if best is None else int((bounds_s < _QUICKER * best.duration_s).sum())][:_ROOTS]
+    if not len(worthwhile):
+        return best
+    chains = []
+    for _ in range(effort.chains):
+        chain = _begun(space, shaper, start, worthwhile, effort.detours, needed=best is None, rng=rng)
+        if chain is not None:
+            chains.append(shaper.improved(chain, worthwhile, rng, effort.rounds_each))
+    if chains:
+        chain = shaper.improved(min(chains, key=_duration_s), worthwhile, rng, effort.rounds_best)
+        best = chain if best is None else min(best, chain, key=_duration_s)
+    return best
+
+
+def _begun(
+    space: Space, shaper: Shaper, start: Floats, goals: Floats, batches: int, needed: bool, rng: np.random.Generator
+) -> Chain | None:
+    """A first chain: by one via point if that will do, else, where one is needed, along a polyline."""
     best: Chain | None = None
-    for _ in range(effort.polylines):
-        path = connect(space, start, ends[:_ROOTS], rng, effort.iterations)
-        if path is None:
-            continue
-        chain = shaper.first(shortened(space, path, rng, effort.shortcuts))
-        if chain is None:
-            continue
-        chain = shaper.improved(chain, rng, effort.rounds_each)
-        if best is None or chain.duration_s < best.duration_s:
-            best = chain
-    return None if best is None else shaper.improved(best, rng, effort.rounds_best)
+    for _ in range(batches):
+        chain = shaper.detour(start, goals, rng, np.inf if best is None else best.duration_s)
+        best = best if chain is None else chain
+    if best is None and needed:
+        path = connect(space, start, goals, rng, _ITERATIONS)
+        if path is not None:
+            best = shaper.first(shortened(space, path, rng, _SHORTCUTS))
+    return best
+
+
+def _duration_s(chain: Chain) -> float:
+    return chain.duration_s
+
+
+def _direct(space: Space, shaper: Shaper, start: Floats, ends: Floats) -> Chain | None:
+    """The first direct motion that is proven; a glance along the lines tells which are worth the proof."""
+    rest = np.zeros((2, len(start)))
+    for begin in range(0, len(ends), _GOALS_AT_ONCE):
+        some = ends[begin : begin + _GOALS_AT_ONCE]
+        for end in some[space.glance(np.broadcast_to(start, some.shape), some)]:
+            line = np.array([start, end])
+            direct = shaper.proven(line, rest, line)
+            if direct is not None:
+                return direct
+    return None
