@@ -32,7 +32,9 @@ from scuhand_bt.failures import SkillFailed
 PERIOD_S = 0.01
 """Of the stream of goals; the servos are read in every second cycle."""
 STOPPING_S = 0.25
-"""From full speed to rest along the path."""
+"""From full speed to rest along the path, and back to speed."""
+RESUME_LIMIT_S = 0.5
+"""A motion goes on by itself after a pause of this computer that was shorter."""
 MISSED_LIMIT = 5
 """Readings in a row (100 ms) that a servo may leave unanswered."""
 FAR_LIMIT_S = 0.15
@@ -85,6 +87,11 @@ class AxisGroup:
         with self._lock:
             self._stopping = True
 
+    def rest(self) -> None:
+        """Stand still for a moment, and come up to speed again from here."""
+        with self._lock:
+            self._rate = 0.0
+
     def freeze(self, fault: SkillFailed) -> None:
         """End the motion at once, where the servos are."""
         with self._lock:
@@ -96,11 +103,11 @@ class AxisGroup:
         with self._lock:
             if self._path is None:
                 return
-            if self._stopping:
-                self._rate = max(0.0, self._rate - dt_s / STOPPING_S)
+            change = -dt_s / STOPPING_S if self._stopping else dt_s / STOPPING_S
+            self._rate = min(1.0, max(0.0, self._rate + change))
             self._at_s += self._rate * dt_s
             self.goals_rad = np.asarray(self._path(min(self._at_s, self._duration_s)), dtype=float)
-            if self._at_s >= self._duration_s or self._rate == 0.0:
+            if self._at_s >= self._duration_s or (self._stopping and self._rate == 0.0):
                 self._path = None
 
     def goal_of(self, axis: Axis) -> float:
@@ -206,8 +213,8 @@ class ServoChain:
 
     def _cycle(self, dt_s: float, now_s: float, read_now: bool) -> None:
         if dt_s > WATCHDOG_UNITS * r.WATCHDOG_UNIT_S:
-            self._fail_all("arm.not_following", f"this computer paused for {dt_s * 1000:.0f} ms; the arm has stopped")
-            self._hold()
+            self._recover(dt_s)
+            dt_s = 0.0
         moving = [group for group in self.groups if group.is_streaming]
         if moving and not self._liveness.is_alive:
             pause_ms = self._liveness.silent_s * 1000
@@ -223,6 +230,17 @@ class ServoChain:
             self._read()
             self._guard(now_s)
             self.news.fire()
+
+    def _recover(self, pause_s: float) -> None:
+        """This computer paused, and the watchdogs have stopped the servos: go on, from rest, if it was short."""
+        self._read()
+        for group in self.groups:
+            if pause_s < RESUME_LIMIT_S:
+                group.rest()
+            elif group.is_streaming:
+                detail = f"this computer paused for {pause_s * 1000:.0f} ms; the servos have stopped"
+                group.freeze(SkillFailed("arm.not_following", detail))
+        self._hold()
 
     def _write_goals(self, groups: Sequence[AxisGroup]) -> None:
         goals = {axis.servo: axis.count(group.goal_of(axis)) for group in groups for axis in group.axes}

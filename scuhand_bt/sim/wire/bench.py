@@ -8,6 +8,7 @@ world's balance reads.
 """
 
 import math
+import sys
 import threading
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -35,6 +36,9 @@ from scuhand_bt.specs import CellSpec, HandSpec, Source
 STILL_AFTER_S = 0.1
 """What has not moved for this long stands still."""
 SHUT_MM = 0.01
+SWITCH_S = 0.0005
+"""How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
+usual 5 ms a servo would be kept waiting."""
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
 
 
@@ -163,6 +167,8 @@ class WireBench:
         self._thread = threading.Thread(target=self._go_on, name="world", daemon=True)
 
     def __enter__(self) -> "WireBench":
+        self._running.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(SWITCH_S)
         for server in (self.bus, self.hand, self.balance):
             self._running.enter_context(server)
         self._thread.start()
@@ -176,8 +182,8 @@ class WireBench:
         self._running.close()
 
     def _go_on(self) -> None:
-        now_s = self._clock.now_s
+        now_s = 0.0  # the balance's periods count from there
         while not self._closing.wait(STEP_S):
             end_s = self._clock.now_s
-            while now_s < end_s:
+            while now_s < end_s and not self._closing.is_set():
                 now_s = self.world.step(now_s, end_s)
