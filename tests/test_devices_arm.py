@@ -226,7 +226,7 @@ def carry_out_with_a_pause(bench: Bench, trajectory: Sway, seconds: float) -> No
         bench.clock.wait([wake])
         if count == 20:
             pause_once(bench, seconds)
-            wait_for(lambda: bench.twin.servos[2].get(98, 1, signed=True) == -1)
+            wait_for(lambda: bench.twin.servos[2].get(98, 1, signed=True) == -1, timeout_s=1.0)
 
 
 def test_after_a_short_pause_of_the_computer_the_motion_goes_on_from_rest(bench: Bench) -> None:
@@ -234,6 +234,15 @@ def test_after_a_short_pause_of_the_computer_the_motion_goes_on_from_rest(bench:
     carry_out_with_a_pause(bench, trajectory, 0.15)
     assert np.allclose(bench.arm.positions, trajectory.sample(1.0), atol=0.005)
     assert all(servo.get(98, 1) == 4 for servo in bench.twin.servos.values()), "watched again"
+
+
+def test_a_watchdog_that_trips_on_a_silent_line_costs_a_moment_and_not_the_motion(bench: Bench) -> None:
+    trajectory = Sway(bench.arm.positions, 0.3, 1.0)
+    for count, wake in enumerate(bench.arm.follow(trajectory)):
+        bench.clock.wait([wake])
+        if count == 20:
+            bench.twin.servos[4].put(98, 1, -1)
+    assert np.allclose(bench.arm.positions, trajectory.sample(1.0), atol=0.005)
 
 
 def test_after_a_long_pause_of_the_computer_the_motion_has_failed(bench: Bench) -> None:

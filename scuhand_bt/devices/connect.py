@@ -47,7 +47,7 @@ def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None
     with ExitStack() as opened:
         balance = connect_balance(spec.balance, clock)
         opened.callback(balance.close)
-        arm_group, roller_group = AxisGroup(arm_axes(spec.arm)), AxisGroup([roller_axis(spec.hand)])
+        arm_group, roller_group = AxisGroup(arm_axes(spec.arm)), AxisGroup([roller_axis(spec.hand)], watched=False)
         options = spec.arm.options
         bus = DynamixelBus(spec.arm.port, int(options.get("baud", 3_000_000)), float(options.get("latency_ms", 8.0)))
         chain = ServoChain(bus, [arm_group, roller_group], news, liveness)

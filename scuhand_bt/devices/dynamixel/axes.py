@@ -12,7 +12,7 @@ SHORTEST_RETURN_DELAY = 0
 WATCHDOG_UNITS = 4
 """BUS_WATCHDOG, 80 ms: a dead host stops the arm in less than 100 ms."""
 
-BLOCK_START = r.MOVING.address
+BLOCK_START = r.BUS_WATCHDOG.address
 BLOCK_LENGTH = r.PRESENT_TEMPERATURE.address + r.PRESENT_TEMPERATURE.size - BLOCK_START
 """One block of the table holds all that is read in every cycle."""
 
@@ -51,6 +51,8 @@ class AxisState:
     temperature_c: int = 0
     moving: bool = False
     alert: bool = False
+    tripped: bool = False
+    """Its watchdog has stopped it, and it takes no goals."""
     window_rad: tuple[float, float] = (-math.inf, math.inf)
     """The limits in the servo's own memory."""
     temperature_limit_c: int = 80
@@ -72,6 +74,7 @@ class AxisState:
         self.voltage_v = value(r.PRESENT_VOLTAGE) / 10
         self.temperature_c = value(r.PRESENT_TEMPERATURE)
         self.moving = bool(value(r.MOVING))
+        self.tripped = value(r.BUS_WATCHDOG) == r.WATCHDOG_TRIPPED
 
     @property
     def is_still(self) -> bool:

@@ -49,8 +49,10 @@ Path = Callable[[float], Joints]
 class AxisGroup:
     """Servos that move together: the arm, or the roller alone."""
 
-    def __init__(self, axes: Sequence[Axis]) -> None:
+    def __init__(self, axes: Sequence[Axis], watched: bool = True) -> None:
         self.axes = list(axes)
+        self.watched = watched
+        """Stopped when the run's tick hangs; the roller may go on while the next motion is planned."""
         self.states: list[AxisState] = [AxisState(axis) for axis in axes]
         self.goals_rad: Joints = np.zeros(len(axes))
         self.fault: SkillFailed | None = None
@@ -216,9 +218,11 @@ class ServoChain:
             self._recover(dt_s)
             dt_s = 0.0
         moving = [group for group in self.groups if group.is_streaming]
-        if moving and not self._liveness.is_alive:
+        if not self._liveness.is_alive and (watched := [group for group in moving if group.watched]):
             pause_ms = self._liveness.silent_s * 1000
-            self._fail_all("arm.not_following", f"the run's tick hung for {pause_ms:.0f} ms; the arm was stopped")
+            for group in watched:
+                detail = f"the run's tick hung for {pause_ms:.0f} ms; the arm was stopped"
+                group.freeze(SkillFailed("arm.not_following", detail))
             self._hold()
         for group in moving:
             group.advance(dt_s)
@@ -228,12 +232,13 @@ class ServoChain:
             self._write_goals(moving)
         if read_now:
             self._read()
+            if any(state.tripped for group in self.groups for state in group.states):
+                self._recover(dt_s)  # the line was silent, though this thread was not: a busy adapter or system
             self._guard(now_s)
             self.news.fire()
 
     def _recover(self, pause_s: float) -> None:
-        """This computer paused, and the watchdogs have stopped the servos: go on, from rest, if it was short."""
-        self._read()
+        """The line was silent, and the watchdogs have stopped the servos: go on, from rest, if that was short."""
         for group in self.groups:
             if pause_s < RESUME_LIMIT_S:
                 group.rest()
@@ -304,11 +309,6 @@ class ServoChain:
                 f"{state.temperature_limit_c} °C; let it cool",
             )
         return None
-
-    def _fail_all(self, code: str, detail: str) -> None:
-        for group in self.groups:
-            if group.is_streaming:
-                group.freeze(SkillFailed(code, detail))
 
     def _lose(self, detail: str) -> None:
         self.lost = SkillFailed("device.lost", detail)

@@ -44,7 +44,8 @@ POSITION_D_GAIN = Register(80, 2)
 POSITION_I_GAIN = Register(82, 2)
 POSITION_P_GAIN = Register(84, 2)
 BUS_WATCHDOG = Register(98, 1, signed=True)
-"""20 ms units; -1 after it has tripped, then goals are refused until 0 is written."""
+"""20 ms units; after it has tripped goals are refused until 0 is written."""
+WATCHDOG_TRIPPED = -1
 PROFILE_ACCELERATION = Register(108, 4)
 PROFILE_VELOCITY = Register(112, 4)
 GOAL_POSITION = Register(116, 4, signed=True)
