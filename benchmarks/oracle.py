@@ -10,6 +10,7 @@ import math
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.dose_loop import DoseRun
+from scuhand_bt.dosing.adaptive import SLACK_S, WATCH_LAGS
 from scuhand_bt.dosing import DoseRequest, Finish
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.sim.world import World
@@ -28,15 +29,26 @@ class Oracle:
         self.request = request
         self.shape = FlowShape(request.powder.threshold_mm, request.powder.exponent)
         self.coefficient = request.powder.coefficient
+        self.surge_mg = request.powder.surge_mg
+        self._odd, self._mean = 2.0 * self.surge_mg, 1.0
 
     def aim_mg(self) -> float:
         """Where it closes: inside the tolerance from below, where a lump has the most room."""
         return self.request.target_mg - self.request.tolerance_mg + GUARD_MG
 
     def opening_mm(self, remaining_mg: float, slowest: float) -> float:
-        flow = max(remaining_mg / AHEAD_S, slowest)
+        """As wide as two standard deviations of surges allow, `AHEAD_S` ahead."""
+        surge_mg = self.surge_mg
+        ahead_mg = (math.sqrt(2.0 * surge_mg + max(remaining_mg, 0.0)) - math.sqrt(2.0 * surge_mg)) ** 2
+        flow = max(ahead_mg / AHEAD_S, slowest)
         opening_mm = self.shape.opening_mm(flow / self.coefficient)
         return min(max(opening_mm, self.shape.threshold_mm + 0.05), self.request.max_opening_mm)
+
+    def learn_surge(self, gained_mg: float, expected_mg: float) -> None:
+        """Lumps of mean mass m make the variance of what falls 2 m times its mean."""
+        self._odd = 0.98 * self._odd + (gained_mg - expected_mg) ** 2
+        self._mean = 0.98 * self._mean + expected_mg
+        self.surge_mg = self._odd / self._mean / 2.0
 
     def tail_mg(self, opening_mm: float) -> float:
         request = self.request
@@ -50,7 +62,6 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
     request, hand, clock = oracle.request, cell.hand, cell.clock
     begin_s = clock.now_s
     vibration = request.powder.vibration
-    surge_mg = request.powder.surge_mg
     openings = 0
     reason = "step_limit"
 
@@ -60,7 +71,7 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
     while openings < 25:
         openings += 1
         quiet_s, shaking = 0.0, vibration
-        before_mg, opening_mm, slowest = left_mg(), 0.0, 3.0 if surge_mg < 1.0 else 1.0
+        before_mg, opening_mm, slowest = left_mg(), 0.0, min(3.0, max(0.3 / oracle.surge_mg, 0.5))
         while left_mg() + oracle.tail_mg(hand.opening_mm) < oracle.aim_mg():
             opening_mm = oracle.opening_mm(oracle.aim_mg() - left_mg(), slowest)
             hand.set_vibration(shaking)
@@ -72,6 +83,7 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
             now_mg = left_mg()
             gained_mg, before_mg = now_mg - before_mg, now_mg
             phi = (phi + oracle.shape.value(hand.opening_mm)) / 2.0
+            oracle.learn_surge(gained_mg, oracle.coefficient * phi * LOOK_S)
             if gained_mg > 0.0:
                 quiet_s = 0.0
                 if phi > 0.0 and gained_mg < 3.0 * oracle.coefficient * phi * LOOK_S:
@@ -85,7 +97,11 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
                     slowest = min(slowest * 1.02, 50.0)
                 if quiet_s > 30.0:
                     break
+        shut_s = request.valve_dead_time_s + hand.opening_mm / request.valve_speed_mm_per_s
         hand.stop()
+        end_s = clock.now_s + shut_s + SLACK_S + WATCH_LAGS * cell.spec.balance.simulation.lag_s
+        while clock.now_s < end_s:
+            yield Wake(end_s)
         mean = yield from cell.balance.settled()
         error_mg = world.true_mass(container) - request.target_mg
         if quiet_s > 30.0:

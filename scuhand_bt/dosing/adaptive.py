@@ -14,9 +14,9 @@ again. In tolerance, beyond two standard uncertainties of the mean: done. What k
 * The balance's lag decides how much falls unseen. Until it was fitted from an opening of this balance, the
   pessimistic first guess holds and the first opening is a probe, at one opening, for a part of the dose.
 * No flow means shake, not open wider: while nothing comes the opening holds and vibration rises. The flow's
-  coefficient is never believed to be below a third of its reference when an opening is chosen, so that a
-  bridge that breaks lets out no more than was allowed for.
-* Readings that are twice in a row more than five standard deviations above what was predicted shut the valve
+  coefficient is never believed to be far below its reference when an opening is chosen, so that a bridge
+  that breaks lets out little more than was allowed for.
+* Readings that are three times in a row more than five standard deviations above what was predicted shut the valve
   until a stable mean says why. A balance that falls silent shuts it in the dose loop.
 * A hand that takes step commands only gets pulses limited by the same risk rule.
 """
@@ -25,7 +25,7 @@ import math
 from collections.abc import Generator
 
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse, Settle, Stream
-from scuhand_bt.dosing.estimation import FlowFilter, fit_lag
+from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
@@ -35,13 +35,18 @@ VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
 GUARD = 2.0
 SLACK_S = 0.15
+WATCH_LAGS = 2.5
+"""How many lags of the balance the tail is watched for, before a stable mean is asked."""
 PROBE_SHARE, PROBE_MG = 0.4, 60.0
-QUIET_SHARE = 0.15
-"""A flow below this share of the reference is none."""
-DOUBTED = 1.0 / 3.0
-"""The coefficient is never taken to be below this share of its reference."""
+QUIET_SHARE = 0.2
+"""Less than this share of what the reference flow would have brought is no flow."""
+DOUBTED, UNKNOWN = 0.6, 1.0 / 3.0
+"""The coefficient is never taken to be below this share of its reference: of a learnt one, of a guess."""
+DRY_MG = 3.0
 GENTLE, FULL = 0.4, 1.0
 MOST_OPENINGS = 25
+LAG_FITS = 5
+"""After this many openings that told it, the balance's lag is known."""
 
 
 class Adaptive:
@@ -62,9 +67,10 @@ class Adaptive:
         self._vibration = self._belief.vibration
         self._time_s = 0.0
         self._recent_mg: list[float] = []
-        self._record: list[tuple[float, float, float]] = []  # dt, integral of phi, reading
+        self._record: list[Row] = []
         self._ratios: list[float] = []
         self._stalls = 0
+        self._known_s = 0.0 if self._belief.doses == 0 else 10.0
         self._flow_s = self._shaken_s = 0.0
         self._steps = self._stream() if request.streaming else self._pulses()
         self._started = False
@@ -92,8 +98,9 @@ class Adaptive:
             probing = opening == 0 and self._fits == 0
             ended = yield from self._open(probing)
             yield from self._watch_tail(probing)
-            if probing:
+            if self._fits < LAG_FITS:
                 self._identify()
+            if probing:
                 if ended == "reached" and self._filter.mass_mg < self._stop_mg - 1.0:
                     self._learn_flow(before_mg, self._filter.mass_mg)
                     continue
@@ -120,38 +127,47 @@ class Adaptive:
         opening_mm = self._opening_mm(stop_mg - estimate.mass_mg)
         vibration = self._vibration
         quiet_s = flowing_s = 0.0
+        expected_mg, evident_mg = 0.0, estimate.mass_mg
         surprises = 0
         while True:
-            seen = yield from self._act(opening_mm, vibration)
-            dt_s = seen[0]
-            surprises = surprises + 1 if seen[1] > 5.0 else 0
-            if surprises >= 2:
+            dt_s, phi_s, score = yield from self._act(opening_mm, vibration)
+            surprises = surprises + 1 if score > 5.0 else 0
+            if surprises >= 3:
                 return "surprise"
-            flow = estimate.coefficient * self._shape.value(valve.opening_mm)
+            phi = self._shape.value(valve.opening_mm)
+            flow = estimate.coefficient * phi
             tail_mg = estimate.coefficient * self._shape.closing(
                 valve.opening_mm, self._request.valve_dead_time_s, self._request.valve_speed_mm_per_s
             )
-            if estimate.mass_mg + tail_mg + flow * self._request.balance_period_s / 2.0 >= stop_mg:
+            # A lump that was only imagined costs another opening; one that is waited for costs a moment.
+            doubt_mg = min(1.0, estimate.surge_mg) * estimate.mass_sd_mg
+            if estimate.mass_mg - doubt_mg + tail_mg + flow * self._request.balance_period_s / 2.0 >= stop_mg:
                 return "reached"
             self._flow_s += dt_s
             self._shaken_s += dt_s * (vibration > 0.0)
-            if estimate.coefficient < max(QUIET_SHARE * self._reference, 2.0 * estimate.coefficient_sd):
-                quiet_s, flowing_s = quiet_s + dt_s, 0.0
-            else:
-                quiet_s, flowing_s = max(0.0, quiet_s - 2.0 * dt_s), flowing_s + dt_s
+            expected_mg += self._reference * phi_s
+            if estimate.mass_mg - evident_mg > QUIET_SHARE * expected_mg + 2.0 * self._noise_mg:
+                evident_mg, expected_mg, quiet_s = estimate.mass_mg, 0.0, 0.0
+                flowing_s += dt_s
                 self._follow_reference()
+            elif expected_mg > 3.0 * estimate.surge_mg + self._reference * phi * (0.6 + 2.0 * self._lag_s):
+                quiet_s, flowing_s = quiet_s + dt_s, 0.0
             wanted_mm = opening_mm if probing else self._opening_mm(stop_mg - estimate.mass_mg)
             patience_s = 0.8 + 2.0 * self._lag_s
-            if quiet_s > patience_s:
-                if vibration == 0.0:
-                    self._stalls += 1
-                level = FULL if quiet_s > 2.0 * patience_s else GENTLE
-                vibration = max(vibration, level)
+            if quiet_s > 0.0:
+                level = max(self._vibration, FULL if quiet_s > patience_s else GENTLE)
+                if level > vibration:
+                    self._stalls += vibration == 0.0
+                    estimate.expect(self._reference)
+                    wanted_mm, vibration = self._opening_mm(stop_mg - estimate.mass_mg), level
                 wanted_mm = min(wanted_mm, opening_mm)
-                if quiet_s > 3.0 * patience_s:  # shaken, and still nothing: a little wider, reading by reading
-                    wanted_mm = min(self._request.max_opening_mm, opening_mm * 1.03)
-                if quiet_s > 6.0 * patience_s and opening_mm >= self._request.max_opening_mm:
-                    return "dry"
+                if quiet_s > 2.0 * patience_s:  # shaken, and still next to nothing: what was believed is wrong
+                    if opening_mm >= self._request.max_opening_mm and estimate.mass_mg - evident_mg < DRY_MG:
+                        if quiet_s > 6.0 * patience_s:
+                            return "dry"
+                    else:
+                        self._reference *= 0.97
+                        wanted_mm = min(self._request.max_opening_mm, opening_mm * 1.02)
             elif vibration > self._vibration and flowing_s > 1.0 and self._stalls < 3:
                 vibration = self._vibration
             if self._stalls >= 3:
@@ -162,22 +178,22 @@ class Adaptive:
     def _watch_tail(self, probing: bool) -> Generator[Command, Observation, None]:
         """Valve shut: readings until the balance has all but followed."""
         shut_s = self._request.valve_dead_time_s + self._valve.opening_mm / self._request.valve_speed_mm_per_s
-        wait_s = shut_s + SLACK_S + (5.0 if probing else 2.5) * self._lag_s
+        wait_s = shut_s + SLACK_S + (5.0 if probing else WATCH_LAGS) * self._lag_s
         while wait_s > 0.0:
-            dt_s, _ = yield from self._act(0.0, 0.0)
+            dt_s, _, _ = yield from self._act(0.0, 0.0)
             wait_s -= dt_s
 
-    def _act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, tuple[float, float]]:
-        """Hold a command until the next reading; (time gone by, innovation in standard deviations)."""
+    def _act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, tuple[float, float, float]]:
+        """Hold a command until the next reading; (time, integral of phi, innovation in standard deviations)."""
         self._valve.command(self._time_s, opening_mm)
         seen = yield Stream(opening_mm, vibration)
         dt_s = seen.time_s - self._time_s
         phi_s = self._valve.advance(self._time_s, seen.time_s)
         self._time_s = seen.time_s
-        self._record.append((dt_s, phi_s, seen.net_mg))
         self._learn_noise(seen.net_mg, phi_s, dt_s, vibration)
         noise_mg = self._shaking_noise_mg if vibration > 0.0 else self._noise_mg
-        return dt_s, self._filter.update(dt_s, phi_s, seen.net_mg, noise_mg, self._reference)
+        self._record.append(Row(dt_s, phi_s, seen.net_mg, noise_mg))
+        return dt_s, phi_s, self._filter.update(dt_s, phi_s, seen.net_mg, noise_mg, self._reference)
 
     # --- how wide ---
 
@@ -195,13 +211,16 @@ class Adaptive:
     def _opening_mm(self, remaining_mg: float) -> float:
         """The opening for what remains."""
         request, estimate = self._request, self._filter
-        unseen_s = 2.0 * self._lag_s + request.valve_dead_time_s + request.balance_period_s + SLACK_S
         surge_mg = estimate.surge_mg
         unseen_mg = (math.sqrt(2.0 * surge_mg + max(remaining_mg, 0.0)) - math.sqrt(2.0 * surge_mg)) ** 2
-        coefficient = max(estimate.coefficient, DOUBTED * self._reference)
-        flow = unseen_mg / (unseen_s * (1.0 + 2.0 * min(1.0, estimate.coefficient_sd / coefficient)))
-        slowest = 0.3 * request.tolerance_mg / (0.3 * self._lag_s + 0.1)
-        slowest = min(slowest, max(0.25 / surge_mg, 0.2 * surge_mg) / unseen_s)
+        doubted = DOUBTED if self._known_s > 3.0 else UNKNOWN
+        coefficient = max(estimate.coefficient, doubted * self._reference)
+        unsure = min(1.0, estimate.coefficient_sd / coefficient)
+        lag_s = 2.0 * self._lag_s
+        late_s = request.valve_dead_time_s + request.balance_period_s + SLACK_S
+        flow = unseen_mg / ((late_s + lag_s * min(1.0, 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure))
+        slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
+        slowest = min(slowest, max(0.25 / surge_mg, 0.15 * surge_mg) / (late_s + lag_s))
         opening_mm = self._shape.opening_mm(max(flow, slowest) / coefficient)
         return min(max(opening_mm, self._shape.threshold_mm + 0.05), request.max_opening_mm)
 
@@ -213,8 +232,11 @@ class Adaptive:
             self._filter.widen(min(change, 0.5), self._filter.coefficient)
 
     def _follow_reference(self) -> None:
-        difference = self._filter.coefficient - self._reference
-        self._reference += (0.2 if difference > 0.0 else 0.04) * difference
+        """Slowly, but at once where the flow is surely stronger."""
+        estimate = self._filter
+        sure = estimate.coefficient - 1.5 * estimate.coefficient_sd > self._reference
+        self._reference += (0.2 if sure else 0.04) * (estimate.coefficient - self._reference)
+        self._known_s += self._request.balance_period_s
 
     # --- what is learnt ---
 
@@ -238,19 +260,20 @@ class Adaptive:
             self._noise_mg = after_mg
 
     def _identify(self) -> None:
-        """The balance's lag, from the probe."""
-        dts_s, phis_s, readings_mg = zip(*self._record, strict=True)
-        lag_s = fit_lag(dts_s, phis_s, readings_mg, max(self._noise_mg, 0.0))
+        """The balance's lag, from this opening; the geometric mean of all that told one."""
+        lag_s = fit_lag(self._record, self._reference, self._filter.surge_mg)
         if lag_s is None:
             return
-        self._lag_s, self._fits = lag_s, self._fits + 1
-        last_mg = sum(readings_mg[-3:]) / 3.0
-        self._filter.lag_s = lag_s
+        weight = 1.0 / (self._fits + 1)
+        self._lag_s *= (lag_s / self._lag_s) ** weight
+        self._fits += 1
+        self._filter.lag_s = self._lag_s
+        last_mg = sum(row.reading_mg for row in self._record[-3:]) / 3.0
         self._filter.restart(last_mg, 0.3, self._reference, self._belief.spread)
 
     def _learn_flow(self, before_mg: float, after_mg: float) -> None:
         """The coefficient that this opening showed."""
-        phi_s = sum(row[1] for row in self._record)
+        phi_s = sum(row.phi_s for row in self._record)
         gained_mg = after_mg - before_mg
         if phi_s > 0.0 and gained_mg > 4.0:
             self._ratios.append(math.log(max(gained_mg / phi_s, 1e-3) / self._belief.coefficient))

@@ -14,14 +14,14 @@ they claim (adaptive Kalman filtering, Mehra, IEEE Trans. Autom. Control 17, 197
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-K_WALK_PER_S = 0.35
+K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
 SURGE_GAIN = 0.04
-LARGEST_SURGE_MG = 8.0
+LARGEST_SURGE_MG = 12.0
 SMALLEST_SURGE_MG = 0.03
 
 
@@ -30,6 +30,7 @@ class FlowFilter:
 
     def __init__(self, net_mg: float, coefficient: float, spread: float, surge_mg: float, lag_s: float) -> None:
         self.lag_s = lag_s
+        self.log_likelihood = 0.0
         self.surge_mg = max(surge_mg, SMALLEST_SURGE_MG)
         self._x = np.array([net_mg, net_mg, net_mg, coefficient])
         self._p = np.diag([0.02, 0.02, 0.02, (spread * coefficient) ** 2])
@@ -56,6 +57,12 @@ class FlowFilter:
     def widen(self, relative_sd: float, reference: float) -> None:
         """The opening has changed: what was learnt of k holds a little less."""
         self._p[3, 3] += (relative_sd * reference) ** 2
+
+    def expect(self, coefficient: float) -> None:
+        """Powder may begin to flow at any moment: nothing is known but the reference."""
+        self._x[3] = coefficient
+        self._p[3, :] = self._p[:, 3] = 0.0
+        self._p[3, 3] = (0.5 * coefficient) ** 2
 
     def restart(self, net_mg: float, sd_mg: float, reference: float, spread: float) -> None:
         """A stable mean, valve shut: the masses are known, k is as good as at a new opening."""
@@ -92,52 +99,48 @@ class FlowFilter:
         if self._x[3] < 0.0:
             self._x[3] = 0.0
         score = innovation_mg / math.sqrt(variance)
+        self.log_likelihood -= 0.5 * (math.log(variance) + score * score)
         if flow_mg > 0.01:
             self.surge_mg *= math.exp(SURGE_GAIN * (min(score * score, 9.0) - 1.0))
             self.surge_mg = min(max(self.surge_mg, SMALLEST_SURGE_MG), LARGEST_SURGE_MG)
         return score
 
 
-def lagged(dts_s: Sequence[float], phis_s: Sequence[float], lag_s: float) -> NDArray[np.float64]:
-    """The reading that a unit coefficient would have given: two poles after the integral of phi."""
-    first = second = mass = 0.0
-    out = np.empty(len(dts_s))
-    for index, (dt_s, phi_s) in enumerate(zip(dts_s, phis_s, strict=True)):
-        a = math.exp(-dt_s / lag_s)
-        b = dt_s / lag_s * a
-        rate = phi_s / dt_s
-        second = a * second + b * first + (1.0 - a - b) * mass + rate * (dt_s - 2.0 * lag_s * (1.0 - a) + dt_s * a)
-        first = a * first + (1.0 - a) * mass + rate * (dt_s - lag_s * (1.0 - a))
-        mass += phi_s
-        out[index] = second
-    return out
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One reading of an opening and its tail, as `FlowFilter.update` takes it."""
+
+    dt_s: float
+    phi_s: float
+    reading_mg: float
+    noise_mg: float
 
 
-LAGS_S: NDArray[np.float64] = np.geomspace(0.05, 1.6, 26)
+LAGS_S = tuple(float(lag_s) for lag_s in np.geomspace(0.06, 1.6, 16))
+CLEARER = 3.0
+"""A lag is told when it is this much likelier (natural logarithm) than those two steps of the grid away."""
 
 
-def fit_lag(
-    dts_s: Sequence[float], phis_s: Sequence[float], readings_mg: Sequence[float], noise_mg: float
-) -> float | None:
-    """The lag per pole that explains one opening's readings, by least squares over offset and flow.
+def fit_lag(rows: Sequence[Row], coefficient: float, surge_mg: float) -> float | None:
+    """The lag per pole that makes an opening's readings likeliest; None if they do not tell.
 
-    None where the pulse was too small to tell, or no lag explains the readings well.
+    Each lag's filter is run over the rows; the maximum is refined by a parabola through its neighbours. A
+    maximum at the end of the grid, one that is not clear, or one whose innovations are still far too large
+    is refused.
     """
-    readings = np.asarray(readings_mg)
-    if len(readings) < 12:
+    if len(rows) < 12:
         return None
-    best: tuple[float, float, float] | None = None
+    scores = []
     for lag_s in LAGS_S:
-        shape = lagged(dts_s, phis_s, float(lag_s))
-        design = np.column_stack([np.ones_like(shape), shape])
-        solution, *_ = np.linalg.lstsq(design, readings, rcond=None)
-        error = float(np.sum((design @ solution - readings) ** 2))
-        gained_mg = float(solution[1]) * sum(phis_s)
-        if best is None or error < best[0]:
-            best = (error, float(lag_s), gained_mg)
-    assert best is not None
-    error, lag_s, gained_mg = best
-    rms_mg = math.sqrt(error / len(readings))
-    if gained_mg < 4.0 or rms_mg > max(3.0 * noise_mg, 0.06 * gained_mg) or not LAGS_S[0] < lag_s < LAGS_S[-1]:
+        trial = FlowFilter(rows[0].reading_mg, coefficient, 1.0, surge_mg, lag_s)
+        squares = [trial.update(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg, coefficient) ** 2 for row in rows]
+        scores.append((trial.log_likelihood, sum(squares) / len(squares)))
+    best = max(range(len(scores)), key=lambda index: scores[index][0])
+    if not 2 <= best < len(scores) - 2 or scores[best][1] > 3.0:
         return None
-    return lag_s
+    likelihood = [score for score, _ in scores]
+    if likelihood[best] - max(likelihood[best - 2], likelihood[best + 2]) < CLEARER:
+        return None
+    left, middle, right = likelihood[best - 1 : best + 2]
+    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
+    return float(LAGS_S[best] * (LAGS_S[1] / LAGS_S[0]) ** shift)
