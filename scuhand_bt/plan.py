@@ -11,8 +11,8 @@ from scuhand_bt.skill import Forecast
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs
 from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent
-from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Decorator, Reference, TreeNode, Workflow
-from scuhand_bt.yaml_source import Mark, Problems
+from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
+from scuhand_bt.yaml_source import Mark, Problem, Problems, SourceError, shorten
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
@@ -71,7 +71,8 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     """
     jobs = tuple(_jobs(recipe, lab))
     _check_service_workflows(jobs, recipe, lab)
-    forecasts = [_Forecaster(lab).of_job(job) for job in jobs]
+    forecaster = _Forecaster(lab)
+    forecasts = [forecaster.of_job(job) for job in jobs]
     persons = tuple(
         PersonNeeded(job.name, forecast.person)
         for job, found in zip(jobs, forecasts, strict=True)
@@ -128,6 +129,12 @@ def _check_service_workflows(jobs: tuple[Job, ...], recipe: Recipe, lab: Lab) ->
     problems.raise_any()
 
 
+def _repeated(forecast: Forecast, count: int) -> Forecast:
+    if count == 1:
+        return forecast
+    return Forecast(forecast.duration_s * count, f"{forecast.person} ({count} times)" if forecast.person else None)
+
+
 class _Forecaster:
     """Walks a workflow with the values that are known before the run."""
 
@@ -153,11 +160,18 @@ class _Forecaster:
         if isinstance(node, Decorator):
             times = node.arguments.get("times")
             count = 1 if times is None else int(self._known(node.arguments, scope).get("times", 1))
-            return self._of(node.child, scope) * count
+            return [_repeated(forecast, count) for forecast in self._of(node.child, scope)]
         inputs = self._known(node.arguments, scope, node.name)
         if node.name in self._library.skills:
-            return [self._library.skills[node.name].forecast(inputs, self._lab.cell)]
+            return [self._of_skill(node, inputs)]
         return self._of_workflow(self._library.workflows[node.name], inputs)
+
+    def _of_skill(self, node: Call, inputs: dict[str, Any]) -> Forecast:
+        try:
+            return self._library.skills[node.name].forecast(inputs, self._lab.cell)
+        except Exception as error:  # the lab's own code
+            what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
+            raise SourceError([Problem(node.mark, shorten(what, 200))]) from error
 
     def _known(self, arguments: Mapping[str, Argument], scope: Scope, name: str | None = None) -> dict[str, Any]:
         """The arguments whose values are known before the run: literals, and what stems from the job's inputs."""

@@ -79,7 +79,7 @@ class _Builder:
             return Sequence("sequence", memory=True, children=children)
         if node.kind == "fallback":
             return Selector("fallback", memory=True, children=children)
-        return Parallel("parallel", ParallelPolicy.SuccessOnAll(synchronise=False), children)
+        return Parallel("parallel", ParallelPolicy.SuccessOnAll(synchronise=True), children)
 
     def _build_decorator(self, node: Decorator, scope: Scope, path: str) -> Behaviour:
         child = self.build(node.child, scope, path)

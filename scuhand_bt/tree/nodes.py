@@ -5,22 +5,25 @@ drives a skill's generator, and what needs the run's clock or a failure's code: 
 `repeat`, `while`, and the call of a workflow.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Composite, Selector
 from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
+from pydantic import ValidationError
 
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.skill import Condition, Skill, SkillFailed
 from scuhand_bt.tree.leases import Leases
+from scuhand_bt.tree.wires import in_words
 
 LEASE_TIMEOUT_S = 10.0
 
+S = TypeVar("S", bound=Skill[Any])
 Values = dict[str, Any]
 Arguments = Callable[[], Values]
 """Evaluates a call's parameters when it begins."""
@@ -108,6 +111,9 @@ class SkillLeaf(Behaviour):
             self.failure = failure
             self._end("failed", failure)
             return Status.FAILURE
+        except BaseException:
+            self._end("broken", None)
+            raise
         self._shared.wait(self, self._wake)
         return Status.RUNNING
 
@@ -115,9 +121,13 @@ class SkillLeaf(Behaviour):
         """Halted while running: close the generator, whose `finally` sends the safe commands."""
         if new_status is not Status.INVALID or self.status is not Status.RUNNING:
             return
-        if self._steps is not None:
-            self._steps.close()
-        self._end("halted", None)
+        steps, outcome = self._steps, "broken"
+        try:
+            if steps is not None:
+                steps.close()
+            outcome = "halted"
+        finally:
+            self._end(outcome, None)
 
     def _begin(self) -> bool:
         """Take the leases and make the skill; False while a device is still someone else's."""
@@ -129,10 +139,7 @@ class SkillLeaf(Behaviour):
             shared.wait(self, *shared.leases.wakes(self.skill.devices, self._lease_deadline_s))
             return False
         inputs = self._arguments()
-        try:
-            skill = self.skill.model_validate(inputs, by_alias=True, by_name=False)
-        except ValueError as error:
-            raise SkillFailed("workflow.bad_value", f"{self.name}: {error}") from None
+        skill = _made(self.name, self.skill, inputs)
         shared.listener.started(self, inputs)
         self._is_recorded = True
         self._steps = skill.run(shared.cell)
@@ -146,7 +153,16 @@ class SkillLeaf(Behaviour):
         self._shared.done(self)
         self._shared.leases.give_back(self)
         if self._is_recorded:
+            self._is_recorded = False
             self._shared.listener.ended(self, outcome, result)
+
+
+def _made(name: str, skill: type[S], inputs: Values) -> S:
+    """The skill with its parameters; SkillFailed workflow.bad_value for values that it does not accept."""
+    try:
+        return skill.model_validate(inputs, by_alias=True, by_name=False)
+    except ValidationError as error:
+        raise SkillFailed("workflow.bad_value", f"{name}: {in_words(error)}") from None
 
 
 class Guard(Behaviour):
@@ -162,7 +178,7 @@ class Guard(Behaviour):
     def update(self) -> Status:
         self.failure = None
         try:
-            self.condition.model_validate(self._arguments(), by_alias=True, by_name=False).check(self._cell)
+            _made(self.name, self.condition, self._arguments()).check(self._cell)
         except SkillFailed as failure:
             self.failure = failure
             return Status.FAILURE
@@ -177,12 +193,11 @@ class While(SequenceNode):
         self._devices = sorted({device for guard in guards for device in guard.condition.watches})
         self._shared = shared
 
-    def tick(self) -> Any:
-        yield from super().tick()
-        if self.status is Status.RUNNING:
-            self._shared.wait(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
-        else:
-            self._shared.done(self)
+    def tick(self) -> Iterator[Behaviour]:
+        for node in super().tick():
+            if node is self and self.status is Status.RUNNING:  # before a parent takes this for the tick's end
+                self._shared.wait(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
+            yield node
 
     def terminate(self, new_status: Status) -> None:
         self._shared.done(self)
@@ -206,16 +221,35 @@ class _OnClock(Decorator):
         return Status.RUNNING
 
 
-class Retry(_OnClock):
-    """Begin the child again when it fails with one of `codes` (none given: any), up to `attempts` times in all."""
+class _Counted(_OnClock):
+    """A decorator that begins its child again, up to a number of times that must be at least 1."""
 
-    def __init__(self, child: Behaviour, arguments: Arguments, codes: frozenset[str], shared: Ticking) -> None:
-        super().__init__("retry", child, arguments, shared)
-        self._codes = codes
+    count: ClassVar[str]
+
+    def __init__(self, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
+        super().__init__(type(self).__name__.lower(), child, arguments, shared)
         self._left = 0
 
-    def initialise(self) -> None:
-        self._left = self._arguments()["attempts"]
+    def tick(self) -> Iterator[Behaviour]:
+        if self.status is not Status.RUNNING:
+            self._left = self._arguments()[self.count]
+            self.failure = None
+            if self._left < 1:
+                self.failure = SkillFailed("workflow.bad_value", f"{self.name}: '{self.count}' is {self._left}")
+                self.stop(Status.FAILURE)
+                yield self
+                return
+        yield from super().tick()
+
+
+class Retry(_Counted):
+    """Begin the child again when it fails with one of `codes` (none given: any), up to `attempts` times in all."""
+
+    count = "attempts"
+
+    def __init__(self, child: Behaviour, arguments: Arguments, codes: frozenset[str], shared: Ticking) -> None:
+        super().__init__(child, arguments, shared)
+        self._codes = codes
 
     def update(self) -> Status:
         self._shared.done(self)
@@ -228,15 +262,10 @@ class Retry(_OnClock):
         return self._again()
 
 
-class Repeat(_OnClock):
+class Repeat(_Counted):
     """Run the child `times` times; fails when the child fails."""
 
-    def __init__(self, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
-        super().__init__("repeat", child, arguments, shared)
-        self._left = 0
-
-    def initialise(self) -> None:
-        self._left = self._arguments()["times"]
+    count = "times"
 
     def update(self) -> Status:
         self._shared.done(self)

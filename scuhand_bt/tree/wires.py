@@ -44,7 +44,16 @@ class WireType:
         try:
             return _adapter(self.name, self.python).validate_python(value)
         except ValidationError as error:
-            raise ValueError("; ".join(item["msg"] for item in error.errors(include_url=False))) from None
+            raise ValueError(in_words(error)) from None
+
+
+def in_words(error: ValidationError) -> str:
+    """What pydantic has against a value, on one line."""
+    found = []
+    for item in error.errors(include_url=False):
+        name = ".".join(map(str, item["loc"]))
+        found.append((f"'{name}': " if name else "") + item["msg"].removeprefix("Value error, "))
+    return "; ".join(found)
 
 
 _ADAPTERS: dict[Any, TypeAdapter[Any]] = {}

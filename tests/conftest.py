@@ -1,0 +1,198 @@
+"""Shared by the tests of recipes, workflows, labs and trees: labs that can be changed, and a bench for trees."""
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.plan import Job
+from scuhand_bt.recipe import Recipe, load_recipe
+from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.journal import Journal, read
+from scuhand_bt.run.runner import Outcome, Runner
+from scuhand_bt.skill import DEVICES, Skill
+from scuhand_bt.tree.check import Library, check_workflows
+from scuhand_bt.tree.grammar import read_workflow
+from scuhand_bt.yaml_source import Problems, SourceError, parse
+
+REPOSITORY = Path(__file__).parent.parent
+
+
+def problems_of(action: Callable[[], object]) -> list[str]:
+    """The problems that an action raises, as `line:column: message`."""
+    try:
+        action()
+    except SourceError as error:
+        return [f"{p.mark.line}:{p.mark.column}: {p.message}" for p in error.problems]
+    return []
+
+
+@dataclass
+class Desk:
+    """A folder for recipes and tables, and the lab that they are checked against."""
+
+    folder: Path
+    lab: Lab
+
+    def write(self, name: str, content: str | bytes) -> Path:
+        path = self.folder / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    def load(self, recipe: str | bytes) -> Recipe:
+        return load_recipe(self.write("recipe.yaml", recipe), self.lab)
+
+    def problems(self, recipe: str | bytes) -> list[str]:
+        return problems_of(lambda: self.load(recipe))
+
+
+@dataclass
+class LabFolder:
+    """A lab of one's own: a copy of the repository's, to be changed."""
+
+    folder: Path
+
+    def write(self, name: str, content: str) -> Path:
+        path = self.folder / name
+        path.write_text(content, encoding="utf-8")
+        return path
+
+    def replace(self, name: str, old: str, new: str) -> None:
+        text = (self.folder / name).read_text(encoding="utf-8")
+        assert old in text
+        self.write(name, text.replace(old, new))
+
+    def load(self) -> Lab:
+        return load_lab(self.folder)
+
+    def problems(self) -> list[str]:
+        """As `file:line:column: message`, the file without its folder."""
+        try:
+            self.load()
+        except SourceError as error:
+            return [str(problem).removeprefix(f"{self.folder}/") for problem in error.problems]
+        return []
+
+
+@pytest.fixture(scope="session")
+def starter() -> Lab:
+    return load_lab(REPOSITORY)
+
+
+@pytest.fixture
+def desk(tmp_path: Path, starter: Lab) -> Desk:
+    return Desk(tmp_path, starter)
+
+
+@pytest.fixture
+def lab_folder(tmp_path: Path) -> LabFolder:
+    folder = tmp_path / "lab"
+    for part in ("robot", "skills", "trees"):
+        shutil.copytree(REPOSITORY / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "recipes").mkdir()
+    return LabFolder(folder)
+
+
+# --- a bench: trees on devices that only say whether they have stopped
+
+
+class FakeDevice:
+    def __init__(self) -> None:
+        self.news = Signal()
+        self.is_stopped = True
+
+    def stop(self) -> None:
+        pass
+
+
+class Agenda:
+    """What happens at which run time."""
+
+    def __init__(self) -> None:
+        self._events: list[tuple[float, Callable[[], None]]] = []
+
+    def at(self, time_s: float, action: Callable[[], None]) -> None:
+        self._events.append((time_s, action))
+        self._events.sort(key=lambda event: event[0])
+
+    def step(self, now_s: float, limit_s: float) -> float:
+        if not self._events or self._events[0][0] > limit_s:
+            return limit_s
+        time_s, action = self._events.pop(0)
+        action()
+        return time_s
+
+
+@dataclass
+class FakeCell:
+    clock: VirtualClock
+    devices: Mapping[str, FakeDevice] = field(default_factory=lambda: {name: FakeDevice() for name in DEVICES})
+    log: list[Any] = field(default_factory=list)
+
+    def device(self, name: str) -> FakeDevice:
+        return self.devices[name]
+
+    def note(self, what: str) -> None:
+        """Write down what happens and when."""
+        self.log.append((self.clock.now_s, what))
+
+
+class Bench:
+    """Runs workflows, given as text, with skills, given as classes, on a cell of fake devices."""
+
+    def __init__(self, folder: Path) -> None:
+        self.agenda = Agenda()
+        self.cell = FakeCell(VirtualClock(self.agenda))
+        self.stop = Signal()
+        self.trees: list[Any] = []
+        self._folder = folder
+
+    def run(self, tree: str, skills: Mapping[str, type[Skill[Any]]], others: Mapping[str, str] = {}) -> Outcome:
+        """Run a tree (the YAML below `tree:`), after its check; `others` are workflows by name, whole."""
+        problems = Problems()
+        texts = {"main": f"workflow: main\ntree:\n{_indented(tree)}", **others}
+        workflows = {
+            name: read_workflow(parse(text, name, "a workflow"), name, problems) for name, text in texts.items()
+        }
+        problems.raise_any()
+        library = Library(skills, workflows)  # type: ignore[arg-type]
+        check_workflows(library, ["main"], problems)
+        problems.raise_any()
+        journal = Journal(self._folder / "journal.sqlite", durable=False)
+        journal.now_s = lambda: self.cell.clock.now_s
+        journal.job_started("main", None, 1, "main")
+        try:
+            runner = Runner(self.cell, library, journal, self.stop, self)  # type: ignore[arg-type]
+            return runner.run(Job("main", "main", {}), {})
+        finally:
+            journal.close()
+
+    def ticked(self, root: Any) -> None:
+        self.trees.append(root)
+
+    @property
+    def log(self) -> list[tuple[float, str]]:
+        return self.cell.log
+
+    def actions(self) -> list[tuple[str, str]]:
+        """The journal's actions: skill and outcome."""
+        return [(row["skill"], row["outcome"]) for row in read(self._folder / "journal.sqlite", "action")]
+
+
+def _indented(text: str) -> str:
+    return "\n".join("  " + line for line in text.strip("\n").splitlines())
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def wait_until(cell: FakeCell, time_s: float) -> Steps[None]:
+    while cell.clock.now_s < time_s:
+        yield Wake(time_s)
