@@ -5,6 +5,7 @@ Stopping slows the motion's own time down to zero, so that the arm stops on its 
 goals where the servos are. Torque is never dropped: the arm has no brakes.
 """
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -35,6 +36,7 @@ STOPPING_S = 0.25
 """From full speed to rest along the path, and back to speed."""
 RESUME_LIMIT_S = 0.5
 """A motion goes on by itself after a pause of this computer that was shorter."""
+SETUP_ATTEMPTS = 3
 MISSED_LIMIT = 5
 """Readings in a row (100 ms) that a servo may leave unanswered."""
 FAR_LIMIT_S = 0.15
@@ -188,10 +190,16 @@ class ServoChain:
 
     def _set_up(self) -> None:
         for group in self.groups:
-            group.states = [set_up(self.bus, axis) for axis in group.axes]
+            group.states = [self._set_up_axis(axis) for axis in group.axes]
             group.goals_rad = group.positions_rad
         self._hold()
         self._read()
+
+    def _set_up_axis(self, axis: Axis) -> AxisState:
+        for _ in range(SETUP_ATTEMPTS - 1):
+            with contextlib.suppress(NoAnswer):  # a late answer on a busy computer is no missing servo
+                return set_up(self.bus, axis)
+        return set_up(self.bus, axis)
 
     def _run(self) -> None:
         """One cycle every 10 ms. A cycle that comes late is not made up for: time goes on as it does."""
