@@ -36,6 +36,8 @@ STOPPING_S = 0.25
 """From full speed to rest along the path, and back to speed."""
 RESUME_LIMIT_S = 0.5
 """A motion goes on by itself after a pause of this computer that was shorter."""
+LONGEST_STEP_S = 0.02
+"""Of a motion's time in one cycle: after a late one the arm falls behind its time, not off its path."""
 SETUP_ATTEMPTS = 3
 MISSED_LIMIT = 5
 """Readings in a row (100 ms) that a servo may leave unanswered."""
@@ -202,7 +204,7 @@ class ServoChain:
         return set_up(self.bus, axis)
 
     def _run(self) -> None:
-        """One cycle every 10 ms. A cycle that comes late is not made up for: time goes on as it does."""
+        """One cycle every 10 ms; one that comes late is not made up for."""
         due_s = last_s = time.monotonic()
         read_now = True
         while not self._closing.wait(max(0.0, due_s - time.monotonic())):
@@ -233,7 +235,7 @@ class ServoChain:
                 group.freeze(SkillFailed("arm.not_following", detail))
             self._hold()
         for group in moving:
-            group.advance(dt_s)
+            group.advance(min(dt_s, LONGEST_STEP_S))
             if fault := group.beyond():
                 group.freeze(fault)
         if moving:
