@@ -20,6 +20,8 @@ from scuhand_bt.tree.nodes import SkillLeaf, Ticking, failure_of
 DEVICES = ("hand", "arm", "changer", "balance")
 SAFE_TIMEOUT_S = 20.0
 """How long the cell may take to stand still after it was told to stop."""
+FALL_S = 0.5
+"""After everything stands still, what was falling has landed."""
 MAX_SILENCE_S = 3600.0
 """If nothing at all happens for this long, a skill waits for what never comes."""
 MAX_TICKS_AT_ONE_TIME = 10_000
@@ -72,7 +74,9 @@ class Runner:
         """Valve closed, vibration off, arm stopped: tell every device, then wait. False if one did not stop."""
         for name in DEVICES:
             self._cell.device(name).stop()
-        return self._wait_until_still(SAFE_TIMEOUT_S)
+        is_still = self._wait_until_still(SAFE_TIMEOUT_S)
+        self._cell.clock.wait([Wake(self._cell.clock.now_s + FALL_S)])
+        return is_still
 
     def _tick_to_end(self, root: Behaviour, shared: Ticking) -> None:
         clock, ticks_now, last_s = self._cell.clock, 0, -1.0
