@@ -1,5 +1,6 @@
 """The command line. Each command is a few lines over the public API; heavy imports wait until they are needed."""
 
+import io
 import json
 import shutil
 import signal
@@ -17,7 +18,7 @@ from rich.text import Text
 
 import scuhand_bt
 from scuhand_bt.failures import CATALOGUE, SkillFailed
-from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.quantity import Unit, format_duration, format_mass
 from scuhand_bt.yaml_source import SourceError
 
 if TYPE_CHECKING:
@@ -50,6 +51,9 @@ JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standa
 
 def main() -> None:
     """Entry point: runs a command and turns bad input into located lines and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that cannot show '±' is no reason to break
     try:
         app()
     except SourceError as error:
@@ -255,9 +259,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
 
 
 @app.command()
-def skills(
-    name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None, lab: LabOption = None
-) -> None:
+def skills(name: NameArgument = None, lab: LabOption = None) -> None:
     """List the lab's skills, or show one with its parameters."""
     from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.tree.wires import of_field
@@ -277,14 +279,14 @@ def skills(
     table = Table("parameter", "type", "default", show_edge=False)
     for key, parameter in library.parameters(name).items():
         field = next(info for field_name, info in skill.model_fields.items() if (info.alias or field_name) == key)
-        table.add_row(key, parameter.wire.name, "required" if parameter.required else str(field.default))
+        unit = next((mark.unit for mark in field.metadata if isinstance(mark, Unit)), None)
+        default = f"{field.default:g} {unit}" if unit else str(field.default)
+        table.add_row(key, parameter.wire.name, "required" if parameter.required else default)
     out.print(table)
 
 
 @app.command()
-def trees(
-    name: Annotated[str | None, typer.Argument(help="Show this one in full.")] = None, lab: LabOption = None
-) -> None:
+def trees(name: NameArgument = None, lab: LabOption = None) -> None:
     """List the lab's workflows, or show one; all of them are checked."""
     from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.tree.check import check_workflows
@@ -315,7 +317,10 @@ def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", sh
         raise typer.BadParameter(f"'{folder}' exists and is not empty")
     for part in ("robot", "skills", "trees", "recipes"):
         ignore = shutil.ignore_patterns("__pycache__", ".scuhand")
-        shutil.copytree(starter_lab() / part, folder / part, ignore=ignore)
+        try:
+            shutil.copytree(starter_lab() / part, folder / part, ignore=ignore)
+        except OSError as error:
+            raise typer.BadParameter(f"'{folder}' cannot be written: {error}") from None
     out.print(Text(f"A lab in {folder}. Try: scuhand-bt run {folder / 'recipes' / 'xrd_holders.yaml'} --dry-run"))
 
 

@@ -20,7 +20,7 @@ def expand(node: Node, folder: Path, problems: Problems) -> Iterator[Entries]:
         problems.add(table.mark, f"'table': {describe(table)} is no file name")
     else:
         shared = node.without("table")
-        for row in read_table(folder / table.text, problems):
+        for row in read_table(folder / table.text, table.mark, problems):
             if "table" in row.keys:
                 problems.add(row.keys["table"], "a table cannot name another table")
             yield from _expand_lists(_merge(shared, row), problems)

@@ -305,8 +305,8 @@ class _Reader:
 
     def _read_value(self, declared: Input, node: Node, sample_id: str, sources: Mapping[str, Source]) -> Any:
         library = self.lab.library
-        named: dict[type, tuple[Mapping[str, Any], str]] = {
-            Source: (sources, "source"),
+        named: dict[type, tuple[Collection[str], str]] = {
+            Source: (self.source_marks, "source"),
             Container: (library.containers, "container"),
         }
         python = declared.type.python
@@ -314,11 +314,11 @@ class _Reader:
             known, what = named[python]
             name = (node.text or "") if isinstance(node, Scalar) else ""
             if name not in known:
-                if not (python is Source and name in self.source_marks):
-                    self.problems.add(node.mark, f"unknown {what} {describe(node)}", unknown=name, known=known)
+                self.problems.add(node.mark, f"unknown {what} {describe(node)}", unknown=name, known=known)
                 return None
-            found = known[name]
-            return Container.model_construct(**{**found.__dict__, "id": sample_id}) if python is Container else found
+            if python is Source:
+                return sources.get(name)  # None for one that is wrong itself, and reported
+            return Container.model_construct(**{**library.containers[name].__dict__, "id": sample_id})
         try:
             return literal(declared.name, declared.type, node, library)
         except ValueError as error:

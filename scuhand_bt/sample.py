@@ -65,7 +65,7 @@ def check_source(source: Source, mark: Mark, problems: Problems) -> None:
     powder, mortar = source.powder, source.mortar
     holds_mg = mortar.capacity_mm3 * powder.bulk_density_mg_per_mm3
     if source.amount_mg > holds_mg:
-        what = f"{format_mass(source.amount_mg)} of {powder.name} does not fit into a {mortar.name}"
+        what = f"{format_mass(source.amount_mg)} of {powder.name} does not fit into '{mortar.name}'"
         problems.add(mark, what, f"it holds {format_mass(holds_mg)}")
 
 
@@ -99,7 +99,7 @@ def check_sample(
     if mass_mg is None or container is None:
         return
     if container.empty_mass_mg + mass_mg > balance.maximum_mg:
-        together = f"{container.name} ({format_mass(container.empty_mass_mg)}) and {format_mass(mass_mg)}"
+        together = f"'{container.name}' ({format_mass(container.empty_mass_mg)}) and {format_mass(mass_mg)}"
         problems.add(
             at("mass", "container"),
             f"{together} are too heavy for the balance",
@@ -110,7 +110,7 @@ def check_sample(
     density = source.powder.bulk_density_mg_per_mm3
     if mass_mg / density > container.capacity_mm3:
         volume = f"{mass_mg / density / 1000:.2f} cm³"
-        what = f"{format_mass(mass_mg)} of {source.powder.name} ({volume}) does not fit into a {container.name}"
+        what = f"{format_mass(mass_mg)} of {source.powder.name} ({volume}) does not fit into '{container.name}'"
         holds = f"{container.capacity_mm3 / 1000:.2f} cm³, {format_mass(container.capacity_mm3 * density)}"
         problems.add(at("mass", "container"), what, f"it holds {holds}")
 

@@ -26,11 +26,11 @@ class Column:
     unit: str
 
 
-def read_table(path: Path, problems: Problems) -> list[Entries]:
-    """The rows of a CSV file; what is wrong with the file is added to `problems`."""
+def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
+    """The rows of a CSV file that a recipe names at `asked_at`; what is wrong is added to `problems`."""
     file = str(path)
     try:
-        text = read_text(path, "a table of samples (CSV)")
+        text = read_text(path, "a table of samples (CSV)", asked_at)
     except SourceError as error:
         problems.found.extend(error.problems)
         return []

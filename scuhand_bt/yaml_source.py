@@ -169,10 +169,15 @@ def plain(node: Node) -> Any:
     return node.text
 
 
-def read_text(path: Path, what: str) -> str:
-    """The text of a UTF-8 file (with or without BOM); SourceError in one line for anything else."""
+def read_text(path: Path, what: str, asked_at: Mark | None = None) -> str:
+    """The text of a UTF-8 file (with or without BOM); SourceError in one line for anything else.
+
+    A file that cannot be read at all is reported where another file asks for it (`asked_at`).
+    """
 
     def refuse(message: str) -> SourceError:
+        if asked_at is not None:
+            return SourceError([Problem(asked_at, f"'{shorten(str(path), 120)}' {message}")])
         return SourceError([Problem(Mark(str(path)), message)])
 
     try:
