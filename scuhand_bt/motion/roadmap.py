@@ -17,6 +17,7 @@ from scuhand_bt.motion.timelaw import rest_to_rest_s
 
 _BATCH = 48
 _GLANCES = 6
+_MOST_SAMPLES = 400
 _REACH_M = 0.6
 """The longest edge grown at once, by the bound on motion."""
 
@@ -38,7 +39,8 @@ class Space:
             longest_m = float(self.scene.motion_bound_m(np.diff(q, axis=0)).max())
             if longest_m <= 2 * self.scene.margin_m:
                 break
-            count = int((count - 1) * longest_m / (1.96 * self.scene.margin_m)) + 2
+            # A wrist that whirls past its singularity would ask for thousands; its motion is proven later, or not.
+            count = min(int((count - 1) * longest_m / (1.96 * self.scene.margin_m)) + 2, _MOST_SAMPLES)
         return shares, q
 
     def blocked(self, q: Floats) -> np.ndarray:

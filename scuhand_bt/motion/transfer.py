@@ -24,6 +24,8 @@ from scuhand_bt.motion.roadmap import Space, connect, shortened
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
 _ITERATIONS = 4000
+_LOADED_ITERATIONS = 300
+"""In each of the two charts, where an iteration costs several times as much."""
 _SHORTCUTS = 20
 _GOALS_AT_ONCE = 12
 _NEAR_OPTIMUM = 1.2
@@ -102,9 +104,10 @@ def _best_in(
     worthwhile = ends[: _ROOTS if best is None else int((bounds_s < _QUICKER * best.duration_s).sum())][:_ROOTS]
     if not len(worthwhile):
         return best
+    iterations = 0 if best is not None else _ITERATIONS if task.spill_limit_deg is None else _LOADED_ITERATIONS
     chains = []
     for _ in range(effort.chains):
-        chain = _begun(space, shaper, start, worthwhile, effort.detours, needed=best is None, rng=rng)
+        chain = _begun(space, shaper, start, worthwhile, effort.detours, iterations, rng)
         if chain is not None:
             chains.append(shaper.improved(chain, worthwhile, rng, effort.rounds_each))
     if chains:
@@ -114,15 +117,15 @@ def _best_in(
 
 
 def _begun(
-    space: Space, shaper: Shaper, start: Floats, goals: Floats, batches: int, needed: bool, rng: np.random.Generator
+    space: Space, shaper: Shaper, start: Floats, goals: Floats, batches: int, iterations: int, rng: np.random.Generator
 ) -> Chain | None:
     """A first chain: by one via point if that will do, else, where one is needed, along a polyline."""
     best: Chain | None = None
     for _ in range(batches):
         chain = shaper.detour(start, goals, rng, np.inf if best is None else best.duration_s)
         best = best if chain is None else chain
-    if best is None and needed:
-        path = connect(space, start, goals, rng, _ITERATIONS)
+    if best is None and iterations:
+        path = connect(space, start, goals, rng, iterations)
         if path is not None:
             best = shaper.first(shortened(space, path, rng, _SHORTCUTS))
     return best
