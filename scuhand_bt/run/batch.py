@@ -16,7 +16,7 @@ from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
 from scuhand_bt.tree.check import Library
 
-Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "not run"]
+Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interrupted", "not run"]
 
 EXIT_OK, EXIT_FLAGGED, EXIT_BAD_INPUT, EXIT_CELL_FAULT, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -138,7 +138,7 @@ class Batch:
             action = "flag" if failure is None else self._plan.recipe.action_for(failure.code)
             if action == "redo" and attempt > 1:
                 action = "flag"
-            verdict: Verdict | None = "skipped" if action == "skip_sample" else "not run" if outcome.halted else None
+            verdict: Verdict | None = "skipped" if action == "skip_sample" else "interrupted" if outcome.halted else None
             self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt))
             if outcome.halted:
                 return EXIT_INTERRUPTED, "interrupted"
@@ -183,7 +183,7 @@ class Batch:
         attempt: int,
     ) -> SampleResult:
         container = _inputs_for(sample, attempt).get("container") if sample.container else None
-        was_run = verdict != "not run" or dose is not None
+        was_run = verdict != "not run"
         true_mg = None
         if self._true_mass_mg is not None and isinstance(container, Container) and was_run:
             true_mg = self._true_mass_mg(container.id)
