@@ -244,10 +244,25 @@ def test_a_controller_that_hangs_is_lost_and_comes_back(cell: Cell, devices: Dev
     carry_out(devices.hand.pulse(0.4, 0.05), cell.clock)
 
 
-def test_hundreds_of_unplugs_of_the_hand_are_each_reported_and_survived(cell: Cell, devices: Devices) -> None:
+def test_an_opening_that_was_asked_of_a_lost_controller_is_not_made_up_for_when_it_comes_back(
+    cell: Cell, devices: Devices
+) -> None:
+    wait_for(lambda: devices.hand.is_stopped)
+    cell.hand_twin.paused = True
+    devices.hand.set_opening(2.0)
+    devices.hand.set_vibration(1.0)
+    wait_for(lambda: devices.hand._controller.trouble is not None)
+    cell.hand_twin.paused = False
+    wait_for(lambda: devices.hand.is_stopped)
+    time.sleep(0.2)
+    assert cell.valve.opening_mm < 0.04
+    assert cell.valve.vibration == 0.0
+
+
+def test_many_unplugs_of_the_hand_are_each_reported_and_survived(cell: Cell, devices: Devices) -> None:
     controller = devices.hand._controller
     controller._link._reopen_s = 0.005
-    for _ in range(100):
+    for _ in range(40):
         cell.hand_twin.unplug()
         wait_for(lambda: controller.trouble is not None)
         cell.hand_twin.plug()

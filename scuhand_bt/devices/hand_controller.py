@@ -152,6 +152,7 @@ class HandController:
             now_s = time.monotonic()
             if self._in_flight and self.trouble is None and now_s - self._begun_s > LOST_S:
                 self._lose(f"the hand controller on {self._url} does not answer; check its cable and supply")
+                self.make_safe()  # what was to be said before is not said to it when it comes back
             if self._in_flight and now_s - self._sent_s > ANSWER_S:
                 self._transmit()
             else:

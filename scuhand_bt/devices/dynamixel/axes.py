@@ -104,8 +104,9 @@ def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
             f"servo {axis.servo} ({axis.name}) is powered in mode {mode}, not {axis.mode}; "
             "support the arm, switch its supply off and on, and start again",
         )
-    if not held:
-        bus.write(axis.servo, r.RETURN_DELAY, SHORTEST_RETURN_DELAY)
+    if not held and bus.read(axis.servo, r.RETURN_DELAY) != SHORTEST_RETURN_DELAY:
+        bus.write(axis.servo, r.RETURN_DELAY, SHORTEST_RETURN_DELAY)  # read first: EEPROM wears out
+    if mode != axis.mode:
         bus.write(axis.servo, r.OPERATING_MODE, axis.mode)  # resets gains and profile: so it comes before them
     for gain, value in zip((r.POSITION_P_GAIN, r.POSITION_I_GAIN, r.POSITION_D_GAIN), axis.pid, strict=True):
         bus.write(axis.servo, gain, value)

@@ -38,7 +38,7 @@ RESUME_LIMIT_S = 0.5
 """A motion goes on by itself after a pause of this computer that was shorter."""
 LONGEST_STEP_S = 0.02
 """Of a motion's time in one cycle: after a late one the arm falls behind its time, not off its path."""
-SETUP_ATTEMPTS = 3
+SETUP_ATTEMPTS = 10
 MISSED_LIMIT = 5
 """Readings in a row (100 ms) that a servo may leave unanswered."""
 FAR_LIMIT_S = 0.15
