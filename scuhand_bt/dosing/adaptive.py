@@ -1,11 +1,11 @@
 """Controller `adaptive`: one continuous opening steered by a filter, closed on the predicted final mass.
 
-    x + 2 sqrt(2 m x) = e,   q = x / (H (1 + 2 s))          flow while e [mg] remains
+    x + z sqrt(2 m x) = e,   q = x / (H (1 + 2 s))          flow while e [mg] remains
     close when  M + k Phi_close(D) + q T / 2  >=  stop,     stop = target - min(m + 0.1, tolerance - guard)
 
 H [s] is how long powder falls unseen (balance's lag, dead time, period), m [mg] the powder's surge scale, s the
-relative uncertainty of the flow: x is the mass that may fall unseen, two standard deviations of surges
-included. M and k come from `FlowFilter`, Phi_close from the valve's tail, T is the balance's period. Closing
+relative uncertainty of the flow: x is the mass that may fall unseen when z standard
+deviations of its surges are allowed for. M and k come from `FlowFilter`, Phi_close from the valve's tail, T is the balance's period. Closing
 early by the surge scale makes the best of lumps, which can be waited for but not taken back.
 
 A dose: a first reading; openings; after each the tail is watched and a stable mean verifies. Under: open
@@ -34,8 +34,10 @@ Openings = Generator[Command, Observation, str]
 VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
 GUARD = 2.0
+DEVIATIONS = 2.0
+"""How many standard deviations of the surges that may fall unseen are allowed for."""
 SLACK_S = 0.15
-WATCH_LAGS = 2.5
+WATCH_LAGS = 2.0
 """How many lags of the balance the tail is watched for, before a stable mean is asked."""
 PROBE_SHARE, PROBE_MG = 0.4, 60.0
 QUIET_SHARE = 0.2
@@ -43,10 +45,26 @@ QUIET_SHARE = 0.2
 DOUBTED, UNKNOWN = 0.6, 1.0 / 3.0
 """The coefficient is never taken to be below this share of its reference: of a learnt one, of a guess."""
 DRY_MG = 3.0
+LUMPY_MG = 0.7
+"""Lumps of this mean mass are worth looking at one by one, where shaking alone brings them."""
+LUMPS_LEFT = 1.5
+SHAKE_S, SHAKE_SHARE = 0.3, 0.15
+"""One shake, and the mass it should bring, as a share of a lump."""
+PAUSED = 0.1
+"""Share of the flow that is allowed for while such a powder is not shaken."""
 GENTLE, FULL = 0.4, 1.0
 MOST_OPENINGS = 25
 LAG_FITS = 5
 """After this many openings that told it, the balance's lag is known."""
+
+
+def within(remaining_mg: float, surge_mg: float) -> float:
+    """The mean mass x that may fall so that `DEVIATIONS` of its surges stay within what remains.
+
+    Solves x + z sqrt(2 m x) = e, the variance of x in lumps of exponential mean mass m being 2 m x.
+    """
+    half = DEVIATIONS * math.sqrt(2.0 * surge_mg) / 2.0
+    return (math.sqrt(half * half + max(remaining_mg, 0.0)) - half) ** 2
 
 
 class Adaptive:
@@ -152,7 +170,15 @@ class Adaptive:
                 self._follow_reference()
             elif expected_mg > 3.0 * estimate.surge_mg + self._reference * phi * (0.6 + 2.0 * self._lag_s):
                 quiet_s, flowing_s = quiet_s + dt_s, 0.0
-            wanted_mm = opening_mm if probing else self._opening_mm(stop_mg - estimate.mass_mg)
+            remaining_mg = stop_mg - estimate.mass_mg
+            wanted_mm = opening_mm if probing else self._opening_mm(remaining_mg)
+            if not probing and self._comes_in_lumps and remaining_mg < LUMPS_LEFT * estimate.surge_mg + 1.0:
+                level = max(vibration, self._vibration)
+                opening_mm = yield from self._shake_and_look(opening_mm, level)
+                if estimate.mass_mg >= stop_mg:
+                    return "reached"
+                quiet_s = 0.0 if estimate.mass_mg - evident_mg > 0.5 else quiet_s + dt_s
+                continue
             patience_s = 0.8 + 2.0 * self._lag_s
             if quiet_s > 0.0:
                 level = max(self._vibration, FULL if quiet_s > patience_s else GENTLE)
@@ -175,20 +201,42 @@ class Adaptive:
             self._note_change(opening_mm, wanted_mm)
             opening_mm = wanted_mm
 
+    def _shake_and_look(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
+        """Where only shaking lets powder out: a short shake, then a look without it. Returns the opening."""
+        period_s = self._request.balance_period_s
+        shakes = max(1, round(SHAKE_S / period_s))
+        flow = SHAKE_SHARE * self._filter.surge_mg / (shakes * period_s)
+        coefficient = max(self._filter.coefficient, DOUBTED * self._reference)
+        wanted_mm = min(self._shape.opening_mm(flow / coefficient), self._request.max_opening_mm)
+        self._note_change(opening_mm, wanted_mm)
+        for _ in range(shakes):
+            yield from self._act(wanted_mm, vibration)
+        self._shaken_s += shakes * period_s
+        self._flow_s += shakes * period_s
+        for _ in range(max(2, round((2.0 * self._lag_s + SLACK_S) / period_s))):
+            yield from self._act(wanted_mm, 0.0, PAUSED)
+        return wanted_mm
+
+    @property
+    def _comes_in_lumps(self) -> bool:
+        return self._vibration > 0.0 and self._filter.surge_mg > LUMPY_MG
+
     def _watch_tail(self, probing: bool) -> Generator[Command, Observation, None]:
         """Valve shut: readings until the balance has all but followed."""
         shut_s = self._request.valve_dead_time_s + self._valve.opening_mm / self._request.valve_speed_mm_per_s
-        wait_s = shut_s + SLACK_S + (5.0 if probing else WATCH_LAGS) * self._lag_s
+        wait_s = shut_s + SLACK_S + (3.5 if probing else WATCH_LAGS) * self._lag_s
         while wait_s > 0.0:
             dt_s, _, _ = yield from self._act(0.0, 0.0)
             wait_s -= dt_s
 
-    def _act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, tuple[float, float, float]]:
+    def _act(
+        self, opening_mm: float, vibration: float, mobility: float = 1.0
+    ) -> Generator[Command, Observation, tuple[float, float, float]]:
         """Hold a command until the next reading; (time, integral of phi, innovation in standard deviations)."""
         self._valve.command(self._time_s, opening_mm)
         seen = yield Stream(opening_mm, vibration)
         dt_s = seen.time_s - self._time_s
-        phi_s = self._valve.advance(self._time_s, seen.time_s)
+        phi_s = mobility * self._valve.advance(self._time_s, seen.time_s)
         self._time_s = seen.time_s
         self._learn_noise(seen.net_mg, phi_s, dt_s, vibration)
         noise_mg = self._shaking_noise_mg if vibration > 0.0 else self._noise_mg
@@ -212,7 +260,7 @@ class Adaptive:
         """The opening for what remains."""
         request, estimate = self._request, self._filter
         surge_mg = estimate.surge_mg
-        unseen_mg = (math.sqrt(2.0 * surge_mg + max(remaining_mg, 0.0)) - math.sqrt(2.0 * surge_mg)) ** 2
+        unseen_mg = within(remaining_mg, surge_mg)
         doubted = DOUBTED if self._known_s > 3.0 else UNKNOWN
         coefficient = max(estimate.coefficient, doubted * self._reference)
         unsure = min(1.0, estimate.coefficient_sd / coefficient)
@@ -220,7 +268,7 @@ class Adaptive:
         late_s = request.valve_dead_time_s + request.balance_period_s + SLACK_S
         flow = unseen_mg / ((late_s + lag_s * min(1.0, 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure))
         slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
-        slowest = min(slowest, max(0.25 / surge_mg, 0.15 * surge_mg) / (late_s + lag_s))
+        slowest = min(slowest, max(0.25 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
         opening_mm = self._shape.opening_mm(max(flow, slowest) / coefficient)
         return min(max(opening_mm, self._shape.threshold_mm + 0.05), request.max_opening_mm)
 
@@ -310,7 +358,7 @@ class Adaptive:
             before_mg = seen.net_mg
             remaining_mg = self._stop_mg - before_mg
             surge_mg = self._filter.surge_mg
-            aim_mg = (math.sqrt(2.0 * surge_mg + max(remaining_mg, 0.0)) - math.sqrt(2.0 * surge_mg)) ** 2
+            aim_mg = within(remaining_mg, surge_mg)
             aim_mg = max(aim_mg / (1.0 + 2.0 * unsure), 0.3)
             opening_mm = shape.opening_mm(aim_mg / coefficient / 0.4)
             opening_mm = min(max(opening_mm, shape.threshold_mm + 0.1), request.max_opening_mm)

@@ -20,7 +20,7 @@ import numpy as np
 
 K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
-SURGE_GAIN = 0.04
+SURGE_GAIN = 0.03
 LARGEST_SURGE_MG = 12.0
 SMALLEST_SURGE_MG = 0.03
 
@@ -101,7 +101,7 @@ class FlowFilter:
         score = innovation_mg / math.sqrt(variance)
         self.log_likelihood -= 0.5 * (math.log(variance) + score * score)
         if flow_mg > 0.01:
-            self.surge_mg *= math.exp(SURGE_GAIN * (min(score * score, 9.0) - 1.0))
+            self.surge_mg *= math.exp(SURGE_GAIN * (min(score * score, 4.0) - 0.9))
             self.surge_mg = min(max(self.surge_mg, SMALLEST_SURGE_MG), LARGEST_SURGE_MG)
         return score
 
