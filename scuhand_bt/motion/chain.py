@@ -19,7 +19,7 @@ import numpy as np
 from scuhand_bt.motion.charts import JointChart
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.roadmap import Space
-from scuhand_bt.motion.spill import apex_motion, stretch_for_spill
+from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, through
 
@@ -33,7 +33,6 @@ _FASTEST = 0.98
 _DETOURS = 64
 _DETOUR_SPREAD = 0.5
 _GRID_S = 0.01
-_SPILL_GRID_S = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +79,7 @@ class Shaper:
             motion = through(times_s, self._space.chart.joints(course.at(times_s)))
             motion = motion.stretched(max(1.0, self._rates.stretch_for(motion)))
         if self._spill_deg is not None:
-            factor = self._spill_stretch(motion)
+            factor = spill_stretch(motion, self._offset_m, self._spill_deg)
             if factor is None:
                 return None
             motion = motion.stretched(factor).keeping(self._spill_deg)
@@ -88,14 +87,6 @@ class Shaper:
             return None
         free = self._space.scene.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
         return motion if free else None
-
-    def _spill_stretch(self, motion: JointTrajectory) -> float | None:
-        assert self._spill_deg is not None
-        times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / _SPILL_GRID_S) + 2)
-        axes, accelerations = apex_motion(
-            motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), self._offset_m
-        )
-        return stretch_for_spill(axes, accelerations, self._spill_deg)
 
     def first(self, path: Floats) -> Chain | None:
         """A proven chain through a free polyline's vertices, as quick as a few guesses of its speeds find."""

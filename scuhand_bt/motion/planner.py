@@ -34,10 +34,11 @@ from scuhand_bt.motion.kinematics import (
     swivel_of,
     unreachable_reason,
 )
+from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import Rest, Stop, stop
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
-from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
+from scuhand_bt.motion.transfer import LIVE, Effort
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Station
 
 CONE_DIAMETER_M = 0.090
@@ -46,6 +47,8 @@ RELAXED_RAD = (-0.2, 0.0, -1.6, 0.0, -1.2, 0.0)
 """j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
+EMPTY_WILL_DO = 1.2
+"""The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
 
@@ -124,8 +127,11 @@ class MotionPlanner:
             self.add_place(name, ApexPose(np.array([x, y, z]) / 1e3))
         return self._posture(name).copy()
 
-    def prepare(self, effort: Effort = POLISHED) -> None:
-        """Plan all pairs of places for the present geometry, so that 'no path' is found before anything moves."""
+    def prepare(self, effort: Effort = LIVE) -> None:
+        """Plan all pairs of places for the present geometry, so that 'no path' is found before anything moves.
+
+        With `POLISHED` effort a pair takes some tenths of a second, and the motions are a fifth shorter.
+        """
         names = list(self._places)
         for k, first in enumerate(names):
             for second in names[k + 1 :]:
@@ -136,14 +142,26 @@ class MotionPlanner:
     ) -> JointTrajectory:
         """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
         begin, goals, name = self._request(start, goal)
+        if spill_limit_deg is not None:
+            empty = self._kept(begin, goals, name, None, effort)
+            factor = spill_stretch(empty, self._offset_m, spill_limit_deg)
+            if factor is not None and factor <= EMPTY_WILL_DO:
+                return empty.stretched(factor).keeping(spill_limit_deg)
+        return self._kept(begin, goals, name, spill_limit_deg, effort)
+
+    def _kept(
+        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
+    ) -> JointTrajectory:
+        """The plan of a request, made once. Between two configurations it is made in one direction only."""
         key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
-        back = (goals.tobytes(), begin.tobytes(), self._geometry, spill_limit_deg)
-        if key not in self._plans and back in self._plans:
-            # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
-            self._plans[key] = self._plans[back].reversed()
         if key not in self._plans:
-            chain = self._chain(begin, goals, name, spill_limit_deg, effort)
-            self._plans[key] = standing(begin) if chain is None else chain.motion
+            if len(goals) == 1 and key[1] < key[0]:
+                # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
+                there = self._kept(goals[0], begin[None, :], "its start", spill_limit_deg, effort)
+                self._plans[key] = there.reversed()
+            else:
+                chain = self._chain(begin, goals, name, spill_limit_deg, effort)
+                self._plans[key] = standing(begin) if chain is None else chain.motion
         return self._plans[key]
 
     def chain(

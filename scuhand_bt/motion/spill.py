@@ -23,9 +23,12 @@ import math
 import numpy as np
 
 from scuhand_bt.motion.kinematics import LINK_M, WRIST_TO_FLANGE_M, Floats
+from scuhand_bt.motion.trajectory import JointTrajectory
 
 GRAVITY_M_PER_S2 = 9.81
 MARGIN_DEG = 5.0
+GRID_S = 0.005
+LEAST_SHARE = 1e-3
 
 
 def liquid_spill_deg(half_angle_deg: float, rim_radius_mm: float, load_mm3: float) -> float:
@@ -109,11 +112,13 @@ def _between(first: Floats, second: Floats) -> Floats:
     return angle
 
 
-def stretch_for_spill(axes: Floats, accelerations: Floats, limit_deg: float) -> float | None:
-    """How many times slower (>= 1) a densely sampled motion must be to keep the limit; None if tilt alone breaks it.
+def spill_stretch(motion: JointTrajectory, apex_offset_m: float, limit_deg: float) -> float | None:
+    """How many times slower (>= 1) a motion must be to keep the limit; None if its tilt alone breaks it.
 
     Slower by k, the tilt is the same and the acceleration 1/k^2.
     """
+    times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / GRID_S) + 2)
+    axes, accelerations = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), apex_offset_m)
     if worst_spill_deg(axes, accelerations) <= limit_deg:
         return 1.0
     slow, quick = 0.0, 1.0
@@ -126,4 +131,4 @@ def stretch_for_spill(axes: Floats, accelerations: Floats, limit_deg: float) -> 
         else:
             quick = middle
     # A share of the acceleration that is all but nothing is no motion that anyone would wait for.
-    return slow**-0.5 if slow > 1e-3 else None
+    return 1 / math.sqrt(slow) if slow > LEAST_SHARE else None
