@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pydantic import BaseModel, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import AllowInfNan, BaseModel, FiniteFloat, TypeAdapter, ValidationError
 
 from scuhand_bt import quantity
 from scuhand_bt.quantity import Unit, plain_name
@@ -101,13 +101,15 @@ def of_field(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> Wir
         members = [member for member in typing.get_args(annotation) if member is not type(None)]
         if len(members) == 1:
             inner = of_field(members[0], metadata)
-            return WireType(inner.name, full, inner.is_class, optional=True)
+            return WireType(inner.name, inner.python if inner.is_class else full, inner.is_class, optional=True)
     for mark in metadata:
         if isinstance(mark, Unit):
             return WireType(next(name for name, unit in _QUANTITIES.items() if unit == mark), full)
     if annotation in (None, type(None)):
         return NOTHING
     plain = {bool: "Flag", int: "Integer", float: "Number", str: "Text"}.get(annotation)
+    if plain == "Number":
+        return WireType(plain, typing.Annotated[full, AllowInfNan(False)])
     if plain is not None:
         return WireType(plain, full)
     if origin is typing.Literal:

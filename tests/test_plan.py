@@ -1,0 +1,94 @@
+"""Plans: the order of the jobs, the sheet swaps, what is needed and who."""
+
+from conftest import Desk, LabFolder
+
+from scuhand_bt.plan import Plan, make_plan
+
+TWO = """\
+recipe: two
+workflow: scoop_and_dispense
+{order}
+sources:
+  beads: {{station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}}
+  msg: {{station: mortar_bay_2, container: agate_mortar, powder: {second}}}
+defaults: {{container: xrd_holder, mass: 50 mg}}
+samples:
+  - {{id: a, source: beads}}
+  - {{id: b, source: msg}}
+  - {{id: c, source: beads}}
+"""
+
+
+def plan_of(desk: Desk, order: str = "order: by_powder", second: str = "monosodium_glutamate, amount: 5 g") -> Plan:
+    return make_plan(desk.load(TWO.format(order=order, second=second)), desk.lab)
+
+
+def test_samples_are_grouped_by_powder_with_a_swap_between(desk: Desk) -> None:
+    plan = plan_of(desk)
+    names = [job.name for job in plan.jobs]
+    assert names == ["a", "c", "change powder to monosodium_glutamate", "b", "finish"]
+    assert plan.swaps == 1
+    assert plan.jobs[2].inputs["source"].name == "beads"
+
+
+def test_as_written_keeps_the_order_and_swaps_as_often_as_it_must(desk: Desk) -> None:
+    plan = plan_of(desk, order="order: as_written")
+    assert [job.sample.id for job in plan.jobs if job.sample] == ["a", "b", "c"]
+    assert plan.swaps == 2
+
+
+def test_two_lots_of_one_powder_need_two_sheets_and_one_lot_in_two_mortars_one(desk: Desk) -> None:
+    assert plan_of(desk, second="glass_beads, amount: 5 g, lot: B").swaps == 1
+    assert plan_of(desk, second="glass_beads, amount: 5 g").swaps == 0
+
+
+def test_the_plan_says_what_each_source_must_hold(desk: Desk) -> None:
+    demands = {demand.source.name: (demand.samples, demand.needed_mg) for demand in plan_of(desk).demands}
+    assert demands == {"beads": (2, 140.0), "msg": (1, 70.0)}
+
+
+def test_the_plan_lists_every_moment_that_needs_a_person(desk: Desk, lab_folder: LabFolder) -> None:
+    assert [person.what for person in plan_of(desk).persons] == ["swap the sheet (two screws)"]
+    lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
+    desk.lab = lab_folder.load()
+    by_hand = [person.what for person in plan_of(desk).persons]
+    assert by_hand[:2] == ["put xrd_holder 'a' on the pan", "put xrd_holder 'c' on the pan"]
+    assert by_hand[-1] == "take the container off the pan"
+
+
+def test_a_repeated_request_is_one_line_and_its_time_counts_each_time(desk: Desk, lab_folder: LabFolder) -> None:
+    before_s = plan_of(desk).duration_s
+    lab_folder.replace(
+        "trees/finish_batch.yaml",
+        "    - park:",
+        "    - repeat: {times: 1000000000, child: {ask_operator: {question: Press}}}",
+    )
+    desk.lab = lab_folder.load()
+    plan = plan_of(desk)
+    assert plan.persons[-1].what == "Press (1000000000 times)"
+    assert plan.duration_s > before_s + 1e9
+
+
+def test_a_lab_without_the_workflow_between_powders_is_told_so(desk: Desk, lab_folder: LabFolder) -> None:
+    (lab_folder.folder / "trees" / "change_powder.yaml").unlink()
+    desk.lab = lab_folder.load()
+    assert desk.problems(TWO.format(order="", second="monosodium_glutamate, amount: 5 g")) == []
+    try:
+        plan_of(desk)
+    except Exception as error:
+        said = str(error)
+    assert "the workflow 'change_powder' is missing; this plan needs it to change powders" in said
+
+
+def test_a_forecast_that_breaks_is_said_where_the_skill_is_called(desk: Desk, lab_folder: LabFolder) -> None:
+    lab_folder.replace(
+        "skills/park.py",
+        "    def run",
+        "    @classmethod\n    def forecast(cls, inputs, cell):\n        return 1 / 0\n\n    def run",
+    )
+    desk.lab = lab_folder.load()
+    try:
+        plan_of(desk)
+    except Exception as error:
+        said = str(error)
+    assert "scoop_and_dispense.yaml:11:7: the forecast of 'park' broke: ZeroDivisionError" in said
