@@ -26,7 +26,7 @@ from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import SampleResult
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun
+from scuhand_bt.run.setup import DryRun, prepared_motion
 
 ROOT = starter_lab()
 WINDOW = 20
@@ -110,9 +110,32 @@ def big_run(recipe: Path, folder: Path, controller: str | None) -> dict[str, flo
     }
 
 
+def seeds(folder: Path, count: int) -> dict[str, float]:
+    """One small batch with many seeds: every run ends, and its powder is all there."""
+    lab = load_lab(ROOT)
+    plan = make_plan(load_recipe(ROOT / "recipes" / "xrd_holders.yaml", lab), lab)
+    motion = prepared_motion(plan, lab)
+    loaded_mg = sum(source.amount_mg for source in plan.recipe.sources.values())
+    worst_mg, verdicts, began = 0.0, 0, time.perf_counter()
+    for seed in range(count):
+        session = Session(plan, lab, Options(DryRun(seed), None, folder), motion)
+        result = session.run(TickTimes())
+        session.close()
+        assert session.world is not None
+        worst_mg = max(worst_mg, abs(session.world.total_mg - loaded_mg))
+        verdicts += sum(1 for sample in result.samples if sample.verdict in ("in tolerance", "under", "over"))
+    return {
+        f"seeds_{count}_s": time.perf_counter() - began,
+        "seeds_doses": count * len(plan.recipe.samples),
+        "seeds_doses_with_verdict": verdicts,
+        "seeds_worst_imbalance_mg": worst_mg,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, default=1000)
+    parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--controller")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -125,6 +148,7 @@ def main() -> None:
         figures["check_24_s"] = min(command("check", batch)[0] for _ in range(3))
         figures["check_many_s"] = min(command("check", str(recipe))[0] for _ in range(3))
         figures["dry_run_24_s"] = min(command("run", batch, "--dry-run")[0] for _ in range(3))
+        figures |= seeds(folder, options.seeds)
         figures |= big_run(recipe, folder, options.controller)
     limits = {
         "dry_run_24_s": "< 10",
@@ -132,6 +156,7 @@ def main() -> None:
         "wall_s": "< 180",
         "memory_mb": "< 400",
         "tick_ratio": "0.9 to 1.1",
+        "seeds_worst_imbalance_mg": "< 1e-6",
     }
     table = Table("figure", "measured", "goal", title=f"Batches ({options.samples} generated samples)")
     for key, value in figures.items():

@@ -125,7 +125,7 @@ def run(
         session = Session(plan, loaded, Options(DryRun(seed, plant, speed) if dry_run else None, controller))
         out.print(Text(title))
         with stopping_on_signals(session.stop):
-            result = _watched(session, title)
+            result = _watched(session)
     except PlantError as error:
         err.print(Text(f"{error}"))
         raise typer.Exit(EXIT_BAD_INPUT) from None
@@ -139,13 +139,13 @@ def run(
     raise typer.Exit(result.exit_code)
 
 
-def _watched(session: "Session", title: str) -> "BatchResult":
+def _watched(session: "Session") -> "BatchResult":
     """Run with the live view on a terminal, else with plain lines."""
     from scuhand_bt.live import LiveView, PlainLines
 
     try:
         if out.is_terminal:
-            with LiveView(out, session.cell, session.plan, title) as view:
+            with LiveView(out, session.cell, session.plan) as view:
                 return session.run(view)
         return session.run(PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples)))
     finally:

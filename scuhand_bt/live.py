@@ -52,10 +52,9 @@ class PlainLines:
 class LiveView:
     """The current job's tree, progress and time left, the balance, and the finished doses; on a terminal."""
 
-    def __init__(self, console: Console, cell: Cell, plan: Plan, title: str) -> None:
+    def __init__(self, console: Console, cell: Cell, plan: Plan) -> None:
         self._cell = cell
         self._plan = plan
-        self._title = title
         self._total = len(plan.recipe.samples)
         self._results: list[SampleResult] = []
         self._job: Job | None = None
@@ -106,7 +105,6 @@ class LiveView:
         tree = Text() if self._root is None else tree_text(self._root)
         name = self._job.name if self._job is not None else ""
         parts: list[RenderableType] = [
-            Text(self._title, style="bold"),
             progress,
             Panel(tree, title=name, title_align="left"),
             status,

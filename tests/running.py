@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from scuhand_bt.lab import Lab, load_lab, starter_lab
+from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Job, Plan, make_plan
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run import setup
 from scuhand_bt.run.batch import BatchResult, SampleResult
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun
+from scuhand_bt.run.setup import DryRun, places_of, prepared_motion
 
 HEAD = """
 sources:
@@ -24,19 +22,14 @@ sources:
 """
 
 
-def share_planners(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Planning is the same for the same places: do it once for all runs of a test session."""
-    monkeypatch.setattr(setup, "prepared_motion", _planner)
+_PLANNERS: dict[str, MotionPlanner] = {}
 
 
-_PLANNERS: dict[Any, Any] = {}
-_prepare = setup.prepared_motion
-
-
-def _planner(plan: Plan, lab: Lab) -> Any:
-    key = (str(lab.cell), str(sorted(setup.places_of(plan, lab).items())))
+def shared_planner(plan: Plan, lab: Lab) -> MotionPlanner:
+    """Planning is the same for the same places: it is done once for all runs of a test session."""
+    key = f"{lab.cell} {sorted(places_of(plan, lab).items())}"
     if key not in _PLANNERS:
-        _PLANNERS[key] = _prepare(plan, lab)
+        _PLANNERS[key] = prepared_motion(plan, lab)
     _PLANNERS[key].set_container(None)
     _PLANNERS[key].set_cone_diameter(0.090)
     return _PLANNERS[key]
@@ -107,7 +100,9 @@ def dry_run(
     path.write_text(recipe if "sources:" in recipe else recipe + HEAD, encoding="utf-8")
     loaded = _load(lab or starter_lab())
     plan = make_plan(load_recipe(path, loaded), loaded)
-    session = Session(plan, loaded, Options(DryRun(seed, plant), controller, tmp_path / "runs"))
+    session = Session(
+        plan, loaded, Options(DryRun(seed, plant), controller, tmp_path / "runs"), shared_planner(plan, loaded)
+    )
     watching = Watching(session, stop_at)
     if at_tick is not None:
         watching.at_tick = at_tick

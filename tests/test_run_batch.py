@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from running import Ran, dry_run, make_lab, share_planners
+from running import Ran, dry_run, make_lab
 
 from scuhand_bt.run.batch import EXIT_CELL_FAULT, EXIT_FLAGGED, EXIT_INTERRUPTED, EXIT_OK
 from scuhand_bt.run.export import canonical
@@ -15,11 +15,6 @@ recipe: one
 workflow: scoop_and_dispense
 samples: [{id: a, source: beads, container: pellet_die_13mm, mass: 500 mg, tolerance: 10 mg}]
 """
-
-
-@pytest.fixture(autouse=True)
-def planners(monkeypatch: pytest.MonkeyPatch) -> None:
-    share_planners(monkeypatch)
 
 
 def assert_safe(ran: Ran) -> None:
@@ -236,7 +231,7 @@ def test_a_skill_that_would_hang_ends_the_run(tmp_path: Path, skill: str, words:
 def test_a_stop_at_any_tick_ends_safe_with_a_verdict_for_every_sample(tmp_path: Path, stop_at: int) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("flag", "flag"), stop_at=stop_at)
     assert ran.result.exit_code == EXIT_INTERRUPTED
-    assert [sample.verdict for sample in ran.result.samples] == ["not run", "not run"]
+    assert [sample.verdict for sample in ran.result.samples] == ["interrupted", "not run"]
     assert_safe(ran)
     assert read(ran.journal, "event")[-1]["kind"] == "matter"
 

@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from running import Ran, dry_run, make_lab, share_planners
+from running import Ran, dry_run, make_lab
 
 from scuhand_bt.run.export import canonical
 
@@ -35,11 +35,6 @@ tree:
     - fallback: [{invert: {wait: {duration: 1 s}}}, {discard: }]
     - park:
 """
-
-
-@pytest.fixture(autouse=True)
-def planners(monkeypatch: pytest.MonkeyPatch) -> None:
-    share_planners(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +75,7 @@ def recipes(draw: st.DrawFn) -> str:
     deadline=None,
     derandomize=True,
     phases=[Phase.explicit, Phase.generate],  # a run takes a second: no shrinking
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    suppress_health_check=[HealthCheck.too_slow],
 )
 def test_matter_is_conserved_whatever_runs_and_whenever_it_is_stopped(
     lab: Path, recipe: str, seed: int, stop_at: int | None

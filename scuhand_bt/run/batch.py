@@ -138,7 +138,9 @@ class Batch:
             action = "flag" if failure is None else self._plan.recipe.action_for(failure.code)
             if action == "redo" and attempt > 1:
                 action = "flag"
-            verdict: Verdict | None = "skipped" if action == "skip_sample" else "interrupted" if outcome.halted else None
+            verdict: Verdict | None = (
+                "skipped" if action == "skip_sample" else "interrupted" if outcome.halted else None
+            )
             self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt))
             if outcome.halted:
                 return EXIT_INTERRUPTED, "interrupted"

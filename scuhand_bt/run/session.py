@@ -14,6 +14,7 @@ from scuhand_bt.clock import Signal
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.lab import Lab, starter_lab
+from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Plan
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
 from scuhand_bt.run.journal import Journal
@@ -37,11 +38,13 @@ class Options:
 class Session:
     """A cell made ready for a plan. `run` once, then `close`.
 
+    `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one.
+
     Raises, before anything moves: SourceError for an unknown controller or an unwritable folder, PlantError for
     a plant that cannot be used, SkillFailed for places without a way between them, or a device that does not answer.
     """
 
-    def __init__(self, plan: Plan, lab: Lab, options: Options) -> None:
+    def __init__(self, plan: Plan, lab: Lab, options: Options, motion: MotionPlanner | None = None) -> None:
         _check_controller(options.controller)
         self.plan = plan
         self.stop = Signal()
@@ -53,7 +56,7 @@ class Session:
         self._close_cell: Callable[[], None] = lambda: None
         try:
             if options.dry_run is not None:
-                self.cell, self.world = simulated(plan, lab, options.dry_run, self.journal)
+                self.cell, self.world = simulated(plan, lab, options.dry_run, self.journal, motion)
             else:
                 self.cell, self._close_cell = real(plan, lab, self.journal)
         except BaseException:

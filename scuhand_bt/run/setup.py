@@ -28,13 +28,15 @@ class DryRun:
     speed: float | None = None
 
 
-def simulated(plan: Plan, lab: Lab, options: DryRun, record: Record) -> tuple[Cell, World]:
-    """The lab's cell with simulated devices, all motions between its places planned.
+def simulated(
+    plan: Plan, lab: Lab, options: DryRun, record: Record, motion: MotionPlanner | None = None
+) -> tuple[Cell, World]:
+    """The lab's cell with simulated devices, all motions between its places planned (in `motion`, if given).
 
     Raises SkillFailed (arm.*) if one cannot be planned, PlantError for a plant that cannot be used.
     """
     clock = VirtualClock(speed=options.speed)
-    motion = prepared_motion(plan, lab)
+    motion = motion or prepared_motion(plan, lab)
     operator = SimulatedOperator(clock, record)
     cell, world = simulated_cell(
         lab.cell,
