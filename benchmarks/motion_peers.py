@@ -43,7 +43,9 @@ def pink_ik(urdf: str, poses: list[Any], offset_m: float) -> dict[str, Any]:
     import pinocchio as pin
 
     model = pin.buildModelFromXML(urdf)
-    apex = pin.Frame("apex", 7, model.getFrameId("flange"), pin.SE3(np.eye(3), np.array([0, 0, offset_m])), pin.OP_FRAME)
+    apex = pin.Frame(
+        "apex", 7, model.getFrameId("flange"), pin.SE3(np.eye(3), np.array([0, 0, offset_m])), pin.OP_FRAME
+    )
     model.addFrame(apex)
     data = model.createData()
     rng = np.random.default_rng(1)

@@ -10,8 +10,8 @@ import math
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.dose_loop import DoseRun
-from scuhand_bt.dosing.adaptive import SLACK_S, WATCH_LAGS
 from scuhand_bt.dosing import DoseRequest, Finish
+from scuhand_bt.dosing.adaptive import SLACK_S, WATCH_LAGS, within
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.sim.world import World
 
@@ -29,18 +29,17 @@ class Oracle:
         self.request = request
         self.shape = FlowShape(request.powder.threshold_mm, request.powder.exponent)
         self.coefficient = request.powder.coefficient
-        self.surge_mg = request.powder.surge_mg
-        self._odd, self._mean = 2.0 * self.surge_mg, 1.0
+        self.surge_mg = 3.0 * request.powder.surge_mg
+        self._odd, self._mean = 4.0 * self.surge_mg, 2.0
 
     def aim_mg(self) -> float:
         """Where it closes: inside the tolerance from below, where a lump has the most room."""
         return self.request.target_mg - self.request.tolerance_mg + GUARD_MG
 
     def opening_mm(self, remaining_mg: float, slowest: float) -> float:
-        """As wide as two standard deviations of surges allow, `AHEAD_S` ahead."""
+        """As wide as the standard deviations of surges allow, `AHEAD_S` ahead."""
         surge_mg = self.surge_mg
-        ahead_mg = (math.sqrt(2.0 * surge_mg + max(remaining_mg, 0.0)) - math.sqrt(2.0 * surge_mg)) ** 2
-        flow = max(ahead_mg / AHEAD_S, slowest)
+        flow = max(within(remaining_mg, surge_mg) / AHEAD_S, slowest)
         opening_mm = self.shape.opening_mm(flow / self.coefficient)
         return min(max(opening_mm, self.shape.threshold_mm + 0.05), self.request.max_opening_mm)
 

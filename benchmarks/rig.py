@@ -59,6 +59,8 @@ class Setting:
     plant: str | None = None
     hand: HandSpec = field(default_factory=HandSpec)
     balance: BalanceSpec = field(default_factory=BalanceSpec)
+    believed_hand: HandSpec | None = None
+    """The hand that controllers are told of, where it is not the one there is."""
     belief_factor: float = 1.0
     """What the controllers' first guess of the flow is multiplied with."""
     load_ratio: float = 1.0
@@ -104,10 +106,9 @@ class Bench:
     """One loaded cone above one dish."""
 
     def __init__(self, powder: Powder, target_mg: float, run: int, dose: int, setting: Setting) -> None:
-        spec = CellSpec(
-            cell="bench", hand=setting.hand, balance=setting.balance, stations={"balance": PAN, "bay": BAY}
-        )
+        spec = CellSpec(cell="bench", hand=setting.hand, balance=setting.balance, stations={"balance": PAN, "bay": BAY})
         self.powder, self.target_mg = powder, target_mg
+        self.believed_hand = setting.believed_hand or setting.hand
         self.load_mg = powder.load_limit_mg * setting.load_ratio
         source = Source(name="store", station="bay", mortar=MORTAR, powder=powder, amount_mg=10_000.0)
         self.clock = VirtualClock()
@@ -131,7 +132,7 @@ class Bench:
 
     def request(self, belief: PowderBelief, balance: BalanceBelief) -> DoseRequest:
         """What `skills/dispense.py` would ask."""
-        hand, spec = self.cell.spec.hand, self.cell.spec.balance
+        hand, spec = self.believed_hand, self.cell.spec.balance
         return DoseRequest(
             target_mg=self.target_mg,
             tolerance_mg=TOLERANCE_MG,

@@ -34,7 +34,7 @@ Openings = Generator[Command, Observation, str]
 VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
 GUARD = 2.0
-DEVIATIONS = 2.0
+DEVIATIONS = 2.5
 """How many standard deviations of the surges that may fall unseen are allowed for."""
 SLACK_S = 0.15
 WATCH_LAGS = 2.0
@@ -48,7 +48,7 @@ DRY_MG = 3.0
 LUMPY_MG = 0.7
 """Lumps of this mean mass are worth looking at one by one, where shaking alone brings them."""
 LUMPS_LEFT = 1.5
-SHAKE_S, SHAKE_SHARE = 0.3, 0.15
+SHAKE_S, SHAKE_SHARE = 0.3, 0.12
 """One shake, and the mass it should bring, as a share of a lump."""
 PAUSED = 0.1
 """Share of the flow that is allowed for while such a powder is not shaken."""
@@ -141,7 +141,9 @@ class Adaptive:
         valve, estimate = self._valve, self._filter
         stop_mg = self._stop_mg
         if probing:
-            stop_mg = min(stop_mg, estimate.mass_mg + max(6.0, min(PROBE_SHARE * (stop_mg - estimate.mass_mg), PROBE_MG)))
+            stop_mg = min(
+                stop_mg, estimate.mass_mg + max(6.0, min(PROBE_SHARE * (stop_mg - estimate.mass_mg), PROBE_MG))
+            )
         opening_mm = self._opening_mm(stop_mg - estimate.mass_mg)
         vibration = self._vibration
         quiet_s = flowing_s = 0.0
@@ -266,7 +268,9 @@ class Adaptive:
         unsure = min(1.0, estimate.coefficient_sd / coefficient)
         lag_s = 2.0 * self._lag_s
         late_s = request.valve_dead_time_s + request.balance_period_s + SLACK_S
-        flow = unseen_mg / ((late_s + lag_s * min(1.0, 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure))
+        flow = unseen_mg / (
+            (late_s + lag_s * min(1.0, 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure)
+        )
         slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
         slowest = min(slowest, max(0.25 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
         opening_mm = self._shape.opening_mm(max(flow, slowest) / coefficient)
