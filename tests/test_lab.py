@@ -1,0 +1,180 @@
+"""A lab of one's own: found, loaded, and everything wrong in it said in its place."""
+
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY, LabFolder, problems_of
+
+from scuhand_bt.lab import find_lab, starter_lab
+
+
+def test_the_nearest_lab_upward_from_the_recipe_is_used(lab_folder: LabFolder, tmp_path: Path) -> None:
+    deep = lab_folder.folder / "recipes" / "2024" / "may"
+    deep.mkdir(parents=True)
+    assert find_lab(deep / "x.yaml") == lab_folder.folder
+    assert find_lab(tmp_path / "x.yaml") == starter_lab()
+    assert find_lab(tmp_path / ("n" * 300) / "x.yaml") == starter_lab()
+    assert find_lab(deep / "x.yaml", REPOSITORY) == REPOSITORY
+
+
+def test_a_chosen_folder_that_is_no_lab_is_refused(tmp_path: Path) -> None:
+    (problem,) = problems_of(lambda: find_lab(None, tmp_path))
+    assert "is no lab; a lab has robot/cell.yaml; `scuhand-bt init DIR` makes one" in problem
+
+
+def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
+    lab = lab_folder.load()
+    assert {"scoop", "dispense", "move_over"} <= set(lab.library.skills)
+    assert {"fill", "change_powder"} <= set(lab.library.workflows)
+    assert lab.urdf.startswith("<?xml") or "<robot" in lab.urdf
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "said"),
+    [
+        ("cell", "period: 100 ms", "period: 100 mg", "robot/cell.yaml:5:94: 'period': 'mg' is a unit of mass, not of"),
+        ("cell", "readability: 0.1 mg", "readabilty: 0.1 mg", "unknown key 'readabilty'"),
+        ("cell", "readability: 0.1 mg", "readabilty: 0.1 mg", "did you mean 'readability'?"),
+        ("cell", "kind: mortar,", "kind: mortr,", "'kind': 'mortr' is not accepted"),
+        ("cell", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240 mm]", "'position' is missing"),
+        ("cell", "[200 mm,  240 mm, 0 mm]", "[200 mm,  240, 0 mm]", "'position': '240' has no unit"),
+        ("cell", "{kind: park, ", "{kind: service, ", "the cell has no station of kind 'park'"),
+        ("cell", "stations:", "geometri:", "the cell has no station of kind 'balance'"),
+        (
+            "cell",
+            "{name: table,        box:",
+            "{name: table,        bx:",
+            "unknown key 'bx'; known: at, box, cylinder, name",
+        ),
+        (
+            "cell",
+            "{name: table,        box: [1.2 m, 1.2 m, 20 mm], ",
+            "{name: table, ",
+            "it has one shape: a box, or a cylinder",
+        ),
+        (
+            "powders",
+            "repose: 25 deg",
+            "repose: 95 deg",
+            "'repose': '95 deg' is not accepted; input should be less than 90",
+        ),
+        ("powders", "repose: 25 deg", "repose: 25 %", "'%' is a unit of ratio, not of angle"),
+        ("powders", "repose: 25 deg", "name: x", "unknown key 'name'"),
+        ("powders", "gain: 0.33", "gain: .nan", "'gain': '.nan' is not accepted"),
+        (
+            "powders",
+            "coefficient: 50",
+            "coefficient: inf",
+            "'coefficient': 'inf' is not accepted; input should be a finite",
+        ),
+        ("containers", "mortars:", "mortar:", "robot/containers.yaml:1:1: 'mortars' is missing"),
+        ("containers", "mortars:", "mortar:", "unknown key 'mortar'"),
+        ("containers", "depth: 30 mm", "depth: 60 mm", "its depth is at most half its bore"),
+        ("containers", "capacity: 4 cm^3", "capacity: 4 cm^2", "'cm^2' is no unit of volume"),
+    ],
+)
+def test_what_is_wrong_in_the_robot_folder_is_said_in_its_place(
+    lab_folder: LabFolder, file: str, old: str, new: str, said: str
+) -> None:
+    lab_folder.replace(f"robot/{file}.yaml", old, new)
+    problems = lab_folder.problems()
+    assert any(said in problem for problem in problems), problems
+    assert all(problem.startswith(f"robot/{file}.yaml:") for problem in problems)
+
+
+def test_problems_of_all_files_are_said_at_once(lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: many")
+    lab_folder.replace("robot/powders.yaml", "gain: 0.33", "gain: 3")
+    lab_folder.replace("trees/fill.yaml", "attempts: 8", "atempts: 8")
+    lab_folder.write("skills/broken.py", "def (:\n")
+    files = [problem.split(":")[0] for problem in lab_folder.problems()]
+    assert files == ["robot/cell.yaml", "robot/powders.yaml", "skills/broken.py", "trees/fill.yaml", "trees/fill.yaml"]
+
+
+def test_a_missing_or_empty_file_is_one_line(lab_folder: LabFolder) -> None:
+    (lab_folder.folder / "robot" / "powders.yaml").unlink()
+    lab_folder.write("trees/empty.yaml", "")
+    assert lab_folder.problems() == [
+        "robot/powders.yaml:1:1: no such file; wanted the lab's powders.yaml",
+        "trees/empty.yaml:1:1: is empty; wanted a workflow",
+    ]
+
+
+HEAD = "from scuhand_bt.skill import Cell, Condition, Seconds, Skill, Steps\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x = 1\n1 / 0\n", "skills/sieve.py:2:1: the skill cannot be loaded: ZeroDivisionError: division by zero"),
+        ("x = 1\ndef f(:\n", "skills/sieve.py:2:7: the skill cannot be loaded: SyntaxError"),
+        ("import nosuchmodule\n", "skills/sieve.py:1:1: the skill cannot be loaded: ModuleNotFoundError"),
+        ("import sys\nsys.exit(3)\n", "skills/sieve.py:2:1: the skill cannot be loaded: SystemExit: 3"),
+        ("x = 1\n", "a skill's file holds one Skill class; here: none"),
+        (HEAD + "class A(Skill[None]):\n    'a'\n    def run(self, cell): yield\nclass B(A):\n    'b'\n", "here: A, B"),
+        (HEAD + "class A(Skill[None]):\n    def run(self, cell): yield\n", "skills/sieve.py:2:1: A has no docstring"),
+        (HEAD + "class A(Skill[None]):\n    'a'\n", "skills/sieve.py:2:1: A has no 'run'; def run(self, cell: Cell)"),
+        (HEAD + "class A(Condition):\n    'a'\n", "A has no 'check'"),
+        (
+            HEAD + "class A(Skill[None]):\n    'a'\n    devices = ('hand')\n    def run(self, cell): yield\n",
+            "'devices' of A is no tuple; devices = (\"hand\",), with the comma",
+        ),
+        (
+            HEAD + "class A(Skill[None]):\n    'a'\n    devices = ('hnd',)\n    def run(self, cell): yield\n",
+            "names an unknown device 'hnd'; known: arm, balance, changer, hand; did you mean 'hand'?",
+        ),
+        (
+            HEAD + "class A(Condition):\n    'a'\n    watches = ('robot',)\n    def check(self, cell): pass\n",
+            "'watches' of A names an unknown device 'robot'",
+        ),
+        (
+            HEAD + "class A(Condition):\n    'a'\n    devices = ('arm',)\n    def check(self, cell): pass\n",
+            "A is a condition and commands nothing, but has devices; use 'watches'",
+        ),
+        (HEAD + "class A(Skill[None]):\n    'a'\n    t_s = 1.0\n    def run(self, cell): yield\n", "cannot be loaded"),
+    ],
+)
+def test_what_is_wrong_with_a_skills_file_is_said_in_its_place(lab_folder: LabFolder, text: str, said: str) -> None:
+    lab_folder.write("skills/sieve.py", text)
+    problems = lab_folder.problems()
+    assert any(said in problem for problem in problems), problems
+    assert all("\n" not in problem for problem in problems)
+
+
+def test_names_are_given_once(lab_folder: LabFolder) -> None:
+    lab_folder.write("trees/park.yaml", "workflow: park\ntree: {tare: }\n")
+    lab_folder.write("trees/retry.yaml", "workflow: retry\ntree: {tare: }\n")
+    lab_folder.write("skills/repeat.py", HEAD + "class R(Skill[None]):\n    'r'\n    def run(self, cell): yield\n")
+    assert [problem.split(":", 3)[0] + problem.split(":", 3)[3].split(";")[0] for problem in lab_folder.problems()] == [
+        "skills/repeat.py 'repeat' is a word of the workflow language",
+        "trees/park.yaml 'park' is a skill already",
+        "trees/retry.yaml 'retry' is a word of the workflow language",
+    ]
+
+
+def test_a_new_skill_and_workflow_are_part_of_the_lab(lab_folder: LabFolder) -> None:
+    text = "class Sieve(Skill[None]):\n    'Sieve.'\n    duration_s: Seconds = 5.0\n    def run(self, cell): yield\n"
+    lab_folder.write("skills/sieve.py", HEAD + text)
+    lab_folder.write("skills/_shared.py", "raise RuntimeError('only when imported')\n")
+    lab_folder.write("trees/sift.yaml", "workflow: sift\ntree: {sieve: {duration: 1 min}}\n")
+    library = lab_folder.load().library
+    assert library.skills["sieve"].summary() == "Sieve."
+    assert list(library.parameters("sieve")) == ["duration"]
+    assert "sift" in library.workflows
+
+
+def test_two_labs_do_not_share_skills(lab_folder: LabFolder, tmp_path: Path) -> None:
+    text = HEAD + "class Shake(Skill[None]):\n    'Other.'\n    def run(self, cell): yield\n"
+    lab_folder.write("skills/shake.py", text)
+    assert lab_folder.load().library.skills["shake"].summary() == "Other."
+    from scuhand_bt.lab import load_lab
+
+    assert load_lab(REPOSITORY).library.skills["shake"].summary() != "Other."
+
+
+def test_a_lab_given_by_a_relative_path_has_the_right_lines(
+    lab_folder: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab_folder.write("skills/sieve.py", "x = 1\n1 / 0\n")
+    monkeypatch.chdir(lab_folder.folder.parent)
+    assert LabFolder(Path("lab")).problems()[0].startswith("skills/sieve.py:2:1: ")
