@@ -19,11 +19,14 @@ against a numerical volume: docs/motion.md. Angles in degrees where the name say
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scuhand_bt.motion.kinematics import LINK_M, WRIST_TO_FLANGE_M, Floats
-from scuhand_bt.motion.trajectory import JointTrajectory
+
+if TYPE_CHECKING:
+    from scuhand_bt.motion.trajectory import JointTrajectory
 
 GRAVITY_M_PER_S2 = 9.81
 MARGIN_DEG = 5.0
@@ -112,7 +115,7 @@ def _between(first: Floats, second: Floats) -> Floats:
     return angle
 
 
-def spill_stretch(motion: JointTrajectory, apex_offset_m: float, limit_deg: float) -> float | None:
+def spill_stretch(motion: "JointTrajectory", apex_offset_m: float, limit_deg: float) -> float | None:
     """How many times slower (>= 1) a motion must be to keep the limit; None if its tilt alone breaks it.
 
     Slower by k, the tilt is the same and the acceleration 1/k^2.

@@ -12,6 +12,7 @@ kept. How long the search goes on is an `Effort`, counted in iterations.
 Joints [rad] (7,), goals (n, 7), durations [s].
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,6 @@ _LOADED_ITERATIONS = 300
 """In each of the two charts, where an iteration costs several times as much."""
 _SHORTCUTS = 20
 _GOALS_AT_ONCE = 12
-_NEAR_OPTIMUM = 1.2
-"""A direct motion this near to the bound of the best goal is not worth a search."""
 _QUICKER = 0.8
 """A goal is worth a search if its bound is below this share of the direct motion's duration."""
 _ROOTS = 32
@@ -47,10 +46,12 @@ class Effort:
     detours: int
     rounds_each: int
     rounds_best: int
+    near_optimum: float
+    """A direct motion within this of the best goal's bound is not worth a search."""
 
 
-LIVE = Effort(chains=1, detours=1, rounds_each=6, rounds_best=0)
-POLISHED = Effort(chains=2, detours=6, rounds_each=15, rounds_best=30)
+LIVE = Effort(chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.4)
+POLISHED = Effort(chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,68 +82,68 @@ class Task:
 def plan(task: Task, effort: Effort, rng: np.random.Generator) -> Chain | None:
     """The quickest chain found within the effort, with its proven motion, or None."""
     goals = task.goals[np.argsort(rest_to_rest_s(task.goals - task.start, task.rates), kind="stable")]
-    best: Chain | None = None
-    for chart, space in task.charts():
-        reached = np.array([goal for goal in goals if chart.covers(goal)])
-        if len(reached):
-            found = _best_in(chart, space, task, reached, effort, rng)
-            if found is not None and (best is None or found.duration_s < best.duration_s):
-                best = found
-    return best
-
-
-def _best_in(
-    chart: Chart, space: Space, task: Task, goals: Floats, effort: Effort, rng: np.random.Generator
-) -> Chain | None:
-    shaper = Shaper(space, task.rates, task.apex_offset_m, task.spill_limit_deg)
-    start = chart.coordinates(task.start[None, :])[0]
-    ends = chart.coordinates(goals)
-    bounds_s = rest_to_rest_s(goals - task.start, task.rates)
-    best = _direct(space, shaper, start, ends)
-    if best is not None and best.duration_s <= _NEAR_OPTIMUM * bounds_s[0]:
+    searches = [_Search(task, chart, space, goals) for chart, space in task.charts()]
+    searches = [search for search in searches if len(search.ends)]
+    best = _quickest([search.direct() for search in searches])
+    bound_s = float(rest_to_rest_s(goals[0] - task.start, task.rates))
+    if best is not None and best.duration_s <= effort.near_optimum * bound_s:
         return best
-    worthwhile = ends[: _ROOTS if best is None else int((bounds_s < _QUICKER * best.duration_s).sum())][:_ROOTS]
-    if not len(worthwhile):
-        return best
-    iterations = 0 if best is not None else _ITERATIONS if task.spill_limit_deg is None else _LOADED_ITERATIONS
-    chains = []
-    for _ in range(effort.chains):
-        chain = _begun(space, shaper, start, worthwhile, effort.detours, iterations, rng)
-        if chain is not None:
-            chains.append(shaper.improved(chain, worthwhile, rng, effort.rounds_each))
-    if chains:
-        chain = shaper.improved(min(chains, key=_duration_s), worthwhile, rng, effort.rounds_best)
-        best = chain if best is None else min(best, chain, key=_duration_s)
+    best = _quickest([best, *(search.detours(effort, best, rng) for search in searches)])
+    if best is None:
+        best = _quickest([search.roadmap(effort, rng) for search in searches])
     return best
 
 
-def _begun(
-    space: Space, shaper: Shaper, start: Floats, goals: Floats, batches: int, iterations: int, rng: np.random.Generator
-) -> Chain | None:
-    """A first chain: by one via point if that will do, else, where one is needed, along a polyline."""
-    best: Chain | None = None
-    for _ in range(batches):
-        chain = shaper.detour(start, goals, rng, np.inf if best is None else best.duration_s)
-        best = best if chain is None else chain
-    if best is None and iterations:
-        path = connect(space, start, goals, rng, iterations)
-        if path is not None:
-            best = shaper.first(shortened(space, path, rng, _SHORTCUTS))
-    return best
+def _quickest(chains: Sequence[Chain | None]) -> Chain | None:
+    return min((chain for chain in chains if chain is not None), key=lambda chain: chain.duration_s, default=None)
 
 
-def _duration_s(chain: Chain) -> float:
-    return chain.duration_s
+class _Search:
+    """The three ways to find a chain, in one chart; goals come in the order of their bounds."""
 
+    def __init__(self, task: Task, chart: Chart, space: Space, goals: Floats) -> None:
+        reached = goals[[chart.covers(goal) for goal in goals]]
+        self.space = space
+        self.shaper = Shaper(space, task.rates, task.apex_offset_m, task.spill_limit_deg)
+        self.start = chart.coordinates(task.start[None, :])[0]
+        self.ends = chart.coordinates(reached)
+        self.bounds_s = rest_to_rest_s(reached - task.start, task.rates)
+        self.iterations = _ITERATIONS if task.spill_limit_deg is None else _LOADED_ITERATIONS
 
-def _direct(space: Space, shaper: Shaper, start: Floats, ends: Floats) -> Chain | None:
-    """The first direct motion that is proven; a glance along the lines tells which are worth the proof."""
-    rest = np.zeros((2, len(start)))
-    for begin in range(0, len(ends), _GOALS_AT_ONCE):
-        some = ends[begin : begin + _GOALS_AT_ONCE]
-        for end in some[space.glance(np.broadcast_to(start, some.shape), some)]:
-            line = np.array([start, end])
-            direct = shaper.proven(line, rest, line)
-            if direct is not None:
-                return direct
-    return None
+    def direct(self) -> Chain | None:
+        """The first direct motion that is proven; a glance along the lines tells which are worth the proof."""
+        rest = np.zeros((2, len(self.start)))
+        for begin in range(0, len(self.ends), _GOALS_AT_ONCE):
+            some = self.ends[begin : begin + _GOALS_AT_ONCE]
+            for end in some[self.space.glance(np.broadcast_to(self.start, some.shape), some)]:
+                line = np.array([self.start, end])
+                direct = self.shaper.proven(line, rest, line)
+                if direct is not None:
+                    return direct
+        return None
+
+    def detours(self, effort: Effort, known: Chain | None, rng: np.random.Generator) -> Chain | None:
+        """The best chain begun with one via point, to goals that promise to be quicker than what is known."""
+        worthwhile = self.ends[:_ROOTS]
+        if known is not None:
+            worthwhile = worthwhile[self.bounds_s[:_ROOTS] < _QUICKER * known.duration_s]
+        chains = []
+        for _ in range(effort.chains if len(worthwhile) else 0):
+            begun: Chain | None = None
+            for _ in range(effort.detours):
+                limit_s = np.inf if begun is None else begun.duration_s
+                begun = self.shaper.detour(self.start, worthwhile, rng, limit_s) or begun
+            if begun is not None:
+                chains.append(self.shaper.improved(begun, worthwhile, rng, effort.rounds_each))
+        best = _quickest(chains)
+        return None if best is None else self.shaper.improved(best, worthwhile, rng, effort.rounds_best)
+
+    def roadmap(self, effort: Effort, rng: np.random.Generator) -> Chain | None:
+        """The chain along a free polyline, for ways that one via point does not open."""
+        goals = self.ends[:_ROOTS]
+        path = connect(self.space, self.start, goals, rng, self.iterations)
+        if path is None:
+            return None
+        chain = self.shaper.first(shortened(self.space, path, rng, _SHORTCUTS))
+        rounds = effort.rounds_each + effort.rounds_best
+        return None if chain is None else self.shaper.improved(chain, goals, rng, rounds)
