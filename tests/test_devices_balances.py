@@ -276,7 +276,10 @@ def test_overload_and_underload_fail_with_their_own_code_and_pass_when_they_pass
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_half_a_line_noise_and_a_broken_one_cost_no_more_than_themselves(name: str) -> None:
+def test_half_a_line_noise_and_a_broken_one_cost_no_more_than_themselves(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scuhand_bt.devices.balances.conversation.ANSWER_TIMEOUT_S", 0.5)
     with Bench(name, PtyPort()) as bench:
         bench.reads(12_345.6)
         bench.server.misbehaviour.split = 1
@@ -363,6 +366,13 @@ def test_hundreds_of_unplugs_are_each_reported_and_survived(port: type[PtyPort |
             bench.server.plug()
         bench.pan.load_mg = 1.0
         bench.reads(1.0)
+
+
+def test_a_port_that_another_program_has_open_is_refused() -> None:
+    with Bench("and", PtyPort()) as bench:
+        second = SerialBalance(bench.balance.spec, DIALECTS["and"], bench.clock)
+        with pytest.raises(SkillFailed, match=r"device\.lost: cannot open .*exclusively lock"):
+            second.open()
 
 
 def test_a_port_that_cannot_be_opened_is_named_with_what_to_do() -> None:

@@ -14,6 +14,7 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.hand_protocol import Hello, Report, decode, encode
 from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.devices.serial_link import LineBuffer
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.balances import ShimadzuTwin, StillPan
@@ -298,6 +299,19 @@ def test_an_answer_is_read_with_all_it_says() -> None:
 def test_no_bytes_make_the_decoder_fail(data: bytes) -> None:
     decode(data)
     decode(data + b"\n")
+
+
+def test_a_million_random_and_mutated_bytes_give_no_false_report() -> None:
+    rng = random.Random(9)
+    good = [encode(n, f"ok open {n / 1000:.3f} 0.000 - 31") for n in range(50)]
+    buffer, fed, accepted = LineBuffer(), 0, set()
+    while fed < 1_000_000:
+        chunk = bytearray(rng.choice(good) if rng.random() < 0.7 else rng.randbytes(rng.randrange(100)))
+        if chunk and rng.random() < 0.5:
+            chunk[rng.randrange(len(chunk))] = rng.randrange(256)
+        fed += len(chunk)
+        accepted |= {report for line in buffer.feed(bytes(chunk)) if (report := decode(line)) is not None}
+    assert accepted == {decode(line) for line in good}
 
 
 def test_no_single_or_double_error_of_an_answer_goes_unnoticed() -> None:

@@ -47,6 +47,7 @@ class Framing:
             stopbits=int(self.bits[2]),
             timeout=READ_SLICE_S,
             write_timeout=1.0,
+            exclusive=True,
         )
 
 

@@ -73,7 +73,7 @@ class Conversation:
             self.state = State.RESTING  # the period counts from the question
         elif self.state in (State.IDENTIFYING, State.RESTING) and unasked:
             self._go_to(State.LISTENING)  # auto-print is on; asking would switch it off
-        elif self.state is State.IDENTIFYING and isinstance(frame, Answer):
+        elif self.state is State.IDENTIFYING and isinstance(frame, Answer | Refused):
             self._read_on()
         return True
 

@@ -103,7 +103,9 @@ class _Port(PortHandler):  # type: ignore[misc]
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
         # A read that may block for 1 ms instead of returning at once: the SDK spins on it.
-        self.ser = serial.serial_for_url(self.port_name, baudrate=cflag_baud, timeout=0.001, write_timeout=0.5)
+        self.ser = serial.serial_for_url(
+            self.port_name, baudrate=cflag_baud, timeout=0.001, write_timeout=0.5, exclusive=True
+        )
         with contextlib.suppress(AttributeError, ValueError, OSError, NotImplementedError):
             self.ser.set_low_latency_mode(True)  # USB adapters hold bytes back for 16 ms otherwise
         self.is_open = True

@@ -140,7 +140,7 @@ class WireBench:
         physics = load_plant(plant or spec.plant)
         *arm_servos, roller = servos = crane_x7()
         self.bus = TwinServer(DynamixelTwin(servos), PtyPort())
-        valve = HandTwin(firmware, None, spec.hand.valve_speed_mm_per_s, spec.hand.valve_dead_time_s)
+        valve = HandTwin(firmware, spec.hand.valve_speed_mm_per_s, spec.hand.valve_dead_time_s)
         self.hand = TwinServer(valve, PtyPort())
         arm = WireArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, arm_servos)
         hand = WireHand(spec.hand, clock, valve, roller)

@@ -9,21 +9,12 @@ import subprocess
 import tempfile
 from functools import cache
 from pathlib import Path
-from typing import Protocol
 
 REPLY_SIZE = 96
 
 
 class NoCompiler(Exception):  # noqa: N818 - it reads as the sentence it is raised in
     """The firmware cannot be built here."""
-
-
-class Apex(Protocol):
-    """What the valve opens: the simulated world, or a test's own."""
-
-    def set_valve(self, opening_mm: float, vibration: float, now_s: float) -> None:
-        """The valve's real opening and the motor's level have changed."""
-        ...
 
 
 @cache
@@ -62,7 +53,6 @@ class HandTwin:
     def __init__(
         self,
         firmware: Path,
-        apex: Apex | None = None,
         valve_speed_mm_per_s: float = 4.0,
         valve_dead_time_s: float = 0.06,
     ) -> None:
@@ -73,7 +63,6 @@ class HandTwin:
         self.temperature_c = 30
         self._brain = build_brain(firmware)
         self._self = self._brain.hand_new()
-        self._apex = apex
         self._speed_mm_per_s = valve_speed_mm_per_s
         self._dead_time_s = valve_dead_time_s
         self._goals: list[tuple[float, float]] = []
@@ -108,8 +97,6 @@ class HandTwin:
                 replies.append(buffer.value)
         self._brain.hand_tick(self._self, now_ms)
         self._take_goal(now_s)
-        if self._apex is not None:
-            self._apex.set_valve(self.opening_mm, self.vibration, now_s)
         return replies
 
     def _take_goal(self, now_s: float) -> None:
