@@ -279,9 +279,8 @@ def skills(name: NameArgument = None, lab: LabOption = None) -> None:
     table = Table("parameter", "type", "default", show_edge=False)
     for key, parameter in library.parameters(name).items():
         field = next(info for field_name, info in skill.model_fields.items() if (info.alias or field_name) == key)
-        unit = next((mark.unit for mark in field.metadata if isinstance(mark, Unit)), None)
-        default = f"{field.default:g} {unit}" if unit else str(field.default)
-        table.add_row(key, parameter.wire.name, "required" if parameter.required else default)
+        unit = next((f" {mark.unit}" for mark in field.metadata if isinstance(mark, Unit)), "")
+        table.add_row(key, parameter.wire.name, "required" if parameter.required else f"{field.default}{unit}")
     out.print(table)
 
 

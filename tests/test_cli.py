@@ -1,0 +1,300 @@
+"""The command line as a chemist meets it: what is said, on which stream, with which exit code, how soon."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from conftest import REPOSITORY, LabFolder
+
+from scuhand_bt import cli
+
+SMALL = """\
+recipe: small
+workflow: scoop_and_dispense
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+defaults: {source: beads, container: xrd_holder, tolerance: 5 mg}
+samples:
+  - {id: a, mass: 50 mg}
+"""
+
+
+@dataclass(frozen=True)
+class Ended:
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Call = Callable[..., Ended]
+
+
+@pytest.fixture
+def scuhand_bt(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    """The command in this process, as the entry point runs it."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(REPOSITORY)
+
+    def call(*arguments: object) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["scuhand-bt", *map(str, arguments)])
+        capsys.readouterr()
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        written = capsys.readouterr()
+        return Ended(code, written.out, written.err)
+
+    return call
+
+
+def in_a_process(*arguments: object, environment: Mapping[str, str] = {}) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "scuhand_bt", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=REPOSITORY,
+        env={**os.environ, **environment},
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.fixture
+def recipe(lab_folder: LabFolder) -> Path:
+    return lab_folder.write("recipes/small.yaml", SMALL)
+
+
+@pytest.fixture
+def wrong(lab_folder: LabFolder) -> Path:
+    return lab_folder.write("recipes/wrong.yaml", SMALL.replace("50 mg", "50").replace("5 g}", "5 mm}"))
+
+
+def test_help_and_version_are_quick_and_name_every_command(scuhand_bt: Call) -> None:
+    shown = scuhand_bt("--help")
+    assert shown.returncode == 0
+    assert all(command in shown.stdout for command in ("run", "check", "plan", "skills", "trees", "init", "130"))
+    version = scuhand_bt("--version")
+    assert version.stdout.startswith("scuhand-bt ")
+    assert scuhand_bt().returncode == 2
+
+
+def test_looking_needs_no_robot_library() -> None:
+    code = """
+import sys
+from scuhand_bt.cli import main
+for arguments in (["--help"], ["check", "recipes/synthesis_batch.yaml"], ["plan", "recipes/crucibles.yaml"]):
+    sys.argv[1:] = arguments
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code
+print("heavy:", [name for name in ("pinocchio", "coal", "ruckig", "dynamixel_sdk") if name in sys.modules])
+"""
+    command = [sys.executable, "-c", code]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, timeout=60, check=True)
+    assert ended.stdout.splitlines()[-1] == "heavy: []"
+
+
+# --- check
+
+
+def test_check_says_that_a_recipe_is_good(scuhand_bt: Call, recipe: Path) -> None:
+    ended = scuhand_bt("check", recipe)
+    assert (ended.returncode, ended.stdout) == (0, f"{recipe}: 1 samples, no problem found.\n")
+    assert json.loads(scuhand_bt("check", recipe, "--json").stdout) == {"ok": True, "samples": 1, "problems": []}
+
+
+def test_check_lists_every_problem_with_its_place_on_standard_error(scuhand_bt: Call, wrong: Path) -> None:
+    ended = scuhand_bt("check", wrong)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    first, second, last = ended.stderr.splitlines()
+    assert first.startswith(f"{wrong}:4:86: 'amount': 'mm' is a unit of length")
+    assert second.startswith(f"{wrong}:7:19: 'mass': '50' has no unit")
+    assert last == "2 problems; nothing was moved."
+
+
+def test_check_gives_its_problems_as_json(scuhand_bt: Call, wrong: Path) -> None:
+    ended = scuhand_bt("check", wrong, "--json")
+    assert ended.returncode == 2
+    found = json.loads(ended.stdout)
+    assert found["ok"] is False
+    assert [(p["line"], p["column"]) for p in found["problems"]] == [(4, 86), (7, 19)]
+
+
+def test_a_file_that_is_no_recipe_is_one_line_and_code_2(scuhand_bt: Call, tmp_path: Path) -> None:
+    bomb = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]\n" for i in range(1, 40))
+    contents = {
+        "empty.yaml": b"",
+        "latin.yaml": b"a: \xe9",
+        "binary.yaml": bytes(range(256)) * 100,
+        "nul.yaml": b"recipe: x\0",
+        "big.yaml": b"x" * 10_000_000,
+        "bomb.yaml": bomb.encode(),
+        "deep.yaml": b"[" * 100_000,
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+    began = time.monotonic()
+    for name in (*contents, "missing.yaml", "."):
+        ended = scuhand_bt("check", tmp_path / name)
+        assert ended.returncode == 2, name
+        assert len(ended.stderr.splitlines()) == 1, ended.stderr
+        assert "Traceback" not in ended.stderr
+    assert time.monotonic() - began < 30
+
+
+def test_a_terminal_without_unicode_breaks_nothing(lab_folder: LabFolder) -> None:
+    path = lab_folder.write("recipes/big.yaml", SMALL.replace("50 mg", "5 g"))
+    ended = in_a_process("check", path, environment={"PYTHONIOENCODING": "ascii"})
+    assert ended.returncode == 2
+    assert "does not fit into 'xrd_holder'" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+# --- plan, skills, trees, init
+
+
+def test_plan_shows_jobs_powder_swaps_and_persons(scuhand_bt: Call) -> None:
+    shown = scuhand_bt("plan", "recipes/synthesis_batch.yaml")
+    assert shown.returncode == 0
+    assert "change powder to monosodium_glutamate" in shown.stdout
+    assert "Sheet swaps: 1. Estimated duration: " in shown.stdout
+    assert "A person is needed at 'change powder to monosodium_glutamate': swap the sheet (two screws)." in shown.stdout
+
+
+def test_plan_as_json_has_every_job(scuhand_bt: Call) -> None:
+    found = json.loads(scuhand_bt("plan", "recipes/synthesis_batch.yaml", "--json").stdout)
+    assert len([job for job in found["jobs"] if job["sample"]]) == 24
+    assert found["swaps"] == 1
+    assert {source["name"] for source in found["sources"]} == {"beads", "msg"}
+
+
+def test_skills_and_trees_list_and_show_one(scuhand_bt: Call) -> None:
+    listed = scuhand_bt("skills").stdout
+    assert "dispense" in listed
+    shown = scuhand_bt("skills", "dispense").stdout
+    assert "commands: hand, balance; gives: Dose" in shown
+    assert any("tolerance" in line and "Mass" in line and "2.0 mg" in line for line in shown.splitlines())
+    assert "fill_crucible" in scuhand_bt("trees").stdout
+    assert scuhand_bt("trees", "fill").stdout.startswith("workflow: fill\n")
+
+
+@pytest.mark.parametrize("command", ["skills", "trees"])
+def test_an_unknown_name_is_code_2_with_the_known_ones(scuhand_bt: Call, command: str) -> None:
+    ended = scuhand_bt(command, "nosuch")
+    assert ended.returncode == 2
+    assert "nosuch" in ended.stderr
+    assert "known:" in ended.stderr
+
+
+def test_init_makes_a_lab_that_checks_and_never_overwrites(scuhand_bt: Call, tmp_path: Path) -> None:
+    made = scuhand_bt("init", tmp_path / "my-lab")
+    assert made.returncode == 0
+    for path in (tmp_path / "my-lab" / "recipes").glob("*.yaml"):
+        assert scuhand_bt("check", path).returncode == 0
+    again = scuhand_bt("init", tmp_path / "my-lab")
+    assert again.returncode == 2
+    assert "is not empty" in again.stderr.replace("\n", " ")
+
+
+# --- run
+
+
+def test_a_dry_run_says_that_it_is_simulated_and_ends_with_a_table(
+    scuhand_bt: Call, recipe: Path, tmp_path: Path
+) -> None:
+    ended = scuhand_bt("run", recipe, "--dry-run", "--seed", 3, "--json", tmp_path / "out.json")
+    assert ended.returncode in (0, 1), ended.stderr
+    assert ended.stdout.splitlines()[0].startswith("small: 1 samples on the cell 'starter', SIMULATED (seed 3)")
+    assert "[1/1] a: " in ended.stdout
+    assert "\x1b" not in ended.stdout
+    assert "Journal: " in ended.stdout
+    json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+
+
+def test_the_same_seed_gives_the_same_export(scuhand_bt: Call, recipe: Path, tmp_path: Path) -> None:
+    for name in ("one.json", "two.json"):
+        scuhand_bt("run", recipe, "--dry-run", "--seed", 5, "--json", tmp_path / name)
+    assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
+
+
+@pytest.mark.parametrize("controller", ["paper", "direct_pid"])
+def test_a_controller_is_chosen_by_name(scuhand_bt: Call, recipe: Path, controller: str) -> None:
+    ended = scuhand_bt("run", recipe, "--dry-run", "--controller", controller)
+    assert ended.returncode in (0, 1), ended.stderr
+    assert controller in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--dry-run", "--controller", "papr"], "unknown controller 'papr'"),
+        (["--dry-run", "--plant", "nosuch:Class"], "nosuch"),
+        (["--dry-run", "--plant", "json"], "json"),
+        (["--dry-run", "--speed", "0"], "must be more than 0"),
+        (["--dry-run", "--speed", "nan"], "must be more than 0"),
+        (["--dry-run", "--seed", "-1"], "--seed"),
+        (["--dry-run", "--seed", "x"], "--seed"),
+        (["--dry-run", "--json", "/nosuch/folder/out.json"], "cannot be written"),
+        (["--speed", "2"], "only a dry run"),
+        (["--nonsense"], "--nonsense"),
+    ],
+)
+def test_a_wrong_option_is_code_2_and_no_traceback(
+    scuhand_bt: Call, recipe: Path, options: list[str], said: str
+) -> None:
+    ended = scuhand_bt("run", recipe, *options)
+    assert ended.returncode == 2
+    assert said in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_wrong_recipe_moves_nothing(scuhand_bt: Call, wrong: Path, lab_folder: LabFolder) -> None:
+    assert scuhand_bt("run", wrong, "--dry-run").returncode == 2
+    assert not (lab_folder.folder / ".scuhand").exists()
+
+
+def test_a_cell_whose_devices_do_not_answer_is_code_3(scuhand_bt: Call, recipe: Path) -> None:
+    ended = scuhand_bt("run", recipe)
+    assert ended.returncode == 3
+    assert "Traceback" not in ended.stderr
+    assert "SIMULATED" not in ended.stdout
+
+
+def test_ctrl_c_while_running_ends_safe_with_code_130(recipe: Path) -> None:
+    command = [sys.executable, "-u", "-m", "scuhand_bt", "run", str(recipe), "--dry-run", "--speed", "1"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY
+    ) as process:
+        assert process.stdout is not None
+        assert "SIMULATED" in process.stdout.readline()
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert "Ended early: interrupted" in out
+    assert "Traceback" not in err
+
+
+def test_a_skill_with_a_bug_ends_the_run_safe_with_code_3(
+    scuhand_bt: Call, lab_folder: LabFolder, recipe: Path
+) -> None:
+    lab_folder.replace(
+        "skills/tare.py",
+        "        if cell.believed.pan is None:",
+        "        1 / 0\n        if cell.believed.pan is None:",
+    )
+    ended = scuhand_bt("run", recipe, "--dry-run")
+    assert ended.returncode == 3
+    assert "broke: ZeroDivisionError: division by zero" in ended.stdout
+    assert "Traceback" not in ended.stderr
