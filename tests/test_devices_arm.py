@@ -138,6 +138,14 @@ def test_no_goal_beyond_a_servos_window_is_ever_sent(bench: Bench) -> None:
     assert all(low <= goal <= high for goal, (low, high) in zip(bench.goal_counts(), windows, strict=True))
 
 
+def test_a_goal_at_the_very_end_of_a_window_is_sent(bench: Bench) -> None:
+    straight = bench.arm.positions
+    swing = Sway(straight, 0.0, 1.5)
+    swing.swing[3] = -straight[3] + 1e-9  # joint 4 may go up to 0°
+    carry_out(bench.arm.follow(swing), bench.clock)
+    assert bench.goal_counts()[3] == 2048
+
+
 def test_a_blocked_joint_stops_the_arm_and_then_overload_is_named(bench: Bench) -> None:
     bench.twin.servos[5].blocked = True
     with pytest.raises(SkillFailed, match=r"arm\.not_following: joint 4 is 1\d\.\d° from where it should be"):

@@ -36,6 +36,8 @@ STOPPING_S = 0.25
 """From full speed to rest along the path, and back to speed."""
 RESUME_LIMIT_S = 0.5
 """A motion goes on by itself after a pause of this computer that was shorter."""
+HALF_COUNT_RAD = 0.5 / r.COUNTS_PER_RAD
+"""A goal this little beyond a limit is sent as the limit itself."""
 LONGEST_STEP_S = 0.02
 """Of a motion's time in one cycle: after a late one the arm falls behind its time, not off its path."""
 SETUP_ATTEMPTS = 10
@@ -124,7 +126,7 @@ class AxisGroup:
         """The goal that is beyond its servo's window, if there is one."""
         for state, goal in zip(self.states, self.goals_rad, strict=True):
             low, high = state.window_rad
-            if not low <= goal <= high:
+            if not low - HALF_COUNT_RAD < goal < high + HALF_COUNT_RAD:
                 what = f"{state.axis.name} would go to {np.degrees(goal):.1f}°"
                 window = f"{np.degrees(low):.1f}..{np.degrees(high):.1f}°"
                 return SkillFailed("arm.joint_limit", f"{what}, and servo {state.axis.servo} allows {window}")

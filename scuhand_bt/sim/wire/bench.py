@@ -124,7 +124,8 @@ class WireBench:
     """The twins of one cell on pseudo-terminals, and their world; a context manager.
 
     `firmware` is the lab's `robot/firmware`, `joints` where the arm stands [rad]. Raises NoCompiler where the
-    firmware cannot be built, PlantError for a plant that cannot be used.
+    firmware cannot be built, PlantError for a plant that cannot be used. The ports are `arm`, `hand` and `balance`
+    in the folder `ports`, or somewhere else if that is None; `bench.spec` tells.
     """
 
     def __init__(
@@ -136,19 +137,20 @@ class WireBench:
         clock: Clock,
         seed: int = 0,
         plant: str | None = None,
+        ports: Path | None = None,
     ) -> None:
         physics = load_plant(plant or spec.plant)
         *arm_servos, roller = servos = crane_x7()
-        self.bus = TwinServer(DynamixelTwin(servos), PtyPort())
+        self.bus = TwinServer(DynamixelTwin(servos), PtyPort(ports and ports / "arm"))
         valve = HandTwin(firmware, spec.hand.valve_speed_mm_per_s, spec.hand.valve_dead_time_s)
-        self.hand = TwinServer(valve, PtyPort())
+        self.hand = TwinServer(valve, PtyPort(ports and ports / "hand"))
         arm = WireArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, arm_servos)
         hand = WireHand(spec.hand, clock, valve, roller)
         balance = SimulatedBalance(spec.balance, clock, physics)
         self.world = World(spec, sources, physics, seed, arm, hand, balance)
         kind = TWINS[spec.balance.driver]
         twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
-        self.balance = TwinServer(twin, PtyPort())
+        self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self.spec = spec.model_copy(
             update={
                 "arm": spec.arm.model_copy(update={"port": self.bus.url}),
