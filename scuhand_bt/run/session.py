@@ -103,7 +103,7 @@ def _open_journal(path: Path, *, durable: bool) -> Journal:
 def _check_controller(name: str | None) -> None:
     if name is not None and name not in CONTROLLERS:
         problem = f"unknown controller '{name}'; known: {', '.join(CONTROLLERS)}"
-        raise SourceError([Problem(Mark("--controller"), problem)])
+        raise SourceError([Problem(Mark("--controller", 0), problem)])
 
 
 def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> dict[str, object]:

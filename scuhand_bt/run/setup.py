@@ -1,7 +1,9 @@
 """Making the cell that a plan runs on: simulated, or the real one."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -35,6 +37,8 @@ def simulated(
 
     Raises SkillFailed (arm.*) if one cannot be planned, PlantError for a plant that cannot be used.
     """
+    # A plant may be a module of the lab or of the working folder; last, so that it hides nothing.
+    sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
     clock = VirtualClock(speed=options.speed)
     motion = motion or prepared_motion(plan, lab)
     operator = SimulatedOperator(clock, record)
