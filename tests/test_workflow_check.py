@@ -214,6 +214,12 @@ def test_workflows_must_not_call_each_other_in_a_circle(starter: Lab) -> None:
     assert problem == "2:30: workflows call each other in a circle: main → a → main"
 
 
+def test_workflows_that_double_each_other_are_refused_at_once(starter: Lab) -> None:
+    others = {f"w{i}": f"workflow: w{i}\ntree: {{parallel: [{{w{i + 1}: }}, {{w{i + 1}: }}]}}\n" for i in range(40)}
+    problems = said(starter, "{w0: }", w40="workflow: w40\ntree: {go: }\n", **others)
+    assert "is a tree of more than 5000 nodes" in problems[0]
+
+
 def test_parallel_over_one_device_is_seen_through_nested_workflows(starter: Lab) -> None:
     deep = "workflow: deep\ntree: {invert: {move: }}\n"
     a = "workflow: a\ntree: {sequence: [{weigh: }, {deep: }]}\n"

@@ -23,6 +23,8 @@ from scuhand_bt.tree.grammar import (
 from scuhand_bt.tree.wires import NOTHING, WireType, of_field
 from scuhand_bt.yaml_source import Mark, Node, Problems, Scalar, describe, plain, shorten
 
+MAX_TREE_NODES = 5000
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -101,15 +103,17 @@ def check_workflows(library: Library, names: Iterable[str], problems: Problems) 
         checker.result_of(name)
 
 
-def devices_of(node: TreeNode, library: Library, calling: tuple[str, ...] = ()) -> set[str]:
-    """The devices that a tree commands, through all that it calls."""
+def devices_of(node: TreeNode, library: Library, seen: set[str] | None = None) -> set[str]:
+    """The devices that a tree commands, through all that it calls (`seen`: workflows looked at already)."""
     devices: set[str] = set()
+    seen = set() if seen is None else seen
     for part in walk(node):
         if isinstance(part, Call):
             if part.name in library.skills:
                 devices.update(library.skills[part.name].devices)
-            elif part.name in library.workflows and part.name not in calling:
-                devices |= devices_of(library.workflows[part.name].tree, library, (*calling, part.name))
+            elif part.name in library.workflows and part.name not in seen:
+                seen.add(part.name)
+                devices |= devices_of(library.workflows[part.name].tree, library, seen)
     return devices
 
 
@@ -119,6 +123,7 @@ class _Checker:
         self._problems = problems
         self._codes = library.failures()
         self._results: dict[str, WireType] = {}
+        self._sizes: dict[str, int] = {}
         self._calling: list[str] = []
         self._types: dict[str, WireType | None] = {}
         """By name; None where what gives the value is wrong, and reported, itself."""
@@ -147,7 +152,17 @@ class _Checker:
         self._types = outer_types
         self._calling.pop()
         self._results[name] = result
+        self._check_size(workflow)
         return result
+
+    def _check_size(self, workflow: Workflow) -> None:
+        calls = (part.name if isinstance(part, Call) else "" for part in walk(workflow.tree))
+        size = sum(1 + self._sizes.get(name, 0) for name in calls)
+        if size > MAX_TREE_NODES:
+            what = f"'{workflow.name}' is a tree of more than {MAX_TREE_NODES} nodes"
+            self._problems.add(workflow.mark, what, "the workflows it calls are counted each time; use 'repeat'")
+            size = 0  # said once, not again by every caller
+        self._sizes[workflow.name] = size
 
     def _check(self, node: TreeNode, defined: frozenset[str]) -> frozenset[str]:
         """Check a node; returns the names that certainly have a value once it has succeeded."""
