@@ -12,6 +12,9 @@ from scuhand_bt.devices.interfaces import Balance, Hand
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Settle, Stream
 from scuhand_bt.record import Record
 
+DRIFT_DIGITS = 0.5
+"""How far a balance's zero is taken to wander in a minute, in digits (standard deviation)."""
+
 
 @dataclass(frozen=True, slots=True)
 class CurvePoint:
@@ -91,10 +94,10 @@ def run_dose(
                     while clock.now_s < end_s:
                         yield Wake(end_s)
                 mean = yield from balance.settled()
-                # The gross before was a stable mean too: both uncertainties count.
-                seen = Observation(
-                    mean.time_s, mean.value_mg - empty_mg, math.sqrt(2.0) * mean.uncertainty_mg, True, hand.opening_mm
-                )
+                # The gross before was a stable mean too, and the zero has wandered since.
+                drift_mg = DRIFT_DIGITS * balance.spec.readability_mg * math.sqrt((clock.now_s - begin_s) / 60.0)
+                uncertainty_mg = math.hypot(math.sqrt(2.0) * mean.uncertainty_mg, drift_mg)
+                seen = Observation(mean.time_s, mean.value_mg - empty_mg, uncertainty_mg, True, hand.opening_mm)
                 level = 0.0
                 record.pulse(_values(command, seen, acted_s))
             curve.append(CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable))

@@ -38,7 +38,7 @@ CONTROLLERS: Mapping[str, Callable[[DoseRequest], Controller]] = {
     Paper.name: Paper,
     DirectPid.name: DirectPid,
 }
-DEFAULT_CONTROLLER = Paper.name
+DEFAULT_CONTROLLER = Adaptive.name
 
 
 def new_controller(name: str, request: DoseRequest) -> Controller:

@@ -1,12 +1,13 @@
 """Controller `adaptive`: one continuous opening steered by a filter, closed on the predicted final mass.
 
-    x + z sqrt(2 m x) = e,   q = x / (H (1 + 2 s))          flow while e [mg] remains
+    x + z sqrt(2 m x) = e,   q = x / (H (1 + s))            flow while e [mg] remains
     close when  M + k Phi_close(D) + q T / 2  >=  stop,     stop = target - min(m + 0.1, tolerance - guard)
 
-H [s] is how long powder falls unseen (balance's lag, dead time, period), m [mg] the powder's surge scale, s the
-relative uncertainty of the flow: x is the mass that may fall unseen when z standard
-deviations of its surges are allowed for. M and k come from `FlowFilter`, Phi_close from the valve's tail, T is the balance's period. Closing
-early by the surge scale makes the best of lumps, which can be waited for but not taken back.
+x [mg] is what may fall unseen when z standard deviations of its surges are allowed for, m [mg] the powder's
+surge scale, H [s] how long powder falls unseen (dead time, period, and as much of the balance's lag as the
+flow is not known well enough to see through), s the relative uncertainty of the flow. M and k come from
+`FlowFilter`, Phi_close from the valve's tail, T is the balance's period. Closing early by the surge scale
+makes the best of lumps, which can be waited for but not taken back.
 
 A dose: a first reading; openings; after each the tail is watched and a stable mean verifies. Under: open
 again. In tolerance, beyond two standard uncertainties of the mean: done. What keeps it safe:
@@ -45,6 +46,8 @@ QUIET_SHARE = 0.2
 DOUBTED, UNKNOWN = 0.6, 1.0 / 3.0
 """The coefficient is never taken to be below this share of its reference: of a learnt one, of a guess."""
 DRY_MG = 3.0
+SEEN_LATE = 0.15
+"""Share of the balance's lag that even a well-known flow is not seen through."""
 LUMPY_MG = 0.7
 """Lumps of this mean mass are worth looking at one by one, where shaking alone brings them."""
 LUMPS_LEFT = 1.5
@@ -87,6 +90,8 @@ class Adaptive:
         self._recent_mg: list[float] = []
         self._record: list[Row] = []
         self._ratios: list[float] = []
+        self._best = 0.0
+        """The largest reference of this dose: what shaking may bring back."""
         self._stalls = 0
         self._known_s = 0.0 if self._belief.doses == 0 else 10.0
         self._flow_s = self._shaken_s = 0.0
@@ -118,10 +123,9 @@ class Adaptive:
             yield from self._watch_tail(probing)
             if self._fits < LAG_FITS:
                 self._identify()
-            if probing:
-                if ended == "reached" and self._filter.mass_mg < self._stop_mg - 1.0:
-                    self._learn_flow(before_mg, self._filter.mass_mg)
-                    continue
+            if probing and ended == "reached" and self._filter.mass_mg < self._stop_mg - 1.0:
+                self._learn_flow(before_mg, self._filter.mass_mg)
+                continue
             seen = yield Settle()
             self._time_s = seen.time_s
             self._learn_flow(before_mg, seen.net_mg)
@@ -186,6 +190,7 @@ class Adaptive:
                 level = max(self._vibration, FULL if quiet_s > patience_s else GENTLE)
                 if level > vibration:
                     self._stalls += vibration == 0.0
+                    self._reference = max(self._reference, self._best)
                     estimate.expect(self._reference)
                     wanted_mm, vibration = self._opening_mm(stop_mg - estimate.mass_mg), level
                 wanted_mm = min(wanted_mm, opening_mm)
@@ -269,7 +274,7 @@ class Adaptive:
         lag_s = 2.0 * self._lag_s
         late_s = request.valve_dead_time_s + request.balance_period_s + SLACK_S
         flow = unseen_mg / (
-            (late_s + lag_s * min(1.0, 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure)
+            (late_s + lag_s * min(1.0, SEEN_LATE + 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure)
         )
         slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
         slowest = min(slowest, max(0.25 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
@@ -288,6 +293,7 @@ class Adaptive:
         estimate = self._filter
         sure = estimate.coefficient - 1.5 * estimate.coefficient_sd > self._reference
         self._reference += (0.2 if sure else 0.04) * (estimate.coefficient - self._reference)
+        self._best = max(self._best, self._reference)
         self._known_s += self._request.balance_period_s
 
     # --- what is learnt ---

@@ -8,8 +8,9 @@ The listing leaves gaps and has defects. Each is handled here as named:
 * *The branch of the argmin.* The minimum is a curve in (D, t). The shortest dwell is taken first and
   the opening solved for; only when the widest opening does not suffice does the dwell grow.
 * *Freezing.* A pulse below 0.5 mg is never stored, so a C' that is far too high never falls and every
-  pulse may bring nothing. After `BARREN_PULSES` in a row of less than half of what was expected, the
-  pulse is stored all the same.
+  pulse may bring nothing. From the fifth pulse in a row on that brings less than half of what was expected
+  and is not stored, C' is lowered by a third each time. A pulse is never sized with less than half of the
+  last fit, though: a clog that breaks must not find the valve wide open.
 * *A stale C'.* The listing switches one model to 'vibration mode' internally; each mode's C' is then
   fitted only while that mode runs. After a clogged pulse the gravity C' collapses, vibration takes
   over, and near the target the choice returns to gravity with the collapsed C' and a wide opening.
@@ -51,7 +52,8 @@ class _Mode:
     coefficient: float
     largest: float
     """The largest fitted so far."""
-    fitted: bool = False
+    fitted: float = 0.0
+    """The last fit."""
     bases: list[float] = field(default_factory=list)
     masses_mg: list[float] = field(default_factory=list)
 
@@ -60,7 +62,7 @@ class _Mode:
         self.masses_mg.append(max(mass_mg, 0.0))
         self.coefficient = fit_coefficient(self.bases, self.masses_mg)
         self.largest = max(self.largest, self.coefficient) if self.fitted else self.coefficient
-        self.fitted = True
+        self.fitted = self.coefficient
 
 
 class Paper:
@@ -121,7 +123,7 @@ class Paper:
         vibrate = gravity.mass_mg(request.max_opening_mm, LONGEST_DWELL_S) < aim_mg
         mode = self._vibrated if vibrate else self._gravity
         ran_last = self._pulse is not None and (self._pulse.vibration > 0.0) == vibrate
-        coefficient = max(mode.coefficient if ran_last else mode.largest, 1e-9)
+        coefficient = max(mode.coefficient, mode.fitted / 2.0, 1e-9) if ran_last else max(mode.largest, 1e-9)
         opening_mm, dwell_s = solve_pulse(aim_mg / coefficient, request.max_opening_mm, request.valve_speed_mm_per_s)
         return Pulse(opening_mm, dwell_s, 1.0 if vibrate else 0.0, WAIT_S)
 

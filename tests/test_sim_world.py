@@ -1,0 +1,200 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.rig import BAY, DISH, PAN, Bench, Setting, shipped_powders
+from scuhand_bt.clock import Wake
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion.kinematics import ApexPose
+from scuhand_bt.sim.plant import Plant, PlantError, load_plant
+from scuhand_bt.sim.powder import OurPowderFlow
+from scuhand_bt.sim.randomness import substream
+from scuhand_bt.specs import BalanceBelief, BalanceSpec, HandSpec, Powder, ValveErrorSpec
+
+POWDERS = shipped_powders()
+BEADS = POWDERS["glass_beads"]
+
+
+def bench(powder: Powder = BEADS, seed: int = 1, **setting: Any) -> Bench:
+    return Bench(powder, 50.0, seed, 0, Setting(**setting))
+
+
+def let_pass(rig: Bench, duration_s: float) -> None:
+    end_s = rig.clock.now_s + duration_s
+
+    def waiting() -> Any:
+        while rig.clock.now_s < end_s:
+            yield Wake(end_s)
+
+    rig.drive(waiting())
+
+
+def everything_is_there(rig: Bench) -> None:
+    assert rig.world.total_mg == pytest.approx(10_000.0, abs=1e-6)
+    assert all(mass_mg >= 0.0 for mass_mg in rig.world.masses_mg.values())
+
+
+actions = st.lists(
+    st.tuples(
+        st.sampled_from(["pulse", "open", "stop", "vibrate", "wait", "remove", "place", "swap"]),
+        st.floats(min_value=0.0, max_value=2.4),
+    ),
+    max_size=12,
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(actions, st.sampled_from(sorted(POWDERS)), st.integers(0, 2**31))
+def test_mass_is_conserved_whatever_is_done(todo: list[tuple[str, float]], powder: str, seed: int) -> None:
+    rig = bench(POWDERS[powder], seed)
+    for action, value in todo:
+        if action == "pulse":
+            rig.drive(rig.cell.hand.pulse(value, value / 4.0, min(1.0, value)))
+        elif action == "open":
+            rig.cell.hand.set_opening(value)
+        elif action == "stop":
+            rig.cell.hand.stop()
+        elif action == "vibrate":
+            rig.cell.hand.set_vibration(min(1.0, value))
+        elif action == "remove" and rig.world.pan is not None:
+            rig.world.remove()
+        elif action == "place" and rig.world.pan is None:
+            rig.world.place(DISH)
+        elif action == "swap":
+            rig.world.swap_sheet()
+        let_pass(rig, value / 3.0)
+        everything_is_there(rig)
+
+
+def test_moving_more_than_there_is_or_nan_is_refused() -> None:
+    world = bench().world
+    for mass_mg in (1e9, -1.0, math.nan):
+        with pytest.raises(ValueError, match="cannot move"):
+            world.transfer("cone", "waste", mass_mg)
+
+
+def test_the_same_seed_gives_the_same_dose_and_another_gives_another() -> None:
+    first, again, other = (
+        bench(seed=seed).dose("adaptive", BEADS.belief, BalanceBelief())[0] for seed in (5, 5, 6)
+    )
+    assert first == again
+    assert first != other
+
+
+def test_streams_are_keyed_by_every_name() -> None:
+    draws = {substream(1, *names).random() for names in [("a", 0, "flow"), ("a", 1, "flow"), ("a", 0, "hand"), ("b",)]}
+    assert len(draws) == 4
+
+
+def test_powder_lands_a_fall_after_it_left_and_the_balance_follows() -> None:
+    rig = bench()
+    empty_mg = rig.drive(rig.cell.balance.settled()).value_mg
+    rig.drive(rig.cell.hand.pulse(1.0, 0.5))
+    assert rig.world.masses_mg["flight"] > 0.0
+    let_pass(rig, 0.3)
+    assert rig.world.masses_mg["flight"] == 0.0
+    let_pass(rig, 3.0)
+    mean = rig.drive(rig.cell.balance.settled())
+    assert mean.value_mg - empty_mg == pytest.approx(rig.world.true_mass("dish"), abs=0.5)
+
+
+def test_without_a_container_powder_lies_on_the_pan_beside_no_mouth() -> None:
+    rig = bench()
+    rig.world.remove()
+    rig.drive(rig.cell.hand.pulse(1.0, 0.5))
+    let_pass(rig, 1.0)
+    assert rig.world.masses_mg["pan"] > 5.0
+    assert rig.world.true_mass("dish") == 0.0
+
+
+def test_a_full_container_overflows_onto_the_pan() -> None:
+    rig = bench()
+    rig.world.remove()
+    rig.world.place(DISH.model_copy(update={"id": "thimble", "capacity_mm3": 10.0}))
+    rig.drive(rig.cell.hand.pulse(2.0, 1.0))
+    let_pass(rig, 1.0)
+    assert rig.world.true_mass("thimble") == pytest.approx(10.0 * BEADS.bulk_density_mg_per_mm3)
+    assert rig.world.masses_mg["pan"] > 0.0
+
+
+def test_the_valve_is_shut_when_it_is_shut_and_off_by_its_error_when_open() -> None:
+    rig = bench(hand=HandSpec(simulation=ValveErrorSpec(opening_mm=0.0, sample_mm=0.0, stick_probability=0.0)))
+    rig.cell.hand.set_opening(0.5)
+    let_pass(rig, 0.5)
+    assert rig.cell.hand.opening_mm == pytest.approx(0.5)
+    rig.cell.hand.stop()
+    let_pass(rig, 0.5)
+    assert rig.cell.hand.is_stopped
+    assert rig.cell.hand.opening_mm == 0.0
+
+
+def test_a_cohesive_powder_does_not_flow_without_vibration() -> None:
+    rig = bench(POWDERS["titanium_dioxide"])
+    rig.drive(rig.cell.hand.pulse(1.5, 1.0))
+    let_pass(rig, 1.0)
+    assert rig.world.true_mass("dish") < 1.0
+    rig.drive(rig.cell.hand.pulse(1.5, 1.0, 1.0))
+    let_pass(rig, 1.0)
+    assert rig.world.true_mass("dish") > 5.0
+
+
+def test_lumps_that_shrink_with_the_gap_are_smaller_at_small_openings() -> None:
+    powder = POWDERS["titanium_dioxide_fine"]
+
+    def largest_mg(opening_mm: float) -> float:
+        flow, rng = OurPowderFlow(powder), np.random.default_rng(3)
+        return max(flow.step(0.02, opening_mm, 1.0, 4000.0, rng) for _ in range(4000))
+
+    assert largest_mg(0.5) < 0.2 * largest_mg(1.5)
+
+
+def test_an_overloaded_balance_says_so() -> None:
+    rig = bench(balance=BalanceSpec(maximum_mg=20_000.0))
+    with pytest.raises(SkillFailed, match=r"balance\.overload"):
+        rig.drive(rig.cell.balance.settled())
+
+
+class Broken:
+    """A plant whose powder is not a number."""
+
+    def flow(self, powder: Powder) -> Any:
+        return self
+
+    def step(self, *_: object) -> float:
+        return math.nan
+
+
+class Idle:
+    """A plant that offers nothing."""
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("nonsense", "write it as module:Class"),
+        ("no_such_module_x:Plant", "cannot be imported"),
+        ("scuhand_bt.sim.powder:Missing", "has no class 'Missing'"),
+        (f"{__name__}:Idle", "offers none of"),
+    ],
+)
+def test_a_plant_that_cannot_be_used_is_refused_by_name(name: str, says: str) -> None:
+    with pytest.raises(PlantError, match=says):
+        load_plant(name)
+
+
+def test_a_plant_of_nan_is_refused_before_anything_moves() -> None:
+    with pytest.raises(PlantError, match=r"test plant: flow let nan mg"):
+        Plant(Broken(), "test plant").probe(BEADS, BalanceSpec())
+    with pytest.raises(PlantError, match="flow let nan mg"):
+        bench(plant=f"{__name__}:Broken")
+
+
+def test_the_bench_stands_where_its_stations_are() -> None:
+    assert PAN.kind == "balance"
+    assert BAY.kind == "mortar"
+    assert isinstance(bench().cell.arm.positions, np.ndarray)
+    assert ApexPose(np.array([0.33, 0.0, 0.14])).tilt_deg == 0.0
