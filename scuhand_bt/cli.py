@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from scuhand_bt.plan import Plan
     from scuhand_bt.run.batch import BatchResult
     from scuhand_bt.run.session import Session
+    from scuhand_bt.specs import PowderBelief
 
 EXIT_BAD_INPUT = 2
 EXIT_CELL_FAULT = 3
@@ -305,6 +306,40 @@ def trees(name: NameArgument = None, lab: LabOption = None) -> None:
         inputs = ", ".join(f"{declared.name}: {declared.type.name}" for declared in workflow.inputs.values())
         table.add_row(key, inputs, workflow.summary)
     out.print(table)
+
+
+@app.command()
+def powders(lab: LabOption = None) -> None:
+    """Show what the lab believes of its powders and its balance, and which run taught it."""
+    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.run.learnt import LabState
+    from scuhand_bt.run.session import state_folder
+
+    loaded = load_lab(find_lab(None, lab))
+    state = LabState(state_folder(loaded))
+    table = Table("powder lot", "C'", "onset mm", "exponent", "spread", "surge mg", "vibration", "doses", "learnt")
+    for name, powder in loaded.library.powders.items():
+        table.add_row(name, *_belief_cells(powder.belief), "first guess (robot/powders.yaml)", style="dim")
+    for simulated in (False, True):
+        for learnt in state.powders(simulated=simulated).values():
+            table.add_row(learnt.name, *_belief_cells(learnt.belief), learnt.origin)
+    out.print(table)
+    for simulated in (False, True):
+        for balance in state.balances(simulated=simulated).values():
+            figures = f"lag {balance.belief.lag_s:.2f} s, noise {balance.belief.noise_mg:.2f} mg"
+            out.print(Text(f"balance of '{balance.name}': {figures} ({balance.origin})"))
+
+
+def _belief_cells(belief: "PowderBelief") -> list[str]:
+    return [
+        f"{belief.coefficient:.1f}",
+        f"{belief.threshold_mm:.2f}",
+        f"{belief.exponent:.2f}",
+        f"{belief.spread:.0%}",
+        f"{belief.surge_mg:.1f}",
+        f"{belief.vibration:.0%}",
+        str(belief.doses),
+    ]
 
 
 @app.command()

@@ -18,6 +18,7 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Plan
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
 from scuhand_bt.run.journal import Journal
+from scuhand_bt.run.learnt import LabState
 from scuhand_bt.run.setup import DryRun, real, simulated
 from scuhand_bt.sim.world import World
 from scuhand_bt.yaml_source import Mark, Problem, SourceError
@@ -32,7 +33,7 @@ class Options:
     dry_run: DryRun | None
     controller: str | None = None
     folder: Path | None = None
-    """Where the journal goes; the lab's own `.scuhand/runs` if None."""
+    """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
 
 
 class Session:
@@ -50,7 +51,7 @@ class Session:
         self.stop = Signal()
         """Fire it to end the run safely at the next tick (Ctrl-C does)."""
         self.run_id = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
-        folder = options.folder or runs_folder(lab)
+        folder = options.folder or state_folder(lab) / "runs"
         self.journal = _open_journal(folder / f"{self.run_id}.sqlite", durable=options.dry_run is None)
         self.world: World | None = None
         self._close_cell: Callable[[], None] = lambda: None
@@ -67,6 +68,9 @@ class Session:
         self.journal.now_s = lambda: self.cell.clock.now_s
         self.journal.describe_run(_describe(plan, lab, options, self.cell, self.run_id))
         self._library = lab.library
+        self._state = LabState(folder.parent)
+        if not self.cell.simulated:
+            self._state.recall(self.cell)
 
     def run(self, observer: BatchObserver) -> BatchResult:
         """Run the batch to its end; whatever happens, the cell ends safe."""
@@ -78,6 +82,7 @@ class Session:
         finally:
             if world is not None:
                 self.journal.event("matter", world.masses_mg)
+            self._state.keep(self.cell, self.run_id)
 
     def close(self) -> None:
         """Close the devices and the journal."""
@@ -85,11 +90,11 @@ class Session:
         self.journal.close()
 
 
-def runs_folder(lab: Lab) -> Path:
-    """Where journals go: the lab's `.scuhand/runs`, or the working folder's where the lab is not the user's own."""
+def state_folder(lab: Lab) -> Path:
+    """Where journals and what is learnt go: the lab's `.scuhand`; the working folder's for the packed starter lab."""
     packed = lab.folder == starter_lab() and lab.folder.name == "starter_lab"
     home = Path.cwd() if packed or not os.access(lab.folder, os.W_OK) else lab.folder
-    return home / ".scuhand" / "runs"
+    return home / ".scuhand"
 
 
 def _open_journal(path: Path, *, durable: bool) -> Journal:

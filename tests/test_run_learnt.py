@@ -1,0 +1,52 @@
+"""What is learnt of powders and balances is kept in the lab, versioned, and apart from what was simulated."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from running import dry_run
+
+from scuhand_bt.run.learnt import LabState
+
+CHARACTERISE = """
+recipe: characterise
+workflow: characterise
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g, lot: L7}
+samples: [{id: a, source: beads, container: alumina_crucible}]
+"""
+
+
+def test_a_characterisation_is_kept_by_lot_with_the_run_that_taught_it(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, CHARACTERISE, controller="adaptive")
+    learnt = LabState(tmp_path).powders(simulated=True)["glass_beads/L7"]
+    assert learnt.run == ran.session.run_id
+    assert learnt.belief.doses >= 3
+    assert "SIMULATED" in learnt.origin
+    balance = LabState(tmp_path).balances(simulated=True)["starter"].belief
+    assert balance.lag_s == pytest.approx(ran.session.cell.spec.balance.simulation.lag_s, rel=0.3)
+
+
+def test_a_run_that_learns_more_adds_a_version_and_one_that_learns_nothing_does_not(tmp_path: Path) -> None:
+    state = LabState(tmp_path)
+    cell = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell
+    before = state.powders(simulated=True)["glass_beads/L7"]
+    state.keep(cell, "again")
+    assert state.powders(simulated=True)["glass_beads/L7"] == before
+    changed = before.belief.model_copy(update={"doses": before.belief.doses + 1})
+    state.keep(replace(cell, powder_beliefs={"glass_beads/L7": changed}), "later")
+    after = state.powders(simulated=True)["glass_beads/L7"]
+    assert (after.belief, after.run) == (changed, "later")
+    assert after.version > before.version
+
+
+def test_a_real_cell_recalls_what_was_learnt_on_real_devices_only(tmp_path: Path) -> None:
+    state = LabState(tmp_path)
+    cell = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell
+    fresh = replace(cell, powder_beliefs={})
+    state.recall(fresh)
+    assert fresh.powder_beliefs == {}
+    state.keep(replace(cell, simulated=False), "real")
+    state.recall(fresh)
+    assert set(fresh.powder_beliefs) == {"glass_beads/L7"}
+    assert fresh.balance_belief == cell.balance_belief
