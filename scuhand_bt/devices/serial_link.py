@@ -104,7 +104,7 @@ class SerialLink:
         try:
             port = self._framing.open(self.url)
         except (*PORT_ERRORS, ValueError) as error:
-            raise SkillFailed("device.lost", f"{why_not_open(self.url, error)}") from error
+            raise SkillFailed("device.lost", why_not_open(self.url, error)) from error
         self._adopt(port)
         self._thread.start()
 
@@ -148,6 +148,13 @@ class SerialLink:
                 network_socket.close()
 
     def _run(self) -> None:
+        try:
+            self._serve()
+        except Exception as error:
+            self._user.lost(f"the thread of {self.url} has failed: {error!r}")
+            raise
+
+    def _serve(self) -> None:
         while not self._closing.is_set():
             if self._port is None:
                 try:
