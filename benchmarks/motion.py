@@ -34,6 +34,7 @@ from scuhand_bt.motion.kinematics import (
     solutions,
     unreachable_reason,
 )
+from scuhand_bt.motion.planner import RELAXED_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -108,6 +109,19 @@ class Bench:
                 starts = starts[~self.scene.hits(starts)]
             if len(starts) and len(goals):
                 tasks.append(Task(kind, starts[rng.integers(len(starts))], second))
+        return tasks
+
+    def carries(self, count: int) -> list[Task]:
+        """Loaded moves from a mortar to the pan and back, from the posture the arm takes there."""
+        rng = np.random.default_rng(SEED + 1)
+        tasks = []
+        for k in range(count):
+            mortar = self.over(str(rng.choice(["mortar_bay", "mortar_bay_2"])), rng.uniform(75, 110), rng)
+            pan = self.over("balance", rng.uniform(78, 95), rng)
+            first, second = (mortar, pan) if k % 2 else (pan, mortar)
+            starts = self.free(first)
+            relaxed = np.array([np.arctan2(first.position_m[1], first.position_m[0]), *RELAXED_RAD])
+            tasks.append(Task("carry", starts[np.argmin(rest_to_rest_s(starts - relaxed, self.rates))], second))
         return tasks
 
     def run(self, task: Task, effort: transfer.Effort, spill_deg: float | None = None) -> Outcome:
@@ -349,7 +363,7 @@ def main() -> None:
     bench = Bench()
     audit = Audit(bench)
     tasks = bench.tasks(given.tasks)
-    moves = [task for task in tasks if task.kind == "mortar and pan"][: given.carrying]
+    moves = bench.carries(given.carrying)
     own_deg = spill_limit_deg(64.16, 45.0, 5000 / 1.5, 25.0, 18.0)
     for effort in (transfer.LIVE, transfer.POLISHED):
         bench.run(tasks[0], effort)  # libraries and scenes warm up

@@ -168,6 +168,8 @@ class Shaper:
             spread = min(1.5 * spread, 0.6)
             if better.points.shape == chain.points.shape:
                 direction = np.stack([better.points - chain.points, better.speeds - chain.speeds])
+                # The ends are where they are: another goal is no direction to go on in.
+                direction[:, [0, -1]] = 0.0
             else:
                 direction = np.zeros((2, *better.points.shape))
             chain = better

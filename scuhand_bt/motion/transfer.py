@@ -25,7 +25,7 @@ from scuhand_bt.motion.roadmap import Space, connect, shortened
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
 _ITERATIONS = 4000
-_LOADED_ITERATIONS = 300
+_LOADED_ITERATIONS = 120
 """In each of the two charts, where an iteration costs several times as much."""
 _SHORTCUTS = 20
 _GOALS_AT_ONCE = 12

@@ -1,0 +1,115 @@
+import re
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.kinematics import LIMITS_RAD, apex
+
+URDF = load_lab(starter_lab()).urdf
+WALL = Solid("wall", (0.3, 0.0, 0.2), box_m=(0.006, 0.4, 0.4))
+POST = Solid("post", (0.1, 0.3, 0.15), cylinder_m=(0.05, 0.3))
+TABLE = Solid("table", (0.3, 0.0, -0.01), box_m=(1.2, 1.2, 0.02))
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return Arm(URDF)
+
+
+def scene(arm, margin_m=0.005, diameter_m=0.09, **more):
+    return Scene(arm, arm.with_sheet(0.12, 0.05, diameter_m), [WALL, POST, TABLE], margin_m, 2, **more)
+
+
+def configurations(count, seed=1):
+    return np.random.default_rng(seed).uniform(LIMITS_RAD[0], LIMITS_RAD[1], (count, 7))
+
+
+def test_the_urdf_agrees_with_the_closed_form_at_the_flange(arm):
+    data = arm.model.createData()
+    for q in configurations(200):
+        pin.forwardKinematics(arm.model, data, q)
+        assert np.abs(data.oMi[7].translation - apex(q, 0.0).position_m).max() < 1e-12
+        assert np.abs(data.oMi[7].rotation[:, 2] + apex(q, 0.0).axis).max() < 1e-12
+
+
+def test_a_verdict_of_free_means_the_exact_distance_is_above_the_margin(arm):
+    space = scene(arm)
+    q = configurations(400)
+    hits = space.hits(q)
+    assert 0.1 < hits.mean() < 0.95
+    for hit, one in zip(hits, q, strict=True):
+        distance_m, _ = space.clearance_m(one)
+        assert hit == (distance_m <= 0.005) or abs(distance_m - 0.005) < 1e-6
+
+
+def test_a_scene_without_a_margin_is_refused_because_coal_then_misses_penetrations(arm):
+    with pytest.raises(ValueError, match="security margin"):
+        scene(arm, margin_m=0.0)
+
+
+def test_no_point_of_the_arm_moves_farther_than_the_bound(arm):
+    space = scene(arm)
+    data = space.model.createData()
+    rng = np.random.default_rng(2)
+    for q in configurations(60, seed=3):
+        dq = rng.normal(size=7) * 0.05
+        tips = []
+        for one in (q, q + dq):
+            pin.forwardKinematics(space.model, data, one)
+            tips.append([data.oMi[j].act(np.array([0.02, 0.03, 0.05])) for j in range(1, 8)])
+        moved_m = np.linalg.norm(np.subtract(*tips), axis=1).max()
+        assert moved_m <= space.motion_bound_m(dq)
+
+
+def test_samples_that_prove_a_curve_are_never_farther_apart_than_twice_the_margin(arm):
+    space = scene(arm)
+
+    def curve(times_s):
+        return np.sin(times_s)[:, None] * np.array([1.0, 0.5, 0.8, 0.4, 1.2, 0.6, 0.3]) + np.array(
+            [0, 0, 0, -1.2, 0, 0, 0]
+        )
+
+    times_s = space.proving_times_s(curve, 6.0, np.full(7, 1.2))
+    assert space.motion_bound_m(np.diff(curve(times_s), axis=0)).max() <= 2 * space.margin_m
+
+
+def test_beyond_a_joints_limit_nothing_is_free(arm):
+    q = np.array([[0.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0]])
+    assert scene(arm).hits(q).all()
+
+
+def test_a_larger_cone_reaches_farther(arm):
+    q = np.array([0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0])
+    small, large = (scene(arm, diameter_m=d).clearance_m(q)[0] for d in (0.04, 0.098))
+    assert large <= small
+
+
+def test_what_may_be_touched_is_not_a_hit(arm):
+    below = apex(np.array([0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0]), 0.12)
+    x, y, z = below.position_m
+    pad = Solid("pad", (x, y, z), box_m=(0.02, 0.02, 0.01))
+    q = np.array([[0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0]])
+    shapes = arm.with_sheet(0.12, 0.05, 0.09)
+    assert Scene(arm, shapes, [pad], 0.001, 1).hits(q).all()
+    assert not Scene(arm, shapes, [pad], 0.001, 1, may_touch=["pad"]).hits(q).any()
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (URDF.replace('version="1.1"', ""), "collision shapes|capsule"),
+        (re.sub(r"<collision>.*?</collision>", "", URDF, count=1, flags=re.DOTALL), "of the URDF's 9 collision shapes"),
+        (URDF.replace('xyz="0 0 0.185"', 'xyz="0 0 0.195"'), "closed form does not fit"),
+        (URDF.replace('acceleration="4.4" jerk="44"', "", 1), "j1 needs a limit"),
+        (URDF.replace('jerk="44"', 'jerk="0"', 1), "above zero"),
+        (URDF.replace('lower="-1.57', 'lower="-1.27', 1), "limits of joint 2"),
+        ("<robot", "not XML"),
+    ],
+    ids=["old version", "missing shape", "longer arm", "no acceleration", "no jerk", "other limits", "no XML"],
+)
+def test_a_urdf_that_is_not_this_arm_is_refused_with_its_reason(broken, message):
+    with pytest.raises(ValueError, match=message):
+        Arm(broken)

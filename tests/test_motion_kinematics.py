@@ -1,0 +1,156 @@
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion.kinematics import (
+    COUNT_RAD,
+    LIMITS_RAD,
+    ApexPose,
+    apex,
+    apex_positions_m,
+    checked_joints,
+    finest,
+    nearest_reachable,
+    solutions,
+    unreachable_reason,
+)
+
+OFFSET_M = 0.12
+HEIGHTS_M = (0.041, 0.064, 0.065, 0.185, 0.121, 0.129, 0.019)
+
+
+def configurations(count, seed=1):
+    return np.random.default_rng(seed).uniform(LIMITS_RAD[0], LIMITS_RAD[1], (count, 7))
+
+
+def turned(joint, angle):
+    c, s = math.cos(angle), math.sin(angle)
+    about_z = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    about_minus_y = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
+    return np.array(about_minus_y if joint % 2 else about_z)
+
+
+def test_the_apex_is_where_a_chain_of_seven_rotations_puts_it():
+    for q in configurations(200):
+        rotation, position_m = np.eye(3), np.zeros(3)
+        for joint, height_m in enumerate(HEIGHTS_M):
+            position_m = position_m + rotation[:, 2] * height_m
+            rotation = rotation @ turned(joint, q[joint])
+        pose = apex(q, OFFSET_M)
+        assert np.abs(pose.position_m - position_m - OFFSET_M * rotation[:, 2]).max() < 1e-12
+        assert np.abs(pose.axis + rotation[:, 2]).max() < 1e-12
+
+
+def test_many_apex_positions_are_the_same_as_one_by_one():
+    q = configurations(50)
+    positions_m, axes = apex_positions_m(q, OFFSET_M)
+    for k, one in enumerate(q):
+        assert np.abs(positions_m[k] - apex(one, OFFSET_M).position_m).max() < 1e-12
+        assert np.abs(axes[k] - apex(one, OFFSET_M).axis).max() < 1e-12
+
+
+def test_every_pose_the_arm_can_take_is_solved_exactly_and_within_limits():
+    for q in configurations(300, seed=2):
+        pose = apex(q, OFFSET_M)
+        found = solutions(pose, OFFSET_M)
+        assert len(found)
+        assert unreachable_reason(pose, OFFSET_M) is None
+        assert ((found >= LIMITS_RAD[0]) & (found <= LIMITS_RAD[1])).all()
+        positions_m, axes = apex_positions_m(found, OFFSET_M)
+        assert np.abs(positions_m - pose.position_m).max() < 1e-9
+        assert np.abs(axes - pose.axis).max() < 1e-9
+
+
+def test_the_family_of_solutions_comes_near_the_configuration_it_was_made_from():
+    for q in configurations(50, seed=3):
+        found = solutions(apex(q, OFFSET_M), OFFSET_M)
+        # Every 5 deg of swivel; a joint may turn faster than the swivel, so a quarter turn is near.
+        assert np.abs(found[:, :6] - q[:6]).max(axis=1).min() < 0.8
+
+
+@pytest.mark.parametrize(
+    "q",
+    [
+        np.zeros(7),
+        np.array([0.3, 0.0, 0.4, -1.0, 0.2, 0.5, 0.0]),
+        np.array([0.3, 0.5, 0.4, -1.0, 0.2, 0.0, 0.0]),
+        np.array([0.3, 0.5, 0.4, 0.0, 0.2, 0.3, 0.0]),
+    ],
+    ids=["straight up", "upper arm upright", "hand along the forearm", "elbow straight"],
+)
+def test_singular_configurations_are_solved_too(q):
+    pose = apex(q, OFFSET_M)
+    found = solutions(pose, OFFSET_M)
+    positions_m, axes = apex_positions_m(found, OFFSET_M)
+    assert len(found)
+    assert np.abs(positions_m - pose.position_m).max() < 1e-9
+    assert np.abs(axes - pose.axis).max() < 1e-9
+
+
+def test_no_solution_means_none_exists_by_a_search_along_the_whole_circle():
+    rng = np.random.default_rng(4)
+    refused = 0
+    for _ in range(300):
+        axis = rng.normal(size=3)
+        pose = ApexPose(rng.uniform([-0.3, -0.5, 0.0], [0.6, 0.5, 0.6]), axis / np.linalg.norm(axis))
+        reason = unreachable_reason(pose, OFFSET_M)
+        assert (reason is None) == (len(solutions(pose, OFFSET_M)) > 0)
+        refused += reason is not None
+    assert 100 < refused < 300
+
+
+def test_a_pose_too_far_says_by_how_much_and_a_reachable_one_near_is_found():
+    pose = ApexPose(np.array([0.7, 0.0, 0.1]))
+    assert "farther than the stretched arm's 500 mm" in unreachable_reason(pose, OFFSET_M)
+    near = nearest_reachable(pose, OFFSET_M)
+    assert unreachable_reason(near, OFFSET_M) is None
+    assert np.linalg.norm(near.position_m - pose.position_m) < 0.3
+
+
+def test_a_pose_beyond_a_joints_limit_names_the_joint():
+    reason = unreachable_reason(ApexPose(np.array([0.2, 0.0, 0.28])), OFFSET_M)
+    assert "joint" in reason
+    assert "beyond" in reason
+
+
+def test_choosing_by_servo_counts_makes_the_commanded_apex_more_exact():
+    errors = {"any": [], "finest": []}
+    for x in np.linspace(0.2, 0.35, 8):
+        pose = ApexPose(np.array([x, 0.1, 0.1]))
+        q = solutions(pose, OFFSET_M)[10]
+        for name, chosen in (("any", q), ("finest", finest(pose, q, OFFSET_M))):
+            counted = apex(np.round(chosen / COUNT_RAD) * COUNT_RAD, OFFSET_M)
+            errors[name].append(np.linalg.norm(counted.position_m - pose.position_m))
+    assert np.mean(errors["finest"]) < np.mean(errors["any"]) / 2
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 2), (0, 0, math.nan), (0, 1)])
+def test_an_axis_that_is_not_a_unit_vector_is_refused(axis):
+    with pytest.raises(ValueError, match="unit vector"):
+        ApexPose(np.zeros(3), np.array(axis, dtype=float))
+
+
+def test_a_position_that_is_not_a_number_is_refused():
+    with pytest.raises(ValueError, match="finite"):
+        ApexPose(np.array([0.1, math.nan, 0.2]))
+
+
+def test_a_joint_beyond_its_limit_is_named():
+    q = np.zeros(7)
+    q[3] = 0.1
+    with pytest.raises(SkillFailed, match="joint 4") as failed:
+        checked_joints(q)
+    assert failed.value.code == "arm.joint_limit"
+    with pytest.raises(ValueError, match="seven finite angles"):
+        checked_joints(np.full(7, math.nan))
+
+
+def test_kinematics_need_no_library_but_numpy():
+    heavy = "{'pinocchio', 'coal', 'ruckig', 'scipy'}"
+    code = f"import sys, scuhand_bt.motion.kinematics; print({heavy} & set(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "set()"

@@ -1,0 +1,192 @@
+import numpy as np
+import pytest
+
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.motion import ApexPose, MotionPlanner, apex
+from scuhand_bt.motion.kinematics import LIMITS_RAD
+from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
+
+LAB = load_lab(starter_lab())
+MORTAR = LAB.library.mortars["agate_mortar"]
+OFFSET_M = LAB.cell.hand.apex_offset_mm / 1e3
+ABOVE_MM = {"mortar_bay": 90, "mortar_bay_2": 90, "balance": 80, "waste": 40, "sheet_swap": 0, "park": 0}
+
+
+def above(station, height_mm):
+    x, y, z = LAB.cell.stations[station].position_mm
+    return ApexPose(np.array([x, y, z + height_mm]) / 1e3)
+
+
+def new_planner():
+    planner = MotionPlanner(LAB.urdf, LAB.cell, {"mortar_bay": MORTAR, "mortar_bay_2": MORTAR})
+    planner.set_container(LAB.library.containers["alumina_crucible"])
+    for station, height_mm in ABOVE_MM.items():
+        planner.add_place(station, above(station, height_mm))
+    return planner
+
+
+@pytest.fixture(scope="module")
+def planner():
+    prepared = new_planner()
+    prepared.prepare()
+    return prepared
+
+
+def posture(planner, place):
+    return planner.move(planner.home(), place).end
+
+
+def times(motion, step_s=0.002):
+    return np.linspace(0.0, motion.duration_s, int(motion.duration_s / step_s) + 2)
+
+
+def nearest_m(planner, motion):
+    return min(planner.scene().clearance_m(q)[0] for q in motion.at(times(motion, 0.01)))
+
+
+def test_every_pair_of_stations_of_the_starter_lab_has_a_motion_that_touches_nothing(planner):
+    for first in ABOVE_MM:
+        for second in ABOVE_MM:
+            motion = planner.move(posture(planner, first), second)
+            assert (
+                np.abs(apex(motion.end, OFFSET_M).position_m - above(second, ABOVE_MM[second]).position_m).max() < 1e-9
+            )
+            assert nearest_m(planner, motion) > 0.003
+
+
+def test_a_motion_keeps_every_joints_limits(planner):
+    motion = planner.move(posture(planner, "mortar_bay"), "balance")
+    assert planner.rates.stretch_for(motion) <= 1 + 1e-6
+    q = motion.at(times(motion))
+    assert ((q >= LIMITS_RAD[0] - 1e-9) & (q <= LIMITS_RAD[1] + 1e-9)).all()
+
+
+def test_two_planners_answer_the_same_request_with_the_same_motion(planner):
+    other = new_planner()
+    # In another order: what was planned before must not matter.
+    other.move(posture(other, "balance"), "mortar_bay_2", spill_limit_deg=25.0)
+    for spill_limit_deg in (None, 25.0):
+        one, two = (
+            p.move(posture(p, "mortar_bay_2"), "balance", spill_limit_deg=spill_limit_deg) for p in (planner, other)
+        )
+        assert one.coefficients.tobytes() == two.coefficients.tobytes()
+
+
+@pytest.mark.parametrize("limit_deg", [30.0, 10.0])
+def test_a_loaded_cone_keeps_its_spill_limit_at_every_sample(planner, limit_deg):
+    for goal in ("balance", "park"):
+        motion = planner.move(posture(planner, "mortar_bay"), goal, spill_limit_deg=limit_deg)
+        at_s = times(motion, 0.001)
+        angles = spill_angles_deg(*apex_motion(motion.at(at_s), motion.at(at_s, 1), motion.at(at_s, 2), OFFSET_M))
+        assert angles.max() <= limit_deg
+        assert planner.rates.stretch_for(motion) <= 1 + 1e-6
+        assert nearest_m(planner, motion) > 0.003
+
+
+def test_a_goal_may_be_any_pose(planner):
+    motion = planner.move(planner.home(), above("balance", 100))
+    assert apex(motion.end, OFFSET_M).position_m == pytest.approx(above("balance", 100).position_m, abs=1e-9)
+    assert apex(motion.end, OFFSET_M).tilt_deg == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_arm_that_reports_a_count_off_its_posture_gets_the_prepared_motion(planner):
+    home = planner.home()
+    assert planner.move(home + 0.001, "balance") is planner.move(home, "balance")
+
+
+def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner):
+    with pytest.raises(SkillFailed, match="nearest apex position") as failed:
+        planner.move(planner.home(), ApexPose(np.array([0.6, 0.0, 0.1])))
+    assert failed.value.code == "arm.unreachable"
+
+
+def test_a_start_inside_something_is_refused_by_name(planner):
+    start = posture(planner, "balance").copy()
+    start[1] -= 0.35
+    with pytest.raises(SkillFailed, match="overlap by") as failed:
+        planner.move(start, "park")
+    assert failed.value.code == "arm.start_in_collision"
+
+
+def test_a_station_inside_an_obstacle_is_refused_by_name(planner):
+    with pytest.raises(SkillFailed, match=r"cannot stand at .* overlap by") as failed:
+        planner.move(planner.home(), ApexPose(np.array([0.35, 0.103, 0.15])))
+    assert failed.value.code == "arm.no_path"
+
+
+def test_a_start_beyond_a_joints_limit_and_one_that_is_no_number_are_refused(planner):
+    start = planner.home()
+    start[3] = 0.2
+    with pytest.raises(SkillFailed, match="joint 4"):
+        planner.move(start, "park")
+    with pytest.raises(ValueError, match="finite"):
+        planner.move(np.full(7, np.nan), "park")
+
+
+def test_unknown_places_and_stations_are_named_with_what_there_is(planner):
+    with pytest.raises(KeyError, match="there are: mortar_bay"):
+        planner.move(planner.home(), "balnce")
+    with pytest.raises(KeyError, match="the cell has no station"):
+        MotionPlanner(LAB.urdf, LAB.cell, {"nowhere": MORTAR})
+
+
+def test_a_contact_path_passes_its_waypoints_at_its_speed_without_a_jump(planner):
+    start = posture(planner, "mortar_bay")
+    tilt = np.radians(8.0)
+    leaning = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    x, y, _ = above("mortar_bay", 0).position_m
+    waypoints = [
+        ApexPose(np.array([x, y, 0.05])),
+        ApexPose(np.array([x - 0.01, y, 0.03]), leaning),
+        ApexPose(np.array([x, y, 0.02])),
+        above("mortar_bay", 90),
+    ]
+    motion = planner.contact(start, waypoints, 0.04, touching="mortar_bay")
+    at_s = times(motion)
+    poses = [apex(q, OFFSET_M) for q in motion.at(at_s)]
+    positions_m = np.array([pose.position_m for pose in poses])
+    assert np.linalg.norm(np.diff(positions_m, axis=0), axis=1).max() / (at_s[1] - at_s[0]) <= 0.0402
+    for waypoint in waypoints:
+        # Corners are cut by at most speed * averaging time / 3.
+        assert np.linalg.norm(positions_m - waypoint.position_m, axis=1).min() < 0.04 * 0.08 / 3 + 2e-4
+    assert np.abs(np.diff(motion.at(at_s), axis=0)).max() < 0.01
+    assert positions_m[-1] == pytest.approx(waypoints[-1].position_m, abs=1e-6)
+    assert planner.rates.stretch_for(motion) <= 1 + 1e-6
+
+
+def test_only_the_named_mortar_may_be_touched(planner):
+    start = posture(planner, "mortar_bay")
+    x, y, _ = above("mortar_bay", 0).position_m
+    down = [ApexPose(np.array([x, y, 0.02]))]
+    assert planner.contact(start, down, 0.04, touching="mortar_bay").duration_s > 1
+    with pytest.raises(SkillFailed, match="mortar_bay") as failed:
+        planner.contact(start, down, 0.04)
+    assert failed.value.code == "arm.no_path"
+    with pytest.raises(SkillFailed, match="table"):
+        planner.contact(start, [ApexPose(np.array([x + 0.12, y, 0.0]))], 0.04, touching="mortar_bay")
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("spill_limit_deg", [None, 25.0])
+def test_a_stop_comes_to_rest_on_the_path_and_not_after_the_motions_own_end(planner, share, spill_limit_deg):
+    motion = planner.move(posture(planner, "mortar_bay"), "balance", spill_limit_deg=spill_limit_deg)
+    at_s = share * motion.duration_s
+    stop = planner.stop(motion, at_s)
+    assert stop.sample(0.0) == pytest.approx(motion.sample(at_s), abs=1e-9)
+    assert stop.duration_s <= motion.duration_s - at_s + 1e-9
+    path = motion.at(np.linspace(at_s, motion.duration_s, 4000))
+    for time_s in np.linspace(0.0, stop.duration_s, 40):
+        assert np.abs(path - stop.sample(time_s)).max(axis=1).min() < 2e-3
+    h = 1e-4
+    last = (stop.sample(stop.duration_s) - stop.sample(stop.duration_s - h)) / h
+    assert np.abs(last).max() < 1e-3
+
+
+def test_what_stands_on_the_pan_is_in_the_way():
+    planner = new_planner()
+    low = above("balance", 30)
+    with pytest.raises(SkillFailed, match="alumina_crucible on the pan"):
+        planner.move(planner.home(), low)
+    planner.set_container(None)
+    assert planner.move(planner.home(), low).duration_s > 0

@@ -1,0 +1,89 @@
+import math
+
+import numpy as np
+import pytest
+
+from scuhand_bt.motion.kinematics import LIMITS_RAD, apex
+from scuhand_bt.motion.spill import (
+    apex_motion,
+    liquid_spill_deg,
+    spill_angles_deg,
+    spill_limit_deg,
+    spill_stretch,
+    worst_spill_deg,
+)
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics
+
+OFFSET_M = 0.12
+
+
+def direct(law, q0, q1):
+    return cubics(law.chain(np.array([q0, q1]), np.zeros((2, 7))))
+
+
+def liquid_left_mm3(half_angle_deg, rim_mm, tilt_deg, cells=120):
+    """Volume of liquid in a cone tilted to its rim, counted in little cubes."""
+    depth_mm = rim_mm / math.tan(math.radians(half_angle_deg))
+    x, y, z = np.meshgrid(*[np.linspace(-rim_mm, rim_mm, cells)] * 2, np.linspace(0, depth_mm, cells), indexing="ij")
+    inside = np.hypot(x, y) <= z * math.tan(math.radians(half_angle_deg))
+    tilt = math.radians(tilt_deg)
+    up = x * math.sin(tilt) + z * math.cos(tilt)
+    rim_up = -rim_mm * math.sin(tilt) + depth_mm * math.cos(tilt)
+    cell_mm3 = (2 * rim_mm / (cells - 1)) ** 2 * depth_mm / (cells - 1)
+    return float((inside & (up <= rim_up)).sum() * cell_mm3)
+
+
+@pytest.mark.parametrize(("half_angle_deg", "tilt_deg"), [(64.2, 8.0), (64.2, 16.0), (50.0, 20.0), (30.0, 35.0)])
+def test_the_liquid_angle_agrees_with_the_counted_volume_of_the_tilted_cone(half_angle_deg, tilt_deg):
+    volume_mm3 = liquid_left_mm3(half_angle_deg, 45.0, tilt_deg)
+    assert liquid_spill_deg(half_angle_deg, 45.0, volume_mm3) == pytest.approx(tilt_deg, abs=0.4)
+
+
+def test_a_full_cone_spills_at_once_and_an_empty_one_when_its_wall_is_level():
+    full_mm3 = math.pi * 45**3 / (3 * math.tan(math.radians(64)))
+    assert liquid_spill_deg(64, 45, full_mm3) == pytest.approx(0.0, abs=1e-9)
+    assert liquid_spill_deg(64, 45, 0.0) == pytest.approx(26.0)
+
+
+def test_five_grams_of_beads_may_lean_by_their_liquid_angle_and_wall_friction_less_the_margin():
+    limit_deg = spill_limit_deg(64.16, 45.0, 5000 / 1.5, repose_deg=25.0, wall_friction_deg=18.0, margin_deg=5.0)
+    assert limit_deg == pytest.approx(18.85 + 18.0 - 5.0, abs=0.1)
+
+
+def test_a_load_that_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match="cannot carry"):
+        spill_limit_deg(64, 45, 60_000, 25, 18)
+    with pytest.raises(ValueError, match="margin"):
+        spill_limit_deg(64, 45, 46_000, 3, 18)
+
+
+def test_apex_acceleration_is_the_second_difference_of_the_apex():
+    law = TimeLaw(RateLimits(np.full(7, 3.0), np.full(7, 4.0), np.full(7, 40.0)))
+    motion = direct(law, LIMITS_RAD[0] * 0.3, LIMITS_RAD[1] * 0.3 - 0.5)
+    h = 1e-4
+    for time_s in (0.21, 0.4, 0.7):
+        times_s = np.array([time_s])
+        axes, found = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), OFFSET_M)
+        before, now, after = (apex(motion.sample(time_s + k * h), OFFSET_M) for k in (-1, 0, 1))
+        expected = (before.position_m - 2 * now.position_m + after.position_m) / h**2
+        assert found[0] == pytest.approx(expected, abs=1e-3)
+        assert axes[0] == pytest.approx(now.axis)
+
+
+def test_the_spill_angle_of_a_level_cone_is_what_acceleration_makes_of_gravity():
+    up = np.array([[0.0, 0.0, 1.0]] * 2)
+    push = np.array([[9.81, 0.0, 0.0]] * 2)
+    assert spill_angles_deg(up, push) == pytest.approx([45.0, 45.0])
+    assert worst_spill_deg(up, push) == pytest.approx(45.0)
+
+
+def test_slowing_keeps_the_spill_limit_and_tilt_alone_cannot_be_slowed_away():
+    law = TimeLaw(RateLimits(np.full(7, 3.0), np.full(7, 4.0), np.full(7, 40.0)))
+    level = np.array([0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0])
+    turned = level + np.array([1.0, 0, 0, 0, 0, 0, 0])
+    motion = direct(law, level, turned)
+    tilt_deg = apex(level, OFFSET_M).tilt_deg
+    factor = spill_stretch(motion, OFFSET_M, tilt_deg + 3.0)
+    assert factor > 1.2
+    assert spill_stretch(motion.stretched(factor), OFFSET_M, tilt_deg + 3.0) == pytest.approx(1.0, abs=0.01)
+    assert spill_stretch(motion, OFFSET_M, max(tilt_deg - 1.0, 0.0)) is None

@@ -1,0 +1,101 @@
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
+from scuhand_bt.motion.trajectory import standing, through
+
+RATES = RateLimits(np.array([4.8, 3.1, 4.8, 4.8, 4.8, 4.8, 4.8]), np.full(7, 4.4), np.full(7, 44.0))
+LAW = TimeLaw(RATES)
+
+
+def direct(q0, q1):
+    return cubics(LAW.chain(np.array([q0, q1]), np.zeros((2, 7))))
+
+
+def ends(seed, reach=1.5):
+    return np.random.default_rng(seed).uniform(-reach, reach, (2, 7))
+
+
+@pytest.mark.parametrize("reach", [0.01, 0.3, 3.0])
+def test_the_closed_form_of_the_optimum_is_what_ruckig_finds(reach):
+    for seed in range(20):
+        q0, q1 = ends(seed, reach)
+        assert rest_to_rest_s(q1 - q0, RATES) == pytest.approx(direct(q0, q1).duration_s, rel=1e-9)
+
+
+def test_a_motion_begins_and_ends_at_rest_where_it_should_and_keeps_every_limit():
+    q0, q1 = ends(1)
+    motion = direct(q0, q1)
+    ends_s = np.array([0.0, motion.duration_s])
+    assert motion.start == pytest.approx(q0, abs=1e-9)
+    assert motion.end == pytest.approx(q1, abs=1e-9)
+    assert motion.at(ends_s, 1) == pytest.approx(np.zeros((2, 7)), abs=1e-7)
+    assert motion.at(ends_s, 2) == pytest.approx(np.zeros((2, 7)), abs=1e-6)
+    assert RATES.stretch_for(motion) <= 1 + 1e-6
+
+
+def test_a_chain_passes_its_via_point_with_its_speed_without_a_jump():
+    q0, q1 = ends(2)
+    points, speeds = np.array([q0, (q0 + q1) / 2 + 0.2, q1]), np.zeros((3, 7))
+    speeds[1] = 0.5
+    pieces = LAW.chain(points, speeds)
+    motion = cubics(pieces)
+    via_s = pieces[0].duration
+    assert motion.sample(via_s) == pytest.approx(points[1], abs=1e-6)
+    assert motion.at(np.array([via_s - 1e-9, via_s + 1e-9]), 1) == pytest.approx(np.full((2, 7), 0.5), abs=1e-5)
+    for time_s in np.linspace(0, via_s, 9):
+        assert motion.sample(time_s) == pytest.approx(np.array(pieces[0].at_time(time_s)[0]), abs=1e-7)
+
+
+def test_extremes_are_no_less_than_any_sample():
+    motion = direct(*ends(3))
+    times_s = np.linspace(0, motion.duration_s, 4000)
+    for k, most in enumerate(motion.extremes(), start=1):
+        sampled = np.abs(motion.at(times_s, k)).max(axis=0)
+        assert (sampled <= most + 1e-9).all()
+        assert sampled == pytest.approx(most, rel=1e-2)
+
+
+def test_stretching_and_reversing_keep_the_path():
+    motion = direct(*ends(4))
+    slow, back = motion.stretched(2.0), motion.reversed()
+    for time_s in np.linspace(0, motion.duration_s, 11):
+        assert slow.sample(2 * time_s) == pytest.approx(motion.sample(time_s))
+        assert back.sample(motion.duration_s - time_s) == pytest.approx(motion.sample(time_s), abs=1e-8)
+
+
+def test_samples_outside_a_motion_are_its_ends():
+    motion = direct(*ends(5))
+    assert (motion.sample(-1.0) == motion.start).all()
+    assert (motion.sample(99.0) == motion.end).all()
+
+
+def test_straight_legs_leave_the_polyline_nowhere():
+    polyline = np.array([*ends(6), ends(7)[0]])
+    motion = LAW.straight(polyline)
+    q = motion.at(np.linspace(0, motion.duration_s, 500))
+    off = np.inf
+    for first, last in pairwise(polyline):
+        share = np.clip((q - first) @ (last - first) / ((last - first) @ (last - first)), 0, 1)[:, None]
+        off = np.minimum(off, np.abs(q - first - share * (last - first)).max(axis=1))
+    assert off.max() < 1e-9
+    assert RATES.stretch_for(motion) <= 1 + 1e-6
+
+
+def test_cubics_through_samples_pass_them_and_rest_at_both_ends():
+    times_s = np.linspace(0, 1, 21)
+    positions = (3 * times_s**2 - 2 * times_s**3)[:, None] * np.ones(7)
+    motion = through(times_s, positions)
+    assert motion.at(times_s) == pytest.approx(positions)
+    assert motion.at(np.array([0.0, 1.0]), 1) == pytest.approx(np.zeros((2, 7)), abs=1e-9)
+
+
+def test_standing_still_is_a_motion():
+    assert (standing(np.ones(7)).sample(0.5) == 1).all()
+
+
+def test_a_state_of_the_wrong_length_never_reaches_ruckig():
+    with pytest.raises(ValueError, match="7 coordinates"):
+        LAW.solve(np.zeros(6), np.zeros(7), np.zeros(7), np.zeros(7))
