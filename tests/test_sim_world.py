@@ -78,9 +78,7 @@ def test_moving_more_than_there_is_or_nan_is_refused() -> None:
 
 
 def test_the_same_seed_gives_the_same_dose_and_another_gives_another() -> None:
-    first, again, other = (
-        bench(seed=seed).dose("adaptive", BEADS.belief, BalanceBelief())[0] for seed in (5, 5, 6)
-    )
+    first, again, other = (bench(seed=seed).dose("adaptive", BEADS.belief, BalanceBelief())[0] for seed in (5, 5, 6))
     assert first == again
     assert first != other
 

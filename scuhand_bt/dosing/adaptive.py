@@ -46,7 +46,7 @@ QUIET_SHARE = 0.2
 DOUBTED, UNKNOWN = 0.6, 1.0 / 3.0
 """The coefficient is never taken to be below this share of its reference: of a learnt one, of a guess."""
 DRY_MG = 3.0
-SEEN_LATE = 0.15
+SEEN_LATE = 0.25
 """Share of the balance's lag that even a well-known flow is not seen through."""
 LUMPY_MG = 0.7
 """Lumps of this mean mass are worth looking at one by one, where shaking alone brings them."""
@@ -57,7 +57,9 @@ PAUSED = 0.1
 """Share of the flow that is allowed for while such a powder is not shaken."""
 GENTLE, FULL = 0.4, 1.0
 MOST_OPENINGS = 25
-LAG_FITS = 5
+LAG_MARGIN = 1.06
+"""A lag believed too long costs a moment, one believed too short costs an overshoot."""
+LAG_FITS = 8
 """After this many openings that told it, the balance's lag is known."""
 
 
@@ -323,7 +325,7 @@ class Adaptive:
         if lag_s is None:
             return
         weight = 1.0 / (self._fits + 1)
-        self._lag_s *= (lag_s / self._lag_s) ** weight
+        self._lag_s *= (LAG_MARGIN * lag_s / self._lag_s) ** weight
         self._fits += 1
         self._filter.lag_s = self._lag_s
         last_mg = sum(row.reading_mg for row in self._record[-3:]) / 3.0

@@ -117,7 +117,7 @@ class Row:
 
 
 LAGS_S = tuple(float(lag_s) for lag_s in np.geomspace(0.06, 1.6, 16))
-CLEARER = 3.0
+CLEARER = 4.0
 """A lag is told when it is this much likelier (natural logarithm) than those two steps of the grid away."""
 
 
