@@ -25,6 +25,8 @@ class CurvePoint:
     opening_mm: float
     vibration: float
     stable: bool
+    estimate_mg: float
+    """What the controller takes to have left the nozzle."""
 
 
 @dataclass
@@ -37,10 +39,17 @@ class DoseRun:
     duration_s: float
     curve: list[CurvePoint] = field(default_factory=list)
 
-    def rows(self) -> list[tuple[float, float, float, float, bool]]:
+    def rows(self) -> list[tuple[float, float, float, float, bool, float]]:
         """The curve as plain numbers, rounded to what they mean."""
         return [
-            (round(p.time_s, 3), round(p.net_mg, 3), round(p.opening_mm, 3), round(p.vibration, 2), p.stable)
+            (
+                round(p.time_s, 3),
+                round(p.net_mg, 3),
+                round(p.opening_mm, 3),
+                round(p.vibration, 2),
+                p.stable,
+                round(p.estimate_mg, 3),
+            )
             for p in self.curve
         ]
 
@@ -100,8 +109,10 @@ def run_dose(
                 seen = Observation(mean.time_s, mean.value_mg - empty_mg, uncertainty_mg, True, hand.opening_mm)
                 level = 0.0
                 record.pulse(_values(command, seen, acted_s))
-            curve.append(CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable))
             command = controller.decide(seen)
+            curve.append(
+                CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
+            )
     finally:
         hand.stop()
     return DoseRun(command, pulses, vibration_s, clock.now_s - begin_s, curve)

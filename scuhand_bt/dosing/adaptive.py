@@ -100,6 +100,10 @@ class Adaptive:
         self._steps = self._stream() if request.streaming else self._pulses()
         self._started = False
 
+    @property
+    def estimate_mg(self) -> float:
+        return self._filter.mass_mg
+
     def decide(self, seen: Observation | None) -> Command:
         try:
             if seen is None or not self._started:
@@ -377,6 +381,7 @@ class Adaptive:
             ramps = 2.0 * shape.closing(opening_mm, 0.0, speed)
             dwell_s = max(0.05, min(3.0, (aim_mg / coefficient - ramps) / shape.value(opening_mm)))
             seen = yield Pulse(opening_mm, dwell_s, vibration, 5.0 * self._lag_s)
+            self._filter.restart(seen.net_mg, seen.uncertainty_mg, coefficient, unsure)
             gained_mg = seen.net_mg - before_mg
             expected_mg = coefficient * (ramps + shape.value(opening_mm) * dwell_s)
             error_mg = seen.net_mg - request.target_mg

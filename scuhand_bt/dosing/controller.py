@@ -105,6 +105,11 @@ class Controller(Protocol):
     @property
     def name(self) -> str: ...
 
+    @property
+    def estimate_mg(self) -> float:
+        """The net mass it takes to have left the nozzle by now."""
+        ...
+
     def decide(self, seen: Observation | None) -> Command:
         """The next command; `seen` is None at the start, else what the last command led to."""
         ...

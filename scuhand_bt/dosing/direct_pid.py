@@ -38,6 +38,10 @@ class DirectPid:
         self._steps = self._dry = 0
         self._full = False
 
+    @property
+    def estimate_mg(self) -> float:
+        return self._net_mg
+
     def decide(self, seen: Observation | None) -> Command:
         request = self._request
         if seen is None:

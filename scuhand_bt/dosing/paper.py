@@ -81,6 +81,10 @@ class Paper:
         self._start_mg = 0.0
         self._pulses = self._barren = self._dry = 0
 
+    @property
+    def estimate_mg(self) -> float:
+        return self._net_mg
+
     def decide(self, seen: Observation | None) -> Command:
         request = self._request
         if seen is None:

@@ -1,0 +1,51 @@
+"""A plot of one dose: the reading, the estimate, the opening and the vibration against time.
+
+matplotlib is an optional extra (`pip install scuhand-bt[plot]`) and is loaded on the first plot.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+Point = Sequence[float]
+"""(time_s, net_mg, opening_mm, vibration, stable, estimate_mg): one row of a `dose_curve` event."""
+
+
+def plot_dose(points: Sequence[Point], target_mg: float, tolerance_mg: float, path: Path, title: str = "") -> None:
+    """Write a PNG or SVG, by the path's suffix. ValueError for an empty curve, ImportError without matplotlib."""
+    if not points:
+        raise ValueError("this dose has no curve to plot")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    times_s = [point[0] - points[0][0] for point in points]
+    figure = Figure(figsize=(8.0, 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    mass, near, valve = figure.subplots(3, 1, sharex=True, height_ratios=[3.0, 2.0, 1.4])
+    readings_mg = [point[1] for point in points]
+    stable = [index for index, point in enumerate(points) if point[4]]
+    for axes in (mass, near):
+        axes.axhspan(target_mg - tolerance_mg, target_mg + tolerance_mg, color="#cfe8cf", label="tolerance")
+        axes.plot(times_s, [point[5] for point in points], color="#d68910", linewidth=1.0, label="estimate")
+        axes.plot(times_s, readings_mg, color="#1f4e79", linewidth=1.2, label="reading")
+        axes.plot(
+            [times_s[i] for i in stable],
+            [readings_mg[i] for i in stable],
+            "o",
+            color="#b03a2e",
+            markersize=5,
+            label="stable mean",
+        )
+    near.set_ylim(target_mg - 5.0 * tolerance_mg, target_mg + 3.0 * tolerance_mg)
+    mass.set_ylabel("mass [mg]")
+    near.set_ylabel("near the target [mg]")
+    mass.legend(loc="lower right", frameon=False)
+    mass.set_title(title or f"dose of {target_mg:g} mg", loc="left")
+    valve.step(times_s, [point[2] for point in points], where="post", color="#444444", label="opening")
+    valve.set_ylabel("opening [mm]")
+    valve.set_ylim(bottom=0.0)
+    valve.set_xlabel("time [s]")
+    shaking = valve.twinx()
+    shaking.fill_between(times_s, [point[3] for point in points], step="post", alpha=0.25, color="#d68910")
+    shaking.set_ylim(0.0, 1.0)
+    shaking.set_ylabel("vibration")
+    figure.savefig(path, dpi=130)

@@ -1,0 +1,26 @@
+from pathlib import Path
+
+import pytest
+
+from benchmarks.rig import Bench, Setting, shipped_powders
+from scuhand_bt.specs import BalanceBelief
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+def test_a_dose_is_plotted_from_its_recorded_curve(tmp_path: Path, suffix: str) -> None:
+    pytest.importorskip("matplotlib")
+    from scuhand_bt.report.dose_plot import plot_dose
+
+    powder = shipped_powders()["glass_beads"]
+    _, run = Bench(powder, 50.0, 3, 0, Setting()).dose("adaptive", powder.belief, BalanceBelief())
+    assert run is not None
+    path = tmp_path / f"dose.{suffix}"
+    plot_dose(run.rows(), 50.0, 2.0, path)
+    assert path.stat().st_size > 5000
+
+
+def test_a_dose_without_a_curve_is_refused(tmp_path: Path) -> None:
+    from scuhand_bt.report.dose_plot import plot_dose
+
+    with pytest.raises(ValueError, match="no curve"):
+        plot_dose([], 50.0, 2.0, tmp_path / "dose.png")
