@@ -13,10 +13,11 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
-from typing import Any
 
+from py_trees.behaviour import Behaviour
 from rich.console import Console
 from rich.table import Table
 
@@ -24,7 +25,6 @@ from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.plan import Job, make_plan
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import SampleResult
-from scuhand_bt.run.runner import Runner
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, prepared_motion
 
@@ -64,7 +64,7 @@ class TickTimes:
         self.job = 0
         self.verdicts: dict[str, int] = defaultdict(int)
 
-    def ticked(self, root: Any) -> None:
+    def ticked(self, root: Behaviour) -> None:
         pass
 
     def job_started(self, job: Job, number: int) -> None:
@@ -73,13 +73,13 @@ class TickTimes:
     def sample_ended(self, result: SampleResult) -> None:
         self.verdicts[result.verdict] += 1
 
-    def timing(self, tick: Any) -> Any:
-        def timed(root: Any) -> None:
+    def timing(self, tick: Callable[[Behaviour], None]) -> Callable[[Behaviour], None]:
+        def timed(root: Behaviour) -> None:
             began = time.perf_counter()
             tick(root)
             self.ticks_us[self.job].append((time.perf_counter() - began) * 1e6)
 
-        return staticmethod(timed)
+        return timed
 
     def cost_us(self, first: int, last: int) -> float:
         return median(cost for job in range(first, last) for cost in self.ticks_us[job])
@@ -88,7 +88,7 @@ class TickTimes:
 def big_run(recipe: Path, folder: Path, controller: str | None) -> dict[str, float]:
     """The generated batch in this process."""
     times = TickTimes()
-    Runner._tick = times.timing(Runner._tick)  # type: ignore[method-assign]
+    Behaviour.tick_once = times.timing(Behaviour.tick_once)
     began = time.perf_counter()
     lab = load_lab(ROOT)
     plan = make_plan(load_recipe(recipe, lab), lab)

@@ -72,9 +72,6 @@ def names(bench: Bench) -> list[str]:
     return [what for _, what in bench.log]
 
 
-runner_to_come = pytest.mark.xfail(reason="the runner names and halts by the root's status", strict=False)
-
-
 # --- sequence and fallback
 
 
@@ -490,7 +487,7 @@ class Buggy(Skill[None]):
         raise ZeroDivisionError("one by none")
 
 
-@pytest.mark.parametrize("after", [pytest.param("0 s", marks=runner_to_come), "2 s"])
+@pytest.mark.parametrize("after", ["0 s", "2 s"])
 def test_a_bug_in_a_skill_names_the_skill_and_halts_the_others(bench: Bench, after: str) -> None:
     with pytest.raises(SkillBug, match="buggy broke: ZeroDivisionError: one by none"):
         bench.run(f"parallel: [{{hand: {{duration: 1 h}}}}, {{buggy: {{after: {after}}}}}]", {**SKILLS, "buggy": Buggy})
@@ -556,7 +553,6 @@ def test_a_skill_that_breaks_while_being_halted_is_named_and_the_others_are_halt
     assert dict(bench.actions()) == {"bad": "broken", "arm": "halted"}
 
 
-@runner_to_come
 @pytest.mark.parametrize("skill", [Stubborn, Clumsy])
 def test_a_skill_that_breaks_while_the_run_is_stopped_is_named(bench: Bench, skill: type[Skill[None]]) -> None:
     bench.agenda.at(3.0, bench.stop.fire)
@@ -565,7 +561,6 @@ def test_a_skill_that_breaks_while_the_run_is_stopped_is_named(bench: Bench, ski
     assert (3.0, "work halted") in bench.log
 
 
-@runner_to_come
 def test_a_skill_whose_run_is_no_generator_is_a_bug(bench: Bench) -> None:
     class Plain(Skill[None]):
         """Forget to yield."""

@@ -10,11 +10,12 @@ from scuhand_bt.clock import Signal
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.plan import AFTER_FAILURE, Job, Plan
 from scuhand_bt.run.journal import Journal
-from scuhand_bt.run.runner import Outcome, Runner, SkillBug
+from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.sample import Sample
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
 from scuhand_bt.tree.check import Library
+from scuhand_bt.tree.nodes import SkillBug
 
 Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interrupted", "not run"]
 
@@ -138,9 +139,9 @@ class Batch:
             action = "flag" if failure is None else self._plan.recipe.action_for(failure.code)
             if action == "redo" and attempt > 1:
                 action = "flag"
-            verdict: Verdict | None = (
-                "skipped" if action == "skip_sample" else "interrupted" if outcome.halted else None
-            )
+            verdict: Verdict | None = "interrupted" if outcome.halted else None
+            if action == "skip_sample":
+                verdict = "skipped"
             self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt))
             if outcome.halted:
                 return EXIT_INTERRUPTED, "interrupted"

@@ -15,7 +15,7 @@ from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.nodes import SkillLeaf, Ticking, failure_of
+from scuhand_bt.tree.nodes import SkillBug, SkillLeaf, Ticking, failure_of
 
 DEVICES = ("hand", "arm", "changer", "balance")
 SAFE_TIMEOUT_S = 20.0
@@ -25,10 +25,6 @@ FALL_S = 0.5
 MAX_SILENCE_S = 3600.0
 """If nothing at all happens for this long, a skill waits for what never comes."""
 MAX_TICKS_AT_ONE_TIME = 10_000
-
-
-class SkillBug(Exception):  # noqa: N818 - it names what it is, for the user
-    """A skill broke the rules of skills (or Python's); not a failure of the cell."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +56,15 @@ class Runner:
         """Run one job to its end. Any exception leaves the tree halted; `make_safe` is the caller's to call."""
         shared = Ticking(self._cell, self._leases, _Recorder(self._journal))
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
+        halted = True
         try:
-            self._tick_to_end(tree.root, shared)
+            halted = self._tick_to_end(tree.root, shared)
         finally:
-            if tree.root.status is Status.RUNNING:
+            if halted:
                 tree.root.stop(Status.INVALID)
-        if tree.root.status is Status.INVALID:
+        if shared.bugs:
+            raise shared.bugs[0]
+        if halted:
             return Outcome(halted=True)
         self._wait_until_still(timeout_s=SAFE_TIMEOUT_S)
         return Outcome(None if tree.root.status is Status.SUCCESS else failure_of(tree.root))
@@ -78,15 +77,14 @@ class Runner:
         self._cell.clock.wait([Wake(self._cell.clock.now_s + FALL_S)])
         return is_still
 
-    def _tick_to_end(self, root: Behaviour, shared: Ticking) -> None:
+    def _tick_to_end(self, root: Behaviour, shared: Ticking) -> bool:
+        """Tick until the root has ended (False), or the run is to stop (True)."""
         clock, ticks_now, last_s = self._cell.clock, 0, -1.0
-        while True:
-            if self._stop.count:
-                return
-            self._tick(root)
+        while not self._stop.count:
+            root.tick_once()
             self._observer.ticked(root)
             if root.status is not Status.RUNNING:
-                return
+                return False
             now_s = clock.now_s
             ticks_now = ticks_now + 1 if now_s == last_s else 0
             last_s = now_s
@@ -97,17 +95,7 @@ class Runner:
             clock.wait([*wakes, silence])
             if clock.now_s >= silence.until_s and not any(wake.has_fired for wake in wakes):
                 raise SkillBug(f"{_running(root)} waits for something that never comes")
-
-    @staticmethod
-    def _tick(root: Behaviour) -> None:
-        try:
-            root.tick_once()
-        except SkillFailed:
-            raise
-        except Exception as error:
-            if type(error).__name__ == "PlantError":
-                raise
-            raise SkillBug(f"{_running(root)} broke: {type(error).__name__}: {error}") from error
+        return True
 
     def _wait_until_still(self, timeout_s: float) -> bool:
         clock = self._cell.clock

@@ -5,7 +5,7 @@ drives a skill's generator, and what needs the run's clock or a failure's code: 
 `repeat`, `while`, and the call of a workflow.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from py_trees.behaviour import Behaviour
@@ -29,6 +29,10 @@ Arguments = Callable[[], Values]
 """Evaluates a call's parameters when it begins."""
 
 
+class SkillBug(Exception):  # noqa: N818 - it names what it is, for the user
+    """A skill broke the rules of skills (or Python's); not a failure of the cell."""
+
+
 class Listener(Protocol):
     """Who is told of every action before it starts and after it has ended: the journal."""
 
@@ -48,6 +52,8 @@ class Ticking:
         self.cell = cell
         self.leases = leases
         self.listener = listener
+        self.bugs: list[SkillBug] = []
+        """What broke while it was halted: it must not keep the rest of the tree from being halted too."""
         self._waiting: dict[Behaviour, Sequence[Wake]] = {}
 
     def wait(self, node: Behaviour, *wakes: Wake) -> None:
@@ -111,9 +117,9 @@ class SkillLeaf(Behaviour):
             self.failure = failure
             self._end("failed", failure)
             return Status.FAILURE
-        except BaseException:
+        except Exception as error:
             self._end("broken", None)
-            raise
+            raise _bug(self.name, error) from error
         self._shared.wait(self, self._wake)
         return Status.RUNNING
 
@@ -121,13 +127,14 @@ class SkillLeaf(Behaviour):
         """Halted while running: close the generator, whose `finally` sends the safe commands."""
         if new_status is not Status.INVALID or self.status is not Status.RUNNING:
             return
-        steps, outcome = self._steps, "broken"
+        outcome = "halted"
         try:
-            if steps is not None:
-                steps.close()
-            outcome = "halted"
-        finally:
-            self._end(outcome, None)
+            if self._steps is not None:
+                self._steps.close()
+        except Exception as error:
+            outcome = "broken"
+            self._shared.bugs.append(_bug(self.name, error))
+        self._end(outcome, None)
 
     def _begin(self) -> bool:
         """Take the leases and make the skill; False while a device is still someone else's."""
@@ -143,6 +150,8 @@ class SkillLeaf(Behaviour):
         shared.listener.started(self, inputs)
         self._is_recorded = True
         self._steps = skill.run(shared.cell)
+        if not isinstance(self._steps, Generator):
+            raise TypeError("its run is no generator; it must `yield` somewhere")
         return True
 
     def _is_due(self, wake: Wake) -> bool:
@@ -155,6 +164,10 @@ class SkillLeaf(Behaviour):
         if self._is_recorded:
             self._is_recorded = False
             self._shared.listener.ended(self, outcome, result)
+
+
+def _bug(name: str, error: Exception) -> SkillBug:
+    return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}")
 
 
 def _made(name: str, skill: type[S], inputs: Values) -> S:
@@ -182,6 +195,8 @@ class Guard(Behaviour):
         except SkillFailed as failure:
             self.failure = failure
             return Status.FAILURE
+        except Exception as error:
+            raise _bug(self.name, error) from error
         return Status.SUCCESS
 
 
