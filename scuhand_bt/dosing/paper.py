@@ -9,7 +9,7 @@ The listing leaves gaps and has defects. Each is handled here as named:
   the opening solved for; only when the widest opening does not suffice does the dwell grow.
 * *Freezing.* A pulse below 0.5 mg is never stored, so a C' that is far too high never falls and every
   pulse may bring nothing. From the fifth pulse in a row on that brings less than half of what was expected
-  and is not stored, C' is lowered by a third each time. A pulse is never sized with less than half of the
+  and is not stored, C' is lowered by a third each time. A pulse is never sized with less than a third of the
   last fit, though: a clog that breaks must not find the valve wide open.
 * *A stale C'.* The listing switches one model to 'vibration mode' internally; each mode's C' is then
   fitted only while that mode runs. After a clogged pulse the gravity C' collapses, vibration takes
@@ -127,7 +127,7 @@ class Paper:
         vibrate = gravity.mass_mg(request.max_opening_mm, LONGEST_DWELL_S) < aim_mg
         mode = self._vibrated if vibrate else self._gravity
         ran_last = self._pulse is not None and (self._pulse.vibration > 0.0) == vibrate
-        coefficient = max(mode.coefficient, mode.fitted / 2.0, 1e-9) if ran_last else max(mode.largest, 1e-9)
+        coefficient = max(mode.coefficient, mode.fitted / 3.0, 1e-9) if ran_last else max(mode.largest, 1e-9)
         opening_mm, dwell_s = solve_pulse(aim_mg / coefficient, request.max_opening_mm, request.valve_speed_mm_per_s)
         return Pulse(opening_mm, dwell_s, 1.0 if vibrate else 0.0, WAIT_S)
 
