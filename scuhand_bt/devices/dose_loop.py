@@ -54,6 +54,10 @@ class DoseRun:
         ]
 
 
+LONGEST_S = 1800.0
+"""No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
+
+
 def silence_s(period_s: float) -> float:
     """How long the balance may be silent while the valve is open."""
     return max(0.3, 3.0 * period_s)
@@ -75,6 +79,11 @@ def run_dose(
         command = controller.decide(None)
         while not isinstance(command, Finish):
             acted_s = clock.now_s
+            if acted_s - begin_s > LONGEST_S:
+                hand.stop()
+                mean = yield from balance.settled()
+                command = Finish("step_limit", mean.value_mg - empty_mg, math.sqrt(2.0) * mean.uncertainty_mg)
+                break
             if isinstance(command, Stream):
                 pulses += not streaming
                 streaming = True

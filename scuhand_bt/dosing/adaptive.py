@@ -59,6 +59,8 @@ GENTLE, FULL = 0.4, 1.0
 MOST_OPENINGS = 25
 LAG_MARGIN = 1.06
 """A lag believed too long costs a moment, one believed too short costs an overshoot."""
+LONGEST_BARREN_S = 45.0
+"""Open and shaken for so long without a gain that can be told from noise: dry, whatever was expected."""
 LAG_FITS = 8
 """After this many openings that told it, the balance's lag is known."""
 
@@ -156,7 +158,7 @@ class Adaptive:
             )
         opening_mm = self._opening_mm(stop_mg - estimate.mass_mg)
         vibration = self._vibration
-        quiet_s = flowing_s = 0.0
+        quiet_s = flowing_s = barren_s = 0.0
         expected_mg, evident_mg = 0.0, estimate.mass_mg
         surprises = 0
         while True:
@@ -175,9 +177,12 @@ class Adaptive:
                 return "reached"
             self._flow_s += dt_s
             self._shaken_s += dt_s * (vibration > 0.0)
+            barren_s += dt_s
+            if barren_s > LONGEST_BARREN_S:
+                return "dry"
             expected_mg += self._reference * phi_s
             if estimate.mass_mg - evident_mg > QUIET_SHARE * expected_mg + 2.0 * self._noise_mg:
-                evident_mg, expected_mg, quiet_s = estimate.mass_mg, 0.0, 0.0
+                evident_mg, expected_mg, quiet_s, barren_s = estimate.mass_mg, 0.0, 0.0, 0.0
                 flowing_s += dt_s
                 self._follow_reference()
             elif expected_mg > 3.0 * estimate.surge_mg + self._reference * phi * (0.6 + 2.0 * self._lag_s):
@@ -283,7 +288,7 @@ class Adaptive:
             (late_s + lag_s * min(1.0, SEEN_LATE + 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure)
         )
         slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
-        slowest = min(slowest, max(0.25 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
+        slowest = min(slowest, max(0.4 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
         opening_mm = self._shape.opening_mm(max(flow, slowest) / coefficient)
         return min(max(opening_mm, self._shape.threshold_mm + 0.05), request.max_opening_mm)
 
