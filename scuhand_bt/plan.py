@@ -8,7 +8,7 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.recipe import Recipe
 from scuhand_bt.sample import Sample, demand_mg
 from scuhand_bt.skill import Forecast
-from scuhand_bt.specs import Source
+from scuhand_bt.specs import ChangerSpec, Source
 from scuhand_bt.tree.build import Scope, bound_inputs
 from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent
 from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
@@ -73,12 +73,7 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     _check_service_workflows(jobs, recipe, lab)
     forecaster = _Forecaster(lab)
     forecasts = [forecaster.of_job(job) for job in jobs]
-    persons = tuple(
-        PersonNeeded(job.name, forecast.person)
-        for job, found in zip(jobs, forecasts, strict=True)
-        for forecast in found
-        if forecast.person is not None
-    )
+    persons = tuple(_persons(jobs, forecasts, lab.cell.changer))
     demands = tuple(
         Demand(
             source,
@@ -88,6 +83,19 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
         for source in recipe.sources.values()
     )
     return Plan(recipe, jobs, demands, persons, sum(f.duration_s for found in forecasts for f in found))
+
+
+def _persons(jobs: tuple[Job, ...], forecasts: list[list[Forecast]], changer: ChangerSpec) -> Iterator[PersonNeeded]:
+    """Every moment that needs a person: what skills forecast, and filling the changer again."""
+    containers = 0
+    for job, found in zip(jobs, forecasts, strict=True):
+        if job.sample is not None and job.sample.container is not None:
+            if changer.driver != "operator" and containers and containers % changer.slots == 0:
+                yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})")
+            containers += 1
+        for forecast in found:
+            if forecast.person is not None:
+                yield PersonNeeded(job.name, forecast.person)
 
 
 def _jobs(recipe: Recipe, lab: Lab) -> Iterator[Job]:

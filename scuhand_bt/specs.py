@@ -290,7 +290,8 @@ class ChangerSpec(Spec):
     driver: Literal["carousel", "operator"] = "carousel"
     port: str = ""
     options: dict[str, Any] = {}
-    slots: NonNegativeFloat = 24
+    slots: Annotated[int, Field(gt=0)] = 24
+    """Containers it holds before a person has to fill it again."""
 
 
 class CellSpec(Spec):

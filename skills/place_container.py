@@ -32,6 +32,7 @@ class PlaceContainer(Skill[None]):
     def run(self, cell: Cell) -> Steps[None]:
         self._require_clear(cell)
         cell.believed.pan = cell.believed.pan_empty_mg = None
+        yield from self._refill(cell)
         yield from cell.changer.take_away()
         bare = yield from cell.balance.settled()
         yield from cell.changer.bring(self.container)
@@ -51,6 +52,19 @@ class PlaceContainer(Skill[None]):
                 f"{kind.empty_mass_mg / 1000:.3f} ± {kind.empty_mass_tolerance_mg / 1000:.3f} g",
             )
         cell.believed.pan = kind.id
+
+    @staticmethod
+    def _refill(cell: Cell) -> Steps[None]:
+        """A changer that has given all its containers is filled again by the operator."""
+        believed = cell.believed
+        if cell.changer.needs_person:
+            return
+        if believed.slots_used >= cell.spec.changer.slots:
+            answer = yield from cell.operator.ask(f"Fill the changer: {believed.slots_used} containers are used.")
+            if answer != "done":
+                raise SkillFailed("operator.refused", "the changer was not filled")
+            believed.slots_used = 0
+        believed.slots_used += 1
 
     @staticmethod
     def _require_clear(cell: Cell) -> None:

@@ -255,3 +255,37 @@ def test_every_action_is_in_the_journal_before_it_acts(tmp_path: Path) -> None:
     ]
     assert len(read(ran.journal, "pulse")) >= ran.sample("a").pulses
     assert len(read(ran.journal, "dose")) == 1
+
+
+THREE_DOSES = """
+recipe: three
+workflow: fill_xrd_holder
+defaults: {source: beads, container: xrd_holder, mass: 40 mg}
+samples: [{id: s, repeat: 3}]
+"""
+
+
+def lab_with_changer(folder: Path, changer: str) -> Path:
+    lab = make_lab(folder)
+    cell = lab / "robot" / "cell.yaml"
+    lines = [f"changer: {changer}" if line.startswith("changer:") else line for line in cell.read_text().splitlines()]
+    cell.write_text("\n".join(lines) + "\n")
+    return lab
+
+
+def test_an_empty_changer_is_filled_by_a_person_whom_the_plan_named(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, THREE_DOSES, lab=lab_with_changer(tmp_path / "lab", "{driver: carousel, slots: 2}"))
+    assert [person.job for person in ran.session.plan.persons] == ["s-3"]
+    asked = [event["payload"]["question"] for event in read(ran.journal, "event") if event["kind"] == "asked"]
+    assert len(asked) == 1
+    assert "changer" in asked[0]
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 3
+
+
+def test_without_a_changer_the_operator_brings_each_container(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, THREE_DOSES, lab=lab_with_changer(tmp_path / "lab", "{driver: operator}"))
+    brought = [person.job for person in ran.session.plan.persons if "on the pan" in person.what]
+    assert brought == ["s-1", "s-2", "s-3"]
+    asked = [event["payload"]["question"] for event in read(ran.journal, "event") if event["kind"] == "asked"]
+    assert sum("Put the empty xrd_holder" in question for question in asked) == 3
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 3

@@ -47,6 +47,8 @@ class Believed:
     sheet: str | None = None
     """The powder lot (`Source.sheet_key`) that this sheet has touched; None for a fresh one."""
     sheets_used: int = 1
+    slots_used: int = 0
+    """Containers taken from the changer since it was filled."""
     pan: str | None = None
     """The id of the container on the pan."""
     pan_empty_mg: float | None = None
