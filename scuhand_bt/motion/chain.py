@@ -11,7 +11,7 @@ success and narrows them after a failure, and tries again in a direction that ha
 Chart coordinates (m, 7), times [s].
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,12 +111,15 @@ class Shaper:
         shortest_s = rest_to_rest_s(np.abs(vias - start) + np.abs(ends - vias), limits)
         order = np.argsort(shortest_s, kind="stable")
         order = order[shortest_s[order] < quicker_than_s]
-        for legs in (None, (start, vias), (vias, ends)):
-            if len(order) and legs is None:
-                order = order[~self._space.blocked(self._space.chart.joints(vias[order]))]
-            elif len(order) and legs is not None:
-                first, last = (np.broadcast_to(ends_of, vias.shape)[order] for ends_of in legs)
-                order = order[self._space.glance(first, last)]
+        space, starts = self._space, np.broadcast_to(start, vias.shape)
+        looks: tuple[Callable[[np.ndarray], np.ndarray], ...] = (
+            lambda k: ~space.blocked(space.chart.joints(vias[k])),
+            lambda k: space.glance(starts[k], vias[k]),
+            lambda k: space.glance(vias[k], ends[k]),
+        )
+        for looks_free in looks:
+            if len(order):
+                order = order[looks_free(order)]
         quickest: list[tuple[float, int, Floats, Floats]] = []
         for k in order:
             points = np.array([start, vias[k], ends[k]])
