@@ -12,8 +12,8 @@ import numpy as np
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Trajectory
-from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.devices.places import Position
+from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.record import Record

@@ -288,7 +288,7 @@ class Adaptive:
             (late_s + lag_s * min(1.0, SEEN_LATE + 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure)
         )
         slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
-        slowest = min(slowest, max(0.4 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
+        slowest = min(slowest, max(0.25 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
         opening_mm = self._shape.opening_mm(max(flow, slowest) / coefficient)
         return min(max(opening_mm, self._shape.threshold_mm + 0.05), request.max_opening_mm)
 
