@@ -289,3 +289,30 @@ def test_without_a_changer_the_operator_brings_each_container(tmp_path: Path) ->
     asked = [event["payload"]["question"] for event in read(ran.journal, "event") if event["kind"] == "asked"]
     assert sum("Put the empty xrd_holder" in question for question in asked) == 3
     assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 3
+
+
+DRAIN = """
+workflow: drain
+inputs: {source: Source}
+tree:
+  retry:
+    attempts: 12
+    child:
+      sequence:
+        - scoop: {source: $source}
+        - discard:
+        - invert: {wait: {duration: 1 s}}
+"""
+
+
+@pytest.mark.parametrize("source", ["beads", "msg"])
+def test_several_scoops_empty_a_mortar_to_its_last_few_per_cent(tmp_path: Path, source: str) -> None:
+    lab = make_lab(tmp_path / "lab", trees__drain=DRAIN)
+    recipe = f"recipe: r\nworkflow: drain\nsamples: [{{id: a, source: {source}}}]\non_failure: {{otherwise: flag}}\n"
+    ran = dry_run(tmp_path, recipe, lab=lab)
+    world = ran.session.world
+    assert world is not None
+    assert world.masses_mg[f"source:{source}"] < 0.04 * ran.session.cell.sources[source].amount_mg
+    assert world.masses_mg["spilled"] == 0.0
+    scoops = [event["payload"]["expected_mg"] for event in read(ran.journal, "event") if event["kind"] == "scoop"]
+    assert max(scoops) <= ran.session.cell.sources[source].powder.load_limit_mg
