@@ -10,6 +10,7 @@ arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothin
 """
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -47,8 +48,9 @@ RELAXED_RAD = (-0.2, 0.0, -1.6, 0.0, -1.2, 0.0)
 """j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
-EMPTY_WILL_DO = 1.2
+EMPTY_WILL_DO = 1.35
 """The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
+LIMIT_STEP_DEG = 5.0
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
 
@@ -147,6 +149,9 @@ class MotionPlanner:
             factor = spill_stretch(empty, self._offset_m, spill_limit_deg)
             if factor is not None and factor <= EMPTY_WILL_DO:
                 return empty.stretched(factor).keeping(spill_limit_deg)
+            if spill_limit_deg > LIMIT_STEP_DEG:
+                # In steps, so that loads that differ a little share their plans.
+                spill_limit_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
         return self._kept(begin, goals, name, spill_limit_deg, effort)
 
     def _kept(
