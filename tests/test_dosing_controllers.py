@@ -219,3 +219,15 @@ def test_beliefs_survive_being_written_and_read() -> None:
     belief = PowderBelief(coefficient=41.5, surge_mg=1.25, doses=7)
     assert PowderBelief.model_validate(belief.model_dump(mode="json")) == belief
     assert BalanceBelief.model_validate(BalanceBelief(fits=2).model_dump(mode="json")).fits == 2
+
+
+@pytest.mark.parametrize("streams", [True, False])
+def test_adaptive_adds_nothing_to_a_container_that_already_holds_its_dose(streams: bool) -> None:
+    controller = new_controller("adaptive", request(streaming=streams))
+    command, time_s = controller.decide(None), 0.0
+    while not isinstance(command, Finish):
+        assert not isinstance(command, Pulse)
+        assert not isinstance(command, Stream) or command.opening_mm == 0.0
+        time_s += 0.1
+        command = controller.decide(Observation(time_s, 50.1, 0.05, isinstance(command, Settle)))
+    assert command.reason == "reached"

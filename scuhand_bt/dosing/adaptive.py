@@ -25,7 +25,7 @@ again. In tolerance, beyond two standard uncertainties of the mean: done. What k
 import math
 from collections.abc import Generator
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse, Settle, Stream
+from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse, Reason, Settle, Stream
 from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.specs import BalanceBelief, PowderBelief
@@ -138,15 +138,19 @@ class Adaptive:
             self._time_s = seen.time_s
             self._learn_flow(before_mg, seen.net_mg)
             self._filter.restart(seen.net_mg, max(seen.uncertainty_mg, 0.05), self._reference, self._belief.spread)
-            error_mg = seen.net_mg - request.target_mg
-            allowed_mg = request.tolerance_mg - GUARD * seen.uncertainty_mg
-            if abs(error_mg) <= allowed_mg:
-                return self._finish("reached", seen)
-            if error_mg > 0.0:
-                return self._finish("overshoot", seen)
+            verdict = self._verdict(seen)
+            if verdict is not None:
+                return self._finish(verdict, seen)
             if ended == "dry":
                 return self._finish(request.given_up(seen.net_mg - start_mg), seen)
         return self._finish("step_limit", seen)
+
+    def _verdict(self, seen: Observation) -> Reason | None:
+        """What a stable mean says: done, too much, or None while there is more to dose."""
+        error_mg = seen.net_mg - self._request.target_mg
+        if abs(error_mg) <= self._request.tolerance_mg - GUARD * seen.uncertainty_mg:
+            return "reached"
+        return "overshoot" if error_mg > 0.0 else None
 
     def _open(self, probing: bool) -> Openings:
         """One continuous opening. Returns "reached", "surprise", or "dry" if nothing came at last."""
@@ -156,6 +160,8 @@ class Adaptive:
             stop_mg = min(
                 stop_mg, estimate.mass_mg + max(6.0, min(PROBE_SHARE * (stop_mg - estimate.mass_mg), PROBE_MG))
             )
+        if estimate.mass_mg >= stop_mg:
+            return "reached"
         opening_mm = self._opening_mm(stop_mg - estimate.mass_mg)
         vibration = self._vibration
         quiet_s = flowing_s = barren_s = 0.0
@@ -347,7 +353,7 @@ class Adaptive:
         if phi_s > 0.0 and gained_mg > 4.0:
             self._ratios.append(math.log(max(gained_mg / phi_s, 1e-3) / self._belief.coefficient))
 
-    def _finish(self, reason: str, seen: Observation) -> Finish:
+    def _finish(self, reason: Reason, seen: Observation) -> Finish:
         belief = self._belief
         if self._ratios:
             ratio = sum(self._ratios) / len(self._ratios)
@@ -364,7 +370,7 @@ class Adaptive:
                 doses=belief.doses + 1,
             )
         balance = BalanceBelief(lag_s=self._lag_s, noise_mg=self._noise_mg, fits=self._fits)
-        return Finish(reason, seen.net_mg, seen.uncertainty_mg, belief, balance)  # type: ignore[arg-type]
+        return Finish(reason, seen.net_mg, seen.uncertainty_mg, belief, balance)
 
     # --- a hand without streaming ---
 
@@ -376,6 +382,9 @@ class Adaptive:
         start_mg = seen.net_mg
         coefficient, unsure, vibration, barren = self._reference, max(self._unsure, 0.5), self._vibration, 0
         for _ in range(request.step_limit):
+            verdict = self._verdict(seen)
+            if verdict is not None:
+                return self._finish(verdict, seen)
             before_mg = seen.net_mg
             remaining_mg = self._stop_mg - before_mg
             surge_mg = self._filter.surge_mg
@@ -389,11 +398,6 @@ class Adaptive:
             self._filter.restart(seen.net_mg, seen.uncertainty_mg, coefficient, unsure)
             gained_mg = seen.net_mg - before_mg
             expected_mg = coefficient * (ramps + shape.value(opening_mm) * dwell_s)
-            error_mg = seen.net_mg - request.target_mg
-            if abs(error_mg) <= request.tolerance_mg - GUARD * seen.uncertainty_mg:
-                return self._finish("reached", seen)
-            if error_mg > 0.0:
-                return self._finish("overshoot", seen)
             if gained_mg < QUIET_SHARE * expected_mg:
                 barren += 1
                 vibration = min(FULL, vibration + GENTLE)

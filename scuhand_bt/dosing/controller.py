@@ -44,11 +44,14 @@ class Settle:
     """A fixed wait before the balance is asked: until it can have noticed what fell last."""
 
 
+Reason = Literal["reached", "overshoot", "empty", "no_flow", "step_limit"]
+
+
 @dataclass(frozen=True, slots=True)
 class Finish:
     """The dose is over. `empty` asks for another scoop: the cone gave no more."""
 
-    reason: Literal["reached", "overshoot", "empty", "no_flow", "step_limit"]
+    reason: Reason
     estimate_mg: float
     uncertainty_mg: float
     powder: PowderBelief | None = None
