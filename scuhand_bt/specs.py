@@ -247,8 +247,8 @@ class HandSpec(Spec):
     sheet_radius_mm: Annotated[Millimetres, Positive] = 50.0
     roller_deg_per_mm: Annotated[float, Field(gt=0)] = 11.46
     """Roller angle per millimetre of sheet along the rim; calibrated (default: a 10 mm roller)."""
-    morph_speed_mm_per_s: Annotated[MillimetresPerSecond, Positive] = 40.0
-    """Speed of the sheet's edge along the rim while the cone changes its size."""
+    morph_speed_mm_per_s: Annotated[MillimetresPerSecond, Positive] = 20.0
+    """Speed of the sheet's edge along the rim while the cone changes its size; what the roller's servo can turn."""
     apex_offset_mm: Annotated[Millimetres, Positive] = 120.0
     """Flange to cone apex along the j7 axis."""
     max_opening_mm: Annotated[Millimetres, Positive] = 2.4

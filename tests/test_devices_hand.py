@@ -40,7 +40,7 @@ class Cell:
         self.spec = CellSpec(
             cell="bench",
             arm=ArmSpec(port=self.bus.url),
-            hand=HandSpec(port=self.hand_twin.url, morph_speed_mm_per_s=20.0),
+            hand=HandSpec(port=self.hand_twin.url),
             balance=BalanceSpec(port=self.balance_twin.url, options={"bits": "8N1"}),
             changer=ChangerSpec(driver="operator"),
             stations={},
