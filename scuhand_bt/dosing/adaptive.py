@@ -59,7 +59,7 @@ GENTLE, FULL = 0.4, 1.0
 MOST_OPENINGS = 25
 LAG_MARGIN = 1.06
 """A lag believed too long costs a moment, one believed too short costs an overshoot."""
-LONGEST_BARREN_S = 45.0
+LONGEST_BARREN_S = 120.0
 """Open and shaken for so long without a gain that can be told from noise: dry, whatever was expected."""
 LAG_FITS = 8
 """After this many openings that told it, the balance's lag is known."""
@@ -165,7 +165,7 @@ class Adaptive:
         opening_mm = self._opening_mm(stop_mg - estimate.mass_mg)
         vibration = self._vibration
         quiet_s = flowing_s = barren_s = 0.0
-        expected_mg, evident_mg = 0.0, estimate.mass_mg
+        expected_mg, evident_mg, barren_mg = 0.0, estimate.mass_mg, estimate.mass_mg
         surprises = 0
         while True:
             dt_s, phi_s, score = yield from self._act(opening_mm, vibration)
@@ -184,11 +184,13 @@ class Adaptive:
             self._flow_s += dt_s
             self._shaken_s += dt_s * (vibration > 0.0)
             barren_s += dt_s
+            if estimate.mass_mg - barren_mg > max(0.5, 3.0 * estimate.mass_sd_mg):
+                barren_s, barren_mg = 0.0, estimate.mass_mg
             if barren_s > LONGEST_BARREN_S:
                 return "dry"
             expected_mg += self._reference * phi_s
             if estimate.mass_mg - evident_mg > QUIET_SHARE * expected_mg + 2.0 * self._noise_mg:
-                evident_mg, expected_mg, quiet_s, barren_s = estimate.mass_mg, 0.0, 0.0, 0.0
+                evident_mg, expected_mg, quiet_s = estimate.mass_mg, 0.0, 0.0
                 flowing_s += dt_s
                 self._follow_reference()
             elif expected_mg > 3.0 * estimate.surge_mg + self._reference * phi * (0.6 + 2.0 * self._lag_s):
