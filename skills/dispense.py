@@ -53,7 +53,8 @@ class Dispense(Skill[Dose]):
         powder = source.powder
         return DoseRequest(
             target_mg=self.mass_mg,
-            tolerance_mg=self.tolerance_mg - GUARD * EXPECTED_UNCERTAINTY_DIGITS * balance.readability_mg,
+            tolerance_mg=self.tolerance_mg,
+            guard_mg=GUARD * EXPECTED_UNCERTAINTY_DIGITS * balance.readability_mg,
             gain=powder.gain,
             max_opening_mm=min(powder.max_opening_mm, hand.max_opening_mm),
             valve_speed_mm_per_s=hand.valve_speed_mm_per_s,

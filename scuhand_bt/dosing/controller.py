@@ -89,6 +89,8 @@ class DoseRequest:
     readability_mg: float
     cone_mg: float
     """What the cone is believed to hold."""
+    guard_mg: float = 0.0
+    """What a controller that compares readings alone leaves of the tolerance to their uncertainty."""
     streaming: bool = True
     valve_dead_time_s: float = 0.06
     balance_period_s: float = 0.1

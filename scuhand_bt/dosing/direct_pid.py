@@ -51,7 +51,7 @@ class DirectPid:
         self._dry = self._dry + 1 if self._full and seen.net_mg - self._net_mg < 0.5 else 0
         self._net_mg = seen.net_mg
         error_mg = request.target_mg - seen.net_mg
-        if abs(error_mg) < request.tolerance_mg:
+        if abs(error_mg) < request.tolerance_mg - request.guard_mg:
             return Finish("reached", seen.net_mg, seen.uncertainty_mg)
         if error_mg < 0.0:
             return Finish("overshoot", seen.net_mg, seen.uncertainty_mg)

@@ -20,7 +20,7 @@ The listing leaves gaps and has defects. Each is handled here as named:
 * *No way out of an empty cone.* Full openings under vibration that bring nothing end the dose, as
   `empty` or `no_flow`.
 
-The comparison stays the paper's strict |e| < tolerance, on the first settled reading.
+The comparison stays the paper's strict |e| < tolerance (less the guard that a run asks for), on the first settled reading.
 """
 
 from dataclasses import dataclass, field
@@ -95,7 +95,7 @@ class Paper:
             self._learn(self._pulse, seen.net_mg - self._net_mg)
         self._net_mg = seen.net_mg
         error_mg = request.target_mg - seen.net_mg
-        if abs(error_mg) < request.tolerance_mg:
+        if abs(error_mg) < request.tolerance_mg - request.guard_mg:
             return Finish("reached", seen.net_mg, seen.uncertainty_mg)
         if error_mg < 0.0:
             return Finish("overshoot", seen.net_mg, seen.uncertainty_mg)
