@@ -20,7 +20,8 @@ The listing leaves gaps and has defects. Each is handled here as named:
 * *No way out of an empty cone.* Full openings under vibration that bring nothing end the dose, as
   `empty` or `no_flow`.
 
-The comparison stays the paper's strict |e| < tolerance (less the guard that a run asks for), on the first settled reading.
+The comparison stays the paper's strict |e| < tolerance, on the first settled reading; a run may ask for a guard
+band inside the tolerance.
 """
 
 from dataclasses import dataclass, field
