@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from scuhand_bt.plan import Plan
     from scuhand_bt.run.batch import BatchResult
     from scuhand_bt.run.session import Session
+    from scuhand_bt.sim.wire.bench import WireBench
     from scuhand_bt.specs import PowderBelief
 
 EXIT_BAD_INPUT = 2
@@ -46,6 +47,7 @@ RecipeArgument = Annotated[Path, typer.Argument(help="A recipe file (YAML).", sh
 LabOption = Annotated[
     Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one upward from the recipe.")
 ]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness of a simulation.")]
 NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
 
@@ -98,36 +100,45 @@ def _plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
 def run(
     recipe: RecipeArgument,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Run on simulated devices.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness of a dry run.")] = 0,
+    rehearse: Annotated[
+        bool, typer.Option("--rehearse", help="Run in real time with the real drivers, against twins.")
+    ] = False,
+    seed: SeedOption = 0,
     speed: Annotated[float | None, typer.Option(help="Watch a dry run at so many times real time.")] = None,
     controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
-    """Run a recipe on the cell, or with --dry-run on simulated devices."""
+    """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
     from scuhand_bt.live import doses_table, end_line
 
     if speed is not None and not 0 < speed < float("inf"):
         raise typer.BadParameter("must be more than 0", param_hint="--speed")
-    if not dry_run and (plant is not None or speed is not None):
-        raise typer.BadParameter("only a dry run has a simulated plant and a speed", param_hint="--plant/--speed")
+    if dry_run and rehearse:
+        raise typer.BadParameter("a run is a dry run or a rehearsal", param_hint="--dry-run/--rehearse")
+    if speed is not None and not dry_run:
+        raise typer.BadParameter("only a dry run has a speed", param_hint="--speed")
+    if plant is not None and not (dry_run or rehearse):
+        raise typer.BadParameter("only a dry run or a rehearsal has simulated physics", param_hint="--plant")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
     began = time.monotonic()
-    plan, loaded = _plan(recipe, lab)
+    made, loaded = _plan(recipe, lab)
     from scuhand_bt.run.session import Options, Session
-    from scuhand_bt.run.setup import DryRun
+    from scuhand_bt.run.setup import DryRun, Rehearsal
     from scuhand_bt.sim.plant import PlantError
+    from scuhand_bt.sim.wire.hand import NoCompiler
 
-    what = f"{plan.recipe.name}: {len(plan.recipe.samples)} samples on the cell '{loaded.cell.cell}'"
-    title = f"{what}, SIMULATED (seed {seed})" if dry_run else f"{what}, real devices"
+    simulation = DryRun(seed, plant, speed) if dry_run else Rehearsal(seed, plant) if rehearse else None
+    what = f"{made.recipe.name}: {len(made.recipe.samples)} samples on the cell '{loaded.cell.cell}'"
+    mode = f"{simulation.mode} (seed {seed})" if simulation is not None else "real devices"
     try:
-        session = Session(plan, loaded, Options(DryRun(seed, plant, speed) if dry_run else None, controller))
-        out.print(Text(title))
+        session = Session(made, loaded, Options(simulation, controller))
+        out.print(Text(f"{what}, {mode}"))
         with stopping_on_signals(session.stop):
             result = _watched(session)
-    except PlantError as error:
+    except (PlantError, NoCompiler) as error:
         err.print(Text(f"{error}"))
         raise typer.Exit(EXIT_BAD_INPUT) from None
     out.print(doses_table(result.samples))
@@ -340,6 +351,55 @@ def _belief_cells(belief: "PowderBelief") -> list[str]:
         f"{belief.vibration:.0%}",
         str(belief.doses),
     ]
+
+
+@app.command()
+def twins(
+    cell: Annotated[Path | None, typer.Option("--cell", help="A lab's robot/cell.yaml, instead of --lab.")] = None,
+    lab: LabOption = None,
+    seed: SeedOption = 0,
+) -> None:
+    """Start twins of the cell's devices on ports that any program can open, until Ctrl-C."""
+    from scuhand_bt.clock import Signal, Wake
+    from scuhand_bt.run.clock import WallClock
+
+    bench = _bench(_lab_of_cell(cell, lab), seed)
+    stop, clock = Signal(), WallClock(bench.check)
+    with stopping_on_signals(stop), bench:
+        table = Table("device", "driver", "port", show_edge=False)
+        for device in ("arm", "hand", "balance"):
+            spec = getattr(bench.spec, device)
+            table.add_row(device, spec.driver, spec.port)
+        out.print(Text(f"Twins of the cell '{bench.spec.cell}', SIMULATED (seed {seed}); Ctrl-C ends them."))
+        out.print(table)
+        sys.stdout.flush()
+        clock.wait([Wake.on(stop)])
+
+
+def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
+    """The lab that is named by its folder or by its robot/cell.yaml, else the nearest one."""
+    from scuhand_bt.lab import CELL_FILE, find_lab, load_lab
+
+    if cell is not None:
+        if folder is not None:
+            raise typer.BadParameter("name the lab by its folder or by its cell's file", param_hint="--cell/--lab")
+        folder = cell.absolute().parent.parent
+        if folder / CELL_FILE != cell.absolute():
+            raise typer.BadParameter(f"'{cell}' is no lab's {CELL_FILE}", param_hint="--cell")
+    return load_lab(find_lab(None, folder))
+
+
+def _bench(lab: "Lab", seed: int = 0) -> "WireBench":
+    """The twins of a lab's cell; ends with a message where they cannot be made."""
+    from scuhand_bt.run.setup import bench_of
+    from scuhand_bt.sim.plant import PlantError
+    from scuhand_bt.sim.wire.hand import NoCompiler
+
+    try:
+        return bench_of(lab, seed)
+    except (PlantError, NoCompiler) as error:
+        err.print(Text(f"{error}"))
+        raise typer.Exit(EXIT_BAD_INPUT) from None
 
 
 @app.command()

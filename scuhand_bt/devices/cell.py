@@ -79,6 +79,8 @@ class Cell:
     """Told at the start of each job (sample id, attempt); the simulation draws its randomness by it."""
     sheet_mounted: Callable[[], None] = lambda: None
     """Called when a fresh sheet has been clamped; the simulation throws the old one away by it."""
+    weight_on_pan: Callable[[float], None] = lambda mass_mg: None
+    """Called when the operator has put a weight [mg] on the pan, or taken it off (0); the simulation follows."""
     controller: str = DEFAULT_CONTROLLER
     """The dosing controller of this run."""
     powder_beliefs: dict[str, PowderBelief] = field(default_factory=dict)

@@ -70,16 +70,16 @@ def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None
 
 def connect_balance(spec: BalanceSpec, clock: Clock) -> SerialBalance:
     """Open the balance alone; SkillFailed device.lost."""
-    _known("balance", spec.driver, DIALECTS)
+    require_driver("balance", spec.driver, DIALECTS)
     balance = SerialBalance(spec, DIALECTS[spec.driver], clock, DIALECTS.values())
     balance.open()
     return balance
 
 
 def _check_drivers(spec: CellSpec) -> None:
-    _known("arm", spec.arm.driver, ARM_DRIVERS)
-    _known("hand", spec.hand.driver, HAND_DRIVERS)
-    _known("balance", spec.balance.driver, DIALECTS)
+    require_driver("arm", spec.arm.driver, ARM_DRIVERS)
+    require_driver("hand", spec.hand.driver, HAND_DRIVERS)
+    require_driver("balance", spec.balance.driver, DIALECTS)
     if spec.changer.driver != "operator":
         raise SkillFailed(
             "device.lost",
@@ -88,7 +88,8 @@ def _check_drivers(spec: CellSpec) -> None:
         )
 
 
-def _known(device: str, driver: str, drivers: Collection[str]) -> None:
+def require_driver(device: str, driver: str, drivers: Collection[str]) -> None:
+    """SkillFailed device.lost for a driver that is none of these."""
     if driver not in drivers:
         raise SkillFailed(
             "device.lost",

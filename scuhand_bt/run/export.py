@@ -11,7 +11,7 @@ from typing import Any
 from scuhand_bt.run.journal import read
 
 DECIMALS = 6
-RUN_KEYS = ("recipe", "recipe_hash", "seed", "simulated", "plant", "controller", "version")
+RUN_KEYS = ("recipe", "recipe_hash", "seed", "simulated", "mode", "plant", "controller", "version")
 
 
 def canonical(journal: Path) -> str:

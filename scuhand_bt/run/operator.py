@@ -15,15 +15,16 @@ ANSWER_S = 60.0
 
 
 class SimulatedOperator:
-    """Does what is asked, in a minute of run time."""
+    """Does what is asked, in a minute of run time unless told otherwise."""
 
-    def __init__(self, clock: Clock, record: Record) -> None:
+    def __init__(self, clock: Clock, record: Record, answer_s: float = ANSWER_S) -> None:
         self._clock = clock
         self._record = record
+        self._answer_s = answer_s
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         self._record.event("asked", {"question": question, "choices": list(choices)})
-        ready_s = self._clock.now_s + ANSWER_S
+        ready_s = self._clock.now_s + self._answer_s
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
         self._record.event("answered", {"question": question, "answer": choices[0]})

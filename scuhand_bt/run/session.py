@@ -3,7 +3,6 @@
 import os
 import secrets
 import sqlite3
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -19,8 +18,7 @@ from scuhand_bt.plan import Plan
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.learnt import LabState
-from scuhand_bt.run.setup import DryRun, real, simulated
-from scuhand_bt.sim.world import World
+from scuhand_bt.run.setup import DryRun, Simulation, set_up
 from scuhand_bt.yaml_source import Mark, Problem, SourceError
 
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
@@ -28,9 +26,9 @@ LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
 
 @dataclass(frozen=True)
 class Options:
-    """How a plan is run: `dry_run` is None on the real cell; `controller` overrides the recipe's."""
+    """How a plan is run: `simulation` is None on the real cell; `controller` overrides the recipe's."""
 
-    dry_run: DryRun | None
+    simulation: Simulation | None
     controller: str | None = None
     folder: Path | None = None
     """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
@@ -42,7 +40,8 @@ class Session:
     `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one.
 
     Raises, before anything moves: SourceError for an unknown controller or an unwritable folder, PlantError for
-    a plant that cannot be used, SkillFailed for places without a way between them, or a device that does not answer.
+    a plant that cannot be used, NoCompiler for a rehearsal without one, SkillFailed for places without a way
+    between them, or a device that does not answer.
     """
 
     def __init__(self, plan: Plan, lab: Lab, options: Options, motion: MotionPlanner | None = None) -> None:
@@ -52,17 +51,15 @@ class Session:
         """Fire it to end the run safely at the next tick (Ctrl-C does)."""
         self.run_id = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
         folder = options.folder or state_folder(lab) / "runs"
-        self.journal = _open_journal(folder / f"{self.run_id}.sqlite", durable=options.dry_run is None)
-        self.world: World | None = None
-        self._close_cell: Callable[[], None] = lambda: None
+        self.journal = _open_journal(
+            folder / f"{self.run_id}.sqlite", durable=not isinstance(options.simulation, DryRun)
+        )
         try:
-            if options.dry_run is not None:
-                self.cell, self.world = simulated(plan, lab, options.dry_run, self.journal, motion)
-            else:
-                self.cell, self._close_cell = real(plan, lab, self.journal)
+            setup = set_up(plan, lab, options.simulation, self.journal, motion)
         except BaseException:
             self.journal.close()
             raise
+        self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
         if options.controller is not None:
             self.cell.controller = options.controller
         self.journal.now_s = lambda: self.cell.clock.now_s
@@ -75,7 +72,7 @@ class Session:
     def run(self, observer: BatchObserver) -> BatchResult:
         """Run the batch to its end; whatever happens, the cell ends safe."""
         world = self.world
-        judge: Callable[[str], float] | None = world.true_mass if world is not None else None
+        judge = world.true_mass if world is not None else None
         batch = Batch(self.plan, self.cell, self._library, self.journal, observer, self.stop, judge)
         try:
             return batch.run()
@@ -86,8 +83,10 @@ class Session:
 
     def close(self) -> None:
         """Close the devices and the journal."""
-        self._close_cell()
-        self.journal.close()
+        try:
+            self._close_cell()
+        finally:
+            self.journal.close()
 
 
 def state_folder(lab: Lab) -> Path:
@@ -112,7 +111,7 @@ def _check_controller(name: str | None) -> None:
 
 
 def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> dict[str, object]:
-    dry_run = options.dry_run
+    simulation = options.simulation
     return {
         "run": run_id,
         "recipe": plan.recipe.name,
@@ -121,9 +120,10 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
         "recipe_path": str(plan.recipe.path),
         "lab": str(lab.folder),
         "cell": lab.cell.cell,
-        "simulated": dry_run is not None,
-        "seed": dry_run.seed if dry_run is not None else None,
-        "plant": (dry_run.plant or lab.cell.plant or "scuhand_bt") if dry_run is not None else None,
+        "simulated": simulation is not None,
+        "mode": simulation.mode if simulation is not None else "real devices",
+        "seed": simulation.seed if simulation is not None else None,
+        "plant": (simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
         "controller": cell.controller,
         "version": scuhand_bt.__version__,
         "libraries": {name: _version(name) for name in LIBRARIES},

@@ -1,14 +1,18 @@
-"""Making the cell that a plan runs on: simulated, or the real one."""
+"""Making the cell that a plan runs on: simulated, simulated behind the real drivers, or the real one."""
 
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.clock import Clock
 from scuhand_bt.devices.cell import Cell
-from scuhand_bt.devices.connect import connect_cell_devices
+from scuhand_bt.devices.connect import Devices, connect_cell_devices
+from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.places import Position, all_places
 from scuhand_bt.lab import Lab
@@ -18,29 +22,73 @@ from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import OperatorChanger, SimulatedOperator, TerminalOperator
 from scuhand_bt.sim.cell import simulated_cell
+from scuhand_bt.sim.changer import SimulatedChanger
+from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
+from scuhand_bt.specs import Container
+
+REHEARSED_ANSWER_S = 2.0
+"""Time that the simulated person of a rehearsal takes to do what is asked."""
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a dry run is told: its seed, its physics, and how fast virtual time may pass (None: at once)."""
+    """Simulated devices on a virtual clock: the seed, the physics, how fast time may pass (None: at once)."""
 
+    mode: ClassVar = "SIMULATED"
     seed: int = 0
     plant: str | None = None
     speed: float | None = None
 
 
-def simulated(
-    plan: Plan, lab: Lab, options: DryRun, record: Record, motion: MotionPlanner | None = None
-) -> tuple[Cell, World]:
-    """The lab's cell with simulated devices, all motions between its places planned (in `motion`, if given).
+@dataclass(frozen=True)
+class Rehearsal:
+    """The real drivers in real time, against twins of the devices: the seed, and the physics behind them."""
 
-    Raises SkillFailed (arm.*) if one cannot be planned, PlantError for a plant that cannot be used.
+    mode: ClassVar = "REHEARSAL (simulated matter, real drivers)"
+    seed: int = 0
+    plant: str | None = None
+
+
+Simulation = DryRun | Rehearsal
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A cell made ready: what judges its doses (None: nobody knows the true mass), and what closes it."""
+
+    cell: Cell
+    world: World | None
+    close: Callable[[], None]
+
+
+def set_up(
+    plan: Plan, lab: Lab, simulation: Simulation | None, record: Record, motion: MotionPlanner | None = None
+) -> Setup:
+    """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
+
+    Raises SkillFailed arm.* for a way that cannot be planned, device.lost for a device that cannot be opened;
+    PlantError for a plant that cannot be used; NoCompiler for a rehearsal without a C++ compiler.
     """
-    # A plant may be a module of the lab or of the working folder; last, so that it hides nothing.
-    sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
-    clock = VirtualClock(speed=options.speed)
     motion = motion or prepared_motion(plan, lab)
+    match simulation:
+        case DryRun():
+            setup = _dry_run(plan, lab, simulation, record, motion)
+        case Rehearsal():
+            setup = _rehearsal(plan, lab, simulation, record, motion)
+        case None:
+            setup = _real(plan, lab, record, motion)
+    cell = setup.cell
+    cell.places_mm = places_of(plan, lab)
+    cell.believed.sources_mg = {name: source.amount_mg for name, source in plan.recipe.sources.items()}
+    if plan.recipe.controller is not None:
+        cell.controller = plan.recipe.controller
+    return setup
+
+
+def _dry_run(plan: Plan, lab: Lab, dry_run: DryRun, record: Record, motion: MotionPlanner) -> Setup:
+    _find_plants(lab)
+    clock = VirtualClock(speed=dry_run.speed)
     operator = SimulatedOperator(clock, record)
     cell, world = simulated_cell(
         lab.cell,
@@ -49,48 +97,125 @@ def simulated(
         record=record,
         motion=motion,
         operator=operator,
-        seed=options.seed,
-        plant=options.plant,
+        seed=dry_run.seed,
+        plant=dry_run.plant,
         joints=motion.home(),
     )
     clock.process = world
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove)
-    cell.sheet_mounted = world.swap_sheet
-    _tell(cell, plan, lab)
-    return cell, world
+    _follow_hands(world, cell)
+    return Setup(cell, world, lambda: None)
 
 
-def real(plan: Plan, lab: Lab, record: Record) -> tuple[Cell, Callable[[], None]]:
-    """The lab's cell with the devices that `cell.yaml` names, and what closes them.
+def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, record: Record, motion: MotionPlanner) -> Setup:
+    _find_plants(lab)
+    liveness = Liveness()
 
-    Raises SkillFailed arm.* for a way that cannot be planned, device.lost for a device that cannot be opened.
-    """
-    motion = prepared_motion(plan, lab)
+    def beat() -> None:
+        bench.check()
+        liveness.beat()
+
+    clock = WallClock(beat)
+    firmware = lab.folder / "robot" / "firmware"
+    bench = WireBench(lab.cell, plan.recipe.sources, firmware, motion.home(), clock, rehearsal.seed, rehearsal.plant)
+    world = bench.world
+    with ExitStack() as opened:
+        opened.enter_context(bench)
+        devices = connect_cell_devices(bench.spec, clock, liveness)
+        opened.callback(devices.close)
+        opened.callback(liveness.end)
+        if sys.stdin.isatty():
+            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, record, _show)
+        else:
+            operator = SimulatedOperator(clock, record, REHEARSED_ANSWER_S)
+        by_hand = lab.cell.changer.driver == "operator"
+        changer = OperatorChanger(operator, world.place, world.remove) if by_hand else SimulatedChanger(clock, world)
+        cell = _wired_cell(plan, lab, devices, clock, record, motion, operator, changer, simulated=True)
+        cell.begin_sample = world.begin_sample
+        _follow_hands(world, cell)
+        return Setup(cell, world, opened.pop_all().close)
+
+
+def _real(plan: Plan, lab: Lab, record: Record, motion: MotionPlanner) -> Setup:
     liveness = Liveness()
     clock = WallClock(liveness.beat)
-    operator = TerminalOperator(clock, record, lambda question: print(question, flush=True))
-    devices = connect_cell_devices(lab.cell, clock, liveness)
-    cell = Cell(
+    with ExitStack() as opened:
+        devices = connect_cell_devices(lab.cell, clock, liveness)
+        opened.callback(devices.close)
+        opened.callback(liveness.end)
+        operator = TerminalOperator(clock, record, _show)
+        changer = OperatorChanger(operator)
+        cell = _wired_cell(plan, lab, devices, clock, record, motion, operator, changer, simulated=False)
+        return Setup(cell, None, opened.pop_all().close)
+
+
+def _wired_cell(
+    plan: Plan,
+    lab: Lab,
+    devices: Devices,
+    clock: Clock,
+    record: Record,
+    motion: MotionPlanner,
+    operator: Operator,
+    changer: Changer,
+    *,
+    simulated: bool,
+) -> Cell:
+    """The cell over drivers that are open."""
+    return Cell(
         spec=lab.cell,
         clock=clock,
         record=record,
         arm=devices.arm,
         hand=devices.hand,
         balance=devices.balance,
-        changer=OperatorChanger(operator),
+        changer=changer,
         operator=operator,
         motion=motion,
         sources=plan.recipe.sources,
-        simulated=False,
+        simulated=simulated,
     )
-    _tell(cell, plan, lab)
 
-    def close() -> None:
-        liveness.end()
-        devices.close()
 
-    return cell, close
+def _follow_hands(world: World, cell: Cell) -> None:
+    """Let the simulated world follow what a person does at the cell."""
+
+    def weight_on_pan(mass_mg: float) -> None:
+        world.remove()
+        if mass_mg > 0.0:
+            world.place(check_weight(mass_mg))
+
+    cell.sheet_mounted = world.swap_sheet
+    cell.weight_on_pan = weight_on_pan
+
+
+def check_weight(mass_mg: float) -> Container:
+    """A check weight, as the world knows what stands on the pan: nothing falls into it."""
+    return Container(
+        name="check weight",
+        id=f"check weight of {mass_mg:g} mg",
+        mouth_mm=1e-3,
+        height_mm=1.0,
+        capacity_mm3=1e-3,
+        empty_mass_mg=mass_mg,
+        empty_mass_tolerance_mg=1e-3,
+    )
+
+
+def _find_plants(lab: Lab) -> None:
+    """A plant may be a module of the lab or of the working folder; they come last, so that they hide nothing."""
+    sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
+
+
+def _show(question: str) -> None:
+    print(question, flush=True)
+
+
+def bench_of(lab: Lab, seed: int = 0) -> WireBench:
+    """The twins of a lab's cell without a recipe: the arm parked, nothing on the pan. Raises NoCompiler."""
+    parked = MotionPlanner(lab.urdf, lab.cell, {}, threads=1).home()
+    return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed)
 
 
 def prepared_motion(plan: Plan, lab: Lab) -> MotionPlanner:
@@ -108,11 +233,3 @@ def places_of(plan: Plan, lab: Lab) -> dict[str, Position]:
     """Every named place of the plan."""
     kinds = {sample.container.name: sample.container for sample in plan.recipe.samples if sample.container is not None}
     return all_places(lab.cell, plan.recipe.sources, kinds.values())
-
-
-def _tell(cell: Cell, plan: Plan, lab: Lab) -> None:
-    """What the recipe says of the cell: its places, its sources' amounts, its controller."""
-    cell.places_mm = places_of(plan, lab)
-    cell.believed.sources_mg = {name: source.amount_mg for name, source in plan.recipe.sources.items()}
-    if plan.recipe.controller is not None:
-        cell.controller = plan.recipe.controller

@@ -18,12 +18,13 @@ from types import TracebackType
 import numpy as np
 
 from scuhand_bt.clock import Clock
+from scuhand_bt.devices.connect import require_driver
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.hand import INITIAL_DIAMETER_MM, SimulatedHand
-from scuhand_bt.sim.plant import load_plant
+from scuhand_bt.sim.plant import Plant, load_plant
 from scuhand_bt.sim.wire.balances import TWINS
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
@@ -31,7 +32,7 @@ from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import Servo
 from scuhand_bt.sim.world import STEP_S, World
-from scuhand_bt.specs import CellSpec, HandSpec, Source
+from scuhand_bt.specs import CellSpec, Container, HandSpec, Source
 
 STILL_AFTER_S = 0.1
 """What has not moved for this long stands still."""
@@ -107,6 +108,47 @@ class WireHand(SimulatedHand):
         return (before_mm + self._real_mm) / 2.0
 
 
+class WireWorld(World):
+    """The world that goes on in a thread of its own, while hands act on it from another."""
+
+    def __init__(
+        self,
+        spec: CellSpec,
+        sources: Mapping[str, Source],
+        plant: Plant,
+        seed: int,
+        arm: WireArm,
+        hand: WireHand,
+        balance: SimulatedBalance,
+    ) -> None:
+        self._lock = threading.RLock()
+        super().__init__(spec, sources, plant, seed, arm, hand, balance)
+
+    def step(self, now_s: float, limit_s: float) -> float:
+        with self._lock:
+            return super().step(now_s, limit_s)
+
+    def begin_sample(self, sample: str, attempt: int) -> None:
+        with self._lock:
+            super().begin_sample(sample, attempt)
+
+    def place(self, container: Container) -> None:
+        with self._lock:
+            super().place(container)
+
+    def remove(self) -> None:
+        with self._lock:
+            super().remove()
+
+    def load_cone(self, source: str, mass_mg: float) -> None:
+        with self._lock:
+            super().load_cone(source, mass_mg)
+
+    def swap_sheet(self) -> None:
+        with self._lock:
+            super().swap_sheet()
+
+
 class WirePan:
     """What the balance's twin weighs: the reading of the world's balance."""
 
@@ -124,8 +166,8 @@ class WireBench:
     """The twins of one cell on pseudo-terminals, and their world; a context manager.
 
     `firmware` is the lab's `robot/firmware`, `joints` where the arm stands [rad]. Raises NoCompiler where the
-    firmware cannot be built, PlantError for a plant that cannot be used. The ports are `arm`, `hand` and `balance`
-    in the folder `ports`, or somewhere else if that is None; `bench.spec` tells.
+    firmware cannot be built, PlantError for a plant that cannot be used, SkillFailed for an unknown balance. The
+    ports are `arm`, `hand` and `balance` in the folder `ports`, or somewhere else if that is None; `bench.spec` tells.
     """
 
     def __init__(
@@ -139,15 +181,18 @@ class WireBench:
         plant: str | None = None,
         ports: Path | None = None,
     ) -> None:
+        require_driver("balance", spec.balance.driver, TWINS)
         physics = load_plant(plant or spec.plant)
+        for source in sources.values():
+            physics.probe(source.powder, spec.balance, source.mortar)
+        valve = HandTwin(firmware, spec.hand.valve_speed_mm_per_s, spec.hand.valve_dead_time_s)
         *arm_servos, roller = servos = crane_x7()
         self.bus = TwinServer(DynamixelTwin(servos), PtyPort(ports and ports / "arm"))
-        valve = HandTwin(firmware, spec.hand.valve_speed_mm_per_s, spec.hand.valve_dead_time_s)
         self.hand = TwinServer(valve, PtyPort(ports and ports / "hand"))
         arm = WireArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, arm_servos)
         hand = WireHand(spec.hand, clock, valve, roller)
         balance = SimulatedBalance(spec.balance, clock, physics)
-        self.world = World(spec, sources, physics, seed, arm, hand, balance)
+        self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance)
         kind = TWINS[spec.balance.driver]
         twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
@@ -165,6 +210,7 @@ class WireBench:
         """The cell's description with the twins' ports in it."""
         self._clock = clock
         self._running = ExitStack()
+        self._failure: Exception | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._go_on, name="world", daemon=True)
 
@@ -183,9 +229,18 @@ class WireBench:
         self._thread.join()
         self._running.close()
 
+    def check(self) -> None:
+        """Raise, once, what has ended the world's thread: a plant may fail in the middle of a run."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
     def _go_on(self) -> None:
         now_s = 0.0  # the balance's periods count from there
-        while not self._closing.wait(STEP_S):
-            end_s = self._clock.now_s
-            while now_s < end_s and not self._closing.is_set():
-                now_s = self.world.step(now_s, end_s)
+        try:
+            while not self._closing.wait(STEP_S):
+                end_s = self._clock.now_s
+                while now_s < end_s and not self._closing.is_set():
+                    now_s = self.world.step(now_s, end_s)
+        except Exception as error:
+            self._failure = error
