@@ -376,6 +376,43 @@ def twins(
         clock.wait([Wake.on(stop)])
 
 
+@app.command()
+def doctor(
+    lab: LabOption = None,
+    twins: Annotated[bool, typer.Option("--twins", help="Look at twins of the devices instead.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="The cone is empty: valve and motor may move.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Look at every device of the cell, and say what is wrong and what to do."""
+    from contextlib import nullcontext
+    from dataclasses import asdict
+
+    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.run.clock import WallClock
+    from scuhand_bt.run.doctor import examine
+
+    loaded = load_lab(find_lab(None, lab))
+    bench = _bench(loaded) if twins else None
+    spec = bench.spec if bench is not None else loaded.cell
+    if not (yes or as_json) and sys.stdin.isatty():
+        yes = typer.confirm("Self-test: the valve opens by 1 mm and the motor vibrates. Is the cone empty?")
+    with bench or nullcontext():
+        findings = list(examine(spec, WallClock(), self_test=yes))
+    failed = sum(finding.verdict == "FAIL" for finding in findings)
+    if as_json:
+        values = {"cell": spec.cell, "simulated": twins, "ok": not failed, "findings": [asdict(f) for f in findings]}
+        out.print_json(json.dumps(values))
+    else:
+        out.print(Text(f"The cell '{spec.cell}', {'SIMULATED: twins of its devices' if twins else 'real devices'}"))
+        table = Table("device", "check", "found", "expected", "verdict", "what to do", show_edge=False)
+        for f in findings:
+            style = {"ok": "", "FAIL": "red", "not done": "dim"}[f.verdict]
+            table.add_row(f.device, f.check, f.found, f.expected, f.verdict, f.what_to_do, style=style)
+        out.print(table)
+        out.print(f"{len(findings)} checks, {failed} failed." if failed else f"{len(findings)} checks, none failed.")
+    raise typer.Exit(EXIT_CELL_FAULT if failed else 0)
+
+
 def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
     """The lab that is named by its folder or by its robot/cell.yaml, else the nearest one."""
     from scuhand_bt.lab import CELL_FILE, find_lab, load_lab

@@ -39,6 +39,9 @@ HEADER_SIZE = 8
 STATUS_OVERHEAD = 11
 """A status packet without parameters: the header with error and CRC."""
 ALERT = 0x80
+MAX_ID = 252
+PING_TURN_MS = 3.0
+"""Each servo answers a ping to all when those of lower ids have had so much time."""
 ERROR_NAMES = {
     1: "it failed to process the packet",
     2: "it does not know the instruction",
@@ -157,6 +160,19 @@ class DynamixelBus:
     def ping(self, servo: int) -> int:
         """The servo's model number; NoAnswer if it is not there."""
         return int.from_bytes(self._ask(servo, INST_PING, b"", 3).data[:2], "little")
+
+    def scan(self) -> dict[int, int]:
+        """Every servo that answers a ping to all: its model number by its id. Takes a second."""
+        found: dict[int, int] = {}
+        with self._exchange() as port:
+            self._send(port, BROADCAST_ID, INST_PING, b"")
+            port.setPacketTimeoutMillis(MAX_ID * PING_TURN_MS + 2 * self._latency_ms)
+            while True:
+                packet, result = self._packets.rxPacket(port, False)
+                if result == COMM_RX_TIMEOUT:
+                    return found
+                if result == COMM_SUCCESS and len(packet) == STATUS_OVERHEAD + 3:
+                    found[packet[4]] = int.from_bytes(bytes(packet[9:11]), "little")
 
     def read(self, servo: int, register: Register) -> int:
         """One value, with its sign."""

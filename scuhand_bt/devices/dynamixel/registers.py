@@ -35,6 +35,9 @@ RETURN_DELAY = Register(9, 1)
 """2 µs units."""
 OPERATING_MODE = Register(11, 1)
 TEMPERATURE_LIMIT = Register(31, 1)
+MAX_VOLTAGE_LIMIT = Register(32, 2)
+MIN_VOLTAGE_LIMIT = Register(34, 2)
+"""0.1 V, as PRESENT_VOLTAGE."""
 VELOCITY_LIMIT = Register(44, 4)
 MAX_POSITION_LIMIT = Register(48, 4)
 MIN_POSITION_LIMIT = Register(52, 4)
@@ -54,7 +57,6 @@ PRESENT_CURRENT = Register(126, 2, signed=True)
 PRESENT_VELOCITY = Register(128, 4, signed=True)
 PRESENT_POSITION = Register(132, 4, signed=True)
 PRESENT_VOLTAGE = Register(144, 2)
-"""0.1 V."""
 PRESENT_TEMPERATURE = Register(146, 1)
 
 EEPROM_END = 64

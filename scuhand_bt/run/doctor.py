@@ -1,0 +1,294 @@
+"""The doctor: looks at every device of a cell by itself, and says what it found and what to do.
+
+Nothing moves and nothing is written, but for the self-test of the hand, which is asked for. The checks read
+through the drivers' own classes; the arm's servos are asked one by one, with their torque left as it is.
+"""
+
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from serial.tools import list_ports
+
+from scuhand_bt.clock import Clock, Steps, until
+from scuhand_bt.devices.balances import DIALECTS, SerialBalance
+from scuhand_bt.devices.connect import ARM_DRIVERS, HAND_DRIVERS, connect_balance, require_driver
+from scuhand_bt.devices.dynamixel import registers as r
+from scuhand_bt.devices.dynamixel.arm import arm_axes
+from scuhand_bt.devices.dynamixel.axes import Axis
+from scuhand_bt.devices.dynamixel.bus import BusError, DynamixelBus
+from scuhand_bt.devices.dynamixel.chain import HOT_MARGIN_C
+from scuhand_bt.devices.hand_controller import HandController
+from scuhand_bt.devices.scuhand import roller_axis
+from scuhand_bt.failures import CATALOGUE, SkillFailed
+from scuhand_bt.motion.kinematics import LIMITS_RAD
+from scuhand_bt.specs import BalanceSpec, CellSpec, ChangerSpec, HandSpec
+
+OLDEST_FIRMWARE = 38
+"""Of the servos: older ones have no BUS_WATCHDOG, and a dead host would not stop the arm."""
+NARROWER_RAD, WIDER_RAD = math.radians(0.5), math.radians(3.0)
+"""How far a servo's window may be from the planner's limits."""
+ZERO_MM = 0.05
+"""How far a shut valve may report to be from 0."""
+HOT_C = 60
+"""Of the valve's servo, which shuts down at 70."""
+TEST_OPENING_MM = 1.0
+TEST_DWELL_S = 0.3
+TEST_VIBRATION = 0.5
+ANSWER_S = 5.0
+FIRST_READING_S = 10.0
+
+Verdict = Literal["ok", "FAIL", "not done"]
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One check: what was found, what should have been, and what to do where they differ."""
+
+    device: str
+    check: str
+    found: str
+    expected: str
+    verdict: Verdict
+    what_to_do: str = ""
+
+
+def judged(device: str, check: str, found: str, expected: str, good: bool, what_to_do: str) -> Finding:
+    """A finding; what to do is only said where something is to be done."""
+    return Finding(device, check, found, expected, "ok" if good else "FAIL", "" if good else what_to_do)
+
+
+def examine(spec: CellSpec, clock: Clock, *, self_test: bool) -> Iterator[Finding]:
+    """Every check of a cell, in turn; `self_test` lets the valve open and the motor vibrate."""
+    devices: tuple[tuple[str, str, Callable[[], Iterator[Finding]]], ...] = (
+        ("arm", spec.arm.port, lambda: servos(spec)),
+        ("hand", spec.hand.port, lambda: hand(spec.hand, clock, self_test=self_test)),
+        ("balance", spec.balance.port, lambda: balance(spec.balance, clock)),
+    )
+    for device, port, checks in devices:
+        there = port_of(device, port)
+        yield there
+        if there.verdict == "ok":
+            yield from checks()
+    yield changer(spec.changer)
+
+
+def port_of(device: str, port: str) -> Finding:
+    """Whether the port that the cell names for a device is there, and may be used."""
+    if "://" in port:
+        return Finding(device, "port", port, "one to open", "ok")
+    if not (port and Path(port).exists()):
+        here = [f"{there.device} ({there.description})" for there in sorted(list_ports.comports())]
+        known = ", ".join(here) or "none"
+        do = f"plug it in, or correct its `port` in robot/cell.yaml; this computer's serial ports: {known}"
+        return judged(device, "port", f"{port or 'none'} is not there", "one that you may use", False, do)
+    may_be_used = os.access(port, os.R_OK | os.W_OK)
+    found = port if may_be_used else f"{port}, which you may not use"
+    do = "add yourself to the group that owns it (`sudo usermod -aG dialout $USER`), and log in again"
+    return judged(device, "port", found, "one that you may use", may_be_used, do)
+
+
+def servos(spec: CellSpec) -> Iterator[Finding]:
+    """The arm's servos and the roller's: who is on the bus, what they are, how they are."""
+    try:
+        require_driver("arm", spec.arm.driver, ARM_DRIVERS)
+    except SkillFailed as error:
+        yield _lost("arm", error)
+        return
+    options = spec.arm.options
+    bus = DynamixelBus(spec.arm.port, int(options.get("baud", 3_000_000)), float(options.get("latency_ms", 8.0)))
+    try:
+        bus.open()
+        with closing(bus):
+            found = bus.scan()
+            axes = [*arm_axes(spec.arm), roller_axis(spec.hand)]
+            yield _on_the_bus(found, axes)
+            for index, axis in enumerate(axes):
+                if axis.servo in found:
+                    limits_rad = (LIMITS_RAD[0][index], LIMITS_RAD[1][index]) if index < len(axes) - 1 else None
+                    yield from _servo(bus, axis, found[axis.servo], limits_rad)
+    except BusError as error:
+        do = "check the cable and the supply of the servos, and that no other program has the port open"
+        yield judged("arm", "bus", str(error), "a bus that answers", False, do)
+
+
+def _on_the_bus(found: Iterable[int], axes: list[Axis]) -> Finding:
+    wanted = {axis.servo: axis.name for axis in axes}
+    missing = [f"{servo} ({name})" for servo, name in wanted.items() if servo not in found]
+    others = [servo for servo in found if servo not in wanted]
+    do = f"no answer from {', '.join(missing)}: check their cables, ids, baud rate and supply"
+    if others:
+        do += f"; strangers on the bus: {', '.join(map(str, others))}"
+    expected = ", ".join(map(str, wanted))
+    return judged("arm", "servo ids", ", ".join(map(str, sorted(found))) or "none", expected, not missing, do)
+
+
+def _servo(bus: DynamixelBus, axis: Axis, number: int, limits_rad: tuple[float, float] | None) -> Iterator[Finding]:
+    """One servo that answers. `limits_rad` is what the planner may ask of it; None for the roller."""
+    name = f"servo {axis.servo} ({axis.name})"
+
+    def read(register: r.Register) -> int:
+        return bus.read(axis.servo, register)
+
+    model = r.MODELS[number].name if number in r.MODELS else f"model {number}"
+    right = number == axis.model.number
+    yield judged(name, "model", model, axis.model.name, right, "put the right servo here, or correct the ids")
+    firmware = read(r.FIRMWARE)
+    do = "update it with the DYNAMIXEL Wizard: its bus watchdog is what stops the arm when this computer dies"
+    expected = f"{OLDEST_FIRMWARE} or newer"
+    yield judged(name, "firmware", str(firmware), expected, firmware >= OLDEST_FIRMWARE, do)
+    bits = read(r.HARDWARE_ERROR)
+    do = "it has shut down and holds nothing: support the arm, find the cause, and switch its supply off and on"
+    yield judged(name, "hardware error", r.hardware_errors(bits), "none", not bits, do)
+    low_v, high_v = read(r.MIN_VOLTAGE_LIMIT) / 10, read(r.MAX_VOLTAGE_LIMIT) / 10
+    volts = read(r.PRESENT_VOLTAGE) / 10
+    do = "check the supply and its cable"
+    yield judged(name, "voltage", f"{volts:.1f} V", f"{low_v:g} to {high_v:g} V", low_v <= volts <= high_v, do)
+    limit_c = read(r.TEMPERATURE_LIMIT) - HOT_MARGIN_C
+    warm_c = read(r.PRESENT_TEMPERATURE)
+    yield judged(name, "temperature", f"{warm_c} °C", f"below {limit_c} °C", warm_c < limit_c, "let it cool")
+    if limits_rad is not None:
+        yield _window(name, axis, (read(r.MIN_POSITION_LIMIT), read(r.MAX_POSITION_LIMIT)), limits_rad)
+
+
+def _window(name: str, axis: Axis, ends: tuple[int, int], limits_rad: tuple[float, float]) -> Finding:
+    """The window in the servo's own memory must hold the one that motions are planned in, and be little wider."""
+    low_rad, high_rad = sorted(axis.angle_rad(end) for end in ends)
+    beyond_rad = (limits_rad[0] - low_rad, high_rad - limits_rad[1])
+    return judged(
+        name,
+        "window",
+        f"{math.degrees(low_rad):.1f} to {math.degrees(high_rad):.1f}°",
+        f"{math.degrees(limits_rad[0]):.1f} to {math.degrees(limits_rad[1]):.1f}°",
+        all(-NARROWER_RAD <= beyond <= WIDER_RAD for beyond in beyond_rad),
+        "correct its position limits with the DYNAMIXEL Wizard, or `home_counts` and `directions` in robot/cell.yaml",
+    )
+
+
+def hand(spec: HandSpec, clock: Clock, *, self_test: bool) -> Iterator[Finding]:
+    """The hand's controller: its greeting and status, and the valve and the motor if they may move."""
+    controller = HandController(spec.port)
+    try:
+        require_driver("hand", spec.driver, HAND_DRIVERS)
+        hello = controller.open()
+    except SkillFailed as error:
+        yield _lost("hand", error)
+        return
+    with closing(controller):
+        yield Finding("hand", "firmware", hello.firmware, "protocol 1", "ok")
+        yield judged(
+            "hand",
+            "valve range",
+            f"up to {hello.max_opening_mm:g} mm",
+            f"{spec.max_opening_mm:g} mm or more",
+            hello.max_opening_mm >= spec.max_opening_mm,
+            "correct `max_opening` of the hand in robot/cell.yaml, or its firmware's settings",
+        )
+        if not _now(until(clock, lambda: controller.report is not None, controller.news, ANSWER_S), clock):
+            yield judged("hand", "status", "no report", "a report", False, "check its cable and supply")
+            return
+        yield from _hand_status(controller)
+        if self_test:
+            yield from _hand_test(controller, clock)
+        else:
+            yield Finding("hand", "self-test", "", "a valve and a motor that move", "not done", "run it with --yes")
+
+
+def _hand_status(controller: HandController) -> Iterator[Finding]:
+    report = controller.report
+    assert report is not None
+    pressed = "e" in report.faults
+    do = "release the emergency stop" if pressed else "switch the controller off and on; if it stays, look at the valve"
+    yield judged("hand", "faults", report.why or "none", "none", not report.faults, do)
+    yield judged("hand", "valve", report.state, "closed", report.state == "closed", "free the valve")
+    shut = abs(report.opening_mm) <= ZERO_MM
+    do = "set the valve's zero (robot/firmware/README.md)"
+    yield judged("hand", "valve zero", f"{report.opening_mm:.3f} mm", f"0 ± {ZERO_MM:g} mm", shut, do)
+    warm_c = report.temperature_c
+    yield judged("hand", "temperature", f"{warm_c} °C", f"below {HOT_C} °C", warm_c < HOT_C, "let it cool")
+
+
+def _hand_test(controller: HandController, clock: Clock) -> Iterator[Finding]:
+    """Open the valve once and vibrate meanwhile; nothing may be in the cone."""
+    widest_mm = strongest = 0.0
+
+    def is_over() -> bool:
+        nonlocal widest_mm, strongest
+        if controller.trouble or controller.refused:
+            return True
+        report = controller.report
+        if report is None:
+            return False
+        widest_mm, strongest = max(widest_mm, report.opening_mm), max(strongest, report.vibration)
+        return controller.is_done and report.is_safe
+
+    controller.step(TEST_OPENING_MM / controller.mm_per_deg, TEST_DWELL_S, TEST_VIBRATION)
+    over = _now(until(clock, is_over, controller.news, ANSWER_S), clock)
+    trouble = controller.trouble or controller.refused
+    if trouble is not None or not over:
+        controller.make_safe()
+        said = trouble.detail if trouble else f"the valve was not shut after {ANSWER_S:g} s"
+        yield judged("hand", "self-test", said, "a step to its end", False, "look at the valve and its servo")
+        return
+    opened = abs(widest_mm - TEST_OPENING_MM) <= 0.2 * TEST_OPENING_MM
+    do = "look at the valve's servo and its linkage"
+    yield judged("hand", "valve opens", f"{widest_mm:.2f} mm", f"{TEST_OPENING_MM:g} mm", opened, do)
+    vibrated = strongest >= 0.9 * TEST_VIBRATION
+    do = "look at the motor and its cable"
+    yield judged("hand", "vibration", f"{strongest:.2f}", f"{TEST_VIBRATION:g}", vibrated, do)
+
+
+def balance(spec: BalanceSpec, clock: Clock) -> Iterator[Finding]:
+    """The balance: what it reads, who it says it is, and whether it settles."""
+    try:
+        device = connect_balance(spec, clock)
+    except SkillFailed as error:
+        yield _lost("balance", error)
+        return
+    with closing(device):
+        try:
+            reading = _now(device.next_reading(FIRST_READING_S), clock)
+            yield Finding("balance", "reading", f"{reading.value_mg / 1000:.4f} g", "a reading", "ok")
+            yield _identity(spec, device)
+            mean = _now(device.settled(), clock)
+            found = f"{mean.value_mg / 1000:.4f} g ± {mean.uncertainty_mg:.2f} mg"
+            yield Finding("balance", "stability", found, "stable readings", "ok")
+        except SkillFailed as error:
+            if error.code == "device.lost":
+                yield _lost("balance", error)
+            else:
+                remedy = CATALOGUE[error.code].remedy
+                yield judged("balance", "stability", error.detail, "stable readings", False, remedy)
+
+
+def _identity(spec: BalanceSpec, device: SerialBalance) -> Finding:
+    if not DIALECTS[spec.driver].identify:
+        return Finding("balance", "identity", "its dialect has none", "", "not done")
+    do = "it reads all the same; if there are several balances, be sure that it is the right one"
+    return Finding("balance", "identity", device.identity or "no answer", "a serial number", "ok", do)
+
+
+def changer(spec: ChangerSpec) -> Finding:
+    """What changes the containers; a carousel exists in simulations only."""
+    do = "no carousel has a driver yet: write `changer: {driver: operator}` in robot/cell.yaml"
+    return judged("changer", "driver", spec.driver, "operator", spec.driver == "operator", do)
+
+
+def _lost(device: str, error: SkillFailed) -> Finding:
+    return judged(device, "connection", error.detail, "a device that answers", False, CATALOGUE[error.code].remedy)
+
+
+def _now(steps: Steps[T], clock: Clock) -> T:
+    """Carry out a device's action here, on a clock in real time."""
+    while True:
+        try:
+            wake = next(steps)
+        except StopIteration as done:
+            result: T = done.value
+            return result
+        clock.wait([wake])
