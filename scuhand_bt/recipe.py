@@ -120,6 +120,11 @@ class _Reader:
             self._check_controller(controller, root.values["controller"].mark)
         sources = self._read_sources(root)
         samples = self._read_samples(root, sources)
+        needed = [
+            i for workflow in self.workflows.values() for i in workflow.inputs.values() if i.type.python is Source
+        ]
+        if "sources" not in root.keys and needed:
+            self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
         on_failure = self._read_on_failure(root.get("on_failure"))
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
@@ -153,8 +158,7 @@ class _Reader:
     def _read_sources(self, root: Entries) -> dict[str, Source]:
         node = root.get("sources")
         if node is None:
-            self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
-            return {}
+            return {}  # as a check of the cell needs none
         if not isinstance(node, Entries) or not node.values:
             self.problems.add(node.mark, f"'sources': {describe(node)} names no source")
             return {}

@@ -1,0 +1,31 @@
+"""Does the valve shut?"""
+
+from typing import ClassVar
+
+from scuhand_bt.skill import Cell, Failure, Millimetres, Seconds, Skill, SkillFailed, Steps
+
+
+class CheckValve(Skill[Millimetres]):
+    """Open the valve over the waste bin, vibrating, and see that it shuts to zero; gives where it then stands."""
+
+    devices = ("arm", "hand")
+    failures: ClassVar = {
+        "hand.valve_zero": Failure(
+            "The shut valve does not stand at zero.",
+            "Look for powder between the sheets, and set the valve's zero.",
+        )
+    }
+    typical_s = 10.0
+
+    opening_mm: Millimetres = 1.0
+    dwell_s: Seconds = 1.0
+    limit_mm: Millimetres = 0.05
+
+    def run(self, cell: Cell) -> Steps[Millimetres]:
+        yield from cell.move_to(cell.spec.station_of_kind("waste").name)
+        yield from cell.hand.pulse(self.opening_mm, self.dwell_s, vibration=1.0)
+        zero_mm = cell.hand.opening_mm
+        cell.record.event("valve_zero", {"opening_mm": zero_mm})
+        if abs(zero_mm) > self.limit_mm:
+            raise SkillFailed("hand.valve_zero", f"the shut valve stands at {zero_mm:.3f} mm")
+        return zero_mm

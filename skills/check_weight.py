@@ -1,0 +1,51 @@
+"""Does the balance weigh right?"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from scuhand_bt.quantity import format_mass
+from scuhand_bt.skill import Cell, Failure, Forecast, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.specs import CellSpec
+
+
+class CheckWeight(Skill[Milligrams]):
+    """Have the operator put a check weight on the empty pan, and off again; gives how far off the balance is."""
+
+    devices = ("balance",)
+    failures: ClassVar = {
+        "balance.inaccurate": Failure(
+            "The balance does not weigh a check weight right.",
+            "Check that it is the right weight, clean and in the middle of the pan; adjust the balance.",
+        )
+    }
+    typical_s = 120.0
+
+    weight_mg: Milligrams
+    tolerance_mg: Milligrams = 1.0
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        return Forecast(cls.typical_s, "put a check weight on the pan, and take it off again")
+
+    def run(self, cell: Cell) -> Steps[Milligrams]:
+        bare = yield from cell.balance.settled()
+        yield from self._ask(cell, f"Put the check weight of {format_mass(self.weight_mg)} on the empty pan.")
+        cell.weight_on_pan(self.weight_mg)
+        loaded = yield from cell.balance.settled()
+        yield from self._ask(cell, "Take the check weight off the pan.")
+        cell.weight_on_pan(0.0)
+        error_mg = loaded.value_mg - bare.value_mg - self.weight_mg
+        cell.record.event("check_weight", {"weight_mg": self.weight_mg, "error_mg": error_mg})
+        if abs(error_mg) > self.tolerance_mg:
+            raise SkillFailed(
+                "balance.inaccurate",
+                f"a check weight of {format_mass(self.weight_mg)} weighs {error_mg:+.1f} mg more, "
+                f"and may {self.tolerance_mg:g} mg",
+            )
+        return error_mg
+
+    @staticmethod
+    def _ask(cell: Cell, request: str) -> Steps[None]:
+        answer = yield from cell.operator.ask(request)
+        if answer != "done":
+            raise SkillFailed("operator.refused", request)

@@ -1,0 +1,36 @@
+"""Does the balance stand still?"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.skill import Cell, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
+from scuhand_bt.specs import CellSpec
+
+
+class WatchBalance(Skill[Milligrams]):
+    """Read the balance for a while, with nothing changing on its pan; gives how far its readings went apart."""
+
+    devices = ("balance",)
+
+    duration_s: Seconds = 20.0
+    limit_mg: Milligrams = 2.0
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        return Forecast(inputs.get("duration", 20.0))
+
+    def run(self, cell: Cell) -> Steps[Milligrams]:
+        yield from cell.balance.settled()
+        end_s = cell.clock.now_s + self.duration_s
+        values_mg = []
+        while cell.clock.now_s < end_s:
+            reading = yield from cell.balance.next_reading()
+            values_mg.append(reading.value_mg)
+        span_mg = max(values_mg) - min(values_mg)
+        cell.record.event("balance_watched", {"readings": len(values_mg), "span_mg": span_mg})
+        if span_mg > self.limit_mg:
+            raise SkillFailed(
+                "balance.unstable",
+                f"its readings went {span_mg:.1f} mg apart in {self.duration_s:g} s, and may {self.limit_mg:g} mg",
+            )
+        return span_mg
