@@ -11,7 +11,8 @@ from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.dose_loop import DoseRun
 from scuhand_bt.dosing import DoseRequest, Finish
-from scuhand_bt.dosing.adaptive import SLACK_S, WATCH_LAGS, within
+from scuhand_bt.dosing.adaptive import WATCH_LAGS
+from scuhand_bt.dosing.knowledge import SLACK_S, within
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.sim.world import World
 

@@ -8,8 +8,8 @@ from benchmarks.rig import Bench, Setting, shipped_powders
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.dose_loop import run_dose
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Settle, Stream, new_controller
-from scuhand_bt.dosing.adaptive import within
 from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag
+from scuhand_bt.dosing.knowledge import within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.record import NoRecord
 from scuhand_bt.specs import BalanceBelief, HandSpec, PowderBelief

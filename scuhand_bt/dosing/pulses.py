@@ -1,0 +1,66 @@
+"""`adaptive` where the hand takes step commands only: pulses no larger than the risk rule allows."""
+
+from collections.abc import Generator
+
+from scuhand_bt.dosing.controller import Command, Finish, Observation, Pulse, Settle
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge, within
+
+BARREN_SHARE = 0.2
+"""A pulse that brings less than this share of what was expected brings nothing."""
+DOUBTED_PULSES, GIVEN_UP_PULSES = 8, 20
+"""After so many barren pulses in a row the coefficient is lowered, or the dose ends."""
+
+
+def pulses(known: Knowledge) -> Generator[Command, Observation, Finish]:
+    """A whole dose."""
+    sizing = _Sizing(known)
+    seen = yield Settle()
+    start_mg = seen.net_mg
+    for _ in range(known.request.step_limit):
+        verdict = known.verdict(seen)
+        if verdict is not None:
+            return known.finish(verdict, seen)
+        if sizing.barren > GIVEN_UP_PULSES:
+            return known.finish(known.request.given_up(seen.net_mg - start_mg), seen)
+        before_mg = seen.net_mg
+        pulse = sizing.pulse(known.stop_mg - before_mg)
+        seen = yield pulse
+        known.filter.restart(seen.net_mg, seen.uncertainty_mg, sizing.coefficient, sizing.unsure)
+        sizing.learn(pulse, seen.net_mg - before_mg)
+    return known.finish("step_limit", seen)
+
+
+class _Sizing:
+    """The pulses' coefficient, how unsure it is, and the vibration."""
+
+    def __init__(self, known: Knowledge) -> None:
+        self.coefficient, self.unsure = known.reference, max(known.unsure, 0.5)
+        self.barren = 0
+        """Pulses in a row that brought nothing."""
+        self._known = known
+        self._vibration = known.vibration
+
+    def pulse(self, remaining_mg: float) -> Pulse:
+        known, request = self._known, self._known.request
+        aim_mg = max(within(remaining_mg, known.filter.surge_mg) / (1.0 + 2.0 * self.unsure), 0.3)
+        opening_mm = known.shape.opening_mm(aim_mg / self.coefficient / 0.4)
+        opening_mm = min(max(opening_mm, known.shape.threshold_mm + 0.1), request.max_opening_mm)
+        steady = (aim_mg / self.coefficient - self._ramps(opening_mm)) / known.shape.value(opening_mm)
+        return Pulse(opening_mm, max(0.05, min(3.0, steady)), self._vibration, 5.0 * known.lag_s)
+
+    def learn(self, pulse: Pulse, gained_mg: float) -> None:
+        phi_s = self._ramps(pulse.opening_mm) + self._known.shape.value(pulse.opening_mm) * pulse.dwell_s
+        expected_mg = self.coefficient * phi_s
+        if gained_mg < BARREN_SHARE * expected_mg:
+            self.barren += 1
+            self._vibration = min(FULL, self._vibration + GENTLE)
+            self.coefficient *= 0.8 if self.barren > DOUBTED_PULSES else 1.0
+            return
+        self.barren = 0
+        trust = self.unsure**2 / (self.unsure**2 + 0.04 + 2.0 * self._known.filter.surge_mg / expected_mg)
+        self.coefficient *= float((max(gained_mg, 0.1) / expected_mg) ** trust)
+        self.unsure = max(0.15, self.unsure * float((1.0 - trust) ** 0.5))
+
+    def _ramps(self, opening_mm: float) -> float:
+        """Integral of phi [mm^n s] over the valve's way there and back."""
+        return 2.0 * self._known.shape.closing(opening_mm, 0.0, self._known.request.valve_speed_mm_per_s)
