@@ -68,10 +68,20 @@ class Shaper:
         pieces = self._law.chain(points, speeds)
         if pieces is None or sum(piece.duration for piece in pieces) >= quicker_than_s:
             return None
-        motion = self._proven(cubics(pieces), quicker_than_s)
+        motion = self.proof(cubics(pieces), quicker_than_s)
         return None if motion is None else Chain(points, speeds, motion, polyline)
 
-    def _proven(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
+    def direct(self, start: Floats, end: Floats) -> Chain | None:
+        """The optimum from rest to rest along the line, if it is proven."""
+        line = np.array([start, end])
+        if isinstance(self._space.chart, JointChart) and self._spill_deg is None:
+            # It follows the line exactly, so the line's proof is its own.
+            motion = self._law.straight(line) if self._space.free(start, end) else None
+        else:
+            motion = self.proof(self._law.straight(line))
+        return None if motion is None else Chain(line, np.zeros_like(line), motion, line)
+
+    def proof(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
         """A motion in the chart's coordinates as a proven one of the joints, as slow as it must be."""
         motion = course
         if not isinstance(self._space.chart, JointChart):
@@ -95,7 +105,7 @@ class Shaper:
             if chain is not None:
                 return chain
         # Each edge was proven as a line, so following the lines is free, whatever else is not.
-        motion = self._proven(self._law.straight(path))
+        motion = self.proof(self._law.straight(path))
         return None if motion is None else Chain(path, np.zeros_like(path), motion, path)
 
     def detour(self, start: Floats, goals: Floats, rng: np.random.Generator, quicker_than_s: float) -> Chain | None:

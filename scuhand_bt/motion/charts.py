@@ -15,6 +15,7 @@ import math
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, apex_positions_m
 from scuhand_bt.motion.timelaw import RateLimits
@@ -38,8 +39,8 @@ class Chart(Protocol):
         """Joints (n, 7) to coordinates (n, 7)."""
         ...
 
-    def covers(self, q: Floats) -> bool:
-        """Whether this chart holds the configuration (7,)."""
+    def covers(self, q: Floats) -> NDArray[np.bool_]:
+        """Which of the configurations (n, 7) this chart holds: (n,)."""
         ...
 
     def draw(self, rng: np.random.Generator) -> Floats:
@@ -62,8 +63,8 @@ class JointChart:
     def coordinates(self, q: Floats) -> Floats:
         return q
 
-    def covers(self, q: Floats) -> bool:
-        return True
+    def covers(self, q: Floats) -> NDArray[np.bool_]:
+        return np.ones(len(q), dtype=bool)
 
     def draw(self, rng: np.random.Generator) -> Floats:
         if self._level is not None:
@@ -106,8 +107,9 @@ class LevelChart:
         c[:, 4:6] = axes[:, :2]
         return c
 
-    def covers(self, q: Floats) -> bool:
-        return bool(self._side * q[5] > 0)
+    def covers(self, q: Floats) -> NDArray[np.bool_]:
+        covered: NDArray[np.bool_] = self._side * q[:, 5] > 0
+        return covered
 
     def draw(self, rng: np.random.Generator) -> Floats:
         # Of sixteen arms the first whose wrist can hold the cone level; most can not.

@@ -229,8 +229,9 @@ class MotionPlanner:
         begin = self._settled(checked_joints(start))
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
-        self._require_reachable(goal, "the pose")
         goals = solutions(goal, self._offset_m)
+        if not len(goals):
+            self._require_reachable(goal, "the pose")
         goals[:, 6] = begin[6]
         return begin, goals, f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
 

@@ -10,13 +10,14 @@ Chart coordinates c shape (7,); polylines (m, 7). Budgets are iterations; random
 
 import numpy as np
 
-from scuhand_bt.motion.charts import Chart
-from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.charts import Chart, JointChart
+from scuhand_bt.motion.collision import Scene, coarse_to_fine
 from scuhand_bt.motion.kinematics import Floats, apex_positions_m
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 
 _BATCH = 48
-_GLANCES = 6
+_GLANCES = ((0.5, 0.25, 0.75), (0.12, 0.37, 0.62, 0.88))
+"""Where lines are glanced at, as shares: those that are hit drop out early."""
 _MOST_SAMPLES = 400
 _REACH_M = 0.6
 """The longest edge grown at once, by the bound on motion."""
@@ -33,6 +34,9 @@ class Space:
     def edge(self, c0: Floats, c1: Floats) -> tuple[Floats, Floats]:
         """Shares (n,) and joints (n, 7) along the line, neighbours at most twice the margin apart."""
         count = 12
+        if isinstance(self.chart, JointChart):
+            q = self.scene.line(c0, c1)
+            return np.linspace(0.0, 1.0, len(q)), q
         for _ in range(3):
             shares = np.linspace(0.0, 1.0, count)
             q = self.chart.joints(c0 + shares[:, None] * (c1 - c0))
@@ -47,15 +51,26 @@ class Space:
         """Which configurations (n, 7) are not free: (n,)."""
         blocked = self.scene.hits(q)
         if self._upright is not None:
-            blocked |= apex_positions_m(q, 0.0)[1][:, 2] < self._upright
+            blocked |= self._leans(q)
         return blocked
+
+    def _leans(self, q: Floats) -> np.ndarray:
+        leans: np.ndarray = apex_positions_m(q, 0.0)[1][:, 2] < (self._upright or -1.0)
+        return leans
 
     def glance(self, first: Floats, last: Floats) -> np.ndarray:
         """Which of the lines from (n, 7) to (n, 7) look free at a few samples, all looked at in one go: (n,)."""
-        shares = np.linspace(0.0, 1.0, _GLANCES + 2)[1:-1, None, None]
-        lines = first + shares * (last - first)
-        blocked = self.blocked(self.chart.joints(lines.reshape(-1, lines.shape[2])))
-        return np.logical_not(blocked.reshape(_GLANCES, -1).any(axis=0))
+        left = np.arange(len(first))
+        for look in _GLANCES:
+            shares = np.array(look)[:, None, None]
+            lines = first[left] + shares * (last[left] - first[left])
+            blocked = self.blocked(self.chart.joints(lines.reshape(-1, lines.shape[2])))
+            left = left[~blocked.reshape(len(look), -1).any(axis=0)]
+            if not len(left):
+                break
+        free = np.zeros(len(first), dtype=bool)
+        free[left] = True
+        return free
 
     def advance(self, c0: Floats, c1: Floats) -> tuple[Floats, bool]:
         """How far the line from c0 to c1 is free, and whether that is all of it."""
@@ -70,8 +85,9 @@ class Space:
     def free(self, c0: Floats, c1: Floats) -> bool:
         """Whether all of the line is free."""
         _, q = self.edge(c0, c1)
-        # A few samples spread over the line find most of what blocks it.
-        return not self.blocked(q[:: max(1, len(q) // 10)]).any() and not self.blocked(q).any()
+        if self._upright is not None and self._leans(q).any():
+            return False
+        return not self.scene.any_hit(q[coarse_to_fine(len(q))])
 
 
 class _Tree:

@@ -16,6 +16,8 @@ from scipy.interpolate import CubicSpline
 
 from scuhand_bt.motion.kinematics import Floats
 
+_SAME_S = 1e-9
+
 
 class JointTrajectory:
     """A piecewise-cubic motion of n joints; what the arm follows.
@@ -105,6 +107,22 @@ def standing(q: Floats) -> JointTrajectory:
     coefficients = np.zeros((4, 1, len(q)))
     coefficients[0, 0] = q
     return JointTrajectory(np.array([0.0, 1e-3]), coefficients)
+
+
+def of_jerk_steps(start: Floats, times_s: Floats, steps: Floats, duration_s: float) -> JointTrajectory:
+    """From rest at `start` (n,), the motion whose jerk changes by `steps` at `times_s`: (n, k) each."""
+    knots_s = np.unique(np.append(times_s[steps != 0], [0.0, duration_s]))
+    knots_s = knots_s[(knots_s >= 0) & (knots_s <= duration_s)]
+    # Knots that differ by rounding are one.
+    knots_s = np.append(knots_s[:-1][np.diff(knots_s) > _SAME_S], duration_s)
+    knots_s[0] = 0.0
+    since = np.maximum(knots_s[:-1, None, None] - times_s, 0.0)
+    before = (times_s <= knots_s[:-1, None, None] + _SAME_S) * steps
+    c3 = before.sum(axis=2) / 6
+    c2 = (steps * since).sum(axis=2) / 2
+    c1 = (steps * since**2).sum(axis=2) / 2
+    c0 = start + (steps * since**3).sum(axis=2) / 6
+    return JointTrajectory(knots_s, np.stack([c0, c1, c2, c3]))
 
 
 def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:

@@ -1,13 +1,13 @@
 """From rest to rest: the quickest proven motion to any of several goal configurations.
 
-1. The direct motion to each goal, in the order of its duration. It is the optimum of its end points;
-   for two transfers in three one of the first goals is free.
-2. Else, and where another goal could be reached sooner: through one random via point, or along a free
-   polyline (`roadmap`), as a chain of optimal pieces that is then shortened (`chain`).
+1. The direct motion to each goal, in the order of its duration: the optimum of its end points.
+2. Unless that is short enough: motions hardly longer than the optimum of some goal, in which every
+   joint moves in its own time (`staggered`).
+3. Else along a free polyline (`roadmap`), as a chain of optimal pieces that is then shortened (`chain`).
 
-An empty cone is planned in the joints alone. For a load both are done in the joints, where tilting is
-allowed up to the spill limit, and in the level chart, where it does not happen; the quicker one is
-kept. How long the search goes on is an `Effort`, counted in iterations.
+An empty cone is planned in the joints alone. For a load all of it is done in the joints, where tilting
+is allowed up to the spill limit, and, with via points instead of 2, in the level chart, where it does
+not happen; the quicker one is kept. How long the search goes on is an `Effort`, counted in iterations.
 
 Joints [rad] (7,), goals (n, 7), durations [s].
 """
@@ -22,6 +22,7 @@ from scuhand_bt.motion.charts import Chart, JointChart, LevelChart
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.roadmap import Space, connect, shortened
+from scuhand_bt.motion.staggered import Scheduler
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
 _ITERATIONS = 4000
@@ -40,18 +41,21 @@ _TILT_SHARE = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """Budgets: chains begun, batches of detours for each, then rounds for each chain and for the best."""
+    """Budgets: rounds of staggered motions; for a load chains begun, batches of detours and rounds for each."""
 
+    staggered: int
     chains: int
     detours: int
     rounds_each: int
     rounds_best: int
     near_optimum: float
     """A direct motion within this of the best goal's bound is not worth a search."""
+    good_enough: float
+    """Nor is any motion within this."""
 
 
-LIVE = Effort(chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.4)
-POLISHED = Effort(chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.1)
+LIVE = Effort(12, chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.65, good_enough=1.1)
+POLISHED = Effort(30, chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +88,15 @@ def plan(task: Task, effort: Effort, rng: np.random.Generator) -> Chain | None:
     goals = task.goals[np.argsort(rest_to_rest_s(task.goals - task.start, task.rates), kind="stable")]
     searches = [_Search(task, chart, space, goals) for chart, space in task.charts()]
     searches = [search for search in searches if len(search.ends)]
-    best = _quickest([search.direct() for search in searches])
+    best = _quickest([search.direct(effort.near_optimum) for search in searches])
     bound_s = float(rest_to_rest_s(goals[0] - task.start, task.rates))
     if best is not None and best.duration_s <= effort.near_optimum * bound_s:
         return best
-    best = _quickest([best, *(search.detours(effort, best, rng) for search in searches)])
+    good_s = effort.good_enough * bound_s
+    best = _quickest([search.near(effort, best, rng, good_s) for search in searches])
     if best is None:
         best = _quickest([search.roadmap(effort, rng) for search in searches])
+        best = _quickest([search.staggered(effort, best, rng, good_s) for search in searches])
     return best
 
 
@@ -99,28 +105,41 @@ def _quickest(chains: Sequence[Chain | None]) -> Chain | None:
 
 
 class _Search:
-    """The three ways to find a chain, in one chart; goals come in the order of their bounds."""
+    """The ways to find a chain, in one chart; goals come in the order of their bounds."""
 
     def __init__(self, task: Task, chart: Chart, space: Space, goals: Floats) -> None:
-        reached = goals[[chart.covers(goal) for goal in goals]]
+        reached = goals[chart.covers(goals)]
         self.space = space
         self.shaper = Shaper(space, task.rates, task.apex_offset_m, task.spill_limit_deg)
         self.start = chart.coordinates(task.start[None, :])[0]
         self.ends = chart.coordinates(reached)
         self.bounds_s = rest_to_rest_s(reached - task.start, task.rates)
+        self.rates = task.rates if isinstance(chart, JointChart) else None
         self.iterations = _ITERATIONS if task.spill_limit_deg is None else _LOADED_ITERATIONS
 
-    def direct(self) -> Chain | None:
+    def direct(self, near_optimum: float) -> Chain | None:
         """The first direct motion that is proven; a glance along the lines tells which are worth the proof."""
-        rest = np.zeros((2, len(self.start)))
-        for begin in range(0, len(self.ends), _GOALS_AT_ONCE):
-            some = self.ends[begin : begin + _GOALS_AT_ONCE]
+        worthwhile = self.ends[self.bounds_s <= near_optimum * self.bounds_s[0]]
+        for begin in range(0, len(worthwhile), _GOALS_AT_ONCE):
+            some = worthwhile[begin : begin + _GOALS_AT_ONCE]
             for end in some[self.space.glance(np.broadcast_to(self.start, some.shape), some)]:
-                line = np.array([self.start, end])
-                direct = self.shaper.proven(line, rest, line)
+                direct = self.shaper.direct(self.start, end)
                 if direct is not None:
                     return direct
         return None
+
+    def near(self, effort: Effort, known: Chain | None, rng: np.random.Generator, good_s: float) -> Chain | None:
+        """Something quicker than what is known; or that, or None."""
+        if self.rates is None:
+            return _quickest([known, self.detours(effort, known, rng)])
+        return self.staggered(effort, known, rng, good_s)
+
+    def staggered(self, effort: Effort, known: Chain | None, rng: np.random.Generator, good_s: float) -> Chain | None:
+        """The quickest motion found in which every joint moves in its own time; or what is known."""
+        if self.rates is None:
+            return known
+        scheduler = Scheduler(self.space, self.shaper, self.rates, self.start, self.ends, self.bounds_s)
+        return scheduler.search(known, rng, effort.staggered, good_s)
 
     def detours(self, effort: Effort, known: Chain | None, rng: np.random.Generator) -> Chain | None:
         """The best chain begun with one via point, to goals that promise to be quicker than what is known."""

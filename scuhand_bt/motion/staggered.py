@@ -1,0 +1,186 @@
+"""Every joint in its own time: motions as long as the slowest joint needs, or hardly longer.
+
+From rest to rest the slowest joint sets the duration; every other joint has time left, and *when* it
+uses that time decides what the arm touches on its way. A schedule gives each joint one leg from its
+start to its goal, or two legs by way of a turning point, each the shortest from rest to rest or
+evenly slower, and divides its spare time among waiting, going slower, and pausing:
+
+    wait | first leg | pause | second leg | wait        durations add up to T for every joint
+
+So the duration T is chosen first, and what is searched is a schedule of that duration that touches
+nothing. A leg is the sum of eight steps of jerk at the times t_i,
+
+    q(t) = q0 + sum_i s_i/6 max(0, t - t_i)^3
+
+which looks at hundreds of schedules at once with a few operations on arrays.
+
+Joints [rad] (n, 7), durations and times [s]; randomness is the caller's.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from scuhand_bt.motion.chain import Chain, Shaper
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
+from scuhand_bt.motion.roadmap import Space
+from scuhand_bt.motion.timelaw import RateLimits, legs
+from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
+
+_PROPOSALS = 64
+_LOOKS = ((0.5, 0.25, 0.75), (0.12, 0.37, 0.62, 0.88), (0.06, 0.18, 0.31, 0.44, 0.56, 0.69, 0.82, 0.94))
+"""When a proposal is looked at, as shares of its duration: those that are hit drop out early."""
+_AT_ONCE = 16
+_NEAR_PART = 0.4
+"""Share of the proposals that change the best schedule instead of being drawn anew."""
+_NEAR_SPAN = 0.6
+_TURNING = 0.4
+_TURN_RAD = 0.5
+_FIRST_UPTO = 2.0
+_QUICKER = 0.985
+_LEAST_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Schedules:
+    """n schedules: goals (n, 7), durations (n,), turning points (n, 7), shares of spare time (n, 7, 5)."""
+
+    goals: Floats
+    durations_s: Floats
+    turns: Floats
+    shares: Floats
+
+    def __len__(self) -> int:
+        return len(self.durations_s)
+
+    def taken(self, which: np.ndarray) -> "Schedules":
+        return Schedules(self.goals[which], self.durations_s[which], self.turns[which], self.shares[which])
+
+
+def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floats, Floats]:
+    """Times and jerk steps of every joint of every schedule: (n, 7, 16) each.
+
+    A joint that has no time for its turning point goes straight.
+    """
+    total_s = some.durations_s[:, None]
+    firsts, first_steps, first_s = legs(some.turns - start, limits)
+    seconds, second_steps, second_s = legs(some.goals - some.turns, limits)
+    late = first_s + second_s > total_s
+    if late.any():
+        straight, straight_steps, straight_s = legs(some.goals - start, limits)
+        firsts = np.where(late[..., None], straight, firsts)
+        first_steps = np.where(late[..., None], straight_steps, first_steps)
+        first_s = np.where(late, straight_s, first_s)
+        second_steps = np.where(late[..., None], 0.0, second_steps)
+        second_s = np.where(late, 0.0, second_s)
+    spare = np.maximum(total_s - first_s - second_s, 0.0)[..., None] * some.shares
+    slow_first = 1 + spare[..., 1] / np.maximum(first_s, _LEAST_S)
+    slow_second = 1 + spare[..., 3] / np.maximum(second_s, _LEAST_S)
+    begin = spare[..., 0]
+    again = begin + first_s * slow_first + spare[..., 2]
+    times_s = np.concatenate(
+        [begin[..., None] + firsts * slow_first[..., None], again[..., None] + seconds * slow_second[..., None]], axis=2
+    )
+    steps = np.concatenate(
+        [first_steps / slow_first[..., None] ** 3, second_steps / slow_second[..., None] ** 3], axis=2
+    )
+    return times_s, steps
+
+
+def positions(start: Floats, times_s: Floats, steps: Floats, at_s: Floats) -> Floats:
+    """Where n schedules are at m times each (n, m): (n, m, 7)."""
+    since = np.maximum(at_s[:, :, None, None] - times_s[:, None], 0.0)
+    moved: Floats = np.einsum("nmjk,njk->nmj", since * since * since, steps)
+    return start + moved / 6
+
+
+class Scheduler:
+    """Searches schedules in one space, for a start and goals (n, 7) that come with their bounds [s] (n,)."""
+
+    def __init__(
+        self, space: Space, shaper: Shaper, limits: RateLimits, start: Floats, goals: Floats, bounds_s: Floats
+    ) -> None:
+        self._space, self._shaper, self._limits = space, shaper, limits
+        self._start, self._goals, self._bounds_s = start, goals, bounds_s
+
+    def search(self, known: Chain | None, rng: np.random.Generator, rounds: int, good_s: float) -> Chain | None:
+        """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`."""
+        best, parent = known, None
+        least_s = float(self._bounds_s[0])
+        for k in range(rounds):
+            if best is not None and best.duration_s <= good_s:
+                break
+            most_s = (_FIRST_UPTO + k / 4) * least_s if best is None else _QUICKER * best.duration_s
+            some = self._fresh(_PROPOSALS, least_s, most_s, rng)
+            if parent is not None:
+                some = self._near(parent, some, most_s, rng)
+            found = self._first_free(some, best)
+            if found is not None:
+                best, parent = found
+        return best
+
+    def _fresh(self, count: int, least_s: float, most_s: float, rng: np.random.Generator) -> Schedules:
+        durations_s = least_s + (most_s - least_s) * rng.uniform(size=count)
+        reachable = np.searchsorted(self._bounds_s, durations_s, side="right")
+        goals = self._goals[(rng.uniform(size=count) * np.maximum(reachable, 1)).astype(int)]
+        turning = rng.uniform(size=goals.shape) < _TURNING * rng.integers(0, 3, (count, 1))
+        turning[:, 6] = False
+        between = self._start + rng.uniform(size=goals.shape) * (goals - self._start)
+        turns = np.where(turning, between + _TURN_RAD * rng.normal(size=goals.shape), goals)
+        shares = rng.exponential(size=(*goals.shape, 5)) ** 2
+        shares /= shares.sum(axis=2, keepdims=True)
+        return Schedules(goals, durations_s, self._within(turns), shares)
+
+    def _near(self, parent: Schedules, fresh: Schedules, most_s: float, rng: np.random.Generator) -> Schedules:
+        """Part of the fresh ones replaced by changes of the parent."""
+        count = int(_NEAR_PART * len(fresh))
+        size = rng.uniform(0.05, 0.6, (count, 1))
+        goals = np.broadcast_to(parent.goals, (count, 7)).copy()
+        least_s = self._bounds_s[np.abs(self._goals - parent.goals).sum(axis=1).argmin()]
+        durations_s = most_s - (most_s - min(least_s, most_s)) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
+        turns = np.broadcast_to(parent.turns, goals.shape)
+        turns = np.where(turns != goals, turns + size * 0.5 * rng.normal(size=goals.shape), turns)
+        back = rng.uniform(size=goals.shape) < 0.1
+        turns = np.where(back, goals, turns)
+        shares = parent.shares * np.exp(3 * size[..., None] * rng.normal(size=(count, 7, 5)))
+        shares = shares / shares.sum(axis=2, keepdims=True)
+        kept = fresh.taken(np.arange(count, len(fresh)))
+        return Schedules(
+            np.concatenate([goals, kept.goals]),
+            np.concatenate([durations_s, kept.durations_s]),
+            np.concatenate([self._within(turns), kept.turns]),
+            np.concatenate([shares, kept.shares]),
+        )
+
+    def _within(self, q: Floats) -> Floats:
+        inside: Floats = np.clip(q, LIMITS_RAD[0], LIMITS_RAD[1])
+        return inside
+
+    def _first_free(self, some: Schedules, best: Chain | None) -> tuple[Chain, Schedules] | None:
+        """The shortest of the schedules that is proven, a few looked at at once."""
+        limit_s = np.inf if best is None else best.duration_s
+        order = np.argsort(some.durations_s, kind="stable")
+        for begin in range(0, len(order), _AT_ONCE):
+            few = some.taken(order[begin : begin + _AT_ONCE])
+            times_s, steps = jerk_steps(self._start, few, self._limits)
+            for k in self._look_free(few.durations_s, times_s, steps):
+                course = of_jerk_steps(self._start, times_s[k], steps[k], float(few.durations_s[k]))
+                motion = self._shaper.proof(course, limit_s)
+                if motion is not None:
+                    return self._chain(motion), few.taken(np.array([k]))
+        return None
+
+    def _look_free(self, durations_s: Floats, times_s: Floats, steps: Floats) -> np.ndarray:
+        """Which schedules look free: those that are hit drop out look by look."""
+        left = np.arange(len(durations_s))
+        for shares in _LOOKS:
+            q = positions(self._start, times_s[left], steps[left], durations_s[left, None] * np.array(shares))
+            blocked = self._space.blocked(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).any(axis=1)
+            left = left[~blocked]
+            if not len(left):
+                break
+        return left
+
+    def _chain(self, motion: JointTrajectory) -> Chain:
+        path = motion.at(np.linspace(0.0, motion.duration_s, 3))
+        return Chain(path, np.zeros_like(path), motion, path)
