@@ -123,7 +123,7 @@ def _turned(v: Floats, c: Floats, s: Floats, joint: int) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class _Circle:
-    """The elbow's circle of one pose: e(phi) = middle + across cos phi + up sin phi, with d, h and q4."""
+    """The elbow's circle of a pose: e(phi) = middle + across cos phi + up sin phi, with d, h and q4."""
 
     middle: Floats
     across: Floats
@@ -135,6 +135,21 @@ class _Circle:
     def directions(self, phi: Floats) -> Floats:
         """Unit vectors of the upper arm, (n, 3)."""
         return self.middle + np.cos(phi)[:, None] * self.across + np.sin(phi)[:, None] * self.up
+
+
+@dataclass(frozen=True, slots=True)
+class _Circles:
+    """The circles of many poses, stacked: (n, 3) each, and q4 (n,)."""
+
+    middle: Floats
+    across: Floats
+    up: Floats
+    d_m: Floats
+    h: Floats
+    q4: Floats
+
+    def __getitem__(self, k: int) -> _Circle:
+        return _Circle(self.middle[k], self.across[k], self.up[k], self.d_m[k], self.h[k], float(self.q4[k]))
 
 
 def _circle(pose: ApexPose, apex_offset_m: float) -> _Circle | str:
@@ -164,26 +179,33 @@ def _circle(pose: ApexPose, apex_offset_m: float) -> _Circle | str:
     return _Circle(towards * math.cos(half), across * sine, up * sine, d, -pose.axis, -2 * half)
 
 
-def _linear_forms(circle: _Circle, e: Floats) -> Floats:
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Dot products of vectors with one vector, or with one each."""
+    product: Floats = a @ b if b.ndim == 1 else (a * b).sum(axis=-1)
+    return product
+
+
+def _linear_forms(circle: _Circle | _Circles, e: Floats) -> Floats:
     """The eight expressions, linear in e, that carry q1, q2, q3, q5 and q6: shape (8, n).
 
     With s2 = sin q2, s4 = sin |q4|: s2 cos q1 and s2 sin q1, cos q2, s2 times the forearm's two
     components that give q3, s4 times the hand's two that give q5 (without the sign of q6), cos q6.
     """
     d, h = circle.d_m / LINK_M, circle.h
-    along = float(circle.middle @ d)
+    along = _dot(circle.middle, d)
     f = d - e
-    across = np.array([d[1] * h[2] - d[2] * h[1], d[2] * h[0] - d[0] * h[2], d[0] * h[1] - d[1] * h[0]])
-    cos_q6 = f @ h
+    (dx, dy, dz), (hx, hy, hz) = d.T, h.T
+    across = np.array([dy * hz - dz * hy, dz * hx - dx * hz, dx * hy - dy * hx]).T
+    cos_q6 = _dot(f, h)
     return np.stack(
         [
             -e[:, 0],
             -e[:, 1],
             e[:, 2],
-            d[2] - e[:, 2] * along,
-            e[:, 1] * d[0] - e[:, 0] * d[1],
-            e @ h - cos_q6 * math.cos(circle.q4),
-            -(e @ across),
+            d[..., 2] - e[:, 2] * along,
+            e[:, 1] * d[..., 0] - e[:, 0] * d[..., 1],
+            _dot(e, h) - cos_q6 * np.cos(circle.q4),
+            -_dot(e, across),
             cos_q6,
         ]
     )
@@ -401,17 +423,52 @@ def along(positions_m: Floats, axes: Floats, swivels: Floats, q_start: Floats, a
 
     None where a pose is beyond the arm, or a joint would leave its limits or jump.
     """
+    if (circles := _circles(positions_m, axes, apex_offset_m)) is None:
+        return None
     q = np.empty((len(positions_m), JOINTS))
     previous = q_start
-    for k, (position_m, axis, phi) in enumerate(zip(positions_m, axes, swivels, strict=True)):
-        circle = _circle(ApexPose(position_m, axis), apex_offset_m)
-        if isinstance(circle, str):
-            return None
-        four = _configurations(circle, np.array([phi]))
+    for k, four in enumerate(_branches(circles, swivels)):
         four[:, 6] = q_start[6]
         jumps = np.abs(four - previous).max(axis=1)
-        nearest = int(np.argmin(jumps))
-        if jumps[nearest] > 0.1 or not _within(four[nearest], LIMITS_RAD):
+        nearest = int(jumps.argmin())
+        if jumps[nearest] > 0.1:
             return None
         q[k] = previous = four[nearest]
-    return q
+    return q if _within(q, LIMITS_RAD).all() else None
+
+
+def _circles(positions_m: Floats, axes: Floats, apex_offset_m: float) -> _Circles | None:
+    """The elbow circles of many poses (n, 3), (n, 3), stacked; None where one has none."""
+    d = positions_m + (WRIST_TO_FLANGE_M + apex_offset_m) * axes - (0.0, 0.0, SHOULDER_Z_M)
+    share = np.linalg.norm(d, axis=1)[:, None] / (2 * LINK_M)
+    if share.max() > 1 + _EDGE or share.min() < math.cos(LIMITS_RAD[0, 3] / 2) - _EDGE:
+        return None
+    towards = d / (2 * LINK_M * share)
+    upright = np.abs(towards[:, 2:]) > 0.99
+    other = np.where(upright, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    up = other - _dot(other, towards)[:, None] * towards
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    share = np.minimum(share, 1.0)
+    sine = np.sqrt(1 - share**2)
+    return _Circles(towards * share, np.cross(up, towards) * sine, up * sine, d, -axes, -2 * np.arccos(share[:, 0]))
+
+
+def _branches(stacked: _Circles, swivels: Floats) -> Floats:
+    """The four configurations of each circle at its own swivel angle: (n, 4, 7)."""
+    phi = swivels[:, None]
+    e = stacked.middle + np.cos(phi) * stacked.across + np.sin(phi) * stacked.up
+    x1, y1, c2, x3, y3, x5, y5, c6 = _linear_forms(stacked, e)
+    s2, s4 = np.hypot(x1, y1), -np.sin(stacked.q4)
+    if min(s2.min(), s4.min(), (np.hypot(x5, y5) / np.maximum(s4, _SINGULAR)).min()) < 1e3 * _SINGULAR:
+        # Where an angle is not determined, one configuration at a time settles it.
+        return np.array([_configurations(stacked[k], swivels[k : k + 1]) for k in range(len(swivels))])
+    s6 = np.hypot(x5, y5) / s4
+    q = np.zeros((len(swivels), 2, 2, JOINTS))
+    q[..., 3] = stacked.q4[:, None, None]
+    for k, sign in enumerate((1.0, -1.0)):
+        q[:, k, :, 0] = np.arctan2(sign * y1, sign * x1)[:, None]
+        q[:, k, :, 1] = sign * np.arctan2(s2, c2)[:, None]
+        q[:, k, :, 2] = np.arctan2(sign * y3, sign * x3)[:, None]
+        q[:, :, k, 4] = np.arctan2(sign * y5, sign * x5)[:, None]
+        q[:, :, k, 5] = sign * np.arctan2(s6, c6)[:, None]
+    return q.reshape(-1, 4, JOINTS)
