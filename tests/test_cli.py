@@ -298,3 +298,21 @@ def test_a_skill_with_a_bug_ends_the_run_safe_with_code_3(
     assert ended.returncode == 3
     assert "broke: ZeroDivisionError: division by zero" in ended.stdout
     assert "Traceback" not in ended.stderr
+
+
+def test_a_motion_a_dose_and_the_reach_can_be_drawn(scuhand_bt: Call, recipe: Path, tmp_path: Path) -> None:
+    page, picture, reach = tmp_path / "move.html", tmp_path / "dose.svg", tmp_path / "reach.html"
+    assert scuhand_bt("show-move", "mortar_bay", "balance", "-o", page).returncode == 0
+    assert scuhand_bt("reach", "-o", reach).returncode == 0
+    assert "<html" in page.read_text(encoding="utf-8")
+    assert "mortar_bay" in reach.read_text(encoding="utf-8")
+    ran = scuhand_bt("run", recipe, "--dry-run")
+    journal = ran.stdout.split("Journal:")[1].split()[0]
+    assert scuhand_bt("plot", journal, "a", "-o", picture).returncode == 0
+    assert "<svg" in picture.read_text(encoding="utf-8")
+
+
+def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(scuhand_bt: Call) -> None:
+    ended = scuhand_bt("show-move", "mortarbay", "balance")
+    assert ended.returncode == 2
+    assert "did you mean 'mortar_bay'?" in ended.stderr

@@ -104,7 +104,7 @@ def servos(spec: CellSpec) -> Iterator[Finding]:
     bus = DynamixelBus(spec.arm.port, int(options.get("baud", 3_000_000)), float(options.get("latency_ms", 8.0)))
     try:
         bus.open()
-        with closing(bus):
+        with closing(bus), bus.patience():
             found = bus.scan()
             axes = [*arm_axes(spec.arm), roller_axis(spec.hand)]
             yield _on_the_bus(found, axes)

@@ -52,11 +52,8 @@ def plain_value(value: Any) -> Any:
 
 def to_json(values: Any) -> str:
     """Compact JSON with sorted keys."""
-    if isinstance(values, Mapping):
-        values = {str(key): plain_value(value) for key, value in values.items()}
-    return json.dumps(
-        plain_value(values) if not isinstance(values, dict) else values, sort_keys=True, default=plain_value
-    )
+    whole = dict(values) if isinstance(values, Mapping) else plain_value(values)
+    return json.dumps(whole, sort_keys=True, default=plain_value)
 
 
 class Journal:
@@ -137,6 +134,12 @@ class Journal:
 
     def close(self) -> None:
         self._db.close()
+
+    def discard(self) -> None:
+        """The run did not come about: no journal of it."""
+        self.close()
+        for suffix in ("", "-wal", "-shm"):
+            self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
 
 
 def read(path: Path, table: str) -> list[dict[str, Any]]:

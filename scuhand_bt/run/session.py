@@ -44,10 +44,17 @@ class Session:
     between them, or a device that does not answer.
     """
 
-    def __init__(self, plan: Plan, lab: Lab, options: Options, motion: MotionPlanner | None = None) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        lab: Lab,
+        options: Options,
+        motion: MotionPlanner | None = None,
+        stop: Signal | None = None,
+    ) -> None:
         _check_controller(options.controller)
         self.plan = plan
-        self.stop = Signal()
+        self.stop = stop or Signal()
         """Fire it to end the run safely at the next tick (Ctrl-C does)."""
         self.run_id = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
         folder = options.folder or state_folder(lab) / "runs"
@@ -57,7 +64,7 @@ class Session:
         try:
             setup = set_up(plan, lab, options.simulation, self.journal, motion)
         except BaseException:
-            self.journal.close()
+            self.journal.discard()
             raise
         self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
         if options.controller is not None:

@@ -1,0 +1,200 @@
+"""Commands about a recipe: run it, check it, plan it."""
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import (
+    EXIT_BAD_INPUT,
+    JsonFlag,
+    LabOption,
+    RecipeArgument,
+    SeedOption,
+    app,
+    err,
+    out,
+    stopping_on_signals,
+    the_lab,
+)
+from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.yaml_source import SourceError
+
+if TYPE_CHECKING:
+    from scuhand_bt.lab import Lab
+    from scuhand_bt.plan import Plan
+    from scuhand_bt.run.batch import BatchResult
+    from scuhand_bt.run.session import Session
+
+
+@app.command()
+def run(
+    recipe: RecipeArgument,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Run on simulated devices.")] = False,
+    rehearse: Annotated[
+        bool, typer.Option("--rehearse", help="Run in real time with the real drivers, against twins.")
+    ] = False,
+    seed: SeedOption = 0,
+    speed: Annotated[float | None, typer.Option(help="Watch a dry run at so many times real time.")] = None,
+    controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
+    plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
+    lab: LabOption = None,
+) -> None:
+    """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
+    from scuhand_bt.clock import Signal
+    from scuhand_bt.live import doses_table, end_line
+    from scuhand_bt.run.export import canonical
+    from scuhand_bt.run.session import Options, Session
+    from scuhand_bt.run.setup import DryRun, Rehearsal
+    from scuhand_bt.sim.plant import PlantError
+    from scuhand_bt.sim.wire.hand import NoCompiler
+
+    if speed is not None and not 0 < speed < float("inf"):
+        raise typer.BadParameter("must be more than 0", param_hint="--speed")
+    if dry_run and rehearse:
+        raise typer.BadParameter("a run is a dry run or a rehearsal", param_hint="--dry-run/--rehearse")
+    if speed is not None and not dry_run:
+        raise typer.BadParameter("only a dry run has a speed", param_hint="--speed")
+    if plant is not None and not (dry_run or rehearse):
+        raise typer.BadParameter("only a dry run or a rehearsal has simulated physics", param_hint="--plant")
+    if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
+        raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
+    began, stop = time.monotonic(), Signal()
+    with stopping_on_signals(stop):
+        made, loaded = _plan(recipe, lab)
+        simulation = DryRun(seed, plant, speed) if dry_run else Rehearsal(seed, plant) if rehearse else None
+        mode = f"{simulation.mode} (seed {seed})" if simulation is not None else "real devices"
+        try:
+            session = Session(made, loaded, Options(simulation, controller), stop=stop)
+            count = len(made.recipe.samples)
+            out.print(Text(f"{made.recipe.name}: {count} samples on the cell '{loaded.cell.cell}', {mode}"))
+            result = _watched(session)
+        except (PlantError, NoCompiler) as error:
+            err.print(Text(f"{error}"))
+            raise typer.Exit(EXIT_BAD_INPUT) from None
+    out.print(doses_table(result.samples))
+    out.print(Text(end_line(result, time.monotonic() - began)))
+    out.print(Text(f"Journal: {session.journal.path}"))
+    if json_file is not None:
+        json_file.write_text(canonical(session.journal.path), encoding="utf-8")
+    raise typer.Exit(result.exit_code)
+
+
+def _watched(session: "Session") -> "BatchResult":
+    """Run with the live view on a terminal, else with plain lines."""
+    from scuhand_bt.live import LiveView, PlainLines
+
+    try:
+        if out.is_terminal:
+            with LiveView(out, session.cell, session.plan) as view:
+                return session.run(view)
+        return session.run(PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples)))
+    finally:
+        session.close()
+
+
+@app.command()
+def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
+    """Check a recipe, its tables and its workflows, without running anything."""
+    from scuhand_bt.plan import make_plan
+    from scuhand_bt.recipe import load_recipe
+
+    try:
+        loaded = the_lab(lab, recipe)
+        checked = load_recipe(recipe, loaded)
+        make_plan(checked, loaded)
+    except SourceError as error:
+        if not as_json:
+            raise
+        problems = [
+            {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
+            for p in error.problems
+        ]
+        out.print_json(json.dumps({"ok": False, "problems": problems}))
+        raise typer.Exit(EXIT_BAD_INPUT) from None
+    if as_json:
+        out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": []}))
+    else:
+        out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
+
+
+@app.command()
+def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
+    """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
+    made, _ = _plan(recipe, lab)
+    if as_json:
+        out.print_json(json.dumps(_plan_values(made)))
+        return
+    jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
+    for number, job in enumerate(made.jobs, start=1):
+        sample = job.sample
+        if sample is None:
+            jobs.add_row(str(number), job.name, job.workflow, "", "", "", "", style="cyan")
+            continue
+        jobs.add_row(
+            str(number),
+            sample.id,
+            sample.workflow,
+            sample.source.name if sample.source else "",
+            sample.container.name if sample.container else "",
+            format_mass(sample.mass_mg) if sample.mass_mg is not None else "",
+            f"{sample.tolerance_mg:g} mg" if sample.tolerance_mg is not None else "",
+        )
+    out.print(jobs)
+    powders = Table("source", "powder", "samples", "needed with losses", "amount", show_edge=False)
+    for demand in made.demands:
+        source = demand.source
+        needed, amount = format_mass(demand.needed_mg), format_mass(source.amount_mg)
+        powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
+    out.print()
+    out.print(powders)
+    out.print(f"\nSheet swaps: {made.swaps}. Estimated duration: {format_duration(made.duration_s)}.")
+    out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
+    if not made.persons:
+        out.print("After the start no person is needed.")
+    for person in made.persons:
+        out.print(Text(f"A person is needed at '{person.job}': {person.what}."))
+
+
+def _plan_values(made: "Plan") -> dict[str, Any]:
+    return {
+        "recipe": made.recipe.name,
+        "jobs": [
+            {
+                "name": job.name,
+                "workflow": job.workflow,
+                "sample": job.sample.id if job.sample else None,
+                "source": job.sample.source.name if job.sample and job.sample.source else None,
+                "container": job.sample.container.name if job.sample and job.sample.container else None,
+                "mass_mg": job.sample.mass_mg if job.sample else None,
+                "tolerance_mg": job.sample.tolerance_mg if job.sample else None,
+            }
+            for job in made.jobs
+        ],
+        "swaps": made.swaps,
+        "sources": [
+            {
+                "name": demand.source.name,
+                "powder": demand.source.powder.name,
+                "samples": demand.samples,
+                "needed_mg": demand.needed_mg,
+                "amount_mg": demand.source.amount_mg,
+            }
+            for demand in made.demands
+        ],
+        "persons": [{"job": person.job, "what": person.what} for person in made.persons],
+        "duration_s": made.duration_s,
+    }
+
+
+def _plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
+    from scuhand_bt.plan import make_plan
+    from scuhand_bt.recipe import load_recipe
+
+    lab = the_lab(folder, recipe)
+    return make_plan(load_recipe(recipe, lab), lab), lab

@@ -1,0 +1,112 @@
+"""Commands about a cell's devices: twins of them, and a doctor for them."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import (
+    EXIT_BAD_INPUT,
+    EXIT_CELL_FAULT,
+    JsonFlag,
+    LabOption,
+    SeedOption,
+    app,
+    err,
+    out,
+    stopping_on_signals,
+    the_lab,
+)
+
+if TYPE_CHECKING:
+    from scuhand_bt.lab import Lab
+    from scuhand_bt.sim.wire.bench import WireBench
+
+
+@app.command()
+def twins(
+    cell: Annotated[Path | None, typer.Option("--cell", help="A lab's robot/cell.yaml, instead of --lab.")] = None,
+    lab: LabOption = None,
+    seed: SeedOption = 0,
+) -> None:
+    """Start twins of the cell's devices on ports that any program can open, until Ctrl-C."""
+    from scuhand_bt.clock import Signal, Wake
+    from scuhand_bt.run.clock import WallClock
+
+    bench = _bench(_lab_of_cell(cell, lab), seed)
+    stop, clock = Signal(), WallClock(bench.check)
+    with stopping_on_signals(stop), bench:
+        table = Table("device", "driver", "port", show_edge=False)
+        for device in ("arm", "hand", "balance"):
+            spec = getattr(bench.spec, device)
+            table.add_row(device, spec.driver, spec.port)
+        out.print(Text(f"Twins of the cell '{bench.spec.cell}', SIMULATED (seed {seed}); Ctrl-C ends them."))
+        out.print(table)
+        sys.stdout.flush()
+        clock.wait([Wake.on(stop)])
+
+
+@app.command()
+def doctor(
+    lab: LabOption = None,
+    twins: Annotated[bool, typer.Option("--twins", help="Look at twins of the devices instead.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="The cone is empty: valve and motor may move.")] = False,
+    as_json: JsonFlag = False,
+) -> None:
+    """Look at every device of the cell, and say what is wrong and what to do."""
+    from contextlib import nullcontext
+    from dataclasses import asdict
+
+    from scuhand_bt.run.clock import WallClock
+    from scuhand_bt.run.doctor import examine
+
+    loaded = the_lab(lab)
+    bench = _bench(loaded) if twins else None
+    spec = bench.spec if bench is not None else loaded.cell
+    if not (yes or as_json) and sys.stdin.isatty():
+        yes = typer.confirm("Self-test: the valve opens by 1 mm and the motor vibrates. Is the cone empty?")
+    with bench or nullcontext():
+        findings = list(examine(spec, WallClock(), self_test=yes))
+    failed = sum(finding.verdict == "FAIL" for finding in findings)
+    if as_json:
+        values = {"cell": spec.cell, "simulated": twins, "ok": not failed, "findings": [asdict(f) for f in findings]}
+        out.print_json(json.dumps(values))
+    else:
+        out.print(Text(f"The cell '{spec.cell}', {'SIMULATED: twins of its devices' if twins else 'real devices'}"))
+        table = Table("device", "check", "found", "expected", "verdict", "what to do", show_edge=False)
+        for f in findings:
+            style = {"ok": "", "FAIL": "red", "not done": "dim"}[f.verdict]
+            table.add_row(f.device, f.check, f.found, f.expected, f.verdict, f.what_to_do, style=style)
+        out.print(table)
+        out.print(f"{len(findings)} checks, {failed} failed." if failed else f"{len(findings)} checks, none failed.")
+    raise typer.Exit(EXIT_CELL_FAULT if failed else 0)
+
+
+def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
+    """The lab that is named by its folder or by its robot/cell.yaml, else the nearest one."""
+    from scuhand_bt.lab import CELL_FILE
+
+    if cell is not None:
+        if folder is not None:
+            raise typer.BadParameter("name the lab by its folder or by its cell's file", param_hint="--cell/--lab")
+        folder = cell.absolute().parent.parent
+        if folder / CELL_FILE != cell.absolute():
+            raise typer.BadParameter(f"'{cell}' is no lab's {CELL_FILE}", param_hint="--cell")
+    return the_lab(folder)
+
+
+def _bench(lab: "Lab", seed: int = 0) -> "WireBench":
+    """The twins of a lab's cell; ends with a message where they cannot be made."""
+    from scuhand_bt.run.setup import bench_of
+    from scuhand_bt.sim.plant import PlantError
+    from scuhand_bt.sim.wire.hand import NoCompiler
+
+    try:
+        return bench_of(lab, seed)
+    except (PlantError, NoCompiler) as error:
+        err.print(Text(f"{error}"))
+        raise typer.Exit(EXIT_BAD_INPUT) from None

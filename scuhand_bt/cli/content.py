@@ -1,0 +1,111 @@
+"""Commands about a lab's content: its skills, its workflows, what it has learnt, and a new lab."""
+
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import LabOption, NameArgument, app, out, the_lab, unknown
+from scuhand_bt.quantity import Unit
+
+if TYPE_CHECKING:
+    from scuhand_bt.specs import PowderBelief
+
+
+@app.command()
+def skills(name: NameArgument = None, lab: LabOption = None) -> None:
+    """List the lab's skills, or show one with its parameters."""
+    from scuhand_bt.tree.wires import of_field
+
+    library = the_lab(lab).library
+    if name is None:
+        table = Table("skill", "what it is for", show_edge=False)
+        for key, skill in library.skills.items():
+            table.add_row(key, skill.summary())
+        out.print(table)
+        return
+    if name not in library.skills:
+        raise unknown("skill", name, library.skills)
+    skill = library.skills[name]
+    out.print(f"{name}: {skill.summary()}")
+    out.print(f"commands: {', '.join(skill.devices) or 'nothing'}; gives: {of_field(skill.result_type()).name}")
+    table = Table("parameter", "type", "default", show_edge=False)
+    for key, parameter in library.parameters(name).items():
+        field = next(info for field_name, info in skill.model_fields.items() if (info.alias or field_name) == key)
+        unit = next((f" {mark.unit}" for mark in field.metadata if isinstance(mark, Unit)), "")
+        table.add_row(key, parameter.wire.name, "required" if parameter.required else f"{field.default}{unit}")
+    out.print(table)
+
+
+@app.command()
+def trees(name: NameArgument = None, lab: LabOption = None) -> None:
+    """List the lab's workflows, or show one; all of them are checked."""
+    from scuhand_bt.tree.check import check_workflows
+    from scuhand_bt.yaml_source import Problems
+
+    loaded = the_lab(lab)
+    problems = Problems()
+    check_workflows(loaded.library, loaded.library.workflows, problems)
+    problems.raise_any()
+    if name is not None:
+        if name not in loaded.library.workflows:
+            raise unknown("workflow", name, loaded.library.workflows)
+        out.print(Text((loaded.folder / "trees" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()))
+        return
+    table = Table("workflow", "inputs", "what it is for", show_edge=False)
+    for key, workflow in loaded.library.workflows.items():
+        inputs = ", ".join(f"{declared.name}: {declared.type.name}" for declared in workflow.inputs.values())
+        table.add_row(key, inputs, workflow.summary)
+    out.print(table)
+
+
+@app.command()
+def powders(lab: LabOption = None) -> None:
+    """Show what the lab believes of its powders and its balance, and which run taught it."""
+    from scuhand_bt.run.learnt import LabState
+    from scuhand_bt.run.session import state_folder
+
+    loaded = the_lab(lab)
+    state = LabState(state_folder(loaded))
+    table = Table("powder lot", "C'", "onset mm", "exponent", "spread", "surge mg", "vibration", "doses", "learnt")
+    for name, powder in loaded.library.powders.items():
+        table.add_row(name, *_belief_cells(powder.belief), "first guess (robot/powders.yaml)", style="dim")
+    for simulated in (False, True):
+        for learnt in state.powders(simulated=simulated).values():
+            table.add_row(learnt.name, *_belief_cells(learnt.belief), learnt.origin)
+    out.print(table)
+    for simulated in (False, True):
+        for balance in state.balances(simulated=simulated).values():
+            figures = f"lag {balance.belief.lag_s:.2f} s, noise {balance.belief.noise_mg:.2f} mg"
+            out.print(Text(f"balance of '{balance.name}': {figures} ({balance.origin})"))
+
+
+def _belief_cells(belief: "PowderBelief") -> list[str]:
+    return [
+        f"{belief.coefficient:.1f}",
+        f"{belief.threshold_mm:.2f}",
+        f"{belief.exponent:.2f}",
+        f"{belief.spread:.0%}",
+        f"{belief.surge_mg:.1f}",
+        f"{belief.vibration:.0%}",
+        str(belief.doses),
+    ]
+
+
+@app.command()
+def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", show_default=False)]) -> None:
+    """Make a lab of your own: a copy of the starter lab's robot, skills, trees and recipes."""
+    from scuhand_bt.lab import starter_lab
+
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise typer.BadParameter(f"'{folder}' exists and is not empty")
+    for part in ("robot", "skills", "trees", "recipes"):
+        ignore = shutil.ignore_patterns("__pycache__", ".scuhand")
+        try:
+            shutil.copytree(starter_lab() / part, folder / part, ignore=ignore)
+        except OSError as error:
+            raise typer.BadParameter(f"'{folder}' cannot be written: {error}") from None
+    out.print(Text(f"A lab in {folder}. Try: scuhand-bt run {folder / 'recipes' / 'xrd_holders.yaml'} --dry-run"))

@@ -1,0 +1,115 @@
+"""Commands that draw: the arm's reach, one of its motions, one dose."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from scuhand_bt.cli.shared import LabOption, app, out, the_lab, unknown
+
+if TYPE_CHECKING:
+    from scuhand_bt.lab import Lab
+    from scuhand_bt.motion import MotionPlanner
+
+OutputOption = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.", show_default=False)]
+
+
+@app.command()
+def reach(output: OutputOption = None, lab: LabOption = None) -> None:
+    """Draw where the upright cone can be put, over the cell and its stations (HTML)."""
+    from scuhand_bt.report.reach import reach_page
+
+    loaded = the_lab(lab)
+    _write_text(output or Path("reach.html"), reach_page(loaded.cell))
+
+
+@app.command("show-move")
+def show_move(
+    start: Annotated[str, typer.Argument(help="A station's name.", show_default=False)],
+    goal: Annotated[str, typer.Argument(help="Another one.", show_default=False)],
+    output: OutputOption = None,
+    container: Annotated[str | None, typer.Option(help="What stands on the pan; default: nothing.")] = None,
+    lab: LabOption = None,
+) -> None:
+    """Draw the arm's motion between two stations: an animated 3D page, or a PNG with plots."""
+    from scuhand_bt.report.show_move import move_page, move_png
+
+    loaded = the_lab(lab)
+    kinds = loaded.library.containers
+    if container is not None and container not in kinds:
+        raise unknown("container", container, kinds)
+    for name in (start, goal):
+        if name not in loaded.cell.stations:
+            raise unknown("station", name, loaded.cell.stations)
+    planner = _planner(loaded, container)
+    offset_m = loaded.cell.hand.apex_offset_mm / 1000
+    there = planner.move(planner.home(), start)
+    motion = planner.move(there.sample(there.duration_s), goal)
+    title = f"{start} to {goal}"
+    path = output or Path(f"{start}-{goal}.html")
+    if path.suffix.lower() == ".png":
+        move_png(motion, planner.scene(), offset_m, title, path)
+        out.print(Text(f"Written: {path}"))
+    else:
+        _write_text(path, move_page(motion, planner.scene(), offset_m, title))
+
+
+@app.command()
+def plot(
+    journal: Annotated[Path, typer.Argument(help="A run's journal (.scuhand/runs/….sqlite).", show_default=False)],
+    sample: Annotated[str, typer.Argument(help="The sample whose dose to draw.", show_default=False)],
+    output: OutputOption = None,
+) -> None:
+    """Draw one dose: reading, estimate, opening and vibration against time (PNG or SVG; needs the extra `plot`)."""
+    from scuhand_bt.report.dose_plot import plot_dose
+    from scuhand_bt.run.journal import read
+
+    if not journal.is_file():
+        raise typer.BadParameter(f"'{journal}' is no journal")
+    jobs = {row["id"]: row["sample"] for row in read(journal, "job")}
+    samples = {row["id"]: jobs[row["job"]] for row in read(journal, "action")}
+    curves = [
+        event["payload"]["points"]
+        for event in read(journal, "event")
+        if event["kind"] == "dose_curve" and samples.get(event["action"]) == sample
+    ]
+    doses = [row["payload"] for row in read(journal, "dose") if jobs[row["job"]] == sample]
+    if not curves or not doses:
+        raise unknown("sample with a dose", sample, sorted({s for s in jobs.values() if s}))
+    path = output or Path(f"{sample}.png")
+    points = [point for curve in curves for point in curve]
+    plot_dose(points, doses[-1]["target_mg"], doses[-1]["tolerance_mg"], path, f"{sample}, {doses[-1]['controller']}")
+    out.print(Text(f"Written: {path}"))
+
+
+def _planner(lab: "Lab", container: str | None) -> "MotionPlanner":
+    """The lab's cell with a mortar at every mortar station, and a place at every station."""
+    import numpy as np
+
+    from scuhand_bt.devices.places import at_station, over_balance, over_mortar
+    from scuhand_bt.motion import ApexPose, MotionPlanner
+
+    kind = lab.library.containers.get(container or "")
+    largest = max(lab.library.mortars.values(), key=lambda mortar: mortar.outer_diameter_mm)
+    stations = lab.cell.stations.values()
+    planner = MotionPlanner(lab.urdf, lab.cell, {s.name: largest for s in stations if s.kind == "mortar"})
+    planner.set_container(kind)
+    for station in stations:
+        if station.kind == "mortar":
+            position_mm = over_mortar(station, largest)
+        elif station.kind == "balance":
+            shortest = min(lab.library.containers.values(), key=lambda one: one.height_mm)
+            position_mm = over_balance(lab.cell, kind or shortest)[1]
+        else:
+            position_mm = at_station(station)
+        planner.add_place(station.name, ApexPose(np.array(position_mm) / 1000))
+    return planner
+
+
+def _write_text(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise typer.BadParameter(f"'{path}' cannot be written: {error.strerror}") from None
+    out.print(Text(f"Written: {path}"))

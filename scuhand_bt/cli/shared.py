@@ -1,0 +1,107 @@
+"""What all commands share: the application, its two consoles, common options, and how errors end a command."""
+
+import io
+import signal
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+import scuhand_bt
+from scuhand_bt.failures import CATALOGUE, SkillFailed
+from scuhand_bt.yaml_source import SourceError
+
+if TYPE_CHECKING:
+    from scuhand_bt.clock import Signal
+    from scuhand_bt.lab import Lab
+
+EXIT_BAD_INPUT = 2
+EXIT_CELL_FAULT = 3
+EXIT_INTERRUPTED = 130
+
+app = typer.Typer(
+    help="Scoop and dispense powders by recipe. Exit codes: 0 all doses in tolerance; 1 finished with flagged doses; "
+    "2 bad input; 3 cell fault; 130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+RecipeArgument = Annotated[Path, typer.Argument(help="A recipe file (YAML).", show_default=False)]
+LabOption = Annotated[
+    Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one upward from the recipe.")
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness of a simulation.")]
+NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
+JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
+
+
+def main() -> None:
+    """Entry point: runs a command and turns bad input into located lines and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that cannot show '±' is no reason to break
+    try:
+        app()
+    except SourceError as error:
+        for problem in error.problems:
+            err.print(Text(str(problem)))
+        count = len(error.problems)
+        if count > 1:
+            err.print(f"{count} problems; nothing was moved.")
+        sys.exit(EXIT_BAD_INPUT)
+    except SkillFailed as error:
+        remedy = CATALOGUE[error.code].remedy if error.code in CATALOGUE else ""
+        err.print(Text(f"{error}. {remedy}".rstrip()))
+        sys.exit(EXIT_CELL_FAULT)
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        out.print(f"scuhand-bt {scuhand_bt.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@contextmanager
+def stopping_on_signals(stop: "Signal") -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the run safely instead of the process at once."""
+    before = {number: signal.signal(number, lambda *_: stop.fire()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
+    """The lab of `--lab`, else the nearest one upward from the recipe (or from here), else the starter lab."""
+    from scuhand_bt.lab import find_lab, load_lab
+
+    return load_lab(find_lab(recipe, folder))
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
+    """The error for a name that is not known, with the nearest that is."""
+    known = sorted(known)
+    nearest = get_close_matches(name, known, 1, 0.6)
+    hint = f"; did you mean '{nearest[0]}'?" if nearest else ""
+    return typer.BadParameter(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}")
