@@ -134,6 +134,16 @@ class DynamixelBus:
         self._port: _Port | None = None
         self._suspect: int | None = None
         """A servo whose answer may still come, from a question that was given up."""
+        self._attempts = 1
+
+    @contextlib.contextmanager
+    def patience(self, attempts: int = 10) -> Generator[None, None, None]:
+        """Ask a single servo up to so often before it is taken for missing: while nothing moves, there is time."""
+        self._attempts = attempts
+        try:
+            yield
+        finally:
+            self._attempts = 1
 
     @property
     def is_open(self) -> bool:
@@ -229,7 +239,13 @@ class DynamixelBus:
         return {p[1]: Status(bool(p[0] & ALERT), p[2 : 2 + length]) for p in parts}
 
     def _ask(self, servo: int, instruction: int, parameters: bytes, answer_size: int) -> Status:
-        """One question to one servo, and its answer of just this size."""
+        """A question to one servo, and its answer of just this size; NoAnswer when patience is at its end."""
+        for _ in range(self._attempts - 1):
+            with contextlib.suppress(NoAnswer):
+                return self._ask_once(servo, instruction, parameters, answer_size)
+        return self._ask_once(servo, instruction, parameters, answer_size)
+
+    def _ask_once(self, servo: int, instruction: int, parameters: bytes, answer_size: int) -> Status:
         with self._exchange() as port:
             packet = self._question(port, servo, instruction, parameters, answer_size)
         if packet is None:

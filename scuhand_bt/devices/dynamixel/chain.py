@@ -5,7 +5,6 @@ Stopping slows the motion's own time down to zero, so that the arm stops on its 
 goals where the servos are. Torque is never dropped: the arm has no brakes.
 """
 
-import contextlib
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -40,7 +39,6 @@ HALF_COUNT_RAD = 0.5 / r.COUNTS_PER_RAD
 """A goal this little beyond a limit is sent as the limit itself."""
 LONGEST_STEP_S = 0.02
 """Of a motion's time in one cycle: after a late one the arm falls behind its time, not off its path."""
-SETUP_ATTEMPTS = 10
 MISSED_LIMIT = 5
 """Readings in a row (100 ms) that a servo may leave unanswered."""
 FAR_LIMIT_S = 0.15
@@ -194,16 +192,11 @@ class ServoChain:
 
     def _set_up(self) -> None:
         for group in self.groups:
-            group.states = [self._set_up_axis(axis) for axis in group.axes]
+            with self.bus.patience():  # a late answer on a busy computer is no missing servo
+                group.states = [set_up(self.bus, axis) for axis in group.axes]
             group.goals_rad = group.positions_rad
         self._hold()
         self._read()
-
-    def _set_up_axis(self, axis: Axis) -> AxisState:
-        for _ in range(SETUP_ATTEMPTS - 1):
-            with contextlib.suppress(NoAnswer):  # a late answer on a busy computer is no missing servo
-                return set_up(self.bus, axis)
-        return set_up(self.bus, axis)
 
     def _run(self) -> None:
         """One cycle every 10 ms; one that comes late is not made up for."""
