@@ -23,6 +23,8 @@ from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.specs import ArmSpec
 
+pytestmark = pytest.mark.real_time
+
 READY = np.array([0.0, 0.4, 0.0, -1.6, 0.0, 0.5, 0.0])
 
 
@@ -176,7 +178,7 @@ def test_a_hung_tick_stops_the_arm_within_a_tenth_of_a_second(bench: Bench) -> N
     assert bench.group.fault is not None
     assert "the run's tick hung" in bench.group.fault.detail
     wait_for(lambda: bench.arm.is_stopped)
-    bench.liveness.beat()
+    bench.liveness.end()
     carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.005, 0.05)), bench.clock)
 
 

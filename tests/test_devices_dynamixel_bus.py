@@ -11,6 +11,8 @@ from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7, packet
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 
+pytestmark = pytest.mark.real_time
+
 Line = TwinServer[DynamixelTwin]
 
 

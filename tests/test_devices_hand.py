@@ -24,6 +24,8 @@ from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.specs import ArmSpec, BalanceSpec, CellSpec, ChangerSpec, HandSpec
 
+pytestmark = pytest.mark.real_time
+
 FIRMWARE = Path(__file__).parent.parent / "robot" / "firmware"
 
 

@@ -13,6 +13,8 @@ from scuhand_bt.sim.wire.port import PtyPort, SocketPort
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.specs import BalanceSpec
 
+pytestmark = pytest.mark.real_time
+
 
 def say(twin: BalanceTwin, command: bytes, now_s: float = 0.0) -> bytes:
     return b"".join(twin.hear(command, now_s))

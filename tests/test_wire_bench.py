@@ -11,6 +11,8 @@ from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.specs import Container, Source
 
+pytestmark = pytest.mark.real_time
+
 
 def test_powder_dosed_through_the_wires_lands_in_the_container_and_is_weighed_there() -> None:
     lab = load_lab(starter_lab())

@@ -13,6 +13,8 @@ from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import ACCESS_ERROR, LIMIT_ERROR, RANGE_ERROR, XM430, Servo
 
+pytestmark = pytest.mark.real_time
+
 
 def test_packets_are_those_of_the_manual() -> None:
     assert packet(1, 1, b"") == bytes.fromhex("fffffd00 01 0300 01 194e")

@@ -1,0 +1,113 @@
+"""The doctor, on twins: a healthy cell, and every ailment that is to be found."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.run import doctor
+from scuhand_bt.run.clock import WallClock
+from scuhand_bt.run.doctor import Finding, examine
+from scuhand_bt.run.setup import bench_of
+from scuhand_bt.sim.wire.bench import WireBench
+
+pytestmark = pytest.mark.real_time
+
+
+@pytest.fixture(scope="module")
+def healthy() -> Iterator[WireBench]:
+    with bench_of(load_lab(starter_lab())) as bench:
+        yield bench
+
+
+def failed(findings: Iterator[Finding]) -> list[tuple[str, str, str]]:
+    return [(f.device, f.check, f.found) for f in findings if f.verdict == "FAIL"]
+
+
+def test_a_healthy_cell_has_no_ailment_and_nothing_of_it_has_moved(healthy: WireBench) -> None:
+    before = [servo.position for servo in healthy.bus.twin.servos.values()]
+    findings = list(examine(healthy.spec, WallClock(), self_test=False))
+    assert failed(iter(findings)) == []
+    assert {f.device for f in findings} >= {
+        "arm",
+        "hand",
+        "balance",
+        "changer",
+        "servo 2 (joint 1)",
+        "servo 9 (roller)",
+    }
+    assert [f.check for f in findings if f.verdict == "not done"] == ["self-test", "identity"]
+    assert [servo.position for servo in healthy.bus.twin.servos.values()] == before
+    assert not any(servo.has_torque for servo in healthy.bus.twin.servos.values())
+    assert healthy.hand.twin.opening_mm == 0.0
+
+
+def test_the_self_test_opens_the_valve_and_vibrates_and_ends_safe(healthy: WireBench) -> None:
+    findings = {f.check: f for f in doctor.hand(healthy.spec.hand, WallClock(), self_test=True)}
+    assert findings["valve opens"].verdict == "ok", findings["valve opens"]
+    assert findings["vibration"].verdict == "ok", findings["vibration"]
+    assert healthy.hand.twin.opening_mm < 0.05
+    assert healthy.hand.twin.vibration == 0.0
+
+
+def test_each_ailment_of_a_servo_is_found_with_what_to_do(healthy: WireBench) -> None:
+    twin = healthy.bus.twin
+    tables = {servo.id: bytes(servo.table) for servo in twin.servos.values()}
+    twin.missing.add(8)
+    twin.servos[2].put(0, 2, 1120)
+    twin.servos[3].put(6, 1, 37)
+    twin.servos[4].put(144, 2, 84)
+    twin.servos[5].temperature_c = 76.0
+    twin.servos[6].put(48, 4, 3000)
+    twin.servos[9].fail(5)
+    try:
+        findings = list(doctor.servos(healthy.spec))
+    finally:
+        twin.missing.clear()
+        twin.servos[5].temperature_c = 25.0
+        for servo in twin.servos.values():
+            servo.table[:] = tables[servo.id]
+    assert failed(iter(findings)) == [
+        ("arm", "servo ids", "2, 3, 4, 5, 6, 7, 9"),
+        ("servo 2 (joint 1)", "model", "XM540-W270"),
+        ("servo 3 (joint 2)", "firmware", "37"),
+        ("servo 4 (joint 3)", "voltage", "8.4 V"),
+        ("servo 5 (joint 4)", "temperature", "76 °C"),
+        ("servo 6 (joint 5)", "window", "-157.0 to 83.7°"),
+        ("servo 9 (roller)", "hardware error", "overload"),
+    ]
+    assert all(f.what_to_do for f in findings if f.verdict == "FAIL")
+    assert "no answer from 8 (joint 7)" in findings[0].what_to_do
+
+
+def test_a_pressed_emergency_stop_and_a_dead_valve_are_found(healthy: WireBench) -> None:
+    board = healthy.hand.twin
+    board.emergency_stop = True
+    try:
+        found = failed(doctor.hand(healthy.spec.hand, WallClock(), self_test=True))
+    finally:
+        board.emergency_stop = False
+        board.reboot()
+    assert ("hand", "faults", "the emergency stop is (or was) pressed") in found
+    assert [check for _, check, _ in found] == ["faults", "self-test"]
+
+
+def test_a_balance_of_another_maker_is_named(healthy: WireBench) -> None:
+    spec = healthy.spec.balance.model_copy(update={"driver": "mt_sics"})
+    (finding,) = doctor.balance(spec, WallClock())
+    assert (finding.check, finding.verdict) == ("connection", "FAIL")
+
+
+def test_a_port_that_is_not_there_ends_the_checks_of_its_device_only(healthy: WireBench) -> None:
+    gone = healthy.spec.arm.model_copy(update={"port": "/dev/no-such-port"})
+    spec = healthy.spec.model_copy(update={"arm": gone})
+    findings = examine(spec, WallClock(), self_test=False)
+    assert failed(findings) == [("arm", "port", "/dev/no-such-port is not there")]
+
+
+def test_a_carousel_has_no_driver_and_a_wrong_driver_is_named() -> None:
+    cell = load_lab(starter_lab()).cell
+    assert doctor.changer(cell.changer).verdict == "FAIL"
+    odd = cell.model_copy(update={"arm": cell.arm.model_copy(update={"driver": "abacus"})})
+    (finding,) = doctor.servos(odd)
+    assert "may name dynamixel" in finding.found

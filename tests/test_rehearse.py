@@ -1,0 +1,128 @@
+"""A rehearsal: the real drivers carry out a recipe in real time, and the world behind the twins judges it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from running import Watching, make_lab, shared_planner
+
+from scuhand_bt.devices.scuhand import ScuHand
+from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.plan import make_plan
+from scuhand_bt.recipe import load_recipe
+from scuhand_bt.run.journal import read
+from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.setup import DryRun, Rehearsal
+from scuhand_bt.sim.plant import PlantError
+from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
+
+pytestmark = pytest.mark.real_time
+
+DOSE = """\
+workflow: dose
+inputs: {container: Container, mass: Mass, tolerance: Mass}
+result: $dose
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - move_over: {container: $container}
+    - dispense: {mass: $mass, tolerance: $tolerance, as: dose}
+"""
+OPEN = """\
+workflow: open
+tree:
+  check_valve:
+"""
+HEAD = """\
+recipe: rehearsed
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 6 g}
+samples:
+"""
+ONE_DOSE = HEAD + "  - {id: a, workflow: dose, container: xrd_holder, mass: 50 mg, tolerance: 5 mg}\n"
+
+
+class BreaksSoon:
+    """A plant that is sound when it is tried, and breaks as soon as powder should flow in the run."""
+
+    class Flow:
+        steps = 0
+
+        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
+            self.steps += 1
+            return float("nan") if self.steps > 4 else 0.0
+
+    def flow(self, powder: object) -> "BreaksSoon.Flow":
+        return self.Flow()
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    return load_lab(make_lab(tmp_path_factory.mktemp("lab") / "lab", trees__dose=DOSE, trees__open=OPEN))
+
+
+def session_of(folder: Path, lab: Lab, simulation: DryRun | Rehearsal, recipe: str = ONE_DOSE) -> Session:
+    path = folder / "recipe.yaml"
+    path.write_text(recipe, encoding="utf-8")
+    plan = make_plan(load_recipe(path, lab), lab)
+    return Session(plan, lab, Options(simulation, "adaptive", folder / "runs"), shared_planner(plan, lab))
+
+
+def load_by_hand(session: Session) -> None:
+    """Fill the cone as the paper's experiments did: a scoop takes its time."""
+    assert session.world is not None
+    session.world.load_cone("beads", 3000.0)
+    session.cell.believed.cone_mg, session.cell.believed.cone_source = 3000.0, "beads"
+    session.cell.believed.sheet = "glass_beads"
+
+
+def test_a_rehearsed_dose_has_the_verdict_of_the_dry_run_and_says_what_it_is(tmp_path: Path, lab: Lab) -> None:
+    verdicts = []
+    for simulation in (DryRun(seed=2), Rehearsal(seed=2)):
+        session = session_of(tmp_path, lab, simulation)
+        try:
+            load_by_hand(session)
+            result = session.run(Watching(session))
+        finally:
+            session.close()
+        (sample,) = result.samples
+        verdicts.append((sample.verdict, sample.code))
+        assert sample.dispensed_mg == pytest.approx(sample.true_mg, abs=1.5)
+    assert verdicts[0] == verdicts[1] == ("in tolerance", None)
+    assert isinstance(session.cell.hand, ScuHand)
+    assert session.cell.simulated
+    run = {row["key"]: row["value"] for row in read(session.journal.path, "run")}
+    assert run["simulated"] == "true"
+    assert run["mode"] == "REHEARSAL (simulated matter, real drivers)"
+
+
+def test_a_rehearsal_that_is_stopped_ends_safe_and_leaves_nobody_watched(tmp_path: Path, lab: Lab) -> None:
+    session = session_of(tmp_path, lab, Rehearsal())
+    watching = Watching(session, stop_at=5)
+    result = session.run(watching)
+    arm, hand = session.cell.arm, session.cell.hand
+    assert result.exit_code == 130
+    assert arm.is_stopped
+    assert hand.is_stopped
+    rests = arm.positions
+    session.close()
+    assert np.allclose(arm.positions, rests)
+
+
+def test_a_plant_that_fails_in_the_middle_ends_the_rehearsal(tmp_path: Path, lab: Lab) -> None:
+    opened = HEAD + "  - {id: a, workflow: open}\n"
+    session = session_of(tmp_path, lab, Rehearsal(plant="test_rehearse:BreaksSoon"), opened)
+    try:
+        load_by_hand(session)
+        with pytest.raises(PlantError, match="nan"):
+            session.run(Watching(session))
+    finally:
+        session.close()
+
+
+def test_without_a_compiler_there_is_no_rehearsal(tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("scuhand_bt.sim.wire.hand.build_brain", build_brain.__wrapped__)
+    with pytest.raises(NoCompiler, match=r"install g\+\+"):
+        session_of(tmp_path, lab, Rehearsal())
