@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import serial
 from conftest import REPOSITORY, LabFolder
 
 from scuhand_bt import cli
+from scuhand_bt.sim.wire.hand import NoCompiler
 
 SMALL = """\
 recipe: small
@@ -247,6 +249,9 @@ def test_a_controller_is_chosen_by_name(scuhand_bt: Call, recipe: Path, controll
         (["--dry-run", "--seed", "x"], "--seed"),
         (["--dry-run", "--json", "/nosuch/folder/out.json"], "cannot be written"),
         (["--speed", "2"], "only a dry run"),
+        (["--rehearse", "--speed", "2"], "only a dry run has a speed"),
+        (["--rehearse", "--dry-run"], "a dry run or a rehearsal"),
+        (["--plant", "json:Class"], "only a dry run or a rehearsal"),
         (["--nonsense"], "--nonsense"),
     ],
 )
@@ -316,3 +321,69 @@ def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(scuhand_bt: C
     ended = scuhand_bt("show-move", "mortarbay", "balance")
     assert ended.returncode == 2
     assert "did you mean 'mortar_bay'?" in ended.stderr
+
+
+# --- the real cell, and its twins
+
+
+def test_a_rehearsal_says_what_it_is_and_is_interrupted_safely(recipe: Path) -> None:
+    command = [sys.executable, "-u", "-m", "scuhand_bt", "run", str(recipe), "--rehearse", "--seed", "4"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY
+    ) as process:
+        assert process.stdout is not None
+        title = process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert "REHEARSAL (simulated matter, real drivers) (seed 4)" in title, err
+    assert process.returncode == 130, err
+    assert "Ended early: interrupted" in out
+    assert "Traceback" not in err
+
+
+def test_without_a_compiler_a_rehearsal_is_code_2_in_words(
+    scuhand_bt: Call, recipe: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_compiler(firmware: Path) -> None:
+        raise NoCompiler("install g++")
+
+    monkeypatch.setattr("scuhand_bt.sim.wire.hand.build_brain", no_compiler)
+    for command in (["run", recipe, "--rehearse"], ["twins"], ["doctor", "--twins"]):
+        ended = scuhand_bt(*command)
+        assert (ended.returncode, ended.stderr) == (2, "install g++\n")
+
+
+def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "scuhand_bt", "twins", "--cell", str(REPOSITORY / "robot" / "cell.yaml")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        lines: list[str] = []
+        while not any("balance" in line for line in lines):
+            lines.append(process.stdout.readline())
+            assert lines[-1], "it ended"
+        with serial.Serial(lines[-1].split()[-1], timeout=20) as port:
+            port.write(b"D07\r\n")
+            assert port.read_until(b"\r\n").endswith(b"g \r\n")
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+    assert "SIMULATED" in lines[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(scuhand_bt: Call) -> None:
+    healthy = json.loads(scuhand_bt("doctor", "--twins", "--yes", "--json").stdout)
+    assert [f for f in healthy["findings"] if f["verdict"] == "FAIL"] == []
+    assert healthy["ok"]
+    assert healthy["simulated"]
+    nothing = scuhand_bt("doctor")
+    assert nothing.returncode == 3
+    assert "real devices" in nothing.stdout
+    assert "/dev/ttyUSB0 is not there" in nothing.stdout
+
+
+def test_the_start_of_day_needs_no_powder_and_is_good_in_a_dry_run(scuhand_bt: Call) -> None:
+    assert "put a check weight on the pan" in scuhand_bt("plan", "recipes/start_of_day.yaml").stdout
+    ended = scuhand_bt("run", "recipes/start_of_day.yaml", "--dry-run")
+    assert ended.returncode == 0, ended.stdout
+    assert "1 of 1 samples good" in ended.stdout
