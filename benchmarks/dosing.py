@@ -26,6 +26,9 @@ from scuhand_bt.sim.plant import PlantError, load_plant
 from scuhand_bt.specs import BalanceResponseSpec, BalanceSpec, HandSpec, Powder
 
 TARGETS_MG = (20.0, 50.0, 500.0, 3000.0)
+CALIBRATED, REDO = "as calibrated", "redo"
+REDO_UP_TO_MG = 50.0
+"""Small doses are thrown away for a new one; a recipe's `redo`, once."""
 FREE_FLOWING = ("glass_beads", "monosodium_glutamate")
 
 
@@ -33,7 +36,7 @@ def settings(plant: str | None) -> dict[str, Setting]:
     """The rows: the lab as calibrated, and what should not matter. Controllers are told of none of it."""
     slow = BalanceResponseSpec(lag_s=1.0)
     return {
-        "as calibrated": Setting(plant=plant),
+        CALIBRATED: Setting(plant=plant),
         "noise x 4": Setting(plant=plant, balance=BalanceSpec(simulation=BalanceResponseSpec(noise_mg=0.32))),
         "readability 1 mg": Setting(plant=plant, balance=BalanceSpec(readability_mg=1.0)),
         "output 5 Hz": Setting(plant=plant, balance=BalanceSpec(period_s=0.2)),
@@ -42,7 +45,17 @@ def settings(plant: str | None) -> dict[str, Setting]:
         "prior x 2": Setting(plant=plant, belief_factor=2.0),
         "prior / 2": Setting(plant=plant, belief_factor=0.5),
         "fill 70 %": Setting(plant=plant, load_ratio=0.7),
+        REDO: Setting(plant=plant, redo=True),
     }
+
+
+def cells_of(row: str, powders: Sequence[str]) -> list[tuple[str, float]]:
+    """Which powders and targets a row is about."""
+    if row == CALIBRATED:
+        return [(name, target_mg) for name in powders for target_mg in TARGETS_MG]
+    if row == REDO:
+        return [(name, target_mg) for name in powders for target_mg in TARGETS_MG if target_mg <= REDO_UP_TO_MG]
+    return [(name, target_mg) for name in powders if name in FREE_FLOWING for target_mg in TARGETS_MG]
 
 
 class Job(NamedTuple):
@@ -109,13 +122,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--controllers", default="paper,adaptive,oracle")
     parser.add_argument("--powders", default="", help="names, all if empty")
     parser.add_argument("--trials", type=int, default=200, help="per cell, in runs of ten")
-    parser.add_argument("--rows", default="as calibrated", help="comma-separated, or 'all', or 'robust'")
+    parser.add_argument("--rows", default=CALIBRATED, help="comma-separated, or 'all', or 'robust'")
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args(arguments)
     controllers = chosen.controllers.split(",")
     powders, rows = shipped_powders(), settings(chosen.plant)
     picked = list(powders) if not chosen.powders else chosen.powders.split(",")
-    robust = [row for row in rows if row != "as calibrated"]
+    robust = [row for row in rows if row not in (CALIBRATED, REDO)]
     wanted = {"all": list(rows), "robust": robust}.get(chosen.rows, chosen.rows.split(","))
     problems = [f"no controller is called '{name}'" for name in controllers if name not in {*CONTROLLERS, "oracle"}]
     problems += [f"no powder is called '{name}'" for name in picked if name not in powders]
@@ -133,8 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cells = [
         (row, name, target_mg, controller)
         for row in wanted
-        for name in (picked if row == "as calibrated" else [name for name in picked if name in FREE_FLOWING])
-        for target_mg in TARGETS_MG
+        for name, target_mg in cells_of(row, picked)
         for controller in controllers
     ]
     doses = [min(DOSES_PER_RUN, chosen.trials - start) for start in range(0, chosen.trials, DOSES_PER_RUN)]
@@ -156,6 +168,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results[" | ".join(map(str, cell))] = figures
             print(line(cell, figures, paper_s.get(cell[:3])), flush=True)
     if chosen.json is not None:
+        if chosen.json.exists():
+            results = json.loads(chosen.json.read_text(encoding="utf-8")) | results
         chosen.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     return 0
 

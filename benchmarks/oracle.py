@@ -20,6 +20,8 @@ LOOK_S = 0.02
 AHEAD_S = 0.35
 """Time constant of its approach: what is left divided by this is its flow."""
 GUARD_MG = 0.3
+REMEMBERED_LUMPS = 5.0
+"""Lumps are judged by the mass that last fell: so many of them."""
 QUIET_S = 0.8
 
 
@@ -31,7 +33,8 @@ class Oracle:
         self.shape = FlowShape(request.powder.threshold_mm, request.powder.exponent)
         self.coefficient = request.powder.coefficient
         self.surge_mg = 3.0 * request.powder.surge_mg
-        self._odd, self._mean = 4.0 * self.surge_mg, 2.0
+        self._mean = REMEMBERED_LUMPS * self.surge_mg
+        self._odd = 2.0 * self.surge_mg * self._mean
 
     def aim_mg(self) -> float:
         """Where it closes: inside the tolerance from below, where a lump has the most room."""
@@ -45,9 +48,13 @@ class Oracle:
         return min(max(opening_mm, self.shape.threshold_mm + 0.05), self.request.max_opening_mm)
 
     def learn_surge(self, gained_mg: float, expected_mg: float) -> None:
-        """Lumps of mean mass m make the variance of what falls 2 m times its mean."""
-        self._odd = 0.98 * self._odd + (gained_mg - expected_mg) ** 2
-        self._mean = 0.98 * self._mean + expected_mg
+        """Lumps of mean mass m make the variance of what falls 2 m times its mean.
+
+        It forgets as powder passes, not as time does: a slow flow without a lump says nothing.
+        """
+        kept = math.exp(-expected_mg / (REMEMBERED_LUMPS * self.surge_mg))
+        self._odd = kept * self._odd + (gained_mg - expected_mg) ** 2
+        self._mean = kept * self._mean + expected_mg
         self.surge_mg = self._odd / self._mean / 2.0
 
     def tail_mg(self, opening_mm: float) -> float:
@@ -71,7 +78,7 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
     while openings < 25:
         openings += 1
         quiet_s, shaking = 0.0, vibration
-        before_mg, opening_mm, slowest = left_mg(), 0.0, min(3.0, max(0.3 / oracle.surge_mg, 0.5))
+        before_mg, opening_mm, slowest = left_mg(), 0.0, min(3.0, max(0.3 / oracle.surge_mg, 0.25))
         while left_mg() + oracle.tail_mg(hand.opening_mm) < oracle.aim_mg():
             opening_mm = oracle.opening_mm(oracle.aim_mg() - left_mg(), slowest)
             hand.set_vibration(shaking)

@@ -22,6 +22,8 @@ from scuhand_bt.dosing.pulses import pulses
 
 WATCH_LAGS, WATCH_LAGS_PROBING = 2.0, 3.5
 """How many lags of the balance the tail is watched for, before a stable mean is asked."""
+LISTENED = 12
+"""Readings that tell an unknown balance's noise."""
 MOST_OPENINGS = 25
 LEFT_MG = 1.0
 """A probe that leaves at least so much is followed at once: the mean can wait."""
@@ -55,6 +57,8 @@ class Adaptive:
         known = self._known
         seen = yield Stream(0.0)
         known.time_s, start_mg = seen.time_s, seen.net_mg
+        if known.fits == 0:
+            yield from self._listen()
         known.filter.restart(seen.net_mg, 2.0 * known.noise_mg, known.reference, known.unsure)
         for opening in range(MOST_OPENINGS):
             before_mg = known.filter.mass_mg
@@ -76,6 +80,11 @@ class Adaptive:
             if ended == "dry":
                 return known.finish(known.request.given_up(seen.net_mg - start_mg), seen)
         return known.finish("step_limit", seen)
+
+    def _listen(self) -> Generator[Command, Observation, None]:
+        """Valve shut: the noise of a balance that nothing is known of."""
+        for _ in range(LISTENED):
+            yield from self._known.act(0.0, 0.0)
 
     def _watch_tail(self, lags: float) -> Generator[Command, Observation, None]:
         """Valve shut: readings until the balance has all but followed."""

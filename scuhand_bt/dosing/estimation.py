@@ -14,7 +14,7 @@ they claim (adaptive Kalman filtering, Mehra, IEEE Trans. Autom. Control 17, 197
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -101,13 +101,13 @@ class FlowFilter:
         score = innovation_mg / math.sqrt(variance)
         self.log_likelihood -= 0.5 * (math.log(variance) + score * score)
         if flow_mg > 0.01:
-            self.surge_mg *= math.exp(SURGE_GAIN * (min(score * score, 4.0) - 0.9))
+            told = 1.0 - noise_mg * noise_mg / variance  # noise alone says nothing about surges
+            self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, 4.0) - 0.9))
             self.surge_mg = min(max(self.surge_mg, SMALLEST_SURGE_MG), LARGEST_SURGE_MG)
         return score
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """One reading of an opening and its tail, as `FlowFilter.update` takes it."""
 
     dt_s: float
@@ -117,7 +117,7 @@ class Row:
 
 
 LAGS_S = tuple(float(lag_s) for lag_s in np.geomspace(0.06, 1.6, 16))
-CLEARER = 4.0
+CLEARER = 3.0
 """A lag is told when it is this much likelier (natural logarithm) than those two steps of the grid away."""
 
 

@@ -23,11 +23,13 @@ DEVIATIONS = 2.5
 SLACK_S = 0.15
 DOUBTED, UNKNOWN = 0.6, 1.0 / 3.0
 """The coefficient is never taken to be below this share of its reference: of a learnt one, of a guess."""
-SEEN_LATE = 0.25
+SEEN_LATE = 0.5
 """Share of the balance's lag that even a well-known flow is not seen through."""
 GENTLE, FULL = 0.4, 1.0
 LAG_MARGIN = 1.06
 """A lag believed too long costs a moment, one believed too short costs an overshoot."""
+NOISES = 20
+"""How many second differences the noise is the mean of."""
 LAG_FITS = 8
 """After this many openings that told it, the balance's lag is known."""
 
@@ -65,6 +67,7 @@ class Knowledge:
         """The largest reference of this dose: what shaking may bring back."""
         self._known_s = 0.0 if self.belief.doses == 0 else 10.0
         self._recent_mg: list[float] = []
+        self._noises = 0 if self.fits == 0 else NOISES
         self._ratios: list[float] = []
 
     def act(
@@ -91,6 +94,11 @@ class Knowledge:
         return request.target_mg - min(self.filter.surge_mg + 0.1, max(0.0, request.tolerance_mg - guard_mg - 0.1))
 
     @property
+    def flows_only_shaken(self) -> bool:
+        """Shaken not because it stalls now and then, but to flow at all: it pauses when shaking does."""
+        return self.belief.vibration > GENTLE
+
+    @property
     def unsure(self) -> float:
         """Relative uncertainty of a powder's flow that nothing was learnt of yet, or that is known."""
         return max(self.belief.spread, 0.5) if self.belief.doses == 0 else self.belief.spread
@@ -99,7 +107,8 @@ class Knowledge:
         """The opening for what remains."""
         request, estimate = self.request, self.filter
         surge_mg = estimate.surge_mg
-        unseen_mg = within(remaining_mg, surge_mg)
+        reserve_mg = surge_mg if self.flows_only_shaken else 0.0
+        unseen_mg = within(remaining_mg - reserve_mg, surge_mg)
         doubted = DOUBTED if self._known_s > 3.0 else UNKNOWN
         coefficient = max(estimate.coefficient, doubted * self.reference)
         unsure = min(1.0, estimate.coefficient_sd / coefficient)
@@ -109,7 +118,7 @@ class Knowledge:
             (late_s + lag_s * min(1.0, SEEN_LATE + 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure)
         )
         slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
-        slowest = min(slowest, max(0.25 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
+        slowest = min(slowest, max(0.5 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
         opening_mm = self.shape.opening_mm(max(flow, slowest) / coefficient)
         return min(max(opening_mm, self.shape.threshold_mm + 0.05), request.max_opening_mm)
 
@@ -152,8 +161,10 @@ class Knowledge:
         before_mg = self.shaking_noise_mg if vibration > 0.0 else self.noise_mg
         if curving_mg > before_mg or abs(second_mg) > 12.0 * before_mg:
             return
+        self._noises = min(self._noises + 1, NOISES)
+        weight = 1.0 / self._noises if vibration == 0.0 else 1.0 / NOISES
         floor_mg = self.request.readability_mg / math.sqrt(12.0)
-        after_mg = max(floor_mg, math.sqrt(0.95 * before_mg**2 + 0.05 * second_mg**2 / 6.0))
+        after_mg = max(floor_mg, math.sqrt((1.0 - weight) * before_mg**2 + weight * second_mg**2 / 6.0))
         if vibration > 0.0:
             self.shaking_noise_mg = after_mg
         else:
@@ -161,7 +172,10 @@ class Knowledge:
 
     def identify_lag(self) -> None:
         """The balance's lag, from this opening; the geometric mean of all that told one."""
-        lag_s = fit_lag(self.record, self.reference, self.filter.surge_mg) if self.fits < LAG_FITS else None
+        if self.fits >= LAG_FITS:
+            return
+        rows = [row._replace(noise_mg=max(row.noise_mg, self.noise_mg)) for row in self.record]
+        lag_s = fit_lag(rows, self.reference, self.filter.surge_mg)
         if lag_s is None:
             return
         weight = 1.0 / (self.fits + 1)

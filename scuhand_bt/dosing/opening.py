@@ -24,9 +24,9 @@ QUIET_SHARE = 0.2
 DRY_MG = 3.0
 LUMPY_MG = 0.7
 """Lumps of this mean mass are worth looking at one by one, where shaking alone brings them."""
-LUMPS_LEFT = 1.5
-SHAKE_S, SHAKE_SHARE = 0.3, 0.12
-"""One shake, and the mass it should bring, as a share of a lump."""
+LUMPS_LEFT = 3.0
+SHAKE_S, SHAKE_SHARE, SHAKE_LUMPS = 0.3, 0.12, 1.5
+"""One shake, the share of a lump it should bring, and up to how many lumps from the target; more further away."""
 PAUSED = 0.1
 """Share of the flow that is allowed for while such a powder is not shaken."""
 LONGEST_BARREN_S = 120.0
@@ -170,14 +170,15 @@ class Opening:
 
     def _takes_lumps_singly(self) -> bool:
         surge_mg = self._known.filter.surge_mg
-        lumpy = self._known.vibration > 0.0 and surge_mg > LUMPY_MG
+        lumpy = self._known.flows_only_shaken and surge_mg > LUMPY_MG
         return not self._probing and lumpy and self._remaining_mg < LUMPS_LEFT * surge_mg + 1.0
 
     def _shake_and_look(self) -> Generator[Command, Observation, None]:
         """Where only shaking lets powder out: a short shake, then a look without it."""
         known, period_s = self._known, self._known.request.balance_period_s
         shakes = max(1, round(SHAKE_S / period_s))
-        flow = SHAKE_SHARE * known.filter.surge_mg / (shakes * period_s)
+        share_mg = SHAKE_SHARE * max(known.filter.surge_mg, self._remaining_mg / SHAKE_LUMPS)
+        flow = share_mg / (shakes * period_s)
         wanted_mm = known.shape.opening_mm(flow / known.likely_coefficient)
         self._set_opening(min(wanted_mm, known.request.max_opening_mm))
         level = max(self._vibration, known.vibration)

@@ -1,0 +1,107 @@
+"""The tables of docs/dosing.md, from the figures that `benchmarks.dosing --json` kept.
+
+python -m benchmarks.dosing_tables [benchmarks/dosing_results.json] [docs/dosing.md]
+"""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from benchmarks.dosing import CALIBRATED, REDO, TARGETS_MG
+
+Figures = Mapping[str, float]
+Key = tuple[str, str, float, str]
+"""Row, powder, target and controller."""
+MARK = "<!-- results -->"
+
+
+def read(path: Path) -> dict[Key, Figures]:
+    kept = {}
+    for name, figures in json.loads(path.read_text(encoding="utf-8")).items():
+        row, powder, target_mg, controller = name.split(" | ")
+        kept[row, powder, float(target_mg), controller] = figures
+    return kept
+
+
+def trials(results: Mapping[Key, Figures], rows: Sequence[str]) -> str:
+    counts = sorted({int(figures["trials"]) for key, figures in results.items() if key[0] in rows})
+    return " or ".join(map(str, counts))
+
+
+def calibrated(results: Mapping[Key, Figures]) -> list[str]:
+    lines = [
+        f"{trials(results, [CALIBRATED])} doses a cell, as calibrated:",
+        "",
+        "| powder | target | controller | success (true), 95 % | reported | error [mg] | worst | > 20 mg "
+        "| time [s], p95 | of `paper` | of `oracle` |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for (row, powder, target_mg, controller), figures in results.items():
+        if row != CALIBRATED:
+            continue
+        against = [results.get((row, powder, target_mg, name)) for name in ("paper", "oracle")]
+        ratios = [f"{figures['mean_s'] / other['mean_s']:.2f}" if other else "" for other in against]
+        lines.append(
+            f"| {powder} | {target_mg:g} | {controller} | {figures['true']:.1f} "
+            f"({figures['low']:.1f}–{figures['high']:.1f}) | {figures['reported']:.1f} "
+            f"| {figures['mean_mg']:+.2f} ± {figures['sd_mg']:.2f} | {figures['worst_mg']:+.1f} "
+            f"| {figures['beyond_20mg']:g} | {figures['mean_s']:.1f}, {figures['p95_s']:.1f} "
+            f"| {ratios[0]} | {ratios[1]} |"
+        )
+    return lines
+
+
+def redo(results: Mapping[Key, Figures]) -> list[str]:
+    lines = [
+        "## Dosed again",
+        "",
+        f"Doses up to 50 mg that were reported out of tolerance are dosed once more into a new container, and their "
+        f"times added; {trials(results, [REDO])} doses a cell:",
+        "",
+        "| powder | target | controller | success (true), 95 % | reported | worst | time [s] |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for (row, powder, target_mg, controller), figures in results.items():
+        if row == REDO:
+            lines.append(
+                f"| {powder} | {target_mg:g} | {controller} | {figures['true']:.1f} "
+                f"({figures['low']:.1f}–{figures['high']:.1f}) | {figures['reported']:.1f} "
+                f"| {figures['worst_mg']:+.1f} | {figures['mean_s']:.1f} |"
+            )
+    return lines
+
+
+def robust(results: Mapping[Key, Figures]) -> list[str]:
+    rows = list(dict.fromkeys(key[0] for key in results if key[0] not in (CALIBRATED, REDO)))
+    lines = [
+        "## Robustness",
+        "",
+        f"`adaptive` with free-flowing powders, told of none of this; success by true (by reported) mass in %, of "
+        f"{trials(results, rows)} doses a cell, and the worst overshoot of the row.",
+        "",
+        "| row | powder | " + " | ".join(f"{target_mg:g} mg" for target_mg in TARGETS_MG) + " | worst [mg] |",
+        "| --- | --- | " + "--- | " * (len(TARGETS_MG) + 1),
+    ]
+    for row in rows:
+        for powder in dict.fromkeys(key[1] for key in results if key[0] == row):
+            cells = [results[row, powder, target_mg, "adaptive"] for target_mg in TARGETS_MG]
+            scores = " | ".join(f"{cell['true']:.1f} ({cell['reported']:.1f})" for cell in cells)
+            lines.append(f"| {row} | {powder} | {scores} | {max(cell['worst_mg'] for cell in cells):+.1f} |")
+    return lines
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Replace what stands below the mark."""
+    here = Path(__file__).parent
+    source = Path(arguments[0]) if arguments else here / "dosing_results.json"
+    page = Path(arguments[1]) if len(arguments) > 1 else here.parent / "docs" / "dosing.md"
+    results = read(source)
+    blocks = [calibrated(results), redo(results), robust(results)]
+    text = page.read_text(encoding="utf-8").split(MARK)[0]
+    page.write_text(text + MARK + "\n" + "\n\n".join("\n".join(block).rstrip() for block in blocks) + "\n", "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
