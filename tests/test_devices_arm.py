@@ -53,7 +53,8 @@ class Bench:
         self.clock = WallClock()
         self.liveness = Liveness()
         self.group = AxisGroup(arm_axes(ArmSpec()))
-        self.chain = ServoChain(DynamixelBus(self.server.url), [self.group], liveness=self.liveness, reopen_s=0.005)
+        bus = DynamixelBus(self.server.url, latency_ms=20.0)  # for a busy computer
+        self.chain = ServoChain(bus, [self.group], liveness=self.liveness, reopen_s=0.005)
         self.arm = DynamixelArm(self.chain, self.group)
 
     def goal_counts(self) -> list[int]:
