@@ -1,11 +1,12 @@
 import re
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.collision import SMALLEST_MARGIN_M, Arm, Scene, Solid
 from scuhand_bt.motion.kinematics import LIMITS_RAD, apex
 
 URDF = load_lab(starter_lab()).urdf
@@ -113,3 +114,32 @@ def test_what_may_be_touched_is_not_a_hit(arm):
 def test_a_urdf_that_is_not_this_arm_is_refused_with_its_reason(broken, message):
     with pytest.raises(ValueError, match=message):
         Arm(broken)
+
+
+def test_why_the_security_margin_is_never_zero():
+    """With coal's default request some shapes deep inside a thin wall are called free; with the margin none."""
+    wall, still = coal.Box(0.3, 0.006, 0.3), coal.Transform3s()
+    default, with_margin, with_contacts = (coal.CollisionRequest() for _ in range(3))
+    default.enable_contact, default.security_margin = False, 0.0
+    with_margin.enable_contact, with_margin.security_margin = False, SMALLEST_MARGIN_M
+    with_contacts.enable_contact = True
+    missed = {"default": 0, "margin": 0}
+    deepest_m = 0.0
+    for shape in (coal.Cylinder(0.034, 0.045), coal.Cone(0.045, 0.022)):
+        rng = np.random.default_rng(0)
+        for _ in range(3000):
+            # A unit quaternion's four numbers, then a place near the wall.
+            quaternion = rng.normal(size=4)
+            w, x, y, z = quaternion / np.linalg.norm(quaternion)
+            at = coal.Transform3s(pin.Quaternion(w, x, y, z).matrix(), rng.uniform(-1, 1, 3) * (0.12, 0.06, 0.12))
+            if not coal.collide(wall, still, shape, at, with_contacts, coal.CollisionResult()):
+                continue
+            missed["margin"] += not coal.collide(wall, still, shape, at, with_margin, coal.CollisionResult())
+            if not coal.collide(wall, still, shape, at, default, coal.CollisionResult()):
+                missed["default"] += 1
+                found = coal.DistanceResult()
+                deepest_m = min(deepest_m, coal.distance(wall, still, shape, at, coal.DistanceRequest(), found))
+    assert missed["margin"] == 0
+    # Should this fail some day, coal has been mended, and the margin is only a margin.
+    assert missed["default"] > 0
+    assert deepest_m < -0.001

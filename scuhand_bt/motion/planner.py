@@ -51,6 +51,9 @@ SETTLED_RAD = 2 * COUNT_RAD
 EMPTY_WILL_DO = 1.35
 """The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
 LIMIT_STEP_DEG = 5.0
+GOALS_AT_ONCE = 24
+GOALS_ENOUGH = 48
+"""Of the goal's configurations the nearest are looked at, so many at once, until so many are free."""
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
 
@@ -246,10 +249,16 @@ class MotionPlanner:
     def _chain(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> Chain | None:
+        nearest_first = np.argsort(rest_to_rest_s(goals - begin, self.rates), kind="stable")
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
             scene = self.scene(margin_m)
             start_free = not scene.hits(begin[None, :])[0]
-            free = goals[~scene.hits(goals)]
+            free = goals[:0]
+            for k in range(0, len(goals), GOALS_AT_ONCE):
+                some = goals[nearest_first[k : k + GOALS_AT_ONCE]]
+                free = np.concatenate([free, some[~scene.hits(some)]])
+                if len(free) >= GOALS_ENOUGH:
+                    break
             if start_free and len(free):
                 break
         if not start_free:

@@ -24,7 +24,7 @@ import numpy as np
 from scuhand_bt.motion.chain import Chain, Shaper
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
 from scuhand_bt.motion.roadmap import Space
-from scuhand_bt.motion.timelaw import RateLimits, legs
+from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 
 _PROPOSALS = 64
@@ -37,6 +37,9 @@ _NEAR_SPAN = 0.6
 _TURNING = 0.4
 _TURN_RAD = 0.5
 _FIRST_UPTO = 2.0
+"""Times the least bound, what the first round looks at; a quarter more in every round that finds nothing."""
+_GIVEN_UP = 6
+"""Rounds without any, after which another way has to be found first."""
 _QUICKER = 0.985
 _LEAST_S = 1e-9
 
@@ -108,11 +111,11 @@ class Scheduler:
         best, parent = known, None
         least_s = float(self._bounds_s[0])
         for k in range(rounds):
-            if best is not None and best.duration_s <= good_s:
+            if (best is None and k == _GIVEN_UP) or (best is not None and best.duration_s <= good_s):
                 break
             most_s = (_FIRST_UPTO + k / 4) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)
-            if parent is not None:
+            if parent is not None and self._bound_s(parent) <= most_s:
                 some = self._near(parent, some, most_s, rng)
             found = self._first_free(some, best)
             if found is not None:
@@ -136,8 +139,7 @@ class Scheduler:
         count = int(_NEAR_PART * len(fresh))
         size = rng.uniform(0.05, 0.6, (count, 1))
         goals = np.broadcast_to(parent.goals, (count, 7)).copy()
-        least_s = self._bounds_s[np.abs(self._goals - parent.goals).sum(axis=1).argmin()]
-        durations_s = most_s - (most_s - min(least_s, most_s)) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
+        durations_s = most_s - (most_s - self._bound_s(parent)) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
         turns = np.broadcast_to(parent.turns, goals.shape)
         turns = np.where(turns != goals, turns + size * 0.5 * rng.normal(size=goals.shape), turns)
         back = rng.uniform(size=goals.shape) < 0.1
@@ -151,6 +153,10 @@ class Scheduler:
             np.concatenate([self._within(turns), kept.turns]),
             np.concatenate([shares, kept.shares]),
         )
+
+    def _bound_s(self, schedule: Schedules) -> float:
+        """The shortest duration in which one schedule's goal can be reached."""
+        return float(rest_to_rest_s(schedule.goals[0] - self._start, self._limits))
 
     def _within(self, q: Floats) -> Floats:
         inside: Floats = np.clip(q, LIMITS_RAD[0], LIMITS_RAD[1])

@@ -33,6 +33,7 @@ _GOALS_AT_ONCE = 12
 _QUICKER = 0.8
 """A goal is worth a search if its bound is below this share of the direct motion's duration."""
 _ROOTS = 32
+_NEAREST = 16
 _LEAST_LEAN_DEG = 4.0
 """Below this much tilt, planning in the joints finds nothing that the level chart does not."""
 _TILT_SHARE = 0.8
@@ -54,7 +55,7 @@ class Effort:
     """Nor is any motion within this."""
 
 
-LIVE = Effort(12, chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.65, good_enough=1.1)
+LIVE = Effort(12, chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.62, good_enough=1.07)
 POLISHED = Effort(30, chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
 
 
@@ -138,7 +139,9 @@ class _Search:
         """The quickest motion found in which every joint moves in its own time; or what is known."""
         if self.rates is None:
             return known
-        scheduler = Scheduler(self.space, self.shaper, self.rates, self.start, self.ends, self.bounds_s)
+        scheduler = Scheduler(
+            self.space, self.shaper, self.rates, self.start, self.ends[:_NEAREST], self.bounds_s[:_NEAREST]
+        )
         return scheduler.search(known, rng, effort.staggered, good_s)
 
     def detours(self, effort: Effort, known: Chain | None, rng: np.random.Generator) -> Chain | None:
