@@ -12,7 +12,7 @@ class CheckValve(Skill[Millimetres]):
     failures: ClassVar = {
         "hand.valve_zero": Failure(
             "The shut valve does not stand at zero.",
-            "Look for powder between the sheets, and set the valve's zero.",
+            "Look for powder in the valve; else calibrate `kClosedCount` in the firmware's hand_controller.ino.",
         )
     }
     typical_s = 10.0

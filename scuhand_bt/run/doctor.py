@@ -207,7 +207,7 @@ def _hand_status(controller: HandController) -> Iterator[Finding]:
     yield judged("hand", "faults", report.why or "none", "none", not report.faults, do)
     yield judged("hand", "valve", report.state, "closed", report.state == "closed", "free the valve")
     shut = abs(report.opening_mm) <= ZERO_MM
-    do = "set the valve's zero (robot/firmware/README.md)"
+    do = "look for powder in the valve; else calibrate `kClosedCount` in the firmware's hand_controller.ino"
     yield judged("hand", "valve zero", f"{report.opening_mm:.3f} mm", f"0 ± {ZERO_MM:g} mm", shut, do)
     warm_c = report.temperature_c
     yield judged("hand", "temperature", f"{warm_c} °C", f"below {HOT_C} °C", warm_c < HOT_C, "let it cool")
