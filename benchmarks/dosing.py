@@ -122,14 +122,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--controllers", default="paper,adaptive,oracle")
     parser.add_argument("--powders", default="", help="names, all if empty")
     parser.add_argument("--trials", type=int, default=200, help="per cell, in runs of ten")
-    parser.add_argument("--rows", default=CALIBRATED, help="comma-separated, or 'all', or 'robust'")
+    parser.add_argument("--rows", default=CALIBRATED, help="comma-separated; 'all' and 'robust' are groups")
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args(arguments)
     controllers = chosen.controllers.split(",")
     powders, rows = shipped_powders(), settings(chosen.plant)
     picked = list(powders) if not chosen.powders else chosen.powders.split(",")
     robust = [row for row in rows if row not in (CALIBRATED, REDO)]
-    wanted = {"all": list(rows), "robust": robust}.get(chosen.rows, chosen.rows.split(","))
+    groups = {"all": list(rows), "robust": robust}
+    wanted = [row for part in chosen.rows.split(",") for row in groups.get(part, [part])]
     problems = [f"no controller is called '{name}'" for name in controllers if name not in {*CONTROLLERS, "oracle"}]
     problems += [f"no powder is called '{name}'" for name in picked if name not in powders]
     problems += [f"no row is called '{row}'; there are {', '.join(rows)}" for row in wanted if row not in rows]

@@ -34,7 +34,8 @@ class OurBalanceResponse:
             self._dt_s = dt_s
             self._step = -math.expm1(-dt_s / figures.lag_s)
             self._walk = figures.drift_mg * math.sqrt(dt_s / 60.0)
-        push_mg = on_pan_mg + landing_mg * (1.0 + FALL_TIME_S / dt_s)
+        # The first step of all may be too short to divide by; nothing lands in it.
+        push_mg = on_pan_mg + landing_mg * (1.0 + FALL_TIME_S / dt_s) if landing_mg > 0.0 else on_pan_mg
         before = self._first
         self._first += (push_mg - before) * self._step
         self._second += ((before + self._first) / 2.0 - self._second) * self._step
