@@ -56,7 +56,7 @@ class Effort:
 
 
 LIVE = Effort(12, chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.62, good_enough=1.07)
-POLISHED = Effort(30, chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
+POLISHED = Effort(60, chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
 
 
 @dataclass(frozen=True, slots=True)
