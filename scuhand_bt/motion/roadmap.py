@@ -49,9 +49,11 @@ class Space:
 
     def blocked(self, q: Floats) -> np.ndarray:
         """Which configurations (n, 7) are not free: (n,)."""
-        blocked = self.scene.hits(q)
-        if self._upright is not None:
-            blocked |= self._leans(q)
+        if self._upright is None:
+            return self.scene.hits(q)
+        blocked = self._leans(q)
+        if not blocked.all():
+            blocked[~blocked] = self.scene.hits(q[~blocked])
         return blocked
 
     def _leans(self, q: Floats) -> np.ndarray:

@@ -116,7 +116,8 @@ class _Search:
         self.ends = chart.coordinates(reached)
         self.bounds_s = rest_to_rest_s(reached - task.start, task.rates)
         self.rates = task.rates if isinstance(chart, JointChart) else None
-        self.iterations = _ITERATIONS if task.spill_limit_deg is None else _LOADED_ITERATIONS
+        self.loaded = task.spill_limit_deg is not None
+        self.iterations = _LOADED_ITERATIONS if self.loaded else _ITERATIONS
 
     def direct(self, near_optimum: float) -> Chain | None:
         """The first direct motion that is proven; a glance along the lines tells which are worth the proof."""
@@ -142,7 +143,9 @@ class _Search:
         scheduler = Scheduler(
             self.space, self.shaper, self.rates, self.start, self.ends[:_NEAREST], self.bounds_s[:_NEAREST]
         )
-        return scheduler.search(known, rng, effort.staggered, good_s)
+        # A load's proof costs several times as much, and via points are tried for it too.
+        rounds = effort.staggered // 2 if self.loaded else effort.staggered
+        return scheduler.search(known, rng, rounds, good_s)
 
     def detours(self, effort: Effort, known: Chain | None, rng: np.random.Generator) -> Chain | None:
         """The best chain begun with one via point, to goals that promise to be quicker than what is known."""
