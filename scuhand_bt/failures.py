@@ -85,6 +85,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "What was put on the pan does not weigh what this container should.",
         "Check that it is the right container, empty and clean; correct robot/containers.yaml if it changed.",
     ),
+    "container.too_small": Failure(
+        "The mass does not fit into the container.",
+        "Ask for less, or choose a larger container.",
+    ),
     "hand.cone_empty": Failure(
         "The cone gives no more powder.",
         "Scoop again (the shipped workflows do).",

@@ -1,7 +1,7 @@
 """What a person sees while a batch runs, and the table at its end."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import timedelta
 
 from py_trees.behaviour import Behaviour
@@ -21,6 +21,8 @@ from scuhand_bt.run.batch import BatchResult, SampleResult
 
 REFRESH_S = 0.1
 LAST_DOSES = 8
+WIDE = 120
+"""Columns of a terminal that shows the whole table of doses."""
 _STATUS = {
     Status.SUCCESS: ("✓", "green"),
     Status.FAILURE: ("✗", "red"),
@@ -35,7 +37,7 @@ class PlainLines:
     def __init__(self, write: Callable[[str], None], total: int) -> None:
         self._write = write
         self._total = total
-        self._done = 0
+        self._ended: set[str] = set()
 
     def ticked(self, root: Behaviour) -> None:
         pass
@@ -45,8 +47,8 @@ class PlainLines:
             self._write(f"{job.name}")
 
     def sample_ended(self, result: SampleResult) -> None:
-        self._done += 1
-        self._write(f"[{self._done}/{self._total}] {result.id}: {_in_words(result)}")
+        self._ended.add(result.id)
+        self._write(f"[{len(self._ended)}/{self._total}] {result.id}: {_in_words(result)}")
 
 
 class LiveView:
@@ -56,7 +58,7 @@ class LiveView:
         self._cell = cell
         self._plan = plan
         self._total = len(plan.recipe.samples)
-        self._results: list[SampleResult] = []
+        self._results: dict[str, SampleResult] = {}
         self._job: Job | None = None
         self._root: Behaviour | None = None
         self._shown_at = 0.0
@@ -80,7 +82,7 @@ class LiveView:
         self._job = job
 
     def sample_ended(self, result: SampleResult) -> None:
-        self._results.append(result)
+        self._results[result.id] = result
 
     def _picture(self) -> Group:
         done = len(self._results)
@@ -110,11 +112,11 @@ class LiveView:
             status,
         ]
         if self._results:
-            parts.append(doses_table(self._results[-LAST_DOSES:]))
+            parts.append(doses_table(list(self._results.values())[-LAST_DOSES:], self._live.console.width))
         return Group(*parts)
 
     def _time_left_s(self) -> float | None:
-        """The forecast's rest, corrected by how the samples until now compared with it."""
+        """The mean time of the samples until now, for those left; the plan's forecast before the first."""
         done = len(self._results)
         if not done:
             return self._plan.duration_s
@@ -130,36 +132,37 @@ def tree_text(root: Behaviour, indent: int = 0) -> Text:
     return text
 
 
-def doses_table(results: list[SampleResult] | tuple[SampleResult, ...]) -> Table:
-    """The doses as a table."""
+def doses_table(results: Sequence[SampleResult], width: int = WIDE) -> Table:
+    """The doses as a table; in less than `WIDE` columns without what can be looked up elsewhere."""
+    is_wide = width >= WIDE
     is_judged = any(result.true_mg is not None for result in results)
     table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("id")
-    table.add_column("container")
+    table.add_column("id", no_wrap=True)
+    if is_wide:
+        table.add_column("container")
     for name in ("target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds"):
-        table.add_column(name, justify="right")
-    table.add_column("verdict")
-    table.add_column("controller")
-    if is_judged:
+        if is_wide or name not in ("pulses", "scoops", "vibr. s", "tol. mg"):
+            table.add_column(name, justify="right")
+    table.add_column("verdict", no_wrap=True)
+    if is_wide:
+        table.add_column("controller")
+    if is_judged and is_wide:
         table.add_column("true (sim.)", justify="right")
     for result in results:
-        cells = [
-            result.id,
-            result.container or "",
-            format_mass(result.target_mg) if result.target_mg is not None else "",
-            format_mass(result.dispensed_mg) if result.dispensed_mg is not None else "–",
-            f"{result.error_mg:+.1f} ± {result.uncertainty_mg:.1f}" if result.error_mg is not None else "–",
-            f"{result.tolerance_mg:g}" if result.tolerance_mg is not None else "",
-            str(result.pulses),
-            str(result.scoops),
-            f"{result.vibration_s:.0f}",
-            f"{result.duration_s:.0f}",
-        ]
         verdict = result.verdict if result.code is None else f"{result.verdict}, {result.code}"
-        last: list[str | Text] = [Text(verdict, style="green" if result.is_good else "red"), result.controller or ""]
-        if is_judged:
-            last.append(format_mass(result.true_mg) if result.true_mg is not None else "–")
-        table.add_row(*cells, *last)
+        target = format_mass(result.target_mg) if result.target_mg is not None else ""
+        dispensed = format_mass(result.dispensed_mg) if result.dispensed_mg is not None else "–"
+        error = f"{result.error_mg:+.1f} ± {result.uncertainty_mg:.1f}" if result.error_mg is not None else "–"
+        tolerance = f"{result.tolerance_mg:g}" if result.tolerance_mg is not None else ""
+        counts = [tolerance, str(result.pulses), str(result.scoops), f"{result.vibration_s:.0f}"] if is_wide else []
+        cells: list[str | Text] = [result.id]
+        cells += [result.container or ""] if is_wide else []
+        cells += [target, dispensed, error, *counts, f"{result.duration_s:.0f}"]
+        cells.append(Text(verdict, style="green" if result.is_good else "red"))
+        cells += [result.controller or ""] if is_wide else []
+        if is_judged and is_wide:
+            cells.append(format_mass(result.true_mg) if result.true_mg is not None else "–")
+        table.add_row(*cells)
     return table
 
 

@@ -58,7 +58,7 @@ class SourceError(Exception):
     """Bad input: all problems found, in the order of the files."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
-        self.problems = sorted(set(problems), key=lambda p: (p.mark.file, p.mark.line, p.mark.column))
+        self.problems = sorted(dict.fromkeys(problems), key=lambda p: (p.mark.file, p.mark.line, p.mark.column))
         super().__init__("\n".join(map(str, self.problems)))
 
 

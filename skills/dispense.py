@@ -1,13 +1,25 @@
 """A dose: powder from the cone's apex into the container on the balance, by a dosing controller."""
 
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
 from scuhand_bt.devices.dose_loop import DoseRun, run_dose
-from scuhand_bt.dosing import DoseRequest, new_controller
+from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps
 
 GUARD = 2.0
 """In tolerance means so beyond this many standard uncertainties of the measurement."""
+SCOOP_DOUBT = 0.15
+"""How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 EXPECTED_UNCERTAINTY_DIGITS = 1.0
 """A net mass's standard uncertainty to expect, in digits of the balance: controllers aim so much inside."""
+
+
+def _known_controller(name: str) -> str:
+    if name and name not in CONTROLLERS:
+        raise ValueError(f"no controller is called '{name}'; there are {', '.join(CONTROLLERS)}")
+    return name
 
 
 class Dispense(Skill[Dose]):
@@ -19,9 +31,9 @@ class Dispense(Skill[Dose]):
     devices = ("hand", "balance")
     typical_s = 30.0
 
-    mass_mg: Milligrams
-    tolerance_mg: Milligrams = 2.0
-    controller: str = ""
+    mass_mg: Annotated[Milligrams, Field(gt=0)]
+    tolerance_mg: Annotated[Milligrams, Field(gt=0)] = 2.0
+    controller: Annotated[str, AfterValidator(_known_controller)] = ""
     """A dosing controller by name; the run's, if none is named."""
 
     def run(self, cell: Cell) -> Steps[Dose]:
@@ -29,9 +41,12 @@ class Dispense(Skill[Dose]):
         if empty_mg is None:
             raise SkillFailed("container.missing", "no container was weighed empty: `tare` comes before `dispense`")
         controller = new_controller(self.controller or cell.controller, request)
-        before_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else empty_mg
-        run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
-        cell.believed.cone_mg = max(0.0, request.cone_mg - (run.finish.estimate_mg - (before_mg - empty_mg)))
+        before_mg = self._gross_mg(cell, empty_mg)
+        try:
+            run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
+        finally:
+            left_mg = request.cone_mg - (self._gross_mg(cell, empty_mg) - before_mg)
+            cell.believed.cone_mg = max(0.0, left_mg)
         self._learn(cell, run)
         dose = self._dose(cell, run, controller.name)
         cell.record.dose(dose)
@@ -39,8 +54,12 @@ class Dispense(Skill[Dose]):
         self._raise_failure(cell, run, dose)
         return dose
 
+    @staticmethod
+    def _gross_mg(cell: Cell, empty_mg: float) -> float:
+        return cell.balance.latest.value_mg if cell.balance.latest is not None else empty_mg
+
     def _request(self, cell: Cell) -> DoseRequest:
-        hand, balance = cell.spec.hand, cell.spec.balance
+        hand, balance, container = cell.spec.hand, cell.spec.balance, cell.believed.pan
         if self.tolerance_mg < GUARD * balance.readability_mg / 2.0:
             raise SkillFailed(
                 "dose.too_small",
@@ -51,6 +70,13 @@ class Dispense(Skill[Dose]):
         if source is None:
             raise SkillFailed("hand.cone_empty", "the cone holds no powder")
         powder = source.powder
+        volume_mm3 = self.mass_mg / powder.bulk_density_mg_per_mm3
+        if container is not None and volume_mm3 > container.capacity_mm3:
+            raise SkillFailed(
+                "container.too_small",
+                f"{self.mass_mg:g} mg of {powder.name} are {volume_mm3 / 1000:.2f} cm³; "
+                f"'{container.id}' holds {container.capacity_mm3 / 1000:.2f} cm³",
+            )
         return DoseRequest(
             target_mg=self.mass_mg,
             tolerance_mg=self.tolerance_mg,
@@ -62,6 +88,7 @@ class Dispense(Skill[Dose]):
             readability_mg=balance.readability_mg,
             balance_period_s=balance.period_s,
             cone_mg=cell.believed.cone_mg,
+            cone_doubt_mg=SCOOP_DOUBT * powder.load_limit_mg,
             streaming=hand.streaming,
             powder=cell.powder_beliefs.get(source.sheet_key, powder.belief),
             balance=cell.balance_belief,

@@ -13,8 +13,9 @@ class MoveOver(Skill[None]):
     container: Container
 
     def run(self, cell: Cell) -> Steps[None]:
-        if cell.believed.pan != self.container.id:
-            there = f"'{cell.believed.pan}'" if cell.believed.pan else "nothing"
+        pan = cell.believed.pan
+        if pan is None or pan.id != self.container.id:
+            there = f"'{pan.id}'" if pan is not None else "nothing"
             raise SkillFailed("container.missing", f"'{self.container.id}' is not on the pan; there is {there}")
         place, _ = over_balance(cell.spec, self.container)
         yield from cell.move_to(place)

@@ -39,19 +39,19 @@ class PlaceContainer(Skill[None]):
         cell.motion.set_container(self.container.kind)
         loaded = yield from cell.balance.settled()
         mass_mg = loaded.value_mg - bare.value_mg
-        kind = self.container
-        cell.record.event("container", {"container": kind.id, "kind": kind.name, "mass_mg": mass_mg})
-        if mass_mg < kind.empty_mass_mg / 10:
+        container = self.container
+        cell.record.event("container", {"container": container.id, "kind": container.name, "mass_mg": mass_mg})
+        if mass_mg < container.empty_mass_mg / 10:
             raise SkillFailed(
-                "container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {kind.name} stands on it"
+                "container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {container.name} stands on it"
             )
-        if abs(mass_mg - kind.empty_mass_mg) > kind.empty_mass_tolerance_mg:
+        if abs(mass_mg - container.empty_mass_mg) > container.empty_mass_tolerance_mg:
             raise SkillFailed(
                 "container.wrong_mass",
-                f"'{kind.id}' weighs {mass_mg / 1000:.3f} g; a {kind.name} weighs "
-                f"{kind.empty_mass_mg / 1000:.3f} ± {kind.empty_mass_tolerance_mg / 1000:.3f} g",
+                f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
+                f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
-        cell.believed.pan = kind.id
+        cell.believed.pan = container
 
     @staticmethod
     def _refill(cell: Cell) -> Steps[None]:

@@ -6,7 +6,7 @@ from ._emptying import empty_cone
 
 
 class ReturnLeftover(Skill[None]):
-    """Empty the cone into the mortar it was filled from; does nothing if it is empty."""
+    """Empty the cone into the mortar it was filled from (of this source's powder lot); nothing if it is empty."""
 
     devices = ("arm", "hand")
     typical_s = 15.0
@@ -17,12 +17,11 @@ class ReturnLeftover(Skill[None]):
         believed = cell.believed
         if believed.cone_source is None:
             return
-        if believed.cone_source != self.source.name:
-            raise SkillFailed(
-                "hand.wrong_powder", f"the cone was filled from '{believed.cone_source}', not from '{self.source.name}'"
-            )
-        yield from cell.move_to(self.source.station)
+        source = cell.sources[believed.cone_source]
+        if source.sheet_key != self.source.sheet_key:
+            raise SkillFailed("hand.wrong_powder", f"the cone holds {source.sheet_key}, not {self.source.sheet_key}")
+        yield from cell.move_to(source.station)
         returned_mg = believed.cone_mg
         yield from empty_cone(cell)
-        believed.sources_mg[self.source.name] += returned_mg
-        cell.record.event("returned", {"source": self.source.name, "expected_mg": returned_mg})
+        believed.sources_mg[source.name] += returned_mg
+        cell.record.event("returned", {"source": source.name, "expected_mg": returned_mg})

@@ -9,8 +9,10 @@ pressed over its contact by a compliance over-travel, which its softness takes u
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.scooping import BEST_SHARE, FULL_STROKE_MM, bed_diameter_mm, collected_share
@@ -60,8 +62,8 @@ class Scoop(Skill[Milligrams]):
     typical_s = 18.0
 
     source: Source
-    over_travel_mm: Millimetres = 3.0
-    speed_mm_per_s: MillimetresPerSecond = 40.0
+    over_travel_mm: Annotated[Millimetres, Field(gt=0, le=10)] = 3.0
+    speed_mm_per_s: Annotated[MillimetresPerSecond, Field(gt=0, le=200)] = 40.0
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
         source, believed = self.source, cell.believed
@@ -80,7 +82,7 @@ class Scoop(Skill[Milligrams]):
         cell.hand.start_morph(stroke.closed_mm, path.duration_s)
         yield from cell.arm.follow(path)
         yield from cell.hand.morph(stroke.closed_mm)
-        yield from cell.touch([self._hover(cell)], self.speed_mm_per_s, source.station)
+        yield from cell.touch([cell.place(source.station)], self.speed_mm_per_s, source.station)
         yield from cell.hand.morph(CARRY_DIAMETER_MM)
         cell.motion.set_cone_diameter(CARRY_DIAMETER_MM / 1000)
         return self._believe(cell, stroke, in_mortar_mg)
@@ -123,9 +125,6 @@ class Scoop(Skill[Milligrams]):
             axis = math.cos(swing) * np.array([0.0, 0.0, 1.0]) + math.sin(swing) * outward
             reach_mm = mortar.bowl_radius_mm - rest_mm + self.over_travel_mm
             yield ApexPose((centre - reach_mm * axis) / 1000, axis)
-
-    def _hover(self, cell: Cell) -> ApexPose:
-        return cell.place(self.source.station)
 
     def _believe(self, cell: Cell, stroke: Stroke, in_mortar_mg: float) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""

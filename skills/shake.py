@@ -1,5 +1,9 @@
 """A shake of the cone."""
 
+from typing import Annotated
+
+from pydantic import Field
+
 from scuhand_bt.skill import Cell, Ratio, Seconds, Skill, Steps, pause
 
 
@@ -9,8 +13,8 @@ class Shake(Skill[None]):
     devices = ("hand",)
     typical_s = 3.0
 
-    duration_s: Seconds = 2.0
-    level_ratio: Ratio = 1.0
+    duration_s: Annotated[Seconds, Field(gt=0)] = 2.0
+    level_ratio: Annotated[Ratio, Field(ge=0, le=1)] = 1.0
 
     def run(self, cell: Cell) -> Steps[None]:
         cell.hand.set_vibration(self.level_ratio)

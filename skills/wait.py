@@ -1,7 +1,9 @@
 """A pause."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from scuhand_bt.skill import Cell, Forecast, Seconds, Skill, Steps, pause
 from scuhand_bt.specs import CellSpec
@@ -10,7 +12,7 @@ from scuhand_bt.specs import CellSpec
 class Wait(Skill[None]):
     """Let time pass."""
 
-    duration_s: Seconds
+    duration_s: Annotated[Seconds, Field(ge=0)]
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:

@@ -1,7 +1,9 @@
 """Does the balance stand still?"""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from scuhand_bt.skill import Cell, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
 from scuhand_bt.specs import CellSpec
@@ -12,7 +14,7 @@ class WatchBalance(Skill[Milligrams]):
 
     devices = ("balance",)
 
-    duration_s: Seconds = 20.0
+    duration_s: Annotated[Seconds, Field(gt=0)] = 20.0
     limit_mg: Milligrams = 2.0
 
     @classmethod

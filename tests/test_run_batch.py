@@ -8,7 +8,7 @@ from running import Ran, dry_run, make_lab
 from scuhand_bt.run.batch import EXIT_CELL_FAULT, EXIT_FLAGGED, EXIT_INTERRUPTED, EXIT_OK
 from scuhand_bt.run.export import canonical
 from scuhand_bt.run.journal import read
-from scuhand_bt.sim.plant import PlantError
+from scuhand_bt.yaml_source import SourceError
 
 ONE_DOSE = """
 recipe: one
@@ -166,8 +166,10 @@ def test_redo_doses_a_new_container_once_and_then_flags(tmp_path: Path) -> None:
 
 
 def test_a_plant_that_breaks_in_the_run_ends_it_safe_and_is_named(tmp_path: Path) -> None:
-    with pytest.raises(PlantError, match="LaterNan"):
-        dry_run(tmp_path, ONE_DOSE, plant="test_run_batch:LaterNan")
+    ran = dry_run(tmp_path, ONE_DOSE, plant="test_run_batch:LaterNan")
+    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert "LaterNan" in ran.result.reason
+    assert [sample.verdict for sample in ran.result.samples] == ["not run"]
 
 
 BROKEN_SKILL = '''
@@ -316,3 +318,63 @@ def test_several_scoops_empty_a_mortar_to_its_last_few_per_cent(tmp_path: Path, 
     assert world.masses_mg["spilled"] == 0.0
     scoops = [event["payload"]["expected_mg"] for event in read(ran.journal, "event") if event["kind"] == "scoop"]
     assert max(scoops) <= ran.session.cell.sources[source].powder.load_limit_mg
+
+
+@pytest.mark.parametrize("seed", [0, 9, 11])
+def test_a_scoop_that_brought_less_than_expected_is_scooped_again_and_not_taken_for_a_bridge(
+    tmp_path: Path, seed: int
+) -> None:
+    recipe = """
+recipe: large
+workflow: fill_crucible
+sources:
+  beads: {station: mortar_bay, container: small_agate_mortar, powder: glass_beads, amount: 12 g}
+samples: [{id: a, source: beads, container: alumina_crucible, mass: 11 g, tolerance: 1 %}]
+"""
+    ran = dry_run(tmp_path, recipe, seed=seed, controller="adaptive")
+    assert (ran.sample("a").verdict, ran.sample("a").code) == ("in tolerance", None)
+
+
+def test_two_mortars_of_one_powder_lot_share_a_sheet_and_each_gets_back_what_is_its_own(tmp_path: Path) -> None:
+    recipe = """
+recipe: twins
+workflow: fill_xrd_holder
+sources:
+  m1: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 6 g}
+  m2: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, amount: 6 g}
+defaults: {container: xrd_holder, mass: 40 mg}
+samples: [{id: a, source: m1}, {id: b, source: m2}]
+"""
+    ran = dry_run(tmp_path, recipe)
+    assert ran.result.exit_code == EXIT_OK
+    assert ran.session.plan.swaps == 0
+
+
+def test_a_dose_that_does_not_fit_is_refused_before_the_valve_opens(tmp_path: Path) -> None:
+    tree = """
+workflow: careless
+inputs: {source: Source, container: Container}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - scoop: {source: $source}
+    - move_over: {container: $container}
+    - dispense: {mass: 1 g}
+"""
+    lab = make_lab(tmp_path / "lab", trees__careless=tree)
+    recipe = "recipe: r\nworkflow: careless\nsamples: [{id: a, source: beads, container: xrd_holder}]\n"
+    ran = dry_run(tmp_path, recipe, lab=lab)
+    assert ran.sample("a").code == "container.too_small"
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["pan"] == 0.0
+
+
+@pytest.mark.parametrize(
+    "call", ["shake: {level: 250 %}", "scoop: {source: $source, speed: 0 mm/s}", "dispense: {mass: 0 mg}"]
+)
+def test_a_value_that_a_skill_refuses_is_found_by_the_check(tmp_path: Path, call: str) -> None:
+    tree = f"workflow: w\ninputs: {{source: Source}}\ntree: {{{call}}}\n"
+    lab = make_lab(tmp_path / "lab", trees__w=tree)
+    with pytest.raises(SourceError, match=r"w\.yaml:3:"):
+        dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)

@@ -77,11 +77,15 @@ def run(
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(EXIT_BAD_INPUT) from None
-    out.print(doses_table(result.samples))
+    out.print(doses_table(result.samples, out.width))
     out.print(Text(end_line(result, time.monotonic() - began)))
     out.print(Text(f"Journal: {session.journal.path}"))
     if json_file is not None:
-        json_file.write_text(canonical(session.journal.path), encoding="utf-8")
+        try:
+            json_file.write_text(canonical(session.journal.path), encoding="utf-8")
+        except OSError as error:
+            err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has it all"))
+            raise typer.Exit(result.exit_code or EXIT_BAD_INPUT) from None
     raise typer.Exit(result.exit_code)
 
 

@@ -25,6 +25,8 @@ EXIT_BAD_INPUT = 2
 EXIT_CELL_FAULT = 3
 EXIT_INTERRUPTED = 130
 
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 app = typer.Typer(
     help="Scoop and dispense powders by recipe. Exit codes: 0 all doses in tolerance; 1 finished with flagged doses; "
     "2 bad input; 3 cell fault; 130 interrupted.",
@@ -61,7 +63,8 @@ def main() -> None:
     except SkillFailed as error:
         remedy = CATALOGUE[error.code].remedy if error.code in CATALOGUE else ""
         err.print(Text(f"{error}. {remedy}".rstrip()))
-        sys.exit(EXIT_CELL_FAULT)
+        # What has no way is found before anything moves; a device that does not answer is the cell's fault.
+        sys.exit(EXIT_BAD_INPUT if error.code.startswith("arm.") else EXIT_CELL_FAULT)
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)
 
@@ -83,8 +86,8 @@ def _options(
 
 @contextmanager
 def stopping_on_signals(stop: "Signal") -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the run safely instead of the process at once."""
-    before = {number: signal.signal(number, lambda *_: stop.fire()) for number in (signal.SIGINT, signal.SIGTERM)}
+    """Ctrl-C, SIGTERM and a closed terminal end the run safely instead of the process at once."""
+    before = {number: signal.signal(number, lambda *_: stop.fire()) for number in END_SIGNALS}
     try:
         yield
     finally:

@@ -17,7 +17,7 @@ from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.record import Record
-from scuhand_bt.specs import BalanceBelief, CellSpec, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, CellSpec, Container, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
@@ -49,8 +49,8 @@ class Believed:
     sheets_used: int = 1
     slots_used: int = 0
     """Containers taken from the changer since it was filled."""
-    pan: str | None = None
-    """The id of the container on the pan."""
+    pan: Container | None = None
+    """The container on the pan."""
     pan_empty_mg: float | None = None
     """Stable gross with that container, before its first powder: the software tare."""
     sources_mg: dict[str, float] = field(default_factory=dict)

@@ -89,6 +89,8 @@ class DoseRequest:
     readability_mg: float
     cone_mg: float
     """What the cone is believed to hold."""
+    cone_doubt_mg: float = 750.0
+    """How far that belief may be off: scoops vary."""
     guard_mg: float = 0.0
     """What a controller that compares readings alone leaves of the tolerance to their uncertainty."""
     streaming: bool = True
@@ -101,7 +103,7 @@ class DoseRequest:
 
     def given_up(self, dispensed_mg: float) -> Literal["empty", "no_flow"]:
         """Why no powder comes: the cone is (all but) empty, or it holds powder that does not flow."""
-        return "empty" if self.cone_mg - dispensed_mg < max(100.0, 0.1 * self.cone_mg) else "no_flow"
+        return "empty" if self.cone_mg - dispensed_mg < self.cone_doubt_mg else "no_flow"
 
 
 class Controller(Protocol):

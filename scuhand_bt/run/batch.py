@@ -1,5 +1,6 @@
 """The batch: a plan's jobs one after the other, what to do when one fails, and a verdict for every sample."""
 
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol
@@ -7,11 +8,12 @@ from typing import Any, Literal, Protocol
 from py_trees.behaviour import Behaviour
 
 from scuhand_bt.clock import Signal
-from scuhand_bt.devices.cell import Cell
+from scuhand_bt.devices.cell import Cell, DoseSoFar
 from scuhand_bt.plan import AFTER_FAILURE, Job, Plan
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.sample import Sample
+from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
 from scuhand_bt.tree.check import Library
@@ -96,10 +98,13 @@ class Batch:
         exit_code, reason = EXIT_CELL_FAULT, "broken"
         try:
             exit_code, reason = self._run_jobs()
-        except SkillBug as bug:
-            reason = str(bug)
+        except (SkillBug, PlantError) as error:
+            reason = str(error)
+        except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
+            reason = f"{type(error).__name__}: {error}"
+            self._journal.event("broken", {"traceback": traceback.format_exc()})
         finally:
-            if not self._runner.make_safe():
+            if not self._is_safe():
                 exit_code, reason = EXIT_CELL_FAULT, f"{reason}; a device did not stop".lstrip("; ")
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
@@ -109,6 +114,13 @@ class Batch:
         if exit_code == EXIT_OK and any(not result.is_good for result in in_order):
             exit_code = EXIT_FLAGGED
         return BatchResult(in_order, exit_code, reason, self._cell.clock.now_s)
+
+    def _is_safe(self) -> bool:
+        try:
+            return self._runner.make_safe()
+        except Exception:  # a simulated world that breaks at every step cannot come to rest
+            self._journal.event("broken", {"traceback": traceback.format_exc()})
+            return False
 
     def _run_jobs(self) -> tuple[int, str]:
         for number, job in enumerate(self._plan.jobs):
@@ -163,6 +175,7 @@ class Batch:
     def _run_job(self, job: Job, inputs: Mapping[str, Any], sample_id: str | None, attempt: int) -> Outcome:
         journal = self._journal
         self._cell.begin_sample(sample_id or job.name, attempt)
+        self._cell.believed.dosing = DoseSoFar(began_s=self._cell.clock.now_s)
         journal.job_started(job.name, sample_id, attempt, job.workflow)
         try:
             outcome = self._runner.run(job, inputs)
@@ -194,7 +207,7 @@ class Batch:
         return SampleResult(
             id=sample.id,
             container=sample.container.name if sample.container else None,
-            target_mg=sample.mass_mg,
+            target_mg=dose.target_mg if dose else sample.mass_mg,
             dispensed_mg=dose.dispensed_mg if dose else None,
             error_mg=dose.error_mg if dose else None,
             uncertainty_mg=dose.uncertainty_mg if dose else None,

@@ -28,7 +28,7 @@ def _export(journal: Path) -> dict[str, Any]:
     export: dict[str, Any] = _rounded(
         {
             "run": {key: run[key] for key in RUN_KEYS if key in run},
-            "samples": [event["payload"] for event in events if event["kind"] == "sample"],
+            "samples": list({e["payload"]["id"]: e["payload"] for e in events if e["kind"] == "sample"}.values()),
             "end": ends[-1] if ends else None,
             "matter_mg": matter[-1] if matter else None,
             "jobs": [{key: value for key, value in row.items() if key != "id"} for row in read(journal, "job")],

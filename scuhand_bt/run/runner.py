@@ -1,5 +1,6 @@
 """The runner: ticks one job's tree, and moves the clock to the earliest thing the tree waits for."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -66,14 +67,16 @@ class Runner:
             raise shared.bugs[0]
         if halted:
             return Outcome(halted=True)
-        self._wait_until_still(timeout_s=SAFE_TIMEOUT_S)
+        if moving := self._still_moving():
+            self.make_safe()
+            return Outcome(SkillFailed("device.busy", f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job"))
         return Outcome(None if tree.root.status is Status.SUCCESS else failure_of(tree.root))
 
     def make_safe(self) -> bool:
         """Valve closed, vibration off, arm stopped: tell every device, then wait. False if one did not stop."""
         for name in DEVICES:
             self._cell.device(name).stop()
-        is_still = self._wait_until_still(SAFE_TIMEOUT_S)
+        is_still = not self._still_moving()
         self._cell.clock.wait([Wake(self._cell.clock.now_s + FALL_S)])
         return is_still
 
@@ -93,19 +96,20 @@ class Runner:
             silence = Wake(now_s + MAX_SILENCE_S, self._stop, self._stop.count)
             wakes = shared.wakes()
             clock.wait([*wakes, silence])
-            if clock.now_s >= silence.until_s and not any(wake.has_fired for wake in wakes):
+            nothing_timed = all(math.isinf(wake.until_s) for wake in wakes)
+            if nothing_timed and clock.now_s >= silence.until_s and not any(wake.has_fired for wake in wakes):
                 raise SkillBug(f"{_running(root)} waits for something that never comes")
         return True
 
-    def _wait_until_still(self, timeout_s: float) -> bool:
-        clock = self._cell.clock
-        deadline_s = clock.now_s + timeout_s
-        devices = [self._cell.device(name) for name in DEVICES]
-        while moving := [device for device in devices if not device.is_stopped]:
+    def _still_moving(self) -> str:
+        """Wait for all devices to stop; the names of those that have not in time, "" if all have."""
+        clock, devices = self._cell.clock, {name: self._cell.device(name) for name in DEVICES}
+        deadline_s = clock.now_s + SAFE_TIMEOUT_S
+        while moving := [name for name, device in devices.items() if not device.is_stopped]:
             if clock.now_s >= deadline_s:
-                return False
-            clock.wait([Wake.on(device.news, min(deadline_s, clock.now_s + 0.1)) for device in moving])
-        return True
+                return ", ".join(moving)
+            clock.wait([Wake.on(devices[name].news, min(deadline_s, clock.now_s + 0.1)) for name in moving])
+        return ""
 
 
 class _Recorder:

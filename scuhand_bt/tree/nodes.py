@@ -109,6 +109,8 @@ class SkillLeaf(Behaviour):
             assert self._steps is not None
             self._shared.listener.acting(self)
             self._wake = next(self._steps)
+            if not isinstance(self._wake, Wake):
+                raise TypeError(f"it yields {self._wake!r}; a skill yields `Wake`s")
         except StopIteration as stop:
             self._keep(stop.value)
             self._end("done", stop.value)
