@@ -20,6 +20,7 @@ from scuhand_bt.yaml_source import (
     Entries,
     Mark,
     Node,
+    Problem,
     Problems,
     SourceError,
     describe,
@@ -236,6 +237,18 @@ def _load_workflows(folder: Path, problems: Problems) -> dict[str, Workflow]:
         if workflow is not None:
             workflows[path.stem] = workflow
     return workflows
+
+
+def without_driver(lab: Lab) -> list[Problem]:
+    """What the cell's file names and only a simulation has, located; a run on the real cell is refused with it."""
+    if lab.cell.changer.driver == "operator":
+        return []
+    problems, node = Problems(), load(lab.folder / CELL_FILE, "the lab's cell.yaml")
+    for key in ("changer", "driver"):
+        node = (node.get(key) if isinstance(node, Entries) else None) or node
+    what = f"the changer '{lab.cell.changer.driver}' has no driver yet, it is there in dry runs and rehearsals only"
+    problems.add(node.mark, what, "for the real cell write `changer: {driver: operator}`: a person changes containers")
+    return problems.found
 
 
 def _check_names(library: Library, folder: Path, problems: Problems) -> None:

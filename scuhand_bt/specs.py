@@ -7,7 +7,15 @@ values that travel on a workflow's wires (`Powder`, `Source`, `Container`).
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    model_validator,
+)
 
 from scuhand_bt.quantity import (
     CubicMillimetres,
@@ -215,12 +223,30 @@ class Obstacle(Spec):
         return self
 
 
+Seven = Field(min_length=7, max_length=7)
+Direction = Annotated[Literal[1, -1], BeforeValidator(lambda value: {"1": 1, "-1": -1}.get(value, value))]
+"""Which way a servo turns; YAML's scalars are text."""
+
+
+class ArmOptions(Spec):
+    """What differs from one CRANE-X7 and its cabling to the next."""
+
+    baud: Annotated[int, Positive] = 3_000_000
+    latency_s: Annotated[Seconds, Field(gt=0, le=0.1)] = 0.008
+    """How long adapter and system may hold bytes back; an answer is waited for twice as long."""
+    home_counts: Annotated[tuple[int, ...], Seven] = (2048,) * 7
+    """Position of each servo with the arm straight up."""
+    directions: Annotated[tuple[Direction, ...], Seven] = (1,) * 7
+    following_limit_deg: Annotated[Degrees, Positive] = 10.0
+    """A joint further than this from its goal is held up by something."""
+
+
 class ArmSpec(Spec):
     """The CRANE-X7 as this cell uses it."""
 
-    driver: str = "dynamixel"
+    driver: Literal["dynamixel"] = "dynamixel"
     port: str = ""
-    options: dict[str, Any] = {}
+    options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
     speed_ratio: Annotated[Ratio, Field(gt=0, le=1)] = 1.0
 
@@ -238,12 +264,21 @@ class ValveErrorSpec(Spec):
     """How much wider it then opens."""
 
 
+class HandOptions(Spec):
+    """The roller's servo on the arm's bus, and the sheet as it is mounted."""
+
+    roller_id: Annotated[int, Field(ge=0, le=252)] = 9
+    roller_direction: Direction = 1
+    start_diameter_mm: Annotated[Millimetres, Positive] = 90.0
+    """Of the cone when the driver connects: of a sheet that has just been mounted (paper, section V)."""
+
+
 class HandSpec(Spec):
     """The SCU-Hand-SV: its sheet, roller, valve and vibration motor."""
 
-    driver: str = "hand_controller"
+    driver: Literal["hand_controller"] = "hand_controller"
     port: str = ""
-    options: dict[str, Any] = {}
+    options: HandOptions = HandOptions()
     sheet_radius_mm: Annotated[Millimetres, Positive] = 50.0
     roller_deg_per_mm: Annotated[float, Field(gt=0)] = 11.46
     """Roller angle per millimetre of sheet along the rim; calibrated (default: a 10 mm roller)."""
@@ -272,12 +307,22 @@ class BalanceResponseSpec(Spec):
     """Random walk of the zero: standard deviation after a minute."""
 
 
+class BalanceOptions(Spec):
+    """Where the balance's own menu is not as it left the factory."""
+
+    baud: Annotated[int, Positive] | None = None
+    bits: Annotated[str, Field(pattern=r"^[78][NEO][12]$")] | None = None
+    """Data bits, parity, stop bits: "7E1"."""
+    unit: Literal["g", "mg", "kg", "ct"] | None = None
+    """Of a balance that leaves it out while it is not stable."""
+
+
 class BalanceSpec(Spec):
     """The balance under the hand."""
 
-    driver: str = "shimadzu"
+    driver: Literal["and", "mt_sics", "sbi", "shimadzu"] = "shimadzu"
     port: str = ""
-    options: dict[str, Any] = {}
+    options: BalanceOptions = BalanceOptions()
     readability_mg: Annotated[Milligrams, Positive] = 0.1
     maximum_mg: Annotated[Milligrams, Positive] = 120_000.0
     period_s: Annotated[Seconds, Field(gt=0, le=2)] = 0.1

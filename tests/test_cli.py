@@ -112,7 +112,8 @@ print("heavy:", [name for name in ("pinocchio", "coal", "ruckig", "dynamixel_sdk
 def test_check_says_that_a_recipe_is_good(scuhand_bt: Call, recipe: Path) -> None:
     ended = scuhand_bt("check", recipe)
     assert (ended.returncode, ended.stdout) == (0, f"{recipe}: 1 samples, no problem found.\n")
-    assert json.loads(scuhand_bt("check", recipe, "--json").stdout) == {"ok": True, "samples": 1, "problems": []}
+    found = json.loads(scuhand_bt("check", recipe, "--json").stdout)
+    assert {key: found[key] for key in ("ok", "samples", "problems")} == {"ok": True, "samples": 1, "problems": []}
 
 
 def test_check_lists_every_problem_with_its_place_on_standard_error(scuhand_bt: Call, wrong: Path) -> None:
@@ -269,11 +270,29 @@ def test_a_wrong_recipe_moves_nothing(scuhand_bt: Call, wrong: Path, lab_folder:
     assert not (lab_folder.folder / ".scuhand").exists()
 
 
-def test_a_cell_whose_devices_do_not_answer_is_code_3(scuhand_bt: Call, recipe: Path) -> None:
+def test_a_cell_whose_devices_do_not_answer_is_code_3(scuhand_bt: Call, recipe: Path, lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
     ended = scuhand_bt("run", recipe)
     assert ended.returncode == 3
     assert "Traceback" not in ended.stderr
     assert "SIMULATED" not in ended.stdout
+
+
+def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_real_run(
+    scuhand_bt: Call, recipe: Path
+) -> None:
+    for command in ("check", "plan"):
+        ended = scuhand_bt(command, recipe)
+        assert (ended.returncode, ended.stderr[:6]) == (0, "Note: ")
+        assert "robot/cell.yaml:6:19: the changer 'carousel' has no driver" in ended.stderr
+        ended = scuhand_bt(command, recipe, "--json")
+        assert (json.loads(ended.stdout)["notes"][0].split(": ", 1)[1][:22], ended.stderr) == (
+            "the changer 'carousel'",
+            "",
+        )
+    ended = scuhand_bt("run", recipe)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert "robot/cell.yaml:6:19: the changer 'carousel' has no driver" in ended.stderr
 
 
 def test_ctrl_c_while_running_ends_safe_with_code_130(recipe: Path) -> None:

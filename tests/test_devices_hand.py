@@ -96,17 +96,6 @@ def test_a_port_that_cannot_be_opened_is_named_and_the_other_ports_are_closed_ag
         cell.connect()
 
 
-@pytest.mark.parametrize(
-    ("device", "problem"),
-    [("arm", "no driver for the arm is called 'abacus'; .* may name dynamixel"), ("balance", "and, mt_sics, sbi")],
-)
-def test_an_unknown_driver_is_named_with_the_known_ones(cell: Cell, device: str, problem: str) -> None:
-    odd = getattr(cell.spec, device).model_copy(update={"driver": "abacus"})
-    cell.spec = cell.spec.model_copy(update={device: odd})
-    with pytest.raises(SkillFailed, match=problem):
-        cell.connect()
-
-
 def test_a_pulse_opens_holds_and_shuts(cell: Cell, devices: Devices) -> None:
     began_s = time.monotonic()
     widest = 0.0

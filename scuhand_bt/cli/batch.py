@@ -112,6 +112,7 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
         loaded = the_lab(lab, recipe)
         checked = load_recipe(recipe, loaded)
         make_plan(checked, loaded)
+        notes = _notes(loaded, quiet=as_json)
     except SourceError as error:
         if not as_json:
             raise
@@ -122,7 +123,7 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
         out.print_json(json.dumps({"ok": False, "problems": problems}))
         raise typer.Exit(EXIT_BAD_INPUT) from None
     if as_json:
-        out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": []}))
+        out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes}))
     else:
         out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
 
@@ -130,9 +131,10 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
 @app.command()
 def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
-    made, _ = _plan(recipe, lab)
+    made, loaded = _plan(recipe, lab)
+    notes = _notes(loaded, quiet=as_json)
     if as_json:
-        out.print_json(json.dumps(_plan_values(made)))
+        out.print_json(json.dumps({**_plan_values(made), "notes": notes}))
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):
@@ -194,6 +196,16 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
         "persons": [{"job": person.job, "what": person.what} for person in made.persons],
         "duration_s": made.duration_s,
     }
+
+
+def _notes(lab: "Lab", *, quiet: bool) -> list[str]:
+    """What a run on the real cell would be refused for; shown beside the result, as a dry run does not mind."""
+    from scuhand_bt.lab import without_driver
+
+    notes = [str(problem) for problem in without_driver(lab)]
+    for note in () if quiet else notes:
+        err.print(Text(f"Note: {note}"))
+    return notes
 
 
 def _plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":

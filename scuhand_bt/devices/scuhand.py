@@ -18,7 +18,6 @@ from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.specs import HandSpec
 
-ROLLER_SERVO = 9
 ROLLER_SPEED_RAD_PER_S = 0.9 * r.XM430.velocity_limit * r.RPM_PER_COUNT * 2 * math.pi / 60
 """The fastest the roller is asked to turn."""
 MOVE_TIMEOUT_S = 5.0
@@ -26,14 +25,14 @@ MOVE_TIMEOUT_S = 5.0
 
 
 def roller_axis(spec: HandSpec) -> Axis:
-    """The roller's servo; `options` may give `roller_id` and `roller_direction`."""
+    """The roller's servo."""
     return Axis(
-        servo=int(spec.options.get("roller_id", ROLLER_SERVO)),
+        servo=spec.options.roller_id,
         name="roller",
         model=r.XM430,
         mode=r.EXTENDED_POSITION_MODE,
         home_count=0,
-        direction=int(spec.options.get("roller_direction", 1)),
+        direction=spec.options.roller_direction,
         following_limit_rad=math.radians(30.0),
     )
 

@@ -16,7 +16,7 @@ from serial.tools import list_ports
 
 from scuhand_bt.clock import Clock, Steps, until
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
-from scuhand_bt.devices.connect import ARM_DRIVERS, HAND_DRIVERS, connect_balance, require_driver
+from scuhand_bt.devices.connect import bus_of, connect_balance
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.devices.dynamixel.axes import Axis
@@ -29,7 +29,7 @@ from scuhand_bt.motion.kinematics import LIMITS_RAD
 from scuhand_bt.specs import BalanceSpec, CellSpec, ChangerSpec, HandSpec
 
 OLDEST_FIRMWARE = 38
-"""Of the servos: older ones have no BUS_WATCHDOG, and a dead host would not stop the arm."""
+"""Of the servos: older ones have no BUS_WATCHDOG (ROBOTIS e-manual), and a dead host would not stop the arm."""
 NARROWER_RAD, WIDER_RAD = math.radians(0.5), math.radians(3.0)
 """How far a servo's window may be from the planner's limits."""
 ZERO_MM = 0.05
@@ -95,13 +95,7 @@ def port_of(device: str, port: str) -> Finding:
 
 def servos(spec: CellSpec) -> Iterator[Finding]:
     """The arm's servos and the roller's: who is on the bus, what they are, how they are."""
-    try:
-        require_driver("arm", spec.arm.driver, ARM_DRIVERS)
-    except SkillFailed as error:
-        yield _lost("arm", error)
-        return
-    options = spec.arm.options
-    bus = DynamixelBus(spec.arm.port, int(options.get("baud", 3_000_000)), float(options.get("latency_ms", 8.0)))
+    bus = bus_of(spec.arm)
     try:
         bus.open()
         with closing(bus), bus.patience():
@@ -174,7 +168,6 @@ def hand(spec: HandSpec, clock: Clock, *, self_test: bool) -> Iterator[Finding]:
     """The hand's controller: its greeting and status, and the valve and the motor if they may move."""
     controller = HandController(spec.port)
     try:
-        require_driver("hand", spec.driver, HAND_DRIVERS)
         hello = controller.open()
     except SkillFailed as error:
         yield _lost("hand", error)

@@ -15,7 +15,7 @@ from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.places import Position, all_places
-from scuhand_bt.lab import Lab
+from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.plan import Plan
 from scuhand_bt.record import Record
@@ -26,6 +26,7 @@ from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container
+from scuhand_bt.yaml_source import SourceError
 
 REHEARSED_ANSWER_S = 2.0
 """Time that the simulated person of a rehearsal takes to do what is asked."""
@@ -67,9 +68,12 @@ def set_up(
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
-    Raises SkillFailed arm.* for a way that cannot be planned, device.lost for a device that cannot be opened;
-    PlantError for a plant that cannot be used; NoCompiler for a rehearsal without a C++ compiler.
+    Raises SourceError for a real run on a cell whose changer has no driver; SkillFailed arm.* for a way that cannot
+    be planned, device.lost for a device that cannot be opened; PlantError for a plant that cannot be used; NoCompiler
+    for a rehearsal without a C++ compiler.
     """
+    if simulation is None and (problems := without_driver(lab)):
+        raise SourceError(problems)
     motion = motion or prepared_motion(plan, lab)
     match simulation:
         case DryRun():

@@ -38,8 +38,7 @@ class _Trouble:
 class SerialBalance:
     """A balance on a serial port, in one of the dialects; meets `devices.interfaces.Balance`.
 
-    `spec.options` may hold `baud`, `bits` ("7E1") where they are not the factory's, and `unit` for a
-    balance that leaves it out while unstable. `others` are the dialects it might speak by mistake.
+    `others` are the dialects it might speak by mistake.
     """
 
     def __init__(
@@ -59,9 +58,7 @@ class SerialBalance:
         self._dialect = dialect
         self._others = [other for other in others if other is not dialect]
         self._clock = clock
-        framing = Framing(
-            int(spec.options.get("baud", dialect.framing.baud)), str(spec.options.get("bits", dialect.framing.bits))
-        )
+        framing = Framing(spec.options.baud or dialect.framing.baud, spec.options.bits or dialect.framing.bits)
         self._link = SerialLink(spec.port, framing, self, reopen_s)
         self._talk = Conversation(dialect, self._link.write, self._link.discard_input, spec.period_s)
         self._unit = ""
@@ -123,7 +120,7 @@ class SerialBalance:
     def opened(self) -> None:
         """Begin the conversation."""
         self._silence.broken()
-        self._unit = str(self.spec.options.get("unit", ""))  # it may be another balance now, in another unit
+        self._unit = self.spec.options.unit or ""  # it may be another balance now, in another unit
         self._talk.begin()
 
     def line(self, raw: bytes) -> None:

@@ -32,19 +32,17 @@ START_LIMIT_RAD = math.radians(3.0)
 
 
 def arm_axes(spec: ArmSpec) -> list[Axis]:
-    """The seven joints; `options` may give `home_counts`, `directions` and `following_limit_deg`."""
-    homes = spec.options.get("home_counts", [2048] * 7)
-    directions = spec.options.get("directions", [1] * 7)
-    limit_rad = math.radians(float(spec.options.get("following_limit_deg", 10.0)))
+    """The seven joints of the cell's arm."""
+    options = spec.options
     return [
         Axis(
             servo=FIRST_SERVO + index,
             name=f"joint {index + 1}",
             model=XM540 if index == 1 else XM430,
-            home_count=int(homes[index]),
-            direction=int(directions[index]),
+            home_count=options.home_counts[index],
+            direction=options.directions[index],
             pid=GAINS[index],
-            following_limit_rad=limit_rad,
+            following_limit_rad=math.radians(options.following_limit_deg),
         )
         for index in range(7)
     ]

@@ -18,7 +18,6 @@ from types import TracebackType
 import numpy as np
 
 from scuhand_bt.clock import Clock
-from scuhand_bt.devices.connect import require_driver
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import SimulatedArm
@@ -166,8 +165,8 @@ class WireBench:
     """The twins of one cell on pseudo-terminals, and their world; a context manager.
 
     `firmware` is the lab's `robot/firmware`, `joints` where the arm stands [rad]. Raises NoCompiler where the
-    firmware cannot be built, PlantError for a plant that cannot be used, SkillFailed for an unknown balance. The
-    ports are `arm`, `hand` and `balance` in the folder `ports`, or somewhere else if that is None; `bench.spec` tells.
+    firmware cannot be built, PlantError for a plant that cannot be used. The ports are `arm`, `hand` and `balance` in
+    the folder `ports`, or somewhere else if that is None; `bench.spec` tells.
     """
 
     def __init__(
@@ -181,7 +180,6 @@ class WireBench:
         plant: str | None = None,
         ports: Path | None = None,
     ) -> None:
-        require_driver("balance", spec.balance.driver, TWINS)
         physics = load_plant(plant or spec.plant)
         for source in sources.values():
             physics.probe(source.powder, spec.balance, source.mortar)
@@ -202,7 +200,10 @@ class WireBench:
                 "hand": spec.hand.model_copy(update={"port": self.hand.url}),
                 # A pseudo-terminal cannot be set to seven bits or parity twice.
                 "balance": spec.balance.model_copy(
-                    update={"port": self.balance.url, "options": spec.balance.options | {"bits": "8N1"}}
+                    update={
+                        "port": self.balance.url,
+                        "options": spec.balance.options.model_copy(update={"bits": "8N1"}),
+                    }
                 ),
                 "changer": spec.changer.model_copy(update={"driver": "operator"}),
             }
