@@ -1,14 +1,13 @@
 """The plan: a recipe's samples as jobs in their order, with the sheet swaps between powders, and what they need."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from scuhand_bt.lab import Lab
+from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.recipe import Recipe
 from scuhand_bt.sample import Sample, demand_mg
-from scuhand_bt.skill import Forecast
-from scuhand_bt.specs import ChangerSpec, Source
+from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs
 from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent
 from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
@@ -34,10 +33,18 @@ class Job:
 
 @dataclass(frozen=True)
 class PersonNeeded:
-    """A moment of the plan that needs a person."""
+    """A moment of the plan that needs a person, and where that is written.
 
-    job: str
+    Without a `job` it is one that comes only if a sample fails.
+    """
+
+    job: str | None
     what: str
+    mark: Mark
+
+    def __str__(self) -> str:
+        """Reads on after "a person is"."""
+        return f"needed at '{self.job}': {self.what}" if self.job is not None else f"perhaps needed: {self.what}"
 
 
 @dataclass(frozen=True)
@@ -64,6 +71,21 @@ class Plan:
         return sum(1 for job in self.jobs if job.workflow == CHANGE_POWDER)
 
 
+@dataclass(frozen=True)
+class _Expected:
+    """A skill's forecast, and where the skill is called."""
+
+    duration_s: float
+    person: str | None
+    mark: Mark
+
+    def repeated(self, count: int) -> "_Expected":
+        if count == 1:
+            return self
+        person = f"{self.person} ({count} times)" if self.person else None
+        return _Expected(self.duration_s * count, person, self.mark)
+
+
 def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     """Order the samples, put sheet swaps between powders, and forecast.
 
@@ -73,7 +95,7 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     _check_service_workflows(jobs, recipe, lab)
     forecaster = _Forecaster(lab)
     forecasts = [forecaster.of_job(job) for job in jobs]
-    persons = tuple(_persons(jobs, forecasts, lab.cell.changer))
+    persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(
         Demand(
             source,
@@ -85,17 +107,43 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     return Plan(recipe, jobs, demands, persons, sum(f.duration_s for found in forecasts for f in found))
 
 
-def _persons(jobs: tuple[Job, ...], forecasts: list[list[Forecast]], changer: ChangerSpec) -> Iterator[PersonNeeded]:
+def check_unattended(plan: Plan) -> None:
+    """Raises SourceError for a plan that needs a person: each place that asks for one, once."""
+    by_mark: dict[Mark, list[PersonNeeded]] = {}
+    for person in plan.persons:
+        by_mark.setdefault(person.mark, []).append(person)
+    problems = Problems()
+    for mark, persons in by_mark.items():
+        times = f" (and {len(persons) - 1} more like it)" if len(persons) > 1 else ""
+        problems.add(mark, f"this run is to be unattended, but a person is {persons[0]}{times}")
+    problems.raise_any()
+
+
+def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) -> Iterator[PersonNeeded]:
     """Every moment that needs a person: what skills forecast, and filling the changer again."""
-    containers = 0
+    containers, changer = 0, lab.cell.changer
+    cell_file = Mark(str(lab.folder / CELL_FILE))
     for job, found in zip(jobs, forecasts, strict=True):
         if job.sample is not None and job.sample.container is not None:
             if changer.driver != "operator" and containers and containers % changer.slots == 0:
-                yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})")
+                yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})", cell_file)
             containers += 1
-        for forecast in found:
-            if forecast.person is not None:
-                yield PersonNeeded(job.name, forecast.person)
+        for expected in found:
+            if expected.person is not None:
+                yield PersonNeeded(job.name, expected.person, expected.mark)
+
+
+def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterator[PersonNeeded]:
+    """What a person may be needed for if a sample fails: the recipe's `ask`, and what the lab's recovery asks."""
+    for code, action in sorted(recipe.on_failure.items(), key=lambda item: item[0] == "otherwise"):
+        if action == "ask":
+            how = "in any other way" if code == "otherwise" else f"with {code}"
+            what = f"to say what to do if a sample fails {how}"
+            yield PersonNeeded(None, what, recipe.marks[f"on_failure.{code}"])
+    for source in list(recipe.sources.values())[:1]:
+        for expected in forecaster.after_failure(source):
+            if expected.person is not None:
+                yield PersonNeeded(None, f"{expected.person}, after a failed sample", expected.mark)
 
 
 def _jobs(recipe: Recipe, lab: Lab) -> Iterator[Job]:
@@ -137,12 +185,6 @@ def _check_service_workflows(jobs: tuple[Job, ...], recipe: Recipe, lab: Lab) ->
     problems.raise_any()
 
 
-def _repeated(forecast: Forecast, count: int) -> Forecast:
-    if count == 1:
-        return forecast
-    return Forecast(forecast.duration_s * count, f"{forecast.person} ({count} times)" if forecast.person else None)
-
-
 class _Forecaster:
     """Walks a workflow with the values that are known before the run."""
 
@@ -150,33 +192,38 @@ class _Forecaster:
         self._lab = lab
         self._library: Library = lab.library
 
-    def of_job(self, job: Job) -> list[Forecast]:
+    def of_job(self, job: Job) -> list[_Expected]:
         workflow = self._library.workflows[job.workflow]
         return self._of_workflow(workflow, dict(job.inputs))
 
-    def _of_workflow(self, workflow: Workflow, inputs: dict[str, Any]) -> list[Forecast]:
+    def after_failure(self, source: Source) -> list[_Expected]:
+        workflow = self._library.workflows.get(AFTER_FAILURE)
+        return self._of_workflow(workflow, {"source": source}) if workflow is not None else []
+
+    def _of_workflow(self, workflow: Workflow, inputs: dict[str, Any]) -> list[_Expected]:
         return self._of(workflow.tree, Scope(bound_inputs(workflow, inputs, self._library)))
 
-    def _of(self, node: TreeNode, scope: Scope) -> list[Forecast]:
+    def _of(self, node: TreeNode, scope: Scope) -> list[_Expected]:
         if isinstance(node, Branch):
             found = [self._of(child, scope) for child in node.children]
             if node.kind == "sequence":
-                return [forecast for child in found for forecast in child]
-            longest = max(found, key=lambda child: sum(forecast.duration_s for forecast in child))
-            others = [forecast for child in found if child is not longest for forecast in child if forecast.person]
-            return [*longest, *(Forecast(0.0, forecast.person) for forecast in others)]
+                return [expected for child in found for expected in child]
+            longest = max(found, key=lambda child: sum(expected.duration_s for expected in child))
+            others = [expected for child in found if child is not longest for expected in child if expected.person]
+            return [*longest, *(replace(expected, duration_s=0.0) for expected in others)]
         if isinstance(node, Decorator):
             times = node.arguments.get("times")
             count = 1 if times is None else int(self._known(node.arguments, scope).get("times", 1))
-            return [_repeated(forecast, count) for forecast in self._of(node.child, scope)]
+            return [expected.repeated(count) for expected in self._of(node.child, scope)]
         inputs = self._known(node.arguments, scope, node.name)
         if node.name in self._library.skills:
             return [self._of_skill(node, inputs)]
         return self._of_workflow(self._library.workflows[node.name], inputs)
 
-    def _of_skill(self, node: Call, inputs: dict[str, Any]) -> Forecast:
+    def _of_skill(self, node: Call, inputs: dict[str, Any]) -> _Expected:
         try:
-            return self._library.skills[node.name].forecast(inputs, self._lab.cell)
+            forecast = self._library.skills[node.name].forecast(inputs, self._lab.cell)
+            return _Expected(forecast.duration_s, forecast.person, node.mark)
         except Exception as error:  # the lab's own code
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
             raise SourceError([Problem(node.mark, shorten(what, 200))]) from error

@@ -31,11 +31,12 @@ from scuhand_bt.yaml_source import (
     validate,
 )
 
-Action = Literal["flag", "skip_sample", "stop", "redo"]
+Action = Literal["flag", "skip_sample", "redo", "ask", "stop"]
 ACTIONS: Mapping[str, str] = {
     "flag": "keep the dose, mark it, and go on with the next sample",
     "skip_sample": "leave the sample undone and go on with the next one",
     "redo": "do the sample once more in a new container, then flag it",
+    "ask": "ask the operator which of the others it shall be",
     "stop": "stop the batch",
 }
 DEFAULT_ON_FAILURE: Mapping[str, Action] = {"dose.overshoot": "flag", "dose.not_reached": "flag", "otherwise": "stop"}
@@ -58,6 +59,8 @@ class Recipe:
     sources: Mapping[str, Source]
     samples: tuple[Sample, ...]
     on_failure: Mapping[str, Action]
+    marks: Mapping[str, Mark]
+    """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `on_failure.CODE`."""
 
     @property
     def hash(self) -> str:
@@ -100,6 +103,8 @@ class _Reader:
     text: str
     problems: Problems
     source_marks: dict[str, Mark] = field(default_factory=dict)
+    marks: dict[str, Mark] = field(default_factory=dict)
+    """See `Recipe.marks`."""
     workflows: dict[str, Workflow] = field(default_factory=dict)
     """Those that the recipe names."""
 
@@ -129,7 +134,7 @@ class _Reader:
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
         check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
-        return Recipe(self.path, self.text, name, order, controller, sources, tuple(samples), on_failure)
+        return Recipe(self.path, self.text, name, order, controller, sources, tuple(samples), on_failure, self.marks)
 
     def _name(self, root: Entries) -> str:
         name = self._word(root, "recipe") or self.path.stem
@@ -196,6 +201,8 @@ class _Reader:
             amount_mg=text.amount_mg,
             lot=text.lot,
         )
+        self.marks |= {f"sources.{name}": self.source_marks[name]}
+        self.marks |= {f"sources.{name}.{key}": value.mark for key, value in node.values.items()}
         check_source(source, node.values["amount"].mark, self.problems)
         return source
 
@@ -345,6 +352,7 @@ class _Reader:
             action = value.text if isinstance(value, Scalar) else None
             if code not in codes:
                 self.problems.add(node.keys[code], f"unknown failure code '{shorten(code)}'", unknown=code, known=codes)
+            self.marks[f"on_failure.{code}"] = value.mark
             if action not in ACTIONS:
                 self.problems.add(value.mark, f"{describe(value)} is no action", unknown=action or "", known=ACTIONS)
             else:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
 from scuhand_bt.specs import Container
@@ -29,6 +30,13 @@ class SimulatedOperator:
             yield Wake(ready_s)
         self._record.event("answered", {"question": question, "answer": choices[0]})
         return choices[0]
+
+
+class Nobody:
+    """An unattended run's operator: whatever is asked, nobody is there."""
+
+    def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
+        raise SkillFailed("operator.absent", f"the run is unattended; it was to be asked: {question}")
 
 
 class TerminalOperator:
@@ -68,7 +76,7 @@ class OperatorChanger:
 
     def __init__(
         self,
-        operator: "SimulatedOperator | TerminalOperator",
+        operator: Operator,
         place: Callable[[Container], None] = lambda container: None,
         remove: Callable[[], None] = lambda: None,
     ) -> None:

@@ -1,0 +1,78 @@
+"""Who is needed, and when: the policy `ask`, and unattended runs, which need nobody or are refused."""
+
+import pytest
+from conftest import Desk, LabFolder, problems_of
+
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.plan import Plan, check_unattended, make_plan
+from scuhand_bt.run.operator import Nobody
+
+RECIPE = """\
+recipe: one
+workflow: scoop_and_dispense
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+defaults: {source: beads, container: xrd_holder, mass: 50 mg}
+samples:
+  - {id: a}
+  - {id: b}
+"""
+
+
+def plan_of(desk: Desk, more: str = "") -> Plan:
+    return make_plan(desk.load(RECIPE + more), desk.lab)
+
+
+def refusals(plan: Plan) -> list[str]:
+    return problems_of(lambda: check_unattended(plan))
+
+
+def test_a_plan_that_needs_nobody_may_run_unattended(desk: Desk) -> None:
+    assert refusals(plan_of(desk)) == []
+
+
+def test_ask_is_an_action_and_the_plan_says_when_a_person_may_be_asked(desk: Desk) -> None:
+    plan = plan_of(desk, "on_failure: {hand.no_flow: ask, otherwise: ask}\n")
+    assert plan.recipe.action_for("hand.no_flow") == plan.recipe.action_for("arm.no_path") == "ask"
+    assert plan.recipe.action_for("dose.overshoot") == "flag"
+    assert [f"A person is {person}." for person in plan.persons] == [
+        "A person is perhaps needed: to say what to do if a sample fails with hand.no_flow.",
+        "A person is perhaps needed: to say what to do if a sample fails in any other way.",
+    ]
+
+
+def test_an_action_that_is_none_lists_those_that_are(desk: Desk) -> None:
+    (problem,) = desk.problems(RECIPE + "on_failure: {otherwise: asks}\n")
+    assert problem == ("9:25: 'asks' is no action; known: ask, flag, redo, skip_sample, stop; did you mean 'ask'?")
+
+
+def test_an_unattended_plan_with_ask_is_refused_where_the_policy_stands(desk: Desk) -> None:
+    assert refusals(plan_of(desk, "on_failure: {hand.no_flow: ask}\n")) == [
+        "9:28: this run is to be unattended, but a person is perhaps needed: "
+        "to say what to do if a sample fails with hand.no_flow"
+    ]
+
+
+def test_each_place_that_needs_a_person_is_told_once(desk: Desk, lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
+    lab_folder.replace("trees/after_failure.yaml", "    - park:", "    - ask_operator: {question: Look}\n    - park:")
+    desk.lab = lab_folder.load()
+    told = refusals(plan_of(desk))
+    assert [line.split(": ", 1)[1].removeprefix("this run is to be unattended, but a person is ") for line in told] == [
+        "perhaps needed: Look, after a failed sample",
+        "needed at 'finish': take the container off the pan",
+        "needed at 'a': put xrd_holder 'a' on the pan (and 1 more like it)",
+    ]
+
+
+def test_a_changer_that_must_be_filled_again_needs_a_person(desk: Desk, lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: 1")
+    desk.lab = lab_folder.load()
+    (told,) = refusals(plan_of(desk))
+    assert "needed at 'b': fill the changer again (it holds 1)" in told
+
+
+def test_nobody_answers_with_a_failure_at_once() -> None:
+    with pytest.raises(SkillFailed, match="Press the button") as caught:
+        Nobody().ask("Press the button")
+    assert caught.value.code == "operator.absent"
