@@ -1,11 +1,18 @@
 """Who is needed, and when: the policy `ask`, and unattended runs, which need nobody or are refused."""
 
+from pathlib import Path
+
 import pytest
 from conftest import Desk, LabFolder, problems_of
+from running import Watching, make_lab, shared_planner
 
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.lab import load_lab
 from scuhand_bt.plan import Plan, check_unattended, make_plan
+from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.operator import Nobody
+from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.setup import DryRun
 
 RECIPE = """\
 recipe: one
@@ -70,6 +77,34 @@ def test_a_changer_that_must_be_filled_again_needs_a_person(desk: Desk, lab_fold
     desk.lab = lab_folder.load()
     (told,) = refusals(plan_of(desk))
     assert "needed at 'b': fill the changer again (it holds 1)" in told
+
+
+QUIET = """\
+from scuhand_bt.skill import Cell, Skill, SkillFailed, Steps
+
+
+class Quiet(Skill[None]):
+    \"\"\"Ask without having said so.\"\"\"
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from cell.operator.ask("Press the button")
+"""
+
+
+@pytest.mark.parametrize("asks", [True, False])
+def test_what_no_plan_foresees_fails_instead_of_waiting(tmp_path: Path, asks: bool) -> None:
+    lab = load_lab(make_lab(tmp_path / "lab", skills__quiet=QUIET, trees__ask="workflow: ask\ntree: {quiet: }\n"))
+    path = tmp_path / "recipe.yaml"
+    path.write_text("recipe: ask\nworkflow: ask\nsamples: [{id: a}]\n")
+    plan = make_plan(load_recipe(path, lab), lab)
+    options = Options(DryRun(), folder=tmp_path / "runs", unattended=not asks)
+    session = Session(plan, lab, options, shared_planner(plan, lab))
+    try:
+        result = session.run(Watching())
+    finally:
+        session.close()
+    assert result.exit_code == (0 if asks else 3)
+    assert result.samples[0].code == (None if asks else "operator.absent")
 
 
 def test_nobody_answers_with_a_failure_at_once() -> None:

@@ -15,6 +15,7 @@ from scuhand_bt.cli.shared import (
     LabOption,
     RecipeArgument,
     SeedOption,
+    UnattendedFlag,
     app,
     err,
     out,
@@ -42,6 +43,7 @@ def run(
     speed: Annotated[float | None, typer.Option(help="Watch a dry run at so many times real time.")] = None,
     controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
+    unattended: UnattendedFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
@@ -70,7 +72,7 @@ def run(
         simulation = DryRun(seed, plant, speed) if dry_run else Rehearsal(seed, plant) if rehearse else None
         mode = f"{simulation.mode} (seed {seed})" if simulation is not None else "real devices"
         try:
-            session = Session(made, loaded, Options(simulation, controller), stop=stop)
+            session = Session(made, loaded, Options(simulation, controller, unattended=unattended), stop=stop)
             count = len(made.recipe.samples)
             out.print(Text(f"{made.recipe.name}: {count} samples on the cell '{loaded.cell.cell}', {mode}"))
             result = _watched(session)
@@ -161,10 +163,10 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
     out.print(powders)
     out.print(f"\nSheet swaps: {made.swaps}. Estimated duration: {format_duration(made.duration_s)}.")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
-    if not made.persons:
+    if all(person.job is None for person in made.persons):
         out.print("After the start no person is needed.")
     for person in made.persons:
-        out.print(Text(f"A person is needed at '{person.job}': {person.what}."))
+        out.print(Text(f"A person is {person}."))
 
 
 def _plan_values(made: "Plan") -> dict[str, Any]:
@@ -193,7 +195,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
             }
             for demand in made.demands
         ],
-        "persons": [{"job": person.job, "what": person.what} for person in made.persons],
+        "persons": [{"job": person.job, "what": person.what, "where": str(person.mark)} for person in made.persons],
         "duration_s": made.duration_s,
     }
 

@@ -42,6 +42,9 @@ LabOption = Annotated[
     Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one upward from the recipe.")
 ]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness of a simulation.")]
+UnattendedFlag = Annotated[
+    bool, typer.Option("--unattended", help="Nobody is there: refuse a plan that needs a person, never wait for one.")
+]
 NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
 
@@ -63,8 +66,8 @@ def main() -> None:
     except SkillFailed as error:
         remedy = CATALOGUE[error.code].remedy if error.code in CATALOGUE else ""
         err.print(Text(f"{error}. {remedy}".rstrip()))
-        # What has no way is found before anything moves; a device that does not answer is the cell's fault.
-        sys.exit(EXIT_BAD_INPUT if error.code.startswith("arm.") else EXIT_CELL_FAULT)
+        # No way, or nobody to ask, is found before anything moves; a device that does not answer is the cell's fault.
+        sys.exit(EXIT_BAD_INPUT if error.code.startswith(("arm.", "operator.")) else EXIT_CELL_FAULT)
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)
 

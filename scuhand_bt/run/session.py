@@ -14,7 +14,7 @@ from scuhand_bt.devices.cell import Cell
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.lab import Lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Plan
+from scuhand_bt.plan import Plan, check_unattended
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.learnt import LabState
@@ -32,6 +32,8 @@ class Options:
     controller: str | None = None
     folder: Path | None = None
     """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
+    unattended: bool = False
+    """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
 
 
 class Session:
@@ -39,9 +41,9 @@ class Session:
 
     `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one.
 
-    Raises, before anything moves: SourceError for an unknown controller or an unwritable folder, PlantError for
-    a plant that cannot be used, NoCompiler for a rehearsal without one, SkillFailed for places without a way
-    between them, or a device that does not answer.
+    Raises, before anything moves: SourceError for an unknown controller, an unwritable folder or an unattended plan
+    that needs a person, PlantError for a plant that cannot be used, NoCompiler for a rehearsal without one,
+    SkillFailed for places without a way between them, or a device that does not answer.
     """
 
     def __init__(
@@ -53,6 +55,8 @@ class Session:
         stop: Signal | None = None,
     ) -> None:
         _check_controller(options.controller)
+        if options.unattended:
+            check_unattended(plan)
         self.plan = plan
         self.stop = stop or Signal()
         """Fire it to end the run safely at the next tick (Ctrl-C does)."""
@@ -62,7 +66,7 @@ class Session:
             folder / f"{self.run_id}.sqlite", durable=not isinstance(options.simulation, DryRun)
         )
         try:
-            setup = set_up(plan, lab, options.simulation, self.journal, motion)
+            setup = set_up(plan, lab, options.simulation, self.journal, motion, unattended=options.unattended)
         except BaseException:
             self.journal.discard()
             raise
@@ -128,6 +132,7 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
         "lab": str(lab.folder),
         "cell": lab.cell.cell,
         "simulated": simulation is not None,
+        "unattended": options.unattended,
         "mode": simulation.mode if simulation is not None else "real devices",
         "seed": simulation.seed if simulation is not None else None,
         "plant": (simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,

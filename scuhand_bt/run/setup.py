@@ -20,7 +20,7 @@ from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.operator import OperatorChanger, SimulatedOperator, TerminalOperator
+from scuhand_bt.run.operator import Nobody, OperatorChanger, SimulatedOperator, TerminalOperator
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.wire.bench import WireBench
@@ -64,7 +64,13 @@ class Setup:
 
 
 def set_up(
-    plan: Plan, lab: Lab, simulation: Simulation | None, record: Record, motion: MotionPlanner | None = None
+    plan: Plan,
+    lab: Lab,
+    simulation: Simulation | None,
+    record: Record,
+    motion: MotionPlanner | None = None,
+    *,
+    unattended: bool = False,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
@@ -87,6 +93,9 @@ def set_up(
     cell.believed.sources_mg = {name: source.amount_mg for name, source in plan.recipe.sources.items()}
     if plan.recipe.controller is not None:
         cell.controller = plan.recipe.controller
+    if unattended:
+        cell.operator = Nobody()
+        cell.changer = OperatorChanger(cell.operator) if cell.changer.needs_person else cell.changer
     return setup
 
 
