@@ -2,7 +2,7 @@
 
 Every command is answered with how the hand stands. One whose answer is lost is sent again under the same
 number, which the controller then does not carry out twice. With nothing to say the link pings, and so
-keeps the controller's dead-man (300 ms) from closing the valve; when the run's tick hangs it closes the
+keeps the controller's dead-man (220 ms) from closing the valve; when the run's tick hangs it closes the
 valve itself and pings no more.
 """
 

@@ -7,7 +7,9 @@
 namespace hand {
 
 constexpr const char* kFirmware = "1.0";
-constexpr uint32_t kDeadManMs = 300;       // silence after which the valve closes and vibration stops
+// Silence after which the valve closes and vibration stops. It must begin to move within 300 ms, and takes
+// 60 ms to begin; the host is heard every 30 ms.
+constexpr uint32_t kDeadManMs = 220;
 constexpr uint32_t kStuckMs = 2500;        // a valve that has not arrived by then is stuck
 constexpr int32_t kArrivedUm = 30;         // the valve counts as arrived this near
 constexpr int32_t kLongestDwellMs = 60000;
