@@ -6,6 +6,7 @@ values that travel on a workflow's wires (`Powder`, `Source`, `Container`).
 
 import math
 from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import (
     BaseModel,
@@ -14,6 +15,7 @@ from pydantic import (
     Field,
     NonNegativeFloat,
     PositiveFloat,
+    field_validator,
     model_validator,
 )
 
@@ -339,6 +341,35 @@ class ChangerSpec(Spec):
     """Containers it holds before a person has to fill it again."""
 
 
+class NotifySpec(Spec):
+    """Who is told when a run pauses, needs a person or has ended: a program, or a web address."""
+
+    command: tuple[str, ...] | None = None
+    """The program and its arguments; it is given the JSON on its standard input."""
+    webhook: str | None = None
+    """It is sent the JSON by POST. Only this computer is called, and hosts under `allow`."""
+    allow: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_one(self) -> Self:
+        if (self.command is None) == (self.webhook is None):
+            raise ValueError("it names one: a 'command', or a 'webhook'")
+        if self.command is not None and not (self.command and self.command[0]):
+            raise ValueError("'command' names no program")
+        return self
+
+    @field_validator("webhook")
+    @classmethod
+    def _is_an_address(cls, url: str) -> str:
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise ValueError('a web address, such as "http://127.0.0.1:8080/hook"')
+        if "@" in parts.netloc or not url.isascii() or not url.isprintable() or " " in url:
+            raise ValueError("a plain web address, without a user, blanks or special letters")
+        assert parts.port is None or parts.port > 0  # a port that is none raises ValueError itself
+        return url
+
+
 class CellSpec(Spec):
     """`robot/cell.yaml`: the devices of one bench, its stations and its geometry."""
 
@@ -349,6 +380,7 @@ class CellSpec(Spec):
     changer: ChangerSpec = ChangerSpec()
     plant: str | None = None
     """`module:Class` of the simulated physics; none for the shipped one."""
+    notify: NotifySpec | None = None
     stations: dict[str, Station]
     geometry: list[Obstacle] = []
 
