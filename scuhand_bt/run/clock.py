@@ -16,6 +16,10 @@ class Process(Protocol):
         """Go on by one step of its own choosing, not past `limit_s`; return the new time."""
         ...
 
+    def save(self) -> None:
+        """Keep what it is now where it outlives this program."""
+        ...
+
 
 class VirtualClock:
     """Time of a dry run. It passes as fast as the simulated world can be computed.
@@ -29,15 +33,23 @@ class VirtualClock:
         self._speed = speed
         self._began = time.monotonic()
 
+    def go_on_from(self, now_s: float) -> None:
+        """Take up the time of a run that was interrupted."""
+        self.now_s = now_s
+        self._began = time.monotonic() - now_s / (self._speed or 1.0)
+
     def wait(self, wakes: Sequence[Wake]) -> None:
         """Go on to the earliest of `wakes`, letting the process take its steps on the way.
 
+        The process is saved first: the program never knows of it what a killed program's process would not have.
         Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
         """
         limit_s = min((wake.until_s for wake in wakes), default=math.inf)
         signals = [(wake.signal, wake.seen) for wake in wakes if wake.signal is not None]
         if math.isinf(limit_s) and (self.process is None or not signals):
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
+        if self.process is not None:
+            self.process.save()
         while self.now_s < limit_s and all(signal.count == seen for signal, seen in signals):
             self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
             if self._speed is not None:

@@ -71,19 +71,23 @@ def set_up(
     motion: MotionPlanner | None = None,
     *,
     unattended: bool = False,
+    world_path: Path | None = None,
+    restore: bool = False,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
-    Raises SourceError for a real run on a cell whose changer has no driver; SkillFailed arm.* for a way that cannot
-    be planned, device.lost for a device that cannot be opened; PlantError for a plant that cannot be used; NoCompiler
-    for a rehearsal without a C++ compiler.
+    `world_path` is the file in which a dry run's world outlives the program, `restore` to take up the one in it.
+
+    Raises SourceError for a real run on a cell whose changer has no driver, and for a world's file that cannot be
+    taken up; SkillFailed arm.* for a way that cannot be planned, device.lost for a device that cannot be opened;
+    PlantError for a plant that cannot be used; NoCompiler for a rehearsal without a C++ compiler.
     """
     if simulation is None and (problems := without_driver(lab)):
         raise SourceError(problems)
     motion = motion or prepared_motion(plan, lab)
     match simulation:
         case DryRun():
-            setup = _dry_run(plan, lab, simulation, record, motion)
+            setup = _dry_run(plan, lab, simulation, record, motion, world_path, restore)
         case Rehearsal():
             setup = _rehearsal(plan, lab, simulation, record, motion)
         case None:
@@ -99,7 +103,15 @@ def set_up(
     return setup
 
 
-def _dry_run(plan: Plan, lab: Lab, dry_run: DryRun, record: Record, motion: MotionPlanner) -> Setup:
+def _dry_run(
+    plan: Plan,
+    lab: Lab,
+    dry_run: DryRun,
+    record: Record,
+    motion: MotionPlanner,
+    world_path: Path | None,
+    restore: bool,
+) -> Setup:
     _find_plants(lab)
     clock = VirtualClock(speed=dry_run.speed)
     operator = SimulatedOperator(clock, record)
@@ -118,7 +130,15 @@ def _dry_run(plan: Plan, lab: Lab, dry_run: DryRun, record: Record, motion: Moti
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove)
     _follow_hands(world, cell)
-    return Setup(cell, world, lambda: None)
+
+    def tell(why: str) -> None:
+        record.event("not_resumable", {"why": why})
+
+    if world_path is not None and restore:
+        clock.go_on_from(world.restore(world_path, tell))
+    elif world_path is not None:
+        world.keep_in(world_path, tell)
+    return Setup(cell, world, world.close)
 
 
 def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, record: Record, motion: MotionPlanner) -> Setup:

@@ -1,6 +1,6 @@
 """The simulated arm: it is where its trajectory says, at every moment."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -71,6 +71,15 @@ class SimulatedArm:
         if self._trajectory is not None and end_s >= self._end_s - 1e-9:
             self._hold(self._trajectory.sample(self._trajectory.duration_s))
             self.news.fire()
+
+    def held_at(self, time_s: float) -> list[float]:
+        """Where the joints [rad] would be held if its servos heard nothing more from this time on."""
+        joints: list[float] = self._at(time_s).tolist()
+        return joints
+
+    def hold(self, joints: Sequence[float]) -> None:
+        """Stand still there."""
+        self._hold(np.array(joints))
 
     def pose(self, time_s: float) -> Pose:
         """The apex's pose at a time not before now."""

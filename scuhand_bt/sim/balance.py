@@ -7,6 +7,7 @@ the filter still creeps.
 
 import math
 from collections import deque
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,6 +25,17 @@ MEAN_OF = 5
 
 class SimulatedBalance:
     """The balance under the hand; see `scuhand_bt.devices.interfaces.Balance`."""
+
+    STATE: ClassVar[tuple[str, ...]] = (
+        "latest",
+        "next_reading_s",
+        "_response",
+        "_rng",
+        "_values",
+        "_readings",
+        "_overloaded",
+    )
+    """What the world's file keeps of it."""
 
     def __init__(self, spec: BalanceSpec, clock: Clock, plant: Plant) -> None:
         self.spec = spec

@@ -2,7 +2,7 @@
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.sim.world import World
+from scuhand_bt.sim.world import STEP_S, World
 from scuhand_bt.specs import Container
 
 BRING_S = 6.0
@@ -18,28 +18,32 @@ class SimulatedChanger:
         self.news = Signal()
         self._clock = clock
         self._world = world
-        self._busy_until_s = 0.0
 
     @property
     def is_stopped(self) -> bool:
-        return self._clock.now_s >= self._busy_until_s
+        return not self._world.is_swinging
 
     def stop(self) -> None:
         """It ends the swing it is in: a container is never left hanging."""
 
     def bring(self, container: Container) -> Steps[None]:
+        yield from self._rest()
+        if self._world.pan == container.id:
+            return  # the swing that was to bring it went on to its end when nobody waited for it any more
         if self._world.pan is not None:
             raise SkillFailed("container.missing", f"the pan is not free: '{self._world.pan}' stands on it")
-        yield from self._swing(BRING_S)
-        self._world.place(container)
+        self._world.swing(self._clock.now_s + BRING_S, container)
+        yield from self._rest()
 
     def take_away(self) -> Steps[None]:
+        yield from self._rest()
         if self._world.pan is not None:
-            yield from self._swing(TAKE_S)
-            self._world.remove()
+            self._world.swing(self._clock.now_s + TAKE_S, None)
+            yield from self._rest()
 
-    def _swing(self, duration_s: float) -> Steps[None]:
-        self._busy_until_s = self._clock.now_s + duration_s
-        while self._clock.now_s < self._busy_until_s:
-            yield Wake(self._busy_until_s)
+    def _rest(self) -> Steps[None]:
+        if not self._world.is_swinging:
+            return
+        while self._world.is_swinging:
+            yield Wake(max(self._world.swing_ends_s, self._clock.now_s + STEP_S))
         self.news.fire()

@@ -8,6 +8,7 @@ is shut. The servo's own encoder cannot see it: `opening_mm` reports the servo.
 
 import math
 from collections import deque
+from typing import ClassVar
 
 import numpy as np
 
@@ -22,6 +23,21 @@ INITIAL_DIAMETER_MM = 90.0
 
 class SimulatedHand:
     """The hand as the world moves it; see `scuhand_bt.devices.interfaces.Hand`."""
+
+    STATE: ClassVar[tuple[str, ...]] = (
+        "vibration",
+        "cone_diameter_mm",
+        "_servo_mm",
+        "_target_mm",
+        "_real_mm",
+        "_error_mm",
+        "_sample_error_mm",
+        "_commands",
+        "_morph",
+        "_moved",
+        "_rng",
+    )
+    """What the world's file keeps of it."""
 
     def __init__(self, spec: HandSpec, clock: Clock) -> None:
         self.spec = spec
@@ -47,10 +63,8 @@ class SimulatedHand:
         return not self.is_active
 
     def stop(self) -> None:
-        self._commands.clear()
-        self._command(0.0, self._clock.now_s)
-        self._morph = None
-        self.vibration = 0.0
+        self.hold_sheet()
+        self.shut(self._clock.now_s)
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         Cone(cone_diameter_mm, self.spec.sheet_radius_mm)  # refuses what the sheet cannot make
@@ -99,6 +113,16 @@ class SimulatedHand:
     def is_closing(self) -> bool:
         """The cone is getting smaller."""
         return self._morph is not None and self._morph[3] < self._morph[2]
+
+    def shut(self, now_s: float) -> None:
+        """What the controller's dead-man does: the valve closes, whatever it was told, and vibration stops."""
+        self._commands.clear()
+        self._command(0.0, now_s)
+        self.vibration = 0.0
+
+    def hold_sheet(self) -> None:
+        """What the roller's watchdog does: the sheet keeps its size."""
+        self._morph = None
 
     def use_randomness(self, rng: np.random.Generator) -> None:
         """Draw from this generator from now on; a new sample's standing error is drawn at once."""

@@ -11,12 +11,19 @@ Everything that the powder does follows from the state of the devices; nothing h
 leaves the apex when the valve is open and lands, a fall later, on what stands below; it pours over the
 rim when the cone is tipped beyond what the wall's friction holds; the cone scoops when it closes while
 its sheet is pressed onto a mortar's bowl. A step is 20 ms while anything moves, else one balance period.
+
+A world may live in a file (`keep_in`, `save`), from which another process takes it up (`restore`) as it is
+some seconds after the first one was killed: by then the devices, which nobody spoke to, have come to rest.
 """
 
 import math
+import pickle
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,7 +33,10 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import Plant, PowderFlow
 from scuhand_bt.sim.randomness import substream
+from scuhand_bt.sim.state import Packer
+from scuhand_bt.sim.world_file import WorldFile, broken
 from scuhand_bt.specs import CellSpec, Container, Source, Station
+from scuhand_bt.yaml_source import SourceError
 
 STEP_S = 0.020
 GRAVITY_MM_PER_S2 = 9810.0
@@ -39,6 +49,14 @@ STICKING_SHARE = 0.02
 RIM_POINTS = 16
 EMPTY_SPREAD = 0.2
 """Standard deviation of single containers' empty mass, as a share of their kind's tolerance."""
+SERVO_WATCHDOG_S = 0.1
+"""After this silence the arm's servos and the roller stand still."""
+DEAD_MAN_S = 0.3
+"""After this silence the hand's controller closes the valve."""
+OUTAGE_S = 2.0
+"""Time that passes in the world at least, from the last word of a killed program to the first of the next one."""
+LONGEST_OUTAGE_S = 10.0
+"""And at most: a valve that is stuck open stays it."""
 
 
 @dataclass
@@ -52,7 +70,21 @@ class Stroke:
 
 
 class World:
-    """One bench's matter. `step` is what the virtual clock calls."""
+    """One bench's matter. `step` and `save` are what the virtual clock calls."""
+
+    STATE: ClassVar[tuple[str, ...]] = (
+        "now_s",
+        "pan",
+        "_swing",
+        "_flow",
+        "_cone_source",
+        "_flying",
+        "_was_open",
+        "_stroke",
+        "_flow_rng",
+        "_scoop_rng",
+    )
+    """What its file keeps of it, beside the masses, and the containers in the file's log."""
 
     def __init__(
         self,
@@ -69,6 +101,9 @@ class World:
         )
         for name, source in sources.items():
             self.masses_mg[f"source:{name}"] = source.amount_mg
+        self._compartments = tuple(self.masses_mg)
+        self.now_s = 0.0
+        """The time it has come to."""
         self.pan: str | None = None
         """The id of the container on the pan."""
         self._spec, self._sources, self._plant, self._seed = spec, sources, plant, seed
@@ -83,6 +118,10 @@ class World:
         self._place: tuple[Pose, str, float] | None = None
         self._was_open = False
         self._stroke: Stroke | None = None
+        self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
+        self._packer = Packer((self, hand, balance))
+        self._file: WorldFile | None = None
+        self._tell: Callable[[str], None] = lambda why: None
         self.begin_sample("", 0)
 
     # --- for judging, never for skills ---
@@ -112,19 +151,50 @@ class World:
         """Put a container on the pan; one that stood there before comes back with what it holds."""
         if self.pan is not None:
             raise ValueError(f"'{self.pan}' stands on the pan")
+        self._know(container)
+        self._put(container.id)
+
+    def remove(self) -> None:
+        """Take the container, and what it holds, off the pan."""
+        if self.pan is not None:
+            self._log(self.pan)
+        self._put(None)
+
+    def swing(self, until_s: float, container: Container | None) -> None:
+        """The carousel swings; at its end this container stands on the pan, or what stood there is gone."""
+        if container is not None:
+            self._know(container)
+        self._swing = (until_s, container.id if container is not None else None)
+
+    @property
+    def is_swinging(self) -> bool:
+        return self._swing is not None
+
+    @property
+    def swing_ends_s(self) -> float:
+        """When the carousel's swing ends, or ended if it stands still."""
+        return self._swing[0] if self._swing is not None else self.now_s
+
+    def _know(self, container: Container) -> None:
         if container.id not in self._containers:
             rng = substream(self._seed, "container", container.id)
             spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
             empty_mg = container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0))
             self._containers[container.id] = (container, max(1.0, empty_mg))
             self.masses_mg[f"container:{container.id}"] = 0.0
-        self.pan, self._place = container.id, None
-        self._empty_mg = self._containers[container.id][1]
+            self._log(container.id)
 
-    def remove(self) -> None:
-        """Take the container, and what it holds, off the pan."""
-        self.pan = self._place = None
-        self._empty_mg = 0.0
+    def _put(self, container_id: str | None) -> None:
+        self.pan, self._place = container_id, None
+        self._empty_mg = self._containers[container_id][1] if container_id is not None else 0.0
+
+    def _end_swing(self) -> None:
+        assert self._swing is not None
+        (_, container_id), self._swing = self._swing, None
+        if container_id is None:
+            self.remove()
+        else:
+            self.place(self._containers[container_id][0])
 
     def load_cone(self, source: str, mass_mg: float) -> None:
         """Put powder of a source into the cone by hand, as the paper's experiments did."""
@@ -172,6 +242,9 @@ class World:
         if self.pan is not None:
             on_pan_mg += self.masses_mg[f"container:{self.pan}"]
         balance.advance(end_s, dt_s, on_pan_mg, landing_mg, hand.vibration)
+        self.now_s = end_s
+        if self._swing is not None and end_s >= self._swing[0]:
+            self._end_swing()
         return end_s
 
     def _leave(self, end_s: float, dt_s: float, opening_mm: float) -> None:
@@ -233,6 +306,99 @@ class World:
         container, _ = self._containers[self.pan]
         density = self._sources[self._cone_source].powder.bulk_density_mg_per_mm3
         return max(0.0, container.capacity_mm3 * density - self.masses_mg[f"container:{self.pan}"])
+
+    # --- outliving the program ---
+
+    def keep_in(self, path: Path, tell: Callable[[str], None]) -> None:
+        """Live in a new file from now on. `tell` is told, at most once, why it cannot be saved after all."""
+        self._tell = tell
+        self._file = WorldFile.create(path, pickle.dumps("it ended at once"))
+        for container_id in self._containers:
+            self._log(container_id)
+        self.save()
+
+    def restore(self, path: Path, tell: Callable[[str], None]) -> float:
+        """Take up the world of a file, and live in it: as it is after the outage. Returns the time then [s].
+
+        Raises SourceError for a file that is missing, damaged, or of a world that could not be saved.
+        """
+        file, state, log = WorldFile.open(path)
+        try:
+            kept = pickle.loads(state)
+            if isinstance(kept, str):
+                raise broken(path, f"its world could not be saved: {kept}")
+            joints, masses_mg, on_pan_mg = self._packer.give_back(kept)
+            stream = BytesIO(log)
+            while stream.tell() < len(log):
+                container, empty_mg, mass_mg = pickle.load(stream)
+                self._containers[container.id] = (container, empty_mg)
+                self.masses_mg[f"container:{container.id}"] = mass_mg
+            if self.pan is not None:
+                self.masses_mg[f"container:{self.pan}"] = on_pan_mg
+        except SourceError:
+            raise
+        except Exception as error:  # a pickle may fail in any way
+            why = f"it was written by another version of the program or the plant ({type(error).__name__}: {error})"
+            raise broken(path, why) from None
+        if self._cone_source is not None and self._cone_source not in self._sources:
+            raise broken(path, f"powder of '{self._cone_source}', which the recipe no longer has, is in the cone")
+        self.masses_mg.update(masses_mg)
+        self._put(self.pan)
+        self._arm.hold(joints)
+        self._tell, self._file = tell, file
+        self._sit_out()
+        self.save()
+        return self.now_s
+
+    def save(self) -> None:
+        """Keep the world as it is now in its file, if it has one. OSError if the disk is full."""
+        if self._file is None:
+            return
+        try:
+            state = self._packed()
+        except Exception as error:  # of somebody's plant
+            why = f"{self._plant.name} cannot be pickled ({type(error).__name__}: {error})"
+            self._file.write(pickle.dumps(why))
+            self.close()
+            self._tell(why)
+        else:
+            self._file.write(state)
+
+    def close(self) -> None:
+        """Live in no file any more; what it is now is not saved."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _packed(self) -> bytes:
+        masses_mg = self.masses_mg
+        return self._packer.pack(
+            (
+                self._arm.held_at(self.now_s + SERVO_WATCHDOG_S),
+                {name: masses_mg[name] for name in self._compartments},
+                masses_mg[f"container:{self.pan}"] if self.pan is not None else 0.0,
+            )
+        )
+
+    def _log(self, container_id: str) -> None:
+        """Only what stands on the pan can change: what it is, and what it holds when it goes, is written once."""
+        if self._file is not None:
+            self._file.append(pickle.dumps((*self._containers[container_id], self.true_mass(container_id))))
+
+    def _sit_out(self) -> None:
+        """What happens while nobody speaks to the devices: the valve stays as it is until its dead-man closes it."""
+        hand, silent_s = self._hand, self.now_s
+        self._go_on_to(silent_s + SERVO_WATCHDOG_S)
+        hand.hold_sheet()
+        self._go_on_to(silent_s + DEAD_MAN_S)
+        hand.shut(self.now_s)
+        self._go_on_to(silent_s + OUTAGE_S)
+        while (hand.is_active or self._flying or self.is_swinging) and self.now_s < silent_s + LONGEST_OUTAGE_S:
+            self._go_on_to(self.now_s + STEP_S)
+
+    def _go_on_to(self, until_s: float) -> None:
+        while self.now_s < until_s:
+            self.step(self.now_s, until_s)
 
     # --- geometry ---
 

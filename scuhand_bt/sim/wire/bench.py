@@ -139,6 +139,10 @@ class WireWorld(World):
         with self._lock:
             super().remove()
 
+    def swing(self, until_s: float, container: Container | None) -> None:
+        with self._lock:
+            super().swing(until_s, container)
+
     def load_cone(self, source: str, mass_mg: float) -> None:
         with self._lock:
             super().load_cone(source, mass_mg)
