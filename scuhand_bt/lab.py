@@ -3,15 +3,18 @@
 A lab's skills are imported under one constant package name, `scuhand_lab`, whose `__path__` is the lab.
 """
 
+import ast
 import importlib
 import inspect
 import sys
 import traceback
 import types
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from scuhand_bt.failures import CATALOGUE, Failure, SkillFailed
 from scuhand_bt.skill import DEVICES, Condition, Skill
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Powder, Spec, Station
 from scuhand_bt.tree.check import Library
@@ -106,6 +109,7 @@ def load_lab(folder: Path) -> Lab:
         _load_skills(folder, problems), _load_workflows(folder / "trees", problems), powders, containers, mortars
     )
     _check_names(library, folder, problems)
+    _check_codes(library, folder, problems)
     problems.raise_any()
     assert cell is not None
     return Lab(folder, cell, library)
@@ -187,6 +191,11 @@ def _check_skill(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> Non
     if inspect.isabstract(skill):
         missing = ", ".join(sorted(skill.__abstractmethods__))
         problems.add(mark, f"{name} has no '{missing}'", f"def {missing}(self, cell: Cell)")
+    for code, failure in skill.failures.items() if isinstance(skill.failures, Mapping) else [("", None)]:
+        if not isinstance(failure, Failure):
+            problems.add(mark, f"'failures' of {name} is wrong", 'failures = {"device.what": Failure(meaning, remedy)}')
+        elif code in CATALOGUE:
+            problems.add(mark, f"'failures' of {name} has '{code}', which the catalogue has already", "name another")
     listed = {"devices": skill.devices}
     if issubclass(skill, Condition):
         listed["watches"] = skill.watches
@@ -200,6 +209,27 @@ def _check_skill(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> Non
             if device not in DEVICES:
                 what = f"'{key}' of {name} names an unknown device '{shorten(str(device))}'"
                 problems.add(mark, what, unknown=str(device), known=DEVICES)
+
+
+def raised_codes(path: Path) -> dict[str, Mark]:
+    """The failure codes that a lab's file raises by name, and where; those put together at run time are not seen."""
+    codes: dict[str, Mark] = {}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8-sig"))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == SkillFailed.__name__:
+            code = node.args[0] if node.args else None
+            if isinstance(code, ast.Constant) and isinstance(code.value, str):
+                codes.setdefault(code.value, Mark(str(path), code.lineno, code.col_offset + 1))
+    return codes
+
+
+def _check_codes(library: Library, folder: Path, problems: Problems) -> None:
+    """A skill may fail with what the catalogue or its own `failures` has, and with nothing else."""
+    for name, skill in library.skills.items():
+        for code, mark in raised_codes(folder / "skills" / f"{name}.py").items():
+            if code not in CATALOGUE and code not in skill.failures:
+                what = f"'{shorten(code)}' is no failure code of the catalogue, nor of this skill's own 'failures'"
+                hint = "`scuhand-bt explain` lists the catalogue; a code of its own stands in the skill's 'failures'"
+                problems.add(mark, what, hint, unknown=code, known=[*CATALOGUE, *skill.failures])
 
 
 def _mount(folder: Path) -> None:

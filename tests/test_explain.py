@@ -1,0 +1,92 @@
+"""Failure codes are explained, and a skill can raise none that nobody has explained."""
+
+import json
+import sys
+from collections.abc import Callable
+
+import pytest
+from conftest import REPOSITORY, LabFolder
+
+from scuhand_bt import cli
+from scuhand_bt.failures import CATALOGUE
+
+Explain = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def explain(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Explain:
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(REPOSITORY)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["scuhand-bt", "explain", *map(str, arguments)])
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = int(end.code or 0)
+        written = capsys.readouterr()
+        return code, written.out, written.err
+
+    return call
+
+
+def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Explain) -> None:
+    code, said, _ = explain("hand.cone_empty")
+    assert code == 0
+    assert said.splitlines()[:4] == [
+        "hand.cone_empty: The cone gives no more powder.",
+        "What to do: Scoop again (the shipped workflows do).",
+        "Raised by: the skill cone_holds; the skill dispense.",
+        "Tried again by the workflows: fill.",
+    ]
+    assert "  ask          ask the operator which of the others it shall be" in said
+    assert "  stop         stop the batch  (the default)" in said
+
+
+def test_what_devices_raise_is_said_to_come_from_any_skill(explain: Explain) -> None:
+    said = explain("balance.unstable")[1]
+    assert "Raised by: the skill watch_balance; scuhand_bt/devices, within any skill; scuhand_bt/sim, within" in said
+
+
+def test_a_labs_own_code_says_which_skill_defines_it(explain: Explain) -> None:
+    said = explain("hand.valve_zero")[1]
+    assert "Defined by this lab's skill check_valve." in said
+
+
+def test_without_a_code_all_are_listed(explain: Explain) -> None:
+    listed = explain()[1]
+    assert all(code in listed for code in CATALOGUE)
+    explained = json.loads(explain("--json")[1])
+    assert set(explained) >= set(CATALOGUE)
+    assert explained["dose.overshoot"]["on_failure"] == "flag"
+    assert explained["dose.overshoot"]["raised_by"] == ["dispense"]
+
+
+def test_an_unknown_code_is_code_2_with_the_nearest(explain: Explain) -> None:
+    code, said, error = explain("dose.overshot")
+    assert (code, said) == (2, "")
+    assert "did you mean 'dose.overshoot'?" in " ".join(error.replace("│", " ").split())
+
+
+def test_a_skill_that_raises_a_code_nobody_explained_is_told_where(lab_folder: LabFolder) -> None:
+    lab_folder.replace("skills/tare.py", 'SkillFailed("container.missing"', 'SkillFailed("container.mising"')
+    (problem,) = lab_folder.problems()
+    assert problem.startswith("skills/tare.py:")
+    assert "'container.mising' is no failure code of the catalogue, nor of this skill's own 'failures'" in problem
+    assert "did you mean 'container.missing'?" in problem
+
+
+@pytest.mark.parametrize(
+    ("failures", "said"),
+    [
+        ('{"hand.valve_zero": "open"}', "'failures' of CheckValve is wrong; failures = {"),
+        ("()", "'failures' of CheckValve is wrong"),
+        ('{"dose.overshoot": Failure("", "")}', "has 'dose.overshoot', which the catalogue has already"),
+    ],
+)
+def test_a_skills_own_failures_are_checked(lab_folder: LabFolder, failures: str, said: str) -> None:
+    text = (lab_folder.folder / "skills" / "check_valve.py").read_text()
+    begin, end = text.index("    failures: ClassVar = {"), text.index("    typical_s")
+    lab_folder.write("skills/check_valve.py", f"{text[:begin]}    failures: ClassVar = {failures}\n{text[end:]}")
+    assert any(said in problem for problem in lab_folder.problems())
