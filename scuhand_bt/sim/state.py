@@ -5,12 +5,16 @@ pickled cannot be saved. A world's file is therefore to be trusted as much as th
 """
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from io import BytesIO
 from operator import attrgetter
 from typing import Any, ClassVar, Protocol
 
-from numpy.random import PCG64, Generator
+import numpy.random
+from numpy.random import BitGenerator, Generator
+
+from scuhand_bt.devices.interfaces import Reading
 
 
 class Stateful(Protocol):
@@ -29,8 +33,7 @@ class Packer:
         ]
         self._bytes = BytesIO()
         self._pickler = pickle.Pickler(self._bytes, pickle.HIGHEST_PROTOCOL)
-        # numpy would write the seed sequence as well, which takes ten times as long.
-        self._pickler.dispatch_table = {Generator: _reduced}
+        self._pickler.dispatch_table = REDUCED
 
     def pack(self, beside: object) -> bytes:
         """The state of all, and what is to be kept beside it. Any exception of what cannot be pickled."""
@@ -50,20 +53,15 @@ class Packer:
         return beside
 
 
-def _reduced(generator: Generator) -> tuple[Callable[..., Generator], tuple[object, ...]]:
-    state: Any = generator.bit_generator.state
-    if state["bit_generator"] != "PCG64":
-        return generator.__reduce__()  # type: ignore[return-value]
-    numbers = state["state"]
-    return _generator, (numbers["state"], numbers["inc"], state["has_uint32"], state["uinteger"])
-
-
-def _generator(number: int, increment: int, has_uint32: int, uinteger: int) -> Generator:
-    bits = PCG64(0)
-    bits.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": number, "inc": increment},
-        "has_uint32": has_uint32,
-        "uinteger": uinteger,
-    }
+def _generator(state: Mapping[str, Any]) -> Generator:
+    bits: BitGenerator = getattr(numpy.random, state["bit_generator"])()
+    bits.state = state
     return Generator(bits)
+
+
+# Each takes less than half the time of what the objects say of themselves; a world is saved at every tick.
+REDUCED: Mapping[type, Callable[[Any], tuple[Callable[..., Any], tuple[Any, ...]]]] = {
+    Generator: lambda generator: (_generator, (generator.bit_generator.state,)),
+    deque: lambda queue: (deque, (list(queue), queue.maxlen)),
+    Reading: lambda r: (Reading, (r.value_mg, r.stable, r.time_s, r.unit, r.raw)),
+}
