@@ -56,6 +56,8 @@ class WorldFile:
         if head_sum != _head_sum(slot_bytes):
             raise broken(path, "this file of a simulated world is damaged in its head")
         log_at = HEAD.size + 2 * slot_bytes
+        if len(content) < log_at:
+            raise broken(path, "this file of a simulated world is cut off")
         for _, begin in sorted(_whole_slots(content, slot_bytes), reverse=True):
             generation, state_bytes, log_bytes, log_sum = FIELDS.unpack_from(content, begin + SUM.size)
             log = content[log_at : log_at + log_bytes]
@@ -119,8 +121,6 @@ def _whole_slots(content: bytes, slot_bytes: int) -> list[tuple[int, int]]:
     """(generation, where it begins) of every slot whose check sum holds."""
     found = []
     for begin in (HEAD.size, HEAD.size + slot_bytes):
-        if begin + slot_bytes > len(content) or slot_bytes < SLOT_HEAD_BYTES:
-            break
         (checked,) = SUM.unpack_from(content, begin)
         generation, state_bytes, _, _ = FIELDS.unpack_from(content, begin + SUM.size)
         if state_bytes > slot_bytes - SLOT_HEAD_BYTES:
