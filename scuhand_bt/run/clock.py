@@ -61,8 +61,12 @@ class VirtualClock:
             time.sleep(ahead_s)
 
 
+BEAT_S = 0.02
+"""Between two beats of a wait: a third of what drivers allow (`devices.liveness`)."""
+
+
 class WallClock:
-    """Time of a run on real devices, whose threads fire the signals. `beat` is called while it waits."""
+    """Time of a run on real devices, whose threads fire the signals. `beat` is called at every wait and while it lasts."""
 
     def __init__(self, beat: Callable[[], None] = lambda: None) -> None:
         self._began = time.monotonic()
@@ -79,11 +83,12 @@ class WallClock:
         for wake in wakes:
             if wake.signal is not None:
                 wake.signal.on_fire = self._notify
+        self._beat()
         with self._news:
             while self.now_s < limit_s and not any(wake.has_fired for wake in wakes):
                 # In slices: a signal handler of Python runs between waits only, and the drivers want to hear a beat.
+                self._news.wait(min(limit_s - self.now_s, BEAT_S))
                 self._beat()
-                self._news.wait(min(limit_s - self.now_s, 0.05))
 
     def _notify(self) -> None:
         with self._news:
