@@ -66,7 +66,7 @@ BEAT_S = 0.02
 
 
 class WallClock:
-    """Time of a run on real devices, whose threads fire the signals. `beat` is called at every wait and while it lasts."""
+    """Time of a run on real devices, whose threads fire the signals. `beat` is called all through each wait."""
 
     def __init__(self, beat: Callable[[], None] = lambda: None) -> None:
         self._began = time.monotonic()
