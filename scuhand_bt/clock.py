@@ -66,6 +66,10 @@ class Clock(Protocol):
         """Go on until the earliest of `wakes`; returns at once if one is due or has fired."""
         ...
 
+    def hold(self, wakes: Sequence[Wake]) -> None:
+        """Stand still until a signal of `wakes` fires; where time is real it goes on, and their times count too."""
+        ...
+
 
 def until(clock: Clock, condition: Callable[[], bool], signal: Signal, timeout_s: float) -> Steps[bool]:
     """Wait until `condition` holds, looking whenever `signal` fires; False if it never did in time."""

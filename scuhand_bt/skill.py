@@ -26,7 +26,7 @@ import inspect
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
@@ -102,10 +102,20 @@ class Skill(BaseModel, Generic[R]):
     failures: ClassVar[Mapping[str, Failure]] = {}
     """Failure codes of its own, beyond the shared catalogue."""
     typical_s: ClassVar[float] = 5.0
+    interrupted: ClassVar[Literal["repeat", "reweigh", "ask"]] = "ask"
+    """How an action that had begun when the run was interrupted (a crash, a stop) is settled when it is resumed.
+
+    "repeat": begin it again, after `settle`. "reweigh": the same, and `settle` finds out by the balance what had
+    arrived. "ask": the operator says whether it is done or begins again, as only a person can tell.
+    """
 
     @abstractmethod
     def run(self, cell: Cell) -> Steps[R]:
         """Do it. Yields `Wake`s, returns the result, raises SkillFailed."""
+
+    def settle(self, cell: Cell) -> Steps[None]:
+        """Bring the cell to where this action, interrupted on its way, can begin again; by default nothing is to do."""
+        yield from ()
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:

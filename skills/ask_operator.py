@@ -11,6 +11,7 @@ class AskOperator(Skill[None]):
     """Ask the operator to do or confirm something, and go on when it is done."""
 
     typical_s = 60.0
+    interrupted = "repeat"
 
     question: str
 

@@ -16,6 +16,7 @@ class CheckValve(Skill[Millimetres]):
         )
     }
     typical_s = 10.0
+    interrupted = "repeat"
 
     opening_mm: Millimetres = 1.0
     dwell_s: Seconds = 1.0

@@ -19,6 +19,7 @@ class CheckWeight(Skill[Milligrams]):
         )
     }
     typical_s = 120.0
+    interrupted = "repeat"
 
     weight_mg: Milligrams
     tolerance_mg: Milligrams = 1.0
@@ -43,6 +44,10 @@ class CheckWeight(Skill[Milligrams]):
                 f"and may {self.tolerance_mg:g} mg",
             )
         return error_mg
+
+    def settle(self, cell: Cell) -> Steps[None]:
+        yield from self._ask(cell, "Take everything off the pan.")
+        cell.weight_on_pan(0.0)
 
     @staticmethod
     def _ask(cell: Cell, request: str) -> Steps[None]:

@@ -10,6 +10,7 @@ class Discard(Skill[None]):
 
     devices = ("arm", "hand")
     typical_s = 15.0
+    interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:
         if cell.believed.cone_source is None:

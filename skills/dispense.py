@@ -1,13 +1,17 @@
 """A dose: powder from the cone's apex into the container on the balance, by a dosing controller."""
 
+import math
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
 from scuhand_bt.devices.dose_loop import DoseRun, run_dose
+from scuhand_bt.devices.places import over_balance
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps
 
+ASIDE_MM = 2.0
+"""The apex is taken to be over the container where it is no farther than this from its place."""
 GUARD = 2.0
 """In tolerance means so beyond this many standard uncertainties of the measurement."""
 SCOOP_DOUBT = 0.15
@@ -30,6 +34,7 @@ class Dispense(Skill[Dose]):
 
     devices = ("hand", "balance")
     typical_s = 30.0
+    interrupted = "reweigh"
 
     mass_mg: Annotated[Milligrams, Field(gt=0)]
     tolerance_mg: Annotated[Milligrams, Field(gt=0)] = 2.0
@@ -42,17 +47,35 @@ class Dispense(Skill[Dose]):
             raise SkillFailed("container.missing", "no container was weighed empty: `tare` comes before `dispense`")
         controller = new_controller(self.controller or cell.controller, request)
         before_mg = self._gross_mg(cell, empty_mg)
+        cell.believed.dosing.target_mg = self.mass_mg
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
         finally:
-            left_mg = request.cone_mg - (self._gross_mg(cell, empty_mg) - before_mg)
-            cell.believed.cone_mg = max(0.0, left_mg)
+            cell.believed.dosing.target_mg = None
+            gross_mg = self._gross_mg(cell, empty_mg)
+            cell.believed.cone_mg = max(0.0, request.cone_mg - (gross_mg - before_mg))
+            cell.believed.pan_gross_mg = gross_mg
+        cell.believed.pan_gross_mg = empty_mg + run.finish.estimate_mg
         self._learn(cell, run)
         dose = self._dose(cell, run, controller.name)
         cell.record.dose(dose)
         cell.record.event("dose_curve", {"points": run.rows()})
         self._raise_failure(cell, run, dose)
         return dose
+
+    def settle(self, cell: Cell) -> Steps[None]:
+        """The apex over the container again; what has arrived since the pan was last weighed has left the cone."""
+        believed = cell.believed
+        if believed.pan is None or believed.pan_gross_mg is None:
+            raise SkillFailed("container.missing", "no container was weighed before the interruption")
+        place, _ = over_balance(cell.spec, believed.pan)
+        if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
+            yield from cell.move_to(place)
+        mean = yield from cell.balance.settled()
+        arrived_mg = mean.value_mg - believed.pan_gross_mg
+        cell.record.event("reweighed", {"gross_mg": mean.value_mg, "arrived_mg": arrived_mg})
+        believed.cone_mg = max(0.0, believed.cone_mg - arrived_mg)
+        believed.pan_gross_mg = mean.value_mg
 
     @staticmethod
     def _gross_mg(cell: Cell, empty_mg: float) -> float:

@@ -9,6 +9,7 @@ class MoveOver(Skill[None]):
 
     devices = ("arm",)
     typical_s = 4.0
+    interrupted = "repeat"
 
     container: Container
 

@@ -8,6 +8,7 @@ class Park(Skill[None]):
 
     devices = ("arm",)
     typical_s = 4.0
+    interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:
         yield from cell.move_to(cell.spec.station_of_kind("park").name)

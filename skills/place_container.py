@@ -15,6 +15,7 @@ class PlaceContainer(Skill[None]):
 
     devices = ("changer", "balance", "arm")
     typical_s = 20.0
+    interrupted = "repeat"
 
     container: Container
 
@@ -31,11 +32,15 @@ class PlaceContainer(Skill[None]):
 
     def run(self, cell: Cell) -> Steps[None]:
         self._require_clear(cell)
-        cell.believed.pan = cell.believed.pan_empty_mg = None
+        believed = cell.believed
+        believed.pan = believed.pan_empty_mg = believed.pan_gross_mg = None
         yield from self._refill(cell)
         yield from cell.changer.take_away()
         bare = yield from cell.balance.settled()
         yield from cell.changer.bring(self.container)
+        believed.slots_used += not cell.changer.needs_person
+        used = believed.containers_used
+        used[self.container.name] = used.get(self.container.name, 0) + 1
         cell.motion.set_container(self.container.kind)
         loaded = yield from cell.balance.settled()
         mass_mg = loaded.value_mg - bare.value_mg
@@ -51,7 +56,7 @@ class PlaceContainer(Skill[None]):
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
-        cell.believed.pan = container
+        believed.pan, believed.pan_gross_mg = container, loaded.value_mg
 
     @staticmethod
     def _refill(cell: Cell) -> Steps[None]:
@@ -64,7 +69,6 @@ class PlaceContainer(Skill[None]):
             if answer != "done":
                 raise SkillFailed("operator.refused", "the changer was not filled")
             believed.slots_used = 0
-        believed.slots_used += 1
 
     @staticmethod
     def _require_clear(cell: Cell) -> None:

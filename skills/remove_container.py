@@ -12,6 +12,7 @@ class RemoveContainer(Skill[None]):
 
     devices = ("changer",)
     typical_s = 6.0
+    interrupted = "repeat"
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
@@ -19,6 +20,8 @@ class RemoveContainer(Skill[None]):
         return Forecast(60.0 if by_hand else cls.typical_s, "take the container off the pan" if by_hand else None)
 
     def run(self, cell: Cell) -> Steps[None]:
+        believed = cell.believed
+        believed.pan_gross_mg = None
         yield from cell.changer.take_away()
         cell.motion.set_container(None)
-        cell.believed.pan = cell.believed.pan_empty_mg = None
+        believed.pan = believed.pan_empty_mg = None

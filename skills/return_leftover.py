@@ -10,6 +10,7 @@ class ReturnLeftover(Skill[None]):
 
     devices = ("arm", "hand")
     typical_s = 15.0
+    interrupted = "repeat"
 
     source: Source
 

@@ -28,6 +28,8 @@ from scuhand_bt.skill import (
     Steps,
 )
 
+from ._emptying import empty_cone
+
 CARRY_DIAMETER_MM = 90.0
 """The rim while carrying and dispensing (paper: 36 degrees of overlap)."""
 WALL_GAP_MM = 4.0
@@ -60,6 +62,7 @@ class Scoop(Skill[Milligrams]):
 
     devices = ("arm", "hand")
     typical_s = 18.0
+    interrupted = "repeat"
 
     source: Source
     over_travel_mm: Annotated[Millimetres, Field(gt=0, le=10)] = 3.0
@@ -86,6 +89,24 @@ class Scoop(Skill[Milligrams]):
         yield from cell.hand.morph(CARRY_DIAMETER_MM)
         cell.motion.set_cone_diameter(CARRY_DIAMETER_MM / 1000)
         return self._believe(cell, stroke, in_mortar_mg)
+
+    def settle(self, cell: Cell) -> Steps[None]:
+        """Out of the mortar, straight up; what the cone may hold goes back into it, so that nothing is unknown."""
+        source, believed = self.source, cell.believed
+        above_mm = cell.places_mm[source.station]
+        aside_mm = math.dist(cell.apex_mm()[:2], above_mm[:2])
+        if aside_mm > source.mortar.bore_mm / 2:
+            return
+        believed.sheet = source.sheet_key
+        cell.motion.set_cone_diameter(cell.hand.cone_diameter_mm / 1000)
+        yield from cell.touch([cell.place(source.station)], self.speed_mm_per_s, source.station)
+        yield from cell.hand.morph(CARRY_DIAMETER_MM)
+        cell.motion.set_cone_diameter(CARRY_DIAMETER_MM / 1000)
+        held_mg, believed.cone_source = believed.cone_mg, source.name
+        believed.cone_mg = source.powder.load_limit_mg
+        yield from empty_cone(cell)
+        believed.sources_mg[source.name] += held_mg
+        cell.record.event("returned", {"source": source.name, "expected_mg": held_mg})
 
     def _require_clean(self, cell: Cell) -> None:
         believed = cell.believed

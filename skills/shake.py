@@ -12,6 +12,7 @@ class Shake(Skill[None]):
 
     devices = ("hand",)
     typical_s = 3.0
+    interrupted = "repeat"
 
     duration_s: Annotated[Seconds, Field(gt=0)] = 2.0
     level_ratio: Annotated[Ratio, Field(ge=0, le=1)] = 1.0

@@ -12,6 +12,7 @@ class SwapSheet(Skill[None]):
 
     devices = ("arm", "hand")
     typical_s = 120.0
+    interrupted = "repeat"
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:

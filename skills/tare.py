@@ -9,12 +9,13 @@ class Tare(Skill[Milligrams]):
 
     devices = ("balance",)
     typical_s = 4.0
+    interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
         if cell.believed.pan is None:
             raise SkillFailed("container.missing", "no container was placed; `place_container` comes before `tare`")
         mean = yield from cell.balance.settled()
-        cell.believed.pan_empty_mg = mean.value_mg
+        cell.believed.pan_empty_mg = cell.believed.pan_gross_mg = mean.value_mg
         cell.believed.dosing = DoseSoFar(began_s=cell.clock.now_s)
         cell.record.event("tare", {"gross_mg": mean.value_mg, "uncertainty_mg": mean.uncertainty_mg})
         return mean.value_mg

@@ -8,6 +8,7 @@ class Tour(Skill[None]):
 
     devices = ("arm",)
     typical_s = 15.0
+    interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:
         stations = cell.spec.stations.values()

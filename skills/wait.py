@@ -12,6 +12,8 @@ from scuhand_bt.specs import CellSpec
 class Wait(Skill[None]):
     """Let time pass."""
 
+    interrupted = "repeat"
+
     duration_s: Annotated[Seconds, Field(ge=0)]
 
     @classmethod

@@ -13,6 +13,7 @@ class WatchBalance(Skill[Milligrams]):
     """Read the balance for a while, with nothing changing on its pan; gives how far its readings went apart."""
 
     devices = ("balance",)
+    interrupted = "repeat"
 
     duration_s: Annotated[Seconds, Field(gt=0)] = 20.0
     limit_mg: Milligrams = 2.0

@@ -15,11 +15,13 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.plan import Job
 from scuhand_bt.recipe import Recipe, load_recipe
 from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.control import Control
 from scuhand_bt.run.journal import Journal, read
 from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.skill import DEVICES, Skill
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
+from scuhand_bt.tree.past import Past
 from scuhand_bt.yaml_source import Problems, SourceError, parse
 
 REPOSITORY = Path(__file__).parent.parent
@@ -148,6 +150,9 @@ class Agenda:
         action()
         return time_s
 
+    def save(self) -> None:
+        """Nothing of it outlives the test."""
+
 
 @dataclass
 class FakeCell:
@@ -163,13 +168,23 @@ class FakeCell:
         self.log.append((self.clock.now_s, what))
 
 
+class NoGuards:
+    """A cell without devices that could fail has nothing to guard."""
+
+    def wakes(self) -> list[Wake]:
+        return []
+
+    def look(self) -> None:
+        return None
+
+
 class Bench:
     """Runs workflows, given as text, with skills, given as classes, on a cell of fake devices."""
 
     def __init__(self, folder: Path) -> None:
         self.agenda = Agenda()
         self.cell = FakeCell(VirtualClock(self.agenda))
-        self.stop = Signal()
+        self.control = Control()
         self.trees: list[Any] = []
         self._folder = folder
 
@@ -188,8 +203,8 @@ class Bench:
         journal.now_s = lambda: self.cell.clock.now_s
         journal.job_started("main", None, 1, "main")
         try:
-            runner = Runner(self.cell, library, journal, self.stop, self)  # type: ignore[arg-type]
-            return runner.run(Job("main", "main", {}), {})
+            runner = Runner(self.cell, library, journal, self.control, NoGuards(), self)  # type: ignore[arg-type]
+            return runner.run(Job("main", "main", {}), {}, Past())
         finally:
             journal.close()
 

@@ -59,7 +59,7 @@ class Watching:
         self.ticks += 1
         self.at_tick(root)
         if self.ticks == self.stop_at and self.session is not None:
-            self.session.stop.fire()
+            self.session.control.wish("stop_now")
 
     def job_started(self, job: Job, number: int) -> None:
         pass

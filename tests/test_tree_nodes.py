@@ -470,11 +470,11 @@ def test_skills_without_devices_wait_for_nobody(bench: Bench) -> None:
 
 
 def test_stopping_the_run_halts_every_running_skill(bench: Bench) -> None:
-    bench.agenda.at(3.0, bench.stop.fire)
+    bench.agenda.at(3.0, lambda: bench.control.wish("stop_now"))
     outcome = bench.run("parallel: [{arm: {name: a, duration: 1 h}}, {hand: {name: b, duration: 1 h}}]", SKILLS)
-    assert outcome.halted
+    assert outcome.interrupted == "stopped"
     assert {(3.0, "a halted"), (3.0, "b halted")} <= set(bench.log)
-    assert bench.actions() == [("arm", "halted"), ("hand", "halted")]
+    assert bench.actions() == [("arm", "interrupted"), ("hand", "interrupted")]
 
 
 class Buggy(Skill[None]):
@@ -492,7 +492,7 @@ def test_a_bug_in_a_skill_names_the_skill_and_halts_the_others(bench: Bench, aft
     with pytest.raises(SkillBug, match="buggy broke: ZeroDivisionError: one by none"):
         bench.run(f"parallel: [{{hand: {{duration: 1 h}}}}, {{buggy: {{after: {after}}}}}]", {**SKILLS, "buggy": Buggy})
     assert names(bench)[-1] == "work halted"
-    assert bench.actions() == [("hand", "halted"), ("buggy", "broken")]
+    assert bench.actions() == [("hand", "interrupted"), ("buggy", "broken")]
 
 
 def test_a_skill_that_yields_for_ever_without_waiting_is_found_out(bench: Bench) -> None:
@@ -555,7 +555,7 @@ def test_a_skill_that_breaks_while_being_halted_is_named_and_the_others_are_halt
 
 @pytest.mark.parametrize("skill", [Stubborn, Clumsy])
 def test_a_skill_that_breaks_while_the_run_is_stopped_is_named(bench: Bench, skill: type[Skill[None]]) -> None:
-    bench.agenda.at(3.0, bench.stop.fire)
+    bench.agenda.at(3.0, lambda: bench.control.wish("stop_now"))
     with pytest.raises(SkillBug, match="bad"):
         bench.run("parallel: [{bad: }, {arm: {duration: 1 h}}]", {**SKILLS, "bad": skill})
     assert (3.0, "work halted") in bench.log

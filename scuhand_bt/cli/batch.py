@@ -1,7 +1,9 @@
 """Commands about a recipe: run it, check it, plan it."""
 
 import json
+import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,8 +20,8 @@ from scuhand_bt.cli.shared import (
     UnattendedFlag,
     app,
     err,
+    on_signals,
     out,
-    stopping_on_signals,
     the_lab,
 )
 from scuhand_bt.quantity import format_duration, format_mass
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
     from scuhand_bt.plan import Plan
     from scuhand_bt.run.batch import BatchResult
+    from scuhand_bt.run.control import Control
     from scuhand_bt.run.session import Session
 
 
@@ -48,13 +51,8 @@ def run(
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
-    from scuhand_bt.clock import Signal
-    from scuhand_bt.live import doses_table, end_line
-    from scuhand_bt.run.export import canonical
     from scuhand_bt.run.session import Options, Session
     from scuhand_bt.run.setup import DryRun, Rehearsal
-    from scuhand_bt.sim.plant import PlantError
-    from scuhand_bt.sim.wire.hand import NoCompiler
 
     if speed is not None and not 0 < speed < float("inf"):
         raise typer.BadParameter("must be more than 0", param_hint="--speed")
@@ -66,22 +64,42 @@ def run(
         raise typer.BadParameter("only a dry run or a rehearsal has simulated physics", param_hint="--plant")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
-    began, stop = time.monotonic(), Signal()
-    with stopping_on_signals(stop):
-        made, loaded = _plan(recipe, lab)
-        simulation = DryRun(seed, plant, speed) if dry_run else Rehearsal(seed, plant) if rehearse else None
-        mode = f"{simulation.mode} (seed {seed})" if simulation is not None else "real devices"
+    simulation = DryRun(seed, plant, speed) if dry_run else Rehearsal(seed, plant) if rehearse else None
+
+    def make(control: "Control") -> "Session":
+        made, loaded = the_plan(recipe, lab)
+        return Session(made, loaded, Options(simulation, controller, unattended=unattended), control=control)
+
+    run_to_its_end(make, json_file)
+
+
+def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None) -> None:
+    """Run a session, watched on a terminal, else with plain lines; ends the command with its exit code.
+
+    Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample.
+    """
+    from scuhand_bt.live import doses_table, end_line
+    from scuhand_bt.run.control import Control
+    from scuhand_bt.run.export import canonical
+    from scuhand_bt.sim.plant import PlantError
+    from scuhand_bt.sim.wire.hand import NoCompiler
+
+    began, control = time.monotonic(), Control()
+    others = {signal.SIGTSTP: control.toggle_pause, signal.SIGQUIT: lambda: control.wish("stop")}
+    with on_signals(lambda: control.wish("stop_now"), others):
         try:
-            session = Session(made, loaded, Options(simulation, controller, unattended=unattended), stop=stop)
-            count = len(made.recipe.samples)
-            out.print(Text(f"{made.recipe.name}: {count} samples on the cell '{loaded.cell.cell}', {mode}"))
+            session = make(control)
+            out.print(Text(session.title))
             result = _watched(session)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(EXIT_BAD_INPUT) from None
     out.print(doses_table(result.samples, out.width))
     out.print(Text(end_line(result, time.monotonic() - began)))
+    if not result.is_complete:
+        out.print(Text(f"`scuhand-bt resume {session.run_id}` goes on with it."))
     out.print(Text(f"Journal: {session.journal.path}"))
+    out.print(Text(f"Head of its chain: {session.journal.head}"))
     if json_file is not None:
         try:
             json_file.write_text(canonical(session.journal.path), encoding="utf-8")
@@ -133,7 +151,7 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
 @app.command()
 def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
-    made, loaded = _plan(recipe, lab)
+    made, loaded = the_plan(recipe, lab)
     notes = _notes(loaded, quiet=as_json)
     if as_json:
         out.print_json(json.dumps({**_plan_values(made), "notes": notes}))
@@ -210,7 +228,8 @@ def _notes(lab: "Lab", *, quiet: bool) -> list[str]:
     return notes
 
 
-def _plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
+def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
+    """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
     from scuhand_bt.plan import make_plan
     from scuhand_bt.recipe import load_recipe
 

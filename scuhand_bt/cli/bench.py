@@ -17,8 +17,8 @@ from scuhand_bt.cli.shared import (
     SeedOption,
     app,
     err,
+    on_signals,
     out,
-    stopping_on_signals,
     the_lab,
 )
 
@@ -39,7 +39,7 @@ def twins(
 
     bench = _bench(_lab_of_cell(cell, lab), seed)
     stop, clock = Signal(), WallClock(bench.check)
-    with stopping_on_signals(stop), bench:
+    with on_signals(stop.fire), bench:
         table = Table("device", "driver", "port", show_edge=False)
         for device in ("arm", "hand", "balance"):
             spec = getattr(bench.spec, device)

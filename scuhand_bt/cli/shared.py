@@ -3,10 +3,11 @@
 import io
 import signal
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,7 +19,6 @@ from scuhand_bt.failures import CATALOGUE, SkillFailed
 from scuhand_bt.yaml_source import SourceError
 
 if TYPE_CHECKING:
-    from scuhand_bt.clock import Signal
     from scuhand_bt.lab import Lab
 
 EXIT_BAD_INPUT = 2
@@ -88,9 +88,14 @@ def _options(
 
 
 @contextmanager
-def stopping_on_signals(stop: "Signal") -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a closed terminal end the run safely instead of the process at once."""
-    before = {number: signal.signal(number, lambda *_: stop.fire()) for number in END_SIGNALS}
+def on_signals(stop: Callable[[], None], others: Mapping[signal.Signals, Callable[[], None]] = {}) -> Iterator[None]:
+    """Ctrl-C, SIGTERM and a closed terminal end a run safely instead of the process at once; `others` as they say."""
+    wishes = {**dict.fromkeys(END_SIGNALS, stop), **others}
+
+    def heed(number: int, frame: FrameType | None) -> None:
+        wishes[signal.Signals(number)]()
+
+    before = {number: signal.signal(number, heed) for number in wishes}
     try:
         yield
     finally:

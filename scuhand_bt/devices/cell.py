@@ -35,6 +35,8 @@ class DoseSoFar:
     pulses: int = 0
     scoops: int = 0
     vibration_s: float = 0.0
+    target_mg: float | None = None
+    """What is being dispensed towards now; None while nothing may flow into the container."""
 
 
 @dataclass
@@ -49,10 +51,14 @@ class Believed:
     sheets_used: int = 1
     slots_used: int = 0
     """Containers taken from the changer since it was filled."""
+    containers_used: dict[str, int] = field(default_factory=dict)
+    """Containers that were put on the pan, by kind."""
     pan: Container | None = None
     """The container on the pan."""
     pan_empty_mg: float | None = None
     """Stable gross with that container, before its first powder: the software tare."""
+    pan_gross_mg: float | None = None
+    """The last stable gross with that container; None while containers are changed."""
     sources_mg: dict[str, float] = field(default_factory=dict)
     dosing: DoseSoFar = field(default_factory=DoseSoFar)
 
@@ -107,8 +113,8 @@ class Cell:
         """The apex pose of a named place, cone upright; KeyError for an unknown one."""
         return ApexPose(np.array(self.places_mm[name]) / 1000)
 
-    def move_to(self, place: str) -> Steps[None]:
-        """Move to a named place; a loaded cone is carried within its spill angle (`motion/spill.py`).
+    def move_to(self, place: str | ApexPose) -> Steps[None]:
+        """Move to a named place or a pose; a loaded cone is carried within its spill angle (`motion/spill.py`).
 
         SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision, arm.joint_limit.
         """

@@ -7,10 +7,12 @@ from typing import Any, Literal, Protocol
 
 from py_trees.behaviour import Behaviour
 
-from scuhand_bt.clock import Signal
 from scuhand_bt.devices.cell import Cell, DoseSoFar
 from scuhand_bt.plan import AFTER_FAILURE, Job, Plan
-from scuhand_bt.run.journal import Journal
+from scuhand_bt.run.control import Control
+from scuhand_bt.run.guards import Guards
+from scuhand_bt.run.history import STOPPED, History, read_history
+from scuhand_bt.run.journal import Journal, JournalLost
 from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.sample import Sample
 from scuhand_bt.sim.plant import PlantError
@@ -18,8 +20,12 @@ from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.nodes import SkillBug
+from scuhand_bt.tree.past import Past
 
 Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interrupted", "not run"]
+
+ANSWERS = ("flag", "redo", "skip_sample", "stop")
+"""What a person may choose for a failed sample, where the recipe says `ask`."""
 
 EXIT_OK, EXIT_FLAGGED, EXIT_BAD_INPUT, EXIT_CELL_FAULT, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -59,6 +65,17 @@ class BatchResult:
     exit_code: int
     reason: str
     duration_s: float
+    is_complete: bool
+    """Nothing is left that could be resumed."""
+
+
+@dataclass(frozen=True)
+class _Ending:
+    """Why a batch ends before its last job, or with a code of its own."""
+
+    exit_code: int
+    reason: str
+    is_complete: bool = False
 
 
 class BatchObserver(Protocol):
@@ -72,7 +89,10 @@ class BatchObserver(Protocol):
 
 
 class Batch:
-    """Runs a plan on a cell. `true_mass_mg` judges a simulated dose by its container's id."""
+    """Runs a plan on a cell, or goes on with it from what `history` has. `true_mass_mg` judges a simulated dose.
+
+    `after_job` is called when a job has ended and all that is known of it is in the journal.
+    """
 
     def __init__(
         self,
@@ -81,113 +101,171 @@ class Batch:
         library: Library,
         journal: Journal,
         observer: BatchObserver,
-        stop: Signal,
+        control: Control,
         true_mass_mg: Callable[[str], float] | None = None,
+        history: History | None = None,
+        after_job: Callable[[], None] = lambda: None,
     ) -> None:
         self._plan = plan
         self._cell = cell
         self._library = library
         self._journal = journal
         self._observer = observer
+        self._control = control
         self._true_mass_mg = true_mass_mg
-        self._runner = Runner(cell, library, journal, stop, observer)
+        self._history = history or History()
+        self._after_job = after_job
+        self._runner = Runner(cell, library, journal, control, Guards(cell), observer)
         self._results: dict[str, SampleResult] = {}
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
-        exit_code, reason = EXIT_CELL_FAULT, "broken"
+        ending = _Ending(EXIT_CELL_FAULT, "broken")
         try:
-            exit_code, reason = self._run_jobs()
-        except (SkillBug, PlantError) as error:
-            reason = str(error)
+            ending = self._run_jobs()
+        except (SkillBug, PlantError, JournalLost, SkillFailed) as error:
+            ending = _Ending(EXIT_CELL_FAULT, str(error))
         except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
-            reason = f"{type(error).__name__}: {error}"
+            ending = _Ending(EXIT_CELL_FAULT, f"{type(error).__name__}: {error}")
             self._journal.event("broken", {"traceback": traceback.format_exc()})
         finally:
             if not self._is_safe():
-                exit_code, reason = EXIT_CELL_FAULT, f"{reason}; a device did not stop".lstrip("; ")
+                reason = f"{ending.reason}; a device did not stop".lstrip("; ")
+                ending = _Ending(EXIT_CELL_FAULT, reason, ending.is_complete)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
-                    self._note(self._result(job.sample, None, "not run", None, 0.0, 1))
-            self._journal.event("ended", {"exit_code": exit_code, "reason": reason})
-        in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
-        if exit_code == EXIT_OK and any(not result.is_good for result in in_order):
-            exit_code = EXIT_FLAGGED
-        return BatchResult(in_order, exit_code, reason, self._cell.clock.now_s)
+                    self._note(self._result(job.sample, None, "not run", None, 0.0, 1), 1)
+            in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
+            code = ending.exit_code
+            if code == EXIT_OK and any(not result.is_good for result in in_order):
+                code = EXIT_FLAGGED
+            values = {"exit_code": code, "reason": ending.reason, "complete": ending.is_complete}
+            self._journal.event("ended", values)
+        return BatchResult(in_order, code, ending.reason, self._cell.clock.now_s, ending.is_complete)
 
     def _is_safe(self) -> bool:
         try:
+            return self._runner.make_safe()
+        except JournalLost:
             return self._runner.make_safe()
         except Exception:  # a simulated world that breaks at every step cannot come to rest
             self._journal.event("broken", {"traceback": traceback.format_exc()})
             return False
 
-    def _run_jobs(self) -> tuple[int, str]:
+    def _run_jobs(self) -> _Ending:
         for number, job in enumerate(self._plan.jobs):
+            if self._control.is_stopping:
+                return _Ending(EXIT_INTERRUPTED, "interrupted" if self._control.halts else "stopped")
             self._observer.job_started(job, number)
-            if job.sample is None:
-                stopped = self._run_service(job.name, job.workflow, job.inputs)
-            else:
-                stopped = self._run_sample(job, job.sample)
-            if stopped is not None:
-                return stopped
-        return EXIT_OK, ""
+            ending = self._run_service(job, 1) if job.sample is None else self._run_sample(job, job.sample)
+            if ending is not None:
+                return ending
+        return _Ending(EXIT_OK, "", is_complete=True)
 
-    def _run_service(self, name: str, workflow: str, inputs: Mapping[str, Any]) -> tuple[int, str] | None:
-        outcome = self._run_job(Job(name, workflow, inputs), inputs, None, 1)
-        if outcome.halted:
-            return EXIT_INTERRUPTED, "interrupted"
+    def _run_service(self, job: Job, attempt: int) -> _Ending | None:
+        outcome = self._run_job(job, job.inputs, None, attempt)
         if outcome.failure is not None:
-            return EXIT_CELL_FAULT, f"{name}: {outcome.failure}"
-        return None
+            return _Ending(EXIT_CELL_FAULT, f"{job.name}: {outcome.failure}")
+        return _Ending(EXIT_INTERRUPTED, "interrupted") if outcome.interrupted else None
 
-    def _run_sample(self, job: Job, sample: Sample) -> tuple[int, str] | None:
+    def _run_sample(self, job: Job, sample: Sample) -> _Ending | None:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
         attempt = 1
         while True:
             began_s = self._cell.clock.now_s
+            before = self._history.jobs.get((job.name, attempt))
             outcome = self._run_job(job, _inputs_for(sample, attempt), sample.id, attempt)
             failure = outcome.failure
-            action = "flag" if failure is None else self._plan.recipe.action_for(failure.code)
+            if outcome.interrupted is not None:
+                self._note(
+                    self._result(sample, self._journal.last_dose, "interrupted", failure, began_s, attempt), attempt
+                )
+                if failure is not None:
+                    return _Ending(EXIT_CELL_FAULT, f"{sample.id}: {failure}")
+                return _Ending(EXIT_INTERRUPTED, "interrupted")
+            action = "flag" if failure is None else self._action_for(sample, failure, attempt)
             if action == "redo" and attempt > 1:
                 action = "flag"
-            verdict: Verdict | None = "interrupted" if outcome.halted else None
-            if action == "skip_sample":
-                verdict = "skipped"
-            self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt))
-            if outcome.halted:
-                return EXIT_INTERRUPTED, "interrupted"
+            verdict: Verdict | None = "skipped" if action == "skip_sample" else None
+            recorded = self._history.samples.get((sample.id, attempt))
+            if recorded is not None and before is not None and before.is_over:
+                self._show(_restored(recorded))
+            else:
+                self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt), attempt)
             if failure is None:
                 return None
             if action == "stop":
-                return EXIT_CELL_FAULT, f"{sample.id}: {failure}"
-            if (ended := self._recover(sample)) is not None:
+                return _Ending(EXIT_CELL_FAULT, f"{sample.id}: {failure}")
+            if (ended := self._recover(sample, attempt)) is not None:
                 return ended
             if action != "redo":
                 return None
             attempt += 1
 
-    def _recover(self, sample: Sample) -> tuple[int, str] | None:
+    def _action_for(self, sample: Sample, failure: SkillFailed, attempt: int) -> str:
+        """What the recipe says, or the person it lets decide."""
+        action = self._plan.recipe.action_for(failure.code)
+        if action != "ask":
+            return action
+        answer = self._history.answers.get((sample.id, attempt))
+        if answer is None:
+            choices = [choice for choice in ANSWERS if choice != "redo" or attempt == 1]
+            try:
+                answer = self._runner.ask(f"Sample '{sample.id}' failed: {failure}. What now?", choices)
+            except SkillFailed:
+                return "stop"
+            if answer != "stop":  # which is asked anew when the run is resumed
+                self._journal.event("chosen", {"sample": sample.id, "attempt": attempt, "action": answer})
+        return answer
+
+    def _recover(self, sample: Sample, attempt: int) -> _Ending | None:
         if AFTER_FAILURE not in self._library.workflows or sample.source is None:
             return None
-        return self._run_service(f"after {sample.id}", AFTER_FAILURE, {"source": sample.source})
+        return self._run_service(Job(f"after {sample.id}", AFTER_FAILURE, {"source": sample.source}), attempt)
 
     def _run_job(self, job: Job, inputs: Mapping[str, Any], sample_id: str | None, attempt: int) -> Outcome:
-        journal = self._journal
-        self._cell.begin_sample(sample_id or job.name, attempt)
-        self._cell.believed.dosing = DoseSoFar(began_s=self._cell.clock.now_s)
-        journal.job_started(job.name, sample_id, attempt, job.workflow)
-        try:
-            outcome = self._runner.run(job, inputs)
-        except BaseException as error:
-            journal.job_ended("broken", None, f"{type(error).__name__}: {error}")
-            raise
-        failure = outcome.failure
-        if failure is not None:
-            journal.job_ended("failed", failure.code, failure.detail)
+        """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""
+        journal, before = self._journal, self._history.jobs.get((job.name, attempt))
+        if before is not None and before.is_over:
+            journal.last_dose = before.dose
+            return Outcome(before.failure)
+        if before is None:
+            self._cell.begin_sample(sample_id or job.name, attempt)
+            self._cell.believed.dosing = DoseSoFar(began_s=self._cell.clock.now_s)
+            journal.job_started(job.name, sample_id, attempt, job.workflow)
+            past = Past()
         else:
-            journal.job_ended("halted" if outcome.halted else "done")
-        return outcome
+            journal.job_resumed(before.seq, before.dose)
+            past = before.past(self._history.state.get("joints_rad"))
+        while True:
+            try:
+                outcome = self._runner.run(job, inputs, past)
+            except BaseException as error:
+                journal.job_ended("broken", None, f"{type(error).__name__}: {error}")
+                raise
+            self._note_outcome(sample_id, outcome)
+            if outcome.interrupted != "paused":
+                return outcome
+            self._runner.make_safe()
+            self._runner.hold()
+            if self._control.is_stopping:
+                return Outcome(interrupted="stopped")
+            history = read_history(journal.path)
+            again = history.jobs[job.name, attempt]
+            journal.job_resumed(again.seq, again.dose)
+            past = again.past(history.state.get("joints_rad"))
+
+    def _note_outcome(self, sample_id: str | None, outcome: Outcome) -> None:
+        failure = outcome.failure
+        if outcome.interrupted is not None:
+            word = "interrupted"
+        elif failure is None:
+            word = "done"
+        else:
+            stops = sample_id is None or self._plan.recipe.action_for(failure.code) == "stop"
+            word = STOPPED if stops else "failed"
+        self._journal.job_ended(word, *((failure.code, failure.detail) if failure is not None else ()))
+        self._after_job()
 
     def _result(
         self,
@@ -223,10 +301,18 @@ class Batch:
             true_mg=true_mg,
         )
 
-    def _note(self, result: SampleResult) -> None:
-        self._journal.event("sample", asdict(result))
+    def _note(self, result: SampleResult, attempt: int) -> None:
+        self._journal.event("sample", {**asdict(result), "attempt": attempt})
+        self._show(result)
+
+    def _show(self, result: SampleResult) -> None:
         self._results[result.id] = result
         self._observer.sample_ended(result)
+
+
+def _restored(values: Mapping[str, Any]) -> SampleResult:
+    """A sample's result from its entry in the journal."""
+    return SampleResult(**{name: values[name] for name in SampleResult.__dataclass_fields__})
 
 
 def _inputs_for(sample: Sample, attempt: int) -> dict[str, Any]:

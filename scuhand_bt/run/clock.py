@@ -55,6 +55,13 @@ class VirtualClock:
             if self._speed is not None:
                 self._keep_pace(self._speed)
 
+    def hold(self, wakes: Sequence[Wake]) -> None:
+        """Let time stand still until a signal of `wakes` fires."""
+        held_at = time.monotonic()
+        while not any(wake.has_fired for wake in wakes):
+            time.sleep(0.02)
+        self._began += time.monotonic() - held_at
+
     def _keep_pace(self, speed: float) -> None:
         ahead_s = self.now_s / speed - (time.monotonic() - self._began)
         if ahead_s > 0.002:
@@ -68,8 +75,8 @@ BEAT_S = 0.02
 class WallClock:
     """Time of a run on real devices, whose threads fire the signals. `beat` is called all through each wait."""
 
-    def __init__(self, beat: Callable[[], None] = lambda: None) -> None:
-        self._began = time.monotonic()
+    def __init__(self, beat: Callable[[], None] = lambda: None, began_s: float = 0.0) -> None:
+        self._began = time.monotonic() - began_s
         self._news = threading.Condition()
         self._beat = beat
 
@@ -89,6 +96,10 @@ class WallClock:
                 # In slices: a signal handler of Python runs between waits only, and the drivers want to hear a beat.
                 self._news.wait(min(limit_s - self.now_s, BEAT_S))
                 self._beat()
+
+    def hold(self, wakes: Sequence[Wake]) -> None:
+        """Real time does not stand still."""
+        self.wait(wakes)
 
     def _notify(self) -> None:
         with self._news:

@@ -1,36 +1,69 @@
-"""The journal: one SQLite file per run, written before an action starts and after it ends."""
+"""The journal: one SQLite file per run, written before an action starts and after it ends.
+
+It is one table of entries, which are only ever added, and chained by their hashes (`run/chain.py`). What a
+reader would rather see (jobs, actions, pulses, doses, events) are views of it.
+"""
 
 import json
+import math
 import sqlite3
+import zlib
+from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
+from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.run.chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.specs import Container, Dose, Powder, Source
 
-SCHEMA_VERSION = 1
-_SCHEMA = """
-CREATE TABLE run (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
-CREATE TABLE job (
-    id INTEGER PRIMARY KEY, name TEXT NOT NULL, sample TEXT, attempt INTEGER NOT NULL, workflow TEXT NOT NULL,
-    started_s REAL NOT NULL, ended_s REAL, outcome TEXT, code TEXT, detail TEXT) STRICT;
-CREATE TABLE action (
-    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job(id), path TEXT NOT NULL, visit INTEGER NOT NULL,
-    skill TEXT NOT NULL, inputs TEXT NOT NULL, started_s REAL NOT NULL, ended_s REAL, outcome TEXT NOT NULL,
-    code TEXT, result TEXT) STRICT;
-CREATE TABLE pulse (
-    id INTEGER PRIMARY KEY, action INTEGER REFERENCES action(id), time_s REAL NOT NULL, payload TEXT NOT NULL) STRICT;
-CREATE TABLE dose (
-    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job(id), time_s REAL NOT NULL,
-    payload TEXT NOT NULL) STRICT;
-CREATE TABLE event (
-    id INTEGER PRIMARY KEY, action INTEGER REFERENCES action(id), time_s REAL NOT NULL, kind TEXT NOT NULL,
-    payload TEXT NOT NULL) STRICT;
+SCHEMA_VERSION = 2
+FLUSH_S = 0.5
+"""Readings of the balance wait this long in memory, at the most, before they are on disk."""
+_ENDED = """
+    LEFT JOIN (SELECT {of} AS of, MAX(seq) AS seq FROM entry WHERE kind = '{of}_ended' GROUP BY {of}) AS last
+        ON last.of = began.seq
+    LEFT JOIN entry AS ended ON ended.seq = last.seq
+    WHERE began.kind = '{of}_started' ORDER BY began.seq"""
+SCHEMA = f"""
+CREATE TABLE entry (
+    seq INTEGER PRIMARY KEY, kind TEXT NOT NULL, job INTEGER, action INTEGER, time_s REAL NOT NULL, at TEXT NOT NULL,
+    payload TEXT NOT NULL, state TEXT, frames BLOB, hash BLOB NOT NULL) STRICT;
+CREATE TRIGGER entries_stay BEFORE UPDATE ON entry BEGIN SELECT RAISE(ABORT, 'entries are only added'); END;
+CREATE TRIGGER entries_last BEFORE DELETE ON entry BEGIN SELECT RAISE(ABORT, 'entries are only added'); END;
+CREATE VIEW run AS SELECT each.key AS key,
+    CASE WHEN each.type IN ('true', 'false', 'null') THEN each.type ELSE CAST(each.value AS TEXT) END AS value
+    FROM entry, json_each(entry.payload) AS each WHERE entry.kind = 'run';
+CREATE VIEW job AS SELECT began.seq AS id,
+    json_extract(began.payload, '$.name') AS name, json_extract(began.payload, '$.sample') AS sample,
+    json_extract(began.payload, '$.attempt') AS attempt, json_extract(began.payload, '$.workflow') AS workflow,
+    began.time_s AS started_s, ended.time_s AS ended_s, json_extract(ended.payload, '$.outcome') AS outcome,
+    json_extract(ended.payload, '$.code') AS code, json_extract(ended.payload, '$.detail') AS detail
+    FROM entry AS began {_ENDED.format(of="job")};
+CREATE VIEW action AS SELECT began.seq AS id, began.job AS job,
+    json_extract(began.payload, '$.path') AS path, json_extract(began.payload, '$.visit') AS visit,
+    json_extract(began.payload, '$.skill') AS skill, json_extract(began.payload, '$.inputs') AS inputs,
+    began.time_s AS started_s, ended.time_s AS ended_s,
+    COALESCE(json_extract(ended.payload, '$.outcome'), 'started') AS outcome,
+    json_extract(ended.payload, '$.code') AS code,
+    NULLIF(json_quote(json_extract(ended.payload, '$.result')), 'null') AS result
+    FROM entry AS began {_ENDED.format(of="action")};
+CREATE VIEW pulse AS SELECT seq AS id, action, time_s, payload FROM entry WHERE kind = 'pulse' ORDER BY seq;
+CREATE VIEW dose AS SELECT seq AS id, job, time_s, payload FROM entry WHERE kind = 'dose' ORDER BY seq;
+CREATE VIEW event AS SELECT seq AS id, action, time_s, kind, payload FROM entry
+    WHERE kind NOT IN ('run', 'job_started', 'job_ended', 'job_resumed', 'action_started', 'action_ended', 'pulse',
+        'dose', 'frames') ORDER BY seq;
 """
+
+
+class JournalLost(Exception):  # noqa: N818 - it says what happened
+    """The journal cannot be written any more (a full disk); the run must end, safely."""
 
 
 def plain_value(value: Any) -> Any:
@@ -51,88 +84,156 @@ def plain_value(value: Any) -> Any:
 
 
 def to_json(values: Any) -> str:
-    """Compact JSON with sorted keys."""
+    """Compact JSON with sorted keys; what is no number in JSON (NaN, infinity) by its name."""
     whole = dict(values) if isinstance(values, Mapping) else plain_value(values)
-    return json.dumps(whole, sort_keys=True, default=plain_value)
+    try:
+        return json.dumps(whole, sort_keys=True, default=plain_value, allow_nan=False)
+    except ValueError:
+        return json.dumps(_named_infinities(json.loads(json.dumps(whole, default=plain_value))), sort_keys=True)
+
+
+def _named_infinities(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, dict):
+        return {key: _named_infinities(item) for key, item in value.items()}
+    return [_named_infinities(item) for item in value] if isinstance(value, list) else value
 
 
 class Journal:
-    """Writes one run. Every call is on disk (committed) when it returns.
+    """Writes one run, new or continued. Every call is on disk (committed) when it returns.
 
-    `durable` is full fsync, for real runs; a dry run goes without.
+    `durable` is full fsync, for real runs; a dry run goes without. Every call may raise JournalLost, once: what
+    is told to a lost journal after that is dropped, so that the cell can still be made safe.
     """
 
     def __init__(self, path: Path, *, durable: bool) -> None:
         self.path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._db = sqlite3.connect(path, isolation_level=None)
-        self._db.execute("PRAGMA journal_mode=WAL")
-        self._db.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
-        self._db.executescript(_SCHEMA)
-        self._db.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
-        self._job: int | None = None
+        self.before_commit: Callable[[], None] = lambda: None
+        """Called before every write: a simulated world keeps itself, so that it is never older than the journal."""
+        self.now_s: Callable[[], float] = lambda: 0.0
+        """The run's clock; set once the cell exists."""
+        self.state: Callable[[], Any] = lambda: None
+        """What the cell is believed to hold now; set once the cell exists."""
+        self.job: int | None = None
         self.action: int | None = None
         """The action that is acting now; what devices record is its doing."""
         self.last_dose: Dose | None = None
         """The last dose of the current job."""
-        self.now_s: Callable[[], float] = lambda: 0.0
-        """The run's clock; set once the cell exists."""
+        self._lost = False
+        self._state: str | None = None
+        self._readings: deque[Reading] = deque()
+        self._weighing: set[int] = set()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._db = sqlite3.connect(path, isolation_level=None)
+        self._db.execute("PRAGMA journal_mode=WAL")
+        self._db.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
+        if self._db.execute("PRAGMA user_version").fetchone()[0] == 0:
+            self._db.executescript(f"BEGIN; {SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
+        last = self._db.execute("SELECT seq, hash FROM entry ORDER BY seq DESC LIMIT 1").fetchone()
+        self._seq: int = last[0] if last else 0
+        self._head: bytes = last[1] if last else GENESIS
+
+    @property
+    def head(self) -> str:
+        """The hash of the last entry: who knows it can tell whether any entry is missing."""
+        return self._head.hex()
 
     def describe_run(self, values: Mapping[str, Any]) -> None:
-        """What the whole run is: recipe, seed, versions, simulated or not."""
-        rows = [(key, value if isinstance(value, str) else json.dumps(value)) for key, value in values.items()]
-        self._db.executemany("INSERT OR REPLACE INTO run VALUES (?, ?)", rows)
+        """What the whole run is: recipe, seed, versions, simulated or not; the first entry."""
+        self._append("run", to_json(values))
 
     def job_started(self, name: str, sample: str | None, attempt: int, workflow: str) -> None:
-        cursor = self._db.execute(
-            "INSERT INTO job (name, sample, attempt, workflow, started_s) VALUES (?, ?, ?, ?, ?)",
-            (name, sample, attempt, workflow, self.now_s()),
-        )
-        self._job = cursor.lastrowid
-        self.action = self.last_dose = None
+        self.job = self.action = self.last_dose = None
+        values = {"name": name, "sample": sample, "attempt": attempt, "workflow": workflow}
+        self.job = self._append("job_started", to_json(values))
+
+    def job_resumed(self, job: int, dose: Dose | None) -> None:
+        """Go on with a job of this journal."""
+        self.job, self.action, self.last_dose = job, None, dose
+        self._append("job_resumed", "{}")
 
     def job_ended(self, outcome: str, code: str | None = None, detail: str | None = None) -> None:
-        self._db.execute(
-            "UPDATE job SET ended_s = ?, outcome = ?, code = ?, detail = ? WHERE id = ?",
-            (self.now_s(), outcome, code, detail, self._job),
-        )
+        self.action = None
+        self._append("job_ended", to_json({"outcome": outcome, "code": code, "detail": detail}))
 
-    def action_started(self, path: str, visit: int, skill: str, inputs: Mapping[str, Any]) -> int:
-        cursor = self._db.execute(
-            "INSERT INTO action (job, path, visit, skill, inputs, started_s, outcome) "
-            "VALUES (?, ?, ?, ?, ?, ?, 'started')",
-            (self._job, path, visit, skill, to_json(inputs), self.now_s()),
-        )
-        assert cursor.lastrowid is not None
-        return cursor.lastrowid
+    def action_started(
+        self, path: str, visit: int, skill: str, inputs: Mapping[str, Any], *, weighs: bool = False
+    ) -> int:
+        """Before the action acts; the readings of one that `weighs` are kept as they came."""
+        self.action = None
+        values = {"path": path, "visit": visit, "skill": skill, "inputs": inputs}
+        action = self._append("action_started", to_json(values), with_state=True)
+        if weighs:
+            self._weighing.add(action)
+        return action
 
     def action_ended(self, action: int, outcome: str, code: str | None, result: Any) -> None:
-        self._db.execute(
-            "UPDATE action SET ended_s = ?, outcome = ?, code = ?, result = ? WHERE id = ?",
-            (self.now_s(), outcome, code, None if result is None else to_json(result), action),
-        )
+        self.flush()
+        self._weighing.discard(action)
+        self.action = action
+        self._append("action_ended", to_json({"outcome": outcome, "code": code, "result": result}), with_state=True)
+        self.action = None
+
+    def weighed(self, reading: Reading) -> None:
+        """Hear a reading of the balance; called on whichever thread it arrives."""
+        if self._weighing:
+            self._readings.append(reading)
+
+    def flush(self, older_than_s: float = 0.0) -> None:
+        """Write the balance's readings down, if the first of them has waited for so long."""
+        waiting = self._readings
+        if not waiting or self.now_s() - waiting[0].time_s < older_than_s:
+            return
+        readings = [waiting.popleft() for _ in range(len(waiting))]  # others may come meanwhile
+        lines = [[round(r.time_s, 4), r.raw.decode("latin-1"), r.value_mg, r.unit, r.stable] for r in readings]
+        frames = zlib.compress(json.dumps(lines).encode(), 1)
+        self.action = max(self._weighing, default=None)
+        self._append("frames", json.dumps({"readings": len(lines)}), frames=frames)
 
     # --- the Record that devices and skills write to
 
     def pulse(self, values: Mapping[str, Any]) -> None:
-        self._db.execute(
-            "INSERT INTO pulse (action, time_s, payload) VALUES (?, ?, ?)", (self.action, self.now_s(), to_json(values))
-        )
+        self._append("pulse", to_json(values))
 
     def dose(self, dose: Dose) -> None:
         self.last_dose = dose
-        self._db.execute(
-            "INSERT INTO dose (job, time_s, payload) VALUES (?, ?, ?)",
-            (self._job, self.now_s(), dose.model_dump_json(by_alias=False)),
-        )
+        self._append("dose", dose.model_dump_json(by_alias=False))
 
     def event(self, kind: str, values: Mapping[str, Any]) -> None:
-        self._db.execute(
-            "INSERT INTO event (action, time_s, kind, payload) VALUES (?, ?, ?, ?)",
-            (self.action, self.now_s(), kind, to_json(values)),
-        )
+        self._append(kind, to_json(values))
+
+    def _append(self, kind: str, payload: str, *, with_state: bool = False, frames: bytes | None = None) -> int:
+        if self._lost:
+            return self._seq
+        state = self._changed_state() if with_state else None
+        at = datetime.now().astimezone().isoformat(timespec="milliseconds")
+        seq = self._seq + 1
+        entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
+        head = digest(self._head, entry)
+        self.before_commit()
+        try:
+            self._db.execute(
+                f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})", (*entry, head)
+            )
+        except sqlite3.Error as error:
+            self._lost = True
+            raise JournalLost(f"the journal {self.path} cannot be written any more: {error}") from error
+        self._seq, self._head = seq, head
+        return seq
+
+    def _changed_state(self) -> str | None:
+        state = self.state()
+        text = None if state is None else to_json(state)
+        if text == self._state:
+            return None
+        self._state = text
+        return text
 
     def close(self) -> None:
+        """The journal is one file again, which may be copied as it is."""
+        with suppress(sqlite3.Error):
+            self._db.execute("PRAGMA journal_mode=DELETE")
         self._db.close()
 
     def discard(self) -> None:
@@ -143,15 +244,15 @@ class Journal:
 
 
 def read(path: Path, table: str) -> list[dict[str, Any]]:
-    """All rows of one table of a journal, in order; JSON columns are decoded."""
+    """All rows of one table or view of a journal, in order; JSON columns are decoded."""
     database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     try:
         database.row_factory = sqlite3.Row
-        rows = [dict(row) for row in database.execute(f"SELECT * FROM {table} ORDER BY rowid")]
+        rows = [dict(row) for row in database.execute(f"SELECT * FROM {table}")]
     finally:
         database.close()
     for row in rows:
-        for key in ("inputs", "result", "payload"):
+        for key in ("inputs", "result", "payload", "state"):
             if row.get(key) is not None:
                 row[key] = json.loads(row[key])
     return rows

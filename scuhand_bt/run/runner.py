@@ -1,24 +1,26 @@
 """The runner: ticks one job's tree, and moves the clock to the earliest thing the tree waits for."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from scuhand_bt.clock import Signal, Wake
+from scuhand_bt.clock import Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.plan import Job
-from scuhand_bt.run.journal import Journal
-from scuhand_bt.skill import SkillFailed
+from scuhand_bt.run.control import Control
+from scuhand_bt.run.guards import Guards
+from scuhand_bt.run.journal import FLUSH_S, Journal, to_json
+from scuhand_bt.skill import DEVICES, SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.nodes import SkillBug, SkillLeaf, Ticking, failure_of
+from scuhand_bt.tree.past import Decision, Past
 
-DEVICES = ("hand", "arm", "changer", "balance")
 SAFE_TIMEOUT_S = 20.0
 """How long the cell may take to stand still after it was told to stop."""
 FALL_S = 0.5
@@ -27,13 +29,19 @@ MAX_SILENCE_S = 3600.0
 """If nothing at all happens for this long, a skill waits for what never comes."""
 MAX_TICKS_AT_ONE_TIME = 10_000
 
+Interruption = Literal["stopped", "paused", "tripped"]
+
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job's tree ended: `failure` is None if it succeeded; `halted` if the run was stopped."""
+    """How a job's tree ended: `failure` is None if it succeeded.
+
+    `interrupted` says what halted the job before its end: a person's stop or pause, or a guard, whose reason
+    `failure` then is.
+    """
 
     failure: SkillFailed | None = None
-    halted: bool = False
+    interrupted: Interruption | None = None
 
 
 class TickObserver(Protocol):
@@ -43,30 +51,43 @@ class TickObserver(Protocol):
 
 
 class Runner:
-    """Runs jobs on a cell, one tree alive at a time. `stop` fires to halt the run (Ctrl-C does)."""
+    """Runs jobs on a cell, one tree alive at a time, as long as `control` and the guards let it."""
 
-    def __init__(self, cell: Cell, library: Library, journal: Journal, stop: Signal, observer: TickObserver) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        library: Library,
+        journal: Journal,
+        control: Control,
+        guards: Guards,
+        observer: TickObserver,
+    ) -> None:
         self._cell = cell
         self._library = library
         self._journal = journal
-        self._stop = stop
+        self._control = control
         self._observer = observer
         self._leases = Leases(cell)
+        self._guards = guards
 
-    def run(self, job: Job, inputs: Mapping[str, Any]) -> Outcome:
-        """Run one job to its end. Any exception leaves the tree halted; `make_safe` is the caller's to call."""
-        shared = Ticking(self._cell, self._leases, _Recorder(self._journal))
+    def run(self, job: Job, inputs: Mapping[str, Any], past: Past) -> Outcome:
+        """Run one job to its end, from where `past` leaves it. Any exception leaves the tree halted.
+
+        After an interruption `make_safe` is the caller's to call.
+        """
+        shared = Ticking(self._cell, self._leases, _Recorder(self._journal), past)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
-        halted = True
+        interrupted: Outcome | None = Outcome(interrupted="stopped")
         try:
-            halted = self._tick_to_end(tree.root, shared)
+            interrupted = self._tick_to_end(tree.root, shared)
         finally:
-            if halted:
+            if interrupted is not None:
+                shared.is_interrupted = True
                 tree.root.stop(Status.INVALID)
         if shared.bugs:
             raise shared.bugs[0]
-        if halted:
-            return Outcome(halted=True)
+        if interrupted is not None:
+            return interrupted
         if moving := self._still_moving():
             self.make_safe()
             return Outcome(SkillFailed("device.busy", f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job"))
@@ -80,26 +101,73 @@ class Runner:
         self._cell.clock.wait([Wake(self._cell.clock.now_s + FALL_S)])
         return is_still
 
-    def _tick_to_end(self, root: Behaviour, shared: Ticking) -> bool:
-        """Tick until the root has ended (False), or the run is to stop (True)."""
-        clock, ticks_now, last_s = self._cell.clock, 0, -1.0
-        while not self._stop.count:
+    def ask(self, question: str, choices: Sequence[str]) -> str:
+        """Ask the person at the cell between jobs. SkillFailed operator.absent; "stop" if the run is to end now."""
+        steps: Steps[str] = self._cell.operator.ask(question, choices)
+        try:
+            while not self._control.stops_now:
+                self._cell.clock.wait([next(steps), self._wish()])
+        except StopIteration as answer:
+            return str(answer.value)
+        steps.close()
+        return "stop"
+
+    def hold(self) -> None:
+        """Stand still until a person continues or stops the run."""
+        self._journal.event("paused", {})
+        while self._control.is_pausing and not self._control.is_stopping:
+            self._cell.clock.hold([self._wish(), *self._guards.wakes()])
+            if (fault := self._guards.look()) is not None:
+                raise fault
+        self._journal.event("continued", {})
+
+    def _wish(self) -> Wake:
+        return Wake.on(self._control.news)
+
+    def _tick_to_end(self, root: Behaviour, shared: Ticking) -> Outcome | None:
+        """Tick until the root has ended (None), or the job is interrupted."""
+        clock, control, guards = self._cell.clock, self._control, self._guards
+        ticks_now, last_s = 0, -1.0
+        while not control.halts:
+            if (fault := guards.look()) is not None:
+                return Outcome(fault, "tripped")
+            shared.is_pausing = control.is_pausing
             root.tick_once()
             self._observer.ticked(root)
             if root.status is not Status.RUNNING:
-                return False
+                return None
+            if shared.past.is_replaying:
+                shared.past.tick_ended()
+                continue
             now_s = clock.now_s
             ticks_now = ticks_now + 1 if now_s == last_s else 0
             last_s = now_s
             if ticks_now > MAX_TICKS_AT_ONE_TIME:
                 raise SkillBug(f"{_running(root)} is ticked again and again without letting time pass")
-            silence = Wake(now_s + MAX_SILENCE_S, self._stop, self._stop.count)
-            wakes = shared.wakes()
-            clock.wait([*wakes, silence])
-            nothing_timed = all(math.isinf(wake.until_s) for wake in wakes)
-            if nothing_timed and clock.now_s >= silence.until_s and not any(wake.has_fired for wake in wakes):
+            if shared.is_pausing and not shared.acting:
+                self.hold()
+                shared.paused_s += clock.now_s - now_s
+                shared.going_on.fire()
+                continue
+            if (fault := self._wait(root, shared)) is not None:
+                return Outcome(fault, "tripped")
+        return Outcome(interrupted="stopped" if control.stops_now else "paused")
+
+    def _wait(self, root: Behaviour, shared: Ticking) -> SkillFailed | None:
+        """Wait for the next tick; what a guard found in the meantime, if one tripped."""
+        clock, control, guards = self._cell.clock, self._control, self._guards
+        wakes = [*shared.wakes(), self._wish()]
+        silence = Wake(clock.now_s + MAX_SILENCE_S)
+        nothing_timed = all(math.isinf(wake.until_s) for wake in wakes)
+        while True:
+            clock.wait([*wakes, silence, *guards.wakes()])
+            self._journal.flush(FLUSH_S)
+            if (fault := guards.look()) is not None:
+                return fault
+            if any(wake.has_fired or clock.now_s >= wake.until_s for wake in wakes):
+                return None
+            if nothing_timed and clock.now_s >= silence.until_s and not control.halts:
                 raise SkillBug(f"{_running(root)} waits for something that never comes")
-        return True
 
     def _still_moving(self) -> str:
         """Wait for all devices to stop; the names of those that have not in time, "" if all have."""
@@ -120,7 +188,8 @@ class _Recorder:
         self._actions: dict[SkillLeaf, int] = {}
 
     def started(self, leaf: SkillLeaf, inputs: Mapping[str, Any]) -> None:
-        self._actions[leaf] = self._journal.action_started(leaf.path, leaf.visits, leaf.name, inputs)
+        weighs = "balance" in leaf.skill.devices
+        self._actions[leaf] = self._journal.action_started(leaf.path, leaf.visits, leaf.name, inputs, weighs=weighs)
 
     def acting(self, leaf: SkillLeaf) -> None:
         self._journal.action = self._actions[leaf]
@@ -129,6 +198,14 @@ class _Recorder:
         code = result.code if isinstance(result, SkillFailed) else None
         value = {"detail": result.detail} if isinstance(result, SkillFailed) else result
         self._journal.action_ended(self._actions.pop(leaf), outcome, code, value)
+
+    def in_words(self, inputs: Mapping[str, Any]) -> str:
+        return to_json(inputs)
+
+    def decided(self, path: str, visit: int, decision: Decision) -> None:
+        failure = decision.failure
+        values = {"path": path, "visit": visit, "code": failure.code, "detail": failure.detail}
+        self._journal.event("decided", {**values, "had_begun": decision.had_begun})
 
 
 def _running(root: Behaviour) -> str:

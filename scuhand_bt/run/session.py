@@ -1,24 +1,29 @@
 """One run from plan to result: the cell, its journal, and the batch between them."""
 
+import getpass
 import os
 import secrets
 import sqlite3
+from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.clock import Signal
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.lab import Lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Plan, check_unattended
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
+from scuhand_bt.run.control import Control, Held, Presence
+from scuhand_bt.run.history import History
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.learnt import LabState
-from scuhand_bt.run.setup import DryRun, Simulation, set_up
+from scuhand_bt.run.resume import Resumable, lab_files, world_path
+from scuhand_bt.run.setup import DryRun, Rehearsal, Simulation, set_up
+from scuhand_bt.run.state import state_of, take_up
 from scuhand_bt.yaml_source import Mark, Problem, SourceError
 
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
@@ -37,13 +42,14 @@ class Options:
 
 
 class Session:
-    """A cell made ready for a plan. `run` once, then `close`.
+    """A cell made ready for a plan, new or to be resumed. `run` once, then `close`.
 
-    `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one.
+    `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one; `resumes` is the
+    interrupted run (`run/resume.py` finds and checks it).
 
-    Raises, before anything moves: SourceError for an unknown controller, an unwritable folder or an unattended plan
-    that needs a person, PlantError for a plant that cannot be used, NoCompiler for a rehearsal without one,
-    SkillFailed for places without a way between them, or a device that does not answer.
+    Raises, before anything moves: SourceError for an unknown controller, an unwritable folder, an unattended plan
+    that needs a person or a run that another process has, PlantError for a plant that cannot be used, NoCompiler
+    for a rehearsal without one, SkillFailed for places without a way between them, or a device that does not answer.
     """
 
     def __init__(
@@ -52,52 +58,108 @@ class Session:
         lab: Lab,
         options: Options,
         motion: MotionPlanner | None = None,
-        stop: Signal | None = None,
+        control: Control | None = None,
+        resumes: Resumable | None = None,
     ) -> None:
         _check_controller(options.controller)
         if options.unattended:
             check_unattended(plan)
         self.plan = plan
-        self.stop = stop or Signal()
-        """Fire it to end the run safely at the next tick (Ctrl-C does)."""
-        self.run_id = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
-        folder = options.folder or state_folder(lab) / "runs"
-        self.journal = _open_journal(
-            folder / f"{self.run_id}.sqlite", durable=not isinstance(options.simulation, DryRun)
-        )
-        try:
-            setup = set_up(plan, lab, options.simulation, self.journal, motion, unattended=options.unattended)
-        except BaseException:
-            self.journal.discard()
-            raise
-        self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
-        if options.controller is not None:
-            self.cell.controller = options.controller
-        self.journal.now_s = lambda: self.cell.clock.now_s
-        self.journal.describe_run(_describe(plan, lab, options, self.cell, self.run_id))
-        self._library = lab.library
-        self._state = LabState(folder.parent)
+        self.control = control or Control()
+        """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
+        self._lab, self._options = lab, options
+        self._history = resumes.history if resumes is not None else None
+        if resumes is None:
+            name = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
+            path = (options.folder or state_folder(lab) / "runs") / f"{name}.sqlite"
+        else:
+            path = resumes.path
+        self.run_id = path.stem
+        self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
+        with ExitStack() as opened:
+            opened.callback(self.journal.discard if resumes is None else self.journal.close)
+            self._make_cell(motion, opened)
+            self._begin(resumes)
+            opened.pop_all()
+        self._state = LabState(path.parent.parent)
         if not self.cell.simulated:
             self._state.recall(self.cell)
+
+    def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
+        journal, options, history = self.journal, self._options, self._history
+        try:
+            self._presence = Presence(journal.path, self.control)
+        except Held:
+            problem = f"the run is going on in another process; `scuhand-bt stop {self.run_id}` ends it"
+            raise SourceError([Problem(Mark(str(journal.path)), problem)]) from None
+        opened.callback(self._presence.end)
+        setup = set_up(
+            self.plan,
+            self._lab,
+            options.simulation,
+            journal,
+            motion,
+            unattended=options.unattended,
+            world_path=world_path(journal.path),
+            resumed_at_s=None if history is None else history.time_s,
+        )
+        self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
+        opened.callback(self._close_cell)
+        if options.controller is not None:
+            self.cell.controller = options.controller
+        self.cell.balance.on_reading = journal.weighed
+        journal.now_s = lambda: self.cell.clock.now_s
+        journal.state = lambda: state_of(self.cell)
+        if self.world is not None:
+            journal.before_commit = self.world.save
+
+    def _begin(self, resumes: Resumable | None) -> None:
+        """The first words of the journal, or the first ones of a resumed run."""
+        if resumes is None:
+            self.journal.describe_run(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
+            return
+        take_up(self.cell, resumes.history.state)
+        values = {"last_at": resumes.history.at, "changes": list(resumes.changes), "version": scuhand_bt.__version__}
+        self.journal.event("resumed", values)
+
+    @property
+    def title(self) -> str:
+        """What is run, on what, in a line."""
+        simulation = self._options.simulation
+        mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else "real devices"
+        again = "resumed, " if self._history is not None else ""
+        count = len(self.plan.recipe.samples)
+        return f"{self.plan.recipe.name}: {again}{count} samples on the cell '{self._lab.cell.cell}', {mode}"
 
     def run(self, observer: BatchObserver) -> BatchResult:
         """Run the batch to its end; whatever happens, the cell ends safe."""
         world = self.world
-        judge = world.true_mass if world is not None else None
-        batch = Batch(self.plan, self.cell, self._library, self.journal, observer, self.stop, judge)
+        batch = Batch(
+            self.plan,
+            self.cell,
+            self._lab.library,
+            self.journal,
+            observer,
+            self.control,
+            world.true_mass if world is not None else None,
+            self._history,
+        )
         try:
-            return batch.run()
+            result = batch.run()
         finally:
             if world is not None:
                 self.journal.event("matter", world.masses_mg)
             self._state.keep(self.cell, self.run_id)
+        if result.is_complete:
+            world_path(self.journal.path).unlink(missing_ok=True)
+        return result
 
     def close(self) -> None:
         """Close the devices and the journal."""
-        try:
-            self._close_cell()
-        finally:
-            self.journal.close()
+        with ExitStack() as closing:
+            closing.callback(self._presence.end)
+            closing.callback(self.journal.close)
+            closing.callback(self._close_cell)
 
 
 def state_folder(lab: Lab) -> Path:
@@ -128,8 +190,9 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
         "recipe": plan.recipe.name,
         "recipe_hash": plan.recipe.hash,
         "recipe_text": plan.recipe.text,
-        "recipe_path": str(plan.recipe.path),
-        "lab": str(lab.folder),
+        "recipe_path": str(plan.recipe.path.absolute()),
+        "lab": str(lab.folder.absolute()),
+        "lab_files": lab_files(lab),
         "cell": lab.cell.cell,
         "simulated": simulation is not None,
         "unattended": options.unattended,
@@ -137,10 +200,37 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
         "seed": simulation.seed if simulation is not None else None,
         "plant": (simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
         "controller": cell.controller,
+        "options": {
+            "controller": options.controller,
+            "plant": simulation.plant if simulation is not None else None,
+            "speed": simulation.speed if isinstance(simulation, DryRun) else None,
+        },
+        "operator": _user(),
+        "devices": {
+            name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
+            for name in ("arm", "hand", "balance", "changer")
+        },
         "version": scuhand_bt.__version__,
         "libraries": {name: _version(name) for name in LIBRARIES},
         "started": datetime.now().astimezone().isoformat(timespec="seconds"),
     }
+
+
+def options_of(history: History, folder: Path, path: Path) -> Options:
+    """The options that an interrupted run was begun with; SourceError for a rehearsal, whose twins ended with it."""
+    run, given = history.run, history.run["options"]
+    if run["mode"] == Rehearsal.mode:
+        problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
+        raise SourceError([Problem(Mark(str(path)), problem)])
+    simulation = DryRun(run["seed"], given["plant"], given["speed"]) if run["simulated"] else None
+    return Options(simulation, given["controller"], folder, run["unattended"])
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user without a name, as in a container
+        return "unknown"
 
 
 def _version(name: str) -> str:

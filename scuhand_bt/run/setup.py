@@ -72,11 +72,13 @@ def set_up(
     *,
     unattended: bool = False,
     world_path: Path | None = None,
-    restore: bool = False,
+    resumed_at_s: float | None = None,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
-    `world_path` is the file in which a dry run's world outlives the program, `restore` to take up the one in it.
+    `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at
+    which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
+    are needed, as they were all found possible before.
 
     Raises SourceError for a real run on a cell whose changer has no driver, and for a world's file that cannot be
     taken up; SkillFailed arm.* for a way that cannot be planned, device.lost for a device that cannot be opened;
@@ -84,14 +86,14 @@ def set_up(
     """
     if simulation is None and (problems := without_driver(lab)):
         raise SourceError(problems)
-    motion = motion or prepared_motion(plan, lab)
+    motion = motion or prepared_motion(plan, lab, all_ways=resumed_at_s is None)
     match simulation:
         case DryRun():
-            setup = _dry_run(plan, lab, simulation, record, motion, world_path, restore)
+            setup = _dry_run(plan, lab, simulation, record, motion, world_path, resumed_at_s is not None)
         case Rehearsal():
             setup = _rehearsal(plan, lab, simulation, record, motion)
         case None:
-            setup = _real(plan, lab, record, motion)
+            setup = _real(plan, lab, record, motion, resumed_at_s or 0.0)
     cell = setup.cell
     cell.places_mm = places_of(plan, lab)
     cell.believed.sources_mg = {name: source.amount_mg for name, source in plan.recipe.sources.items()}
@@ -170,9 +172,9 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, record: Record, motio
         return Setup(cell, world, opened.pop_all().close)
 
 
-def _real(plan: Plan, lab: Lab, record: Record, motion: MotionPlanner) -> Setup:
+def _real(plan: Plan, lab: Lab, record: Record, motion: MotionPlanner, began_s: float) -> Setup:
     liveness = Liveness()
-    clock = WallClock(liveness.beat)
+    clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
         devices = connect_cell_devices(lab.cell, clock, liveness)
         opened.callback(devices.close)
@@ -251,14 +253,15 @@ def bench_of(lab: Lab, seed: int = 0) -> WireBench:
     return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed)
 
 
-def prepared_motion(plan: Plan, lab: Lab) -> MotionPlanner:
-    """The motion planner with every place of the plan, and the ways between them planned."""
+def prepared_motion(plan: Plan, lab: Lab, *, all_ways: bool = True) -> MotionPlanner:
+    """The motion planner with every place of the plan, and all ways between them planned, or none yet."""
     mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
     # One thread: beside other work on the machine, a second one costs more in waiting than it gains.
     motion = MotionPlanner(lab.urdf, lab.cell, mortars, threads=1)
     for name, position_mm in places_of(plan, lab).items():
         motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
-    motion.prepare()
+    if all_ways:
+        motion.prepare()
     return motion
 
 

@@ -89,9 +89,10 @@ class _Builder:
         if node.kind == "repeat":
             return Repeat(child, arguments, self._shared)
         if node.kind == "timeout":
-            return Timeout(child, arguments, self._shared)
+            return Timeout(path, child, arguments, self._shared)
         if node.kind == "while":
-            return While([self._build_guard(guard, scope) for guard in node.guards], child, self._shared)
+            guards = [self._build_guard(guard, scope) for guard in node.guards]
+            return While(path, guards, child, self._shared)
         if node.kind == "invert":
             return Inverter("invert", child)
         return FailureIsSuccess("optional", child)

@@ -27,9 +27,9 @@ class Leases:
         self._held.update(dict.fromkeys(names, owner))
         return True
 
-    def give_back(self, owner: object) -> None:
-        """The owner has ended: its devices are free once they have stopped."""
-        for name in [name for name, holder in self._held.items() if holder is owner]:
+    def give_back(self, owner: object, keep: Iterable[str] = ()) -> None:
+        """The owner has ended, or needs only `keep`: its devices are free once they have stopped."""
+        for name in [name for name, holder in self._held.items() if holder is owner and name not in keep]:
             del self._held[name]
             self._stopping.add(name)
 

@@ -15,10 +15,11 @@ from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 from pydantic import ValidationError
 
-from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.skill import Condition, Skill, SkillFailed
 from scuhand_bt.tree.leases import Leases
+from scuhand_bt.tree.past import ENDED, REJOINING, Decision, Past, Recorded, rejoin, settle
 from scuhand_bt.tree.wires import in_words
 
 LEASE_TIMEOUT_S = 10.0
@@ -44,14 +45,33 @@ class Listener(Protocol):
 
     def ended(self, leaf: "SkillLeaf", outcome: str, result: Any) -> None: ...
 
+    def in_words(self, inputs: Values) -> str:
+        """The inputs of an action as the record keeps them."""
+        ...
+
+    def decided(self, path: str, visit: int, decision: Decision) -> None:
+        """A node that is no action has failed on its own account."""
+        ...
+
 
 class Ticking:
     """What the nodes of one job's tree share: the cell, its leases, the listener, and who waits for what."""
 
-    def __init__(self, cell: Cell, leases: Leases, listener: Listener) -> None:
+    def __init__(self, cell: Cell, leases: Leases, listener: Listener, past: Past) -> None:
         self.cell = cell
         self.leases = leases
         self.listener = listener
+        self.past = past
+        self.acting: set[SkillLeaf] = set()
+        """The leaves whose skill is at work."""
+        self.is_pausing = False
+        """No action may begin."""
+        self.going_on = Signal()
+        """Fires when actions may begin again."""
+        self.paused_s = 0.0
+        """How long the job has been paused in all: timeouts do not count it."""
+        self.is_interrupted = False
+        """The run, not the tree, halts the job."""
         self.bugs: list[SkillBug] = []
         """What broke while it was halted: it must not keep the rest of the tree from being halted too."""
         self._waiting: dict[Behaviour, Sequence[Wake]] = {}
@@ -92,16 +112,28 @@ class SkillLeaf(Behaviour):
         self._wake: Wake | None = None
         self._lease_deadline_s = 0.0
         self._is_recorded = False
+        self._recorded: Recorded | None = None
 
     def initialise(self) -> None:
         self.visits += 1
         self.failure = None
         self._steps = self._wake = None
         self._is_recorded = False
+        self._recorded = self._shared.past.recorded(self.path, self.visits)
         self._lease_deadline_s = self._shared.cell.clock.now_s + LEASE_TIMEOUT_S
+
+    @property
+    def is_stuck(self) -> bool:
+        """It is being replayed, and waits to be halted as it was then."""
+        past = self._shared.past
+        return past.is_replaying and self._recorded is not None and self._recorded.outcome == "halted"
 
     def update(self) -> Status:
         try:
+            if self.is_stuck:
+                return Status.RUNNING
+            if self._steps is None and self._is_replayed():
+                return Status.SUCCESS
             if self._steps is None and not self._begin():
                 return Status.RUNNING
             if self._wake is not None and not self._is_due(self._wake):
@@ -129,7 +161,7 @@ class SkillLeaf(Behaviour):
         """Halted while running: close the generator, whose `finally` sends the safe commands."""
         if new_status is not Status.INVALID or self.status is not Status.RUNNING:
             return
-        outcome = "halted"
+        outcome = "interrupted" if self._shared.is_interrupted else "halted"
         try:
             if self._steps is not None:
                 self._steps.close()
@@ -138,23 +170,61 @@ class SkillLeaf(Behaviour):
             self._shared.bugs.append(_bug(self.name, error))
         self._end(outcome, None)
 
+    def _is_replayed(self) -> bool:
+        """End as recorded, if this action ended before the run was interrupted; raises a recorded failure."""
+        recorded, shared = self._recorded, self._shared
+        if recorded is None or recorded.outcome not in ENDED:
+            return False
+        inputs = shared.listener.in_words(self._arguments())
+        if not shared.past.can_replay(recorded, self.name, self.skill, inputs):
+            return False
+        self._keep(shared.past.replay(recorded, self.skill))
+        shared.done(self)
+        return True
+
     def _begin(self) -> bool:
-        """Take the leases and make the skill; False while a device is still someone else's."""
-        shared = self._shared
-        if not shared.leases.take(self.skill.devices, self):
-            if shared.cell.clock.now_s >= self._lease_deadline_s:
-                names = ", ".join(self.skill.devices)
+        """Take the leases and make the skill; False while it must wait for others, or the run pauses."""
+        shared, past = self._shared, self._shared.past
+        if past.is_replaying:
+            return False
+        now_s = shared.cell.clock.now_s
+        if shared.is_pausing:
+            self._lease_deadline_s = now_s + LEASE_TIMEOUT_S
+            shared.wait(self, Wake.on(shared.going_on))
+            return False
+        own = self.skill.devices
+        devices = sorted({*own, *REJOINING}) if past.is_to_rejoin else own
+        if not shared.leases.take(devices, self):
+            if now_s >= self._lease_deadline_s:
+                names = ", ".join(devices)
                 raise SkillFailed("device.busy", f"{names} not free after {LEASE_TIMEOUT_S:g} s")
-            shared.wait(self, *shared.leases.wakes(self.skill.devices, self._lease_deadline_s))
+            shared.wait(self, *shared.leases.wakes(devices, self._lease_deadline_s))
             return False
         inputs = self._arguments()
         skill = _made(self.name, self.skill, inputs)
         shared.listener.started(self, inputs)
         self._is_recorded = True
+        shared.acting.add(self)
         self._steps = skill.run(shared.cell)
         if not isinstance(self._steps, Generator):
             raise TypeError("its run is no generator; it must `yield` somewhere")
+        if past.is_to_rejoin or self._recorded is not None:
+            self._steps = self._resume(skill, self._steps, shared.listener.in_words(inputs))
         return True
+
+    def _resume(self, skill: Skill[Any], steps: Steps[Any], inputs: str) -> Steps[Any]:
+        """The skill's steps, after what an interruption has left to settle."""
+        shared, recorded = self._shared, self._recorded
+        if shared.past.is_to_rejoin:
+            shared.past.is_to_rejoin = False
+            yield from rejoin(shared.cell, shared.past, skill, was_interrupted=recorded is not None)
+        if recorded is not None:
+            same = recorded.skill == self.name and recorded.inputs == inputs
+            answer = yield from settle(shared.cell, skill, self.name, None if same else recorded)
+            if answer == "done":
+                return None
+        shared.leases.give_back(self, keep=self.skill.devices)
+        return (yield from steps)
 
     def _is_due(self, wake: Wake) -> bool:
         return wake.has_fired or self._shared.cell.clock.now_s >= wake.until_s
@@ -162,6 +232,7 @@ class SkillLeaf(Behaviour):
     def _end(self, outcome: str, result: Any) -> None:
         self._steps = None
         self._shared.done(self)
+        self._shared.acting.discard(self)
         self._shared.leases.give_back(self)
         if self._is_recorded:
             self._is_recorded = False
@@ -205,16 +276,45 @@ class Guard(Behaviour):
 class While(SequenceNode):
     """Guards, then the child, all looked at anew on every tick; a guard that fails halts the child."""
 
-    def __init__(self, guards: Sequence[Guard], child: Behaviour, shared: Ticking) -> None:
+    def __init__(self, path: str, guards: Sequence[Guard], child: Behaviour, shared: Ticking) -> None:
         super().__init__("while", memory=False, children=[*guards, child])
+        self.failure: SkillFailed | None = None
+        self._path = path
+        self._visits = 0
+        self._child = child
         self._devices = sorted({device for guard in guards for device in guard.condition.watches})
         self._shared = shared
 
+    def initialise(self) -> None:
+        self.failure = None
+        self._visits += 1
+
     def tick(self) -> Iterator[Behaviour]:
+        if self._shared.past.is_replaying:
+            yield from self._replay()
+            return
+        had_begun = self.status is Status.RUNNING and self._child.status is Status.RUNNING
         for node in super().tick():
             if node is self and self.status is Status.RUNNING:  # before a parent takes this for the tick's end
                 self._shared.wait(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
+            if node is self and self.status is Status.FAILURE and self._child.status is not Status.FAILURE:
+                decision = Decision(failure_of(self), had_begun)
+                self._shared.listener.decided(self._path, self._visits, decision)
             yield node
+
+    def _replay(self) -> Iterator[Behaviour]:
+        """The guards held, then, until the one that is recorded to have failed."""
+        if self.status is not Status.RUNNING:
+            self.initialise()
+        decision = self._shared.past.decision(self._path, self._visits)
+        if decision is None or decision.had_begun:
+            yield from self._child.tick()
+        self.status = self._child.status
+        if decision is not None and (not decision.had_begun or is_stuck(self._child)):
+            self._child.stop(Status.INVALID)
+            self.failure = decision.failure
+            self.status = Status.FAILURE
+        yield self
 
     def terminate(self, new_status: Status) -> None:
         self._shared.done(self)
@@ -293,24 +393,44 @@ class Repeat(_Counted):
 
 
 class Timeout(_OnClock):
-    """Halt the child and fail if it has not ended within `duration` of run time."""
+    """Halt the child and fail if it has not ended within `duration` of run time, pauses not counted."""
 
-    def __init__(self, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
+    def __init__(self, path: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
         super().__init__("timeout", child, arguments, shared)
-        self._deadline_s = 0.0
+        self._path = path
+        self._visits = 0
+        self._duration_s = 0.0
+        self._began_s = 0.0
+
+    @property
+    def _deadline_s(self) -> float:
+        return self._began_s + self._shared.paused_s + self._duration_s
 
     def initialise(self) -> None:
         self.failure = None
+        self._visits += 1
         self._duration_s = self._arguments()["duration"]
-        self._deadline_s = self._shared.cell.clock.now_s + self._duration_s
-        self._shared.wait(self, Wake(self._deadline_s))
+        self._began_s = self._shared.cell.clock.now_s - self._shared.paused_s
 
     def update(self) -> Status:
-        if self.decorated.status is Status.RUNNING and self._shared.cell.clock.now_s >= self._deadline_s:
-            self.decorated.stop(Status.INVALID)
-            self.failure = SkillFailed("workflow.timeout", f"not done after {self._duration_s:g} s")
-            return Status.FAILURE
-        return self.decorated.status
+        if self.decorated.status is not Status.RUNNING:
+            return self.decorated.status
+        shared = self._shared
+        decision = shared.past.decision(self._path, self._visits)
+        if decision is not None and is_stuck(self.decorated):
+            return self._fail(decision.failure)
+        if shared.cell.clock.now_s >= self._deadline_s:
+            failure = SkillFailed("workflow.timeout", f"not done after {self._duration_s:g} s")
+            status = self._fail(failure)
+            shared.listener.decided(self._path, self._visits, Decision(failure))
+            return status
+        shared.wait(self, Wake(self._deadline_s))
+        return Status.RUNNING
+
+    def _fail(self, failure: SkillFailed) -> Status:
+        self.decorated.stop(Status.INVALID)
+        self.failure = failure
+        return Status.FAILURE
 
 
 class WorkflowCall(Decorator):
@@ -328,6 +448,13 @@ class WorkflowCall(Decorator):
         if self.decorated.status is Status.SUCCESS:
             self._keep_result()
         return self.decorated.status
+
+
+def is_stuck(node: Behaviour) -> bool:
+    """Whether a part of a tree that is being replayed waits to be halted as it was then."""
+    return any(
+        isinstance(leaf, SkillLeaf) and leaf.status is Status.RUNNING and leaf.is_stuck for leaf in node.iterate()
+    )
 
 
 def failure_of(node: Behaviour) -> SkillFailed:

@@ -1,0 +1,121 @@
+"""Commands about the inventory: what the cell is believed to hold between runs, and an operator's corrections."""
+
+import json
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, out, the_lab, unknown
+from scuhand_bt.quantity import MASS, parse
+
+if TYPE_CHECKING:
+    from scuhand_bt.lab import Lab
+    from scuhand_bt.run.inventory import Entry, Inventory, Kind, Stock
+
+group = typer.Typer(invoke_without_command=True)
+app.add_typer(group, name="inventory")
+
+PowderOption = Annotated[str | None, typer.Option(help="The powder there; default: what is known.", show_default=False)]
+LotOption = Annotated[str | None, typer.Option(help="Its lot; default: what is known.", show_default=False)]
+
+
+@group.callback()
+def inventory(
+    context: typer.Context,
+    simulated: Annotated[bool, typer.Option("--simulated", help="What the last simulated run left instead.")] = False,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show what the cell is believed to hold between runs, or correct it with `inventory set`."""
+    if context.invoked_subcommand is not None:
+        return
+    stock = _inventory(the_lab(lab)).stock(simulated=simulated)
+    if as_json:
+        out.print_json(json.dumps([asdict(entry) for entry in stock.values()]))
+        return
+    if not stock:
+        out.print("Nothing is known yet: a run, or `scuhand-bt inventory set`, tells the inventory.")
+        return
+    table = Table("what", "powder lot", "how much", "says", show_edge=False)
+    for entry in stock.values():
+        table.add_row(Text(entry.place), Text(entry.lot_key or "–"), entry.in_words, Text(entry.origin))
+    out.print(table)
+    if simulated:
+        out.print("SIMULATED: no run reads this.")
+
+
+@group.command("set")
+def set_entry(
+    what: Annotated[str, typer.Argument(help="A mortar station, cone, sheet, changer, or a kind of container.")],
+    value: Annotated[str, typer.Argument(help="A mass (12 g); of the sheet: fresh, touched; else how many are used.")],
+    powder: PowderOption = None,
+    lot: LotOption = None,
+    lab: LabOption = None,
+) -> None:
+    """Correct the inventory: what is at a station or in the cone, a fresh sheet, slots or containers used."""
+    loaded = the_lab(lab)
+    stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
+    if powder is not None and powder not in loaded.library.powders:
+        raise unknown("powder", powder, loaded.library.powders)
+    kind: Kind
+    if what in ("cone", "sheet", "changer"):
+        kind, name = what, ""  # type: ignore[assignment]
+    elif what in stations:
+        kind, name = "station", what
+    elif what in loaded.library.containers:
+        kind, name = "container", what
+    else:
+        raise unknown("thing", what, ["cone", "sheet", "changer", *stations, *loaded.library.containers])
+    kept = _inventory(loaded)
+    entry = _entry(kind, name, value, powder, lot, kept.stock(simulated=False))
+    kept.enter(entry)
+    out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
+
+
+def _entry(kind: "Kind", name: str, value: str, powder: str | None, lot: str | None, stock: "Stock") -> "Entry":
+    """The entry that an operator means; what is left out stays as it is known."""
+    from scuhand_bt.run.inventory import Entry
+
+    known = stock.get((kind, name))
+    if kind in ("changer", "container"):
+        if powder is not None or lot is not None:
+            raise typer.BadParameter("it holds no powder", param_hint="--powder/--lot")
+        if not value.isascii() or not value.isdigit() or len(value) > 9:
+            raise typer.BadParameter(f"'{value}' is no number of what is used; write 0 or more", param_hint="VALUE")
+        return Entry(kind, name, used=int(value))
+    if powder is None and known is not None:
+        powder, lot = known.powder, known.lot if lot is None else lot
+    powder, lot = powder or "", lot or ""
+    if kind == "sheet":
+        if value not in ("fresh", "touched"):
+            raise typer.BadParameter(f"'{value}' is nothing a sheet can be; fresh or touched", param_hint="VALUE")
+        used = known.used or 1 if known is not None else 1
+        if value == "fresh":
+            return Entry(kind, used=used + 1)
+        mass_mg = None
+    else:
+        used, mass_mg = None, _mass_mg(value)
+    is_empty_cone = kind == "cone" and mass_mg == 0.0
+    if not powder and not is_empty_cone:
+        raise typer.BadParameter("nothing is known of the powder yet; name it", param_hint="--powder")
+    return Entry(kind, name, *(("", "") if is_empty_cone else (powder, lot)), mass_mg=mass_mg, used=used)
+
+
+def _mass_mg(text: str) -> float:
+    try:
+        mass_mg = parse(text, MASS)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="VALUE") from None
+    if mass_mg < 0:
+        raise typer.BadParameter(f"'{text}' is less than nothing", param_hint="VALUE")
+    return mass_mg
+
+
+def _inventory(lab: "Lab") -> "Inventory":
+    from scuhand_bt.run.inventory import Inventory
+    from scuhand_bt.run.session import state_folder
+
+    return Inventory(state_folder(lab), lab.cell.cell)

@@ -1,0 +1,125 @@
+"""Commands about runs that go on, or were interrupted: resume, pause, stop."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from scuhand_bt.cli.batch import run_to_its_end, the_plan
+from scuhand_bt.cli.shared import EXIT_BAD_INPUT, LabOption, app, err, out
+from scuhand_bt.quantity import format_duration, format_mass
+
+if TYPE_CHECKING:
+    from scuhand_bt.run.control import Control, Wish
+    from scuhand_bt.run.history import History
+    from scuhand_bt.run.session import Session
+
+RunArgument = Annotated[
+    str, typer.Argument(metavar="RUN", help="A run's id, a unique beginning of it, or 'last'.", show_default=False)
+]
+NowFlag = Annotated[bool, typer.Option("--now", help="Halt what is at work: valve closed, vibration off, arm stopped.")]
+HEARD_S = 5.0
+"""A run that goes on takes up a wish within this time."""
+
+
+def runs_folder(lab: Path | None) -> Path:
+    """Where the runs of the lab (or of the one around this folder) are."""
+    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.run.session import state_folder
+
+    return state_folder(load_lab(find_lab(None, lab))) / "runs"
+
+
+@app.command()
+def resume(
+    run: RunArgument,
+    accept_changes: Annotated[
+        bool, typer.Option("--accept-changes", help="Go on though recipe, lab or program have changed; it is noted.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
+    lab: LabOption = None,
+) -> None:
+    """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
+    from scuhand_bt.run.control import is_held
+    from scuhand_bt.run.resume import checked_history, find_run, resumable
+    from scuhand_bt.run.session import Session, options_of
+
+    journal = find_run(runs_folder(lab), run)
+    if is_held(journal):
+        _tell(journal, "continue", "continues")
+        return
+    history = checked_history(journal)
+    options = options_of(history, journal.parent, journal)
+    plan, its_lab = the_plan(Path(history.run["recipe_path"]), Path(history.run["lab"]))
+    found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes)
+    for line in what_is_known(history, len(plan.recipe.samples)):
+        out.print(Text(line))
+    for change in found.changes:
+        out.print(Text(f"Accepted: {change}."))
+    if out.is_terminal and options.simulation is None and not yes:
+        typer.confirm("Is the cell as described, and may the run go on?", abort=True)
+
+    def make(control: "Control") -> "Session":
+        return Session(plan, its_lab, options, control=control, resumes=found)
+
+    run_to_its_end(make, json_file)
+
+
+@app.command()
+def pause(run: RunArgument, now: NowFlag = False, lab: LabOption = None) -> None:
+    """Pause a run before its next action, or now; `resume` continues it."""
+    from scuhand_bt.run.resume import find_run
+
+    journal = find_run(runs_folder(lab), run)
+    _tell(journal, "pause_now" if now else "pause", "is halted and paused" if now else "pauses before its next action")
+
+
+@app.command()
+def stop(run: RunArgument, now: NowFlag = False, lab: LabOption = None) -> None:
+    """Stop a run after its current sample, or now; `resume` goes on with it later."""
+    from scuhand_bt.run.resume import find_run
+
+    journal = find_run(runs_folder(lab), run)
+    _tell(journal, "stop_now" if now else "stop", "stops now" if now else "stops after its current sample")
+
+
+def what_is_known(history: "History", samples: int) -> list[str]:
+    """What is known of an interrupted run, and what is not, for whoever lets it go on."""
+    believed = history.state.get("believed", {})
+    run, done = history.run, len({sample for sample, _ in history.samples})
+    lines = [
+        f"{run['recipe']} ({run['mode']}): interrupted at {format_duration(history.time_s)} of run time; "
+        f"the last entry is of {history.at}.",
+        f"{done} of {samples} samples are finished.",
+    ]
+    if (unfinished := history.unfinished()) is not None:
+        job, name = unfinished
+        open_ones = [recorded.skill for recorded in job.actions.values() if recorded.outcome not in ("done", "failed")]
+        at_work = f" '{open_ones[-1]}' had begun and not ended: how far it came is not known yet." if open_ones else ""
+        lines.append(f"'{name}' was under way.{at_work}")
+    if believed:
+        source, pan = believed["cone_source"], believed["pan"]
+        cone = f"about {format_mass(believed['cone_mg'])} from '{source}'" if source else "no powder"
+        on_pan = f"'{pan['id']}' ({pan['name']})" if pan else "nothing that is known"
+        lines.append(f"Before that action the cone held {cone}, and on the pan stood {on_pan}.")
+    return lines
+
+
+def _tell(journal: Path, wish: "Wish", done: str) -> None:
+    """Leave a wish, and see that the run has heard it."""
+    from scuhand_bt.run.control import is_held, leave_wish
+
+    if not is_held(journal):
+        err.print(Text(f"{journal.stem} is not running."))
+        raise typer.Exit(EXIT_BAD_INPUT)
+    leave_wish(journal, wish)
+    deadline = time.monotonic() + HEARD_S
+    while journal.with_suffix(".wish").exists():
+        if time.monotonic() > deadline or not is_held(journal):
+            err.print(Text(f"{journal.stem} does not answer."))
+            raise typer.Exit(EXIT_BAD_INPUT)
+        time.sleep(0.02)
+    out.print(Text(f"{journal.stem} {done}."))

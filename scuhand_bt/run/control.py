@@ -1,0 +1,127 @@
+"""Pause, continue and stop: what a person wants of a run, from its terminal or from another process.
+
+The states and what each leaves the cell in are in docs/run-behaviour.md. Another process leaves its wish as a
+file beside the run's journal; the run's process looks for it ten times a second and takes it away.
+"""
+
+import fcntl
+import json
+import os
+import threading
+from pathlib import Path
+from typing import Literal, TextIO
+
+from scuhand_bt.clock import Signal
+
+Wish = Literal["pause", "pause_now", "continue", "stop", "stop_now"]
+LOOK_S = 0.1
+
+
+class Control:
+    """What is wanted of a run now. `news` fires whenever that changes; safe to call from any thread."""
+
+    def __init__(self) -> None:
+        self.news = Signal()
+        self.is_pausing = False
+        """No action may begin; `halts` says whether the one at work goes on to its end."""
+        self.is_stopping = False
+        """No sample may begin."""
+        self.halts = False
+        """What is at work is halted at once."""
+
+    def wish(self, wish: Wish) -> None:
+        """Pause at the next safe point or now, continue, stop after this sample or now."""
+        if wish == "continue":
+            self.is_pausing = self.halts = False
+        elif wish in ("pause", "pause_now"):
+            self.is_pausing = True
+        else:
+            self.is_stopping = True
+        if wish.endswith("_now"):
+            self.halts = True
+        self.news.fire()
+
+    def toggle_pause(self) -> None:
+        """Pause, or continue if it is paused already."""
+        self.wish("continue" if self.is_pausing else "pause")
+
+    @property
+    def stops_now(self) -> bool:
+        """The run is to end at once."""
+        return self.is_stopping and self.halts
+
+
+class Held(Exception):  # noqa: N818 - it says what is so
+    """Another process has this run."""
+
+
+class Presence:
+    """This process's hold on a run: one process at a time, and its ear for the wishes of others.
+
+    The hold is a lock on a file beside the journal, which the system frees however the process ends.
+    """
+
+    def __init__(self, journal: Path, control: Control) -> None:
+        self._lock = _locked(journal.with_suffix(".lock"))
+        self._wish = journal.with_suffix(".wish")
+        self._wish.unlink(missing_ok=True)
+        self._control = control
+        self._gone = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True, name="wishes")
+        self._thread.start()
+
+    def _listen(self) -> None:
+        while not self._gone.wait(LOOK_S):
+            if (wish := take_wish(self._wish)) is not None:
+                self._control.wish(wish)
+
+    def end(self) -> None:
+        """Let go of the run."""
+        self._gone.set()
+        self._thread.join()
+        Path(self._lock.name).unlink(missing_ok=True)
+        self._lock.close()
+
+
+def _locked(path: Path) -> TextIO:
+    """The lock's file, locked. Raises Held if it is another's."""
+    while True:
+        lock = path.open("a+")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            lock.close()
+            raise Held from None
+        if path.exists() and os.path.samestat(os.fstat(lock.fileno()), path.stat()):
+            return lock
+        lock.close()  # whoever had it has just ended, and taken the file away
+
+
+def is_held(journal: Path) -> bool:
+    """Whether a process runs this run now."""
+    try:
+        with journal.with_suffix(".lock").open("r+") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
+def leave_wish(journal: Path, wish: Wish) -> None:
+    """Leave a wish for the process that has this run."""
+    path = journal.with_suffix(".wish")
+    draft = path.with_name(f"{path.name}.{os.getpid()}")
+    draft.write_text(json.dumps(wish), encoding="utf-8")
+    draft.replace(path)
+
+
+def take_wish(path: Path) -> Wish | None:
+    """The wish that was left, if there is one; it is taken away."""
+    try:
+        wish: Wish = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    path.unlink(missing_ok=True)
+    return wish

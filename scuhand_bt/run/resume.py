@@ -1,0 +1,99 @@
+"""Finding an interrupted run, and whether it may be resumed: that nothing was altered, or changed unnoticed."""
+
+import hashlib
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import scuhand_bt
+from scuhand_bt.lab import Lab
+from scuhand_bt.plan import Plan
+from scuhand_bt.run.chain import verify
+from scuhand_bt.run.history import History, read_history
+from scuhand_bt.yaml_source import Mark, Problem, SourceError
+
+LAB_FOLDERS = ("robot", "skills", "trees")
+
+
+@dataclass(frozen=True)
+class Resumable:
+    """An interrupted run that may go on, and what has changed since (accepted by whoever resumes it)."""
+
+    path: Path
+    history: History
+    changes: tuple[str, ...]
+
+
+def world_path(journal: Path) -> Path:
+    """Where the simulated world of a dry run lives, beside its journal."""
+    return journal.with_suffix(".world")
+
+
+def find_run(folder: Path, name: str) -> Path:
+    """The journal of a run by its id, a unique beginning of it, or `last`. Raises SourceError if there is none."""
+    runs = sorted(folder.glob("*.sqlite"))
+    if name == "last" and runs:
+        return max(runs, key=lambda path: path.stat().st_mtime)
+    found = [path for path in runs if path.stem.startswith(name)] if name else []
+    exact = [path for path in found if path.stem == name]
+    if len(found) == 1 or exact:
+        return (exact or found)[0]
+    if found:
+        what = f"'{name}' may be any of {len(found)} runs: {', '.join(path.stem for path in found[:5])}"
+    else:
+        what = f"there is no run '{name}'; `scuhand-bt runs` lists them"
+    raise SourceError([Problem(Mark(str(folder)), what)])
+
+
+def checked_history(path: Path) -> History:
+    """The history of a run whose chain is whole and that has something left to do. Raises SourceError if not."""
+    try:
+        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
+            problem = verify(database).problem
+        history = read_history(path)
+    except (sqlite3.Error, KeyError, TypeError, ValueError) as error:
+        raise _refused(path, f"the journal cannot be read: {error}") from None
+    if problem is not None:
+        raise _refused(path, f"the journal is not as it was written: {problem}")
+    if history.is_complete:
+        raise _refused(path, "the run is complete: nothing is left to do")
+    return history
+
+
+def resumable(path: Path, history: History, plan: Plan, lab: Lab, *, accept_changes: bool) -> Resumable:
+    """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError."""
+    changes = tuple(_changes(history, plan, lab))
+    if changes and not accept_changes:
+        hint = "--accept-changes resumes with what is there now, and notes it"
+        raise SourceError([Problem(Mark(str(path)), f"since this run began, {change}; {hint}") for change in changes])
+    return Resumable(path, history, changes)
+
+
+def lab_files(lab: Lab) -> dict[str, str]:
+    """SHA-256 of everything in the lab that a run depends on, beside its recipe."""
+    files: dict[str, str] = {}
+    for folder in LAB_FOLDERS:
+        for path in sorted((lab.folder / folder).rglob("*")):
+            if path.is_file() and "__pycache__" not in path.parts:
+                name = path.relative_to(lab.folder).as_posix()
+                files[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return files
+
+
+def _changes(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
+    if history.run.get("recipe_hash") != plan.recipe.hash:
+        yield f"the recipe {plan.recipe.path} or one of its tables has changed"
+    before: Mapping[str, str] = history.run.get("lab_files", {})
+    now = lab_files(lab)
+    for name in sorted(before.keys() | now.keys()):
+        if before.get(name) != now.get(name):
+            what = "was added" if name not in before else "is gone" if name not in now else "has changed"
+            yield f"the lab's {name} {what}"
+    if history.run.get("version") != scuhand_bt.__version__:
+        yield f"scuhand_bt {history.run.get('version')} became {scuhand_bt.__version__}"
+
+
+def _refused(path: Path, what: str) -> SourceError:
+    return SourceError([Problem(Mark(str(path)), what)])

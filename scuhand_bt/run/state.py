@@ -1,0 +1,35 @@
+"""What the cell is believed to hold, as the journal keeps it, and a resumed run takes it up."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from scuhand_bt.devices.cell import Believed, Cell
+from scuhand_bt.specs import BalanceBelief, PowderBelief
+
+_BELIEVED = TypeAdapter(Believed)
+
+
+def state_of(cell: Cell) -> dict[str, Any]:
+    """All that a program which takes over this cell needs to be told, as plain JSON values."""
+    return {
+        "believed": _BELIEVED.dump_python(cell.believed, mode="json", by_alias=False),
+        "joints_rad": [round(angle, 9) for angle in cell.arm.positions.tolist()],
+        "powders": {
+            name: belief.model_dump(mode="json", by_alias=False) for name, belief in cell.powder_beliefs.items()
+        },
+        "balance": cell.balance_belief.model_dump(mode="json", by_alias=False),
+    }
+
+
+def take_up(cell: Cell, state: Mapping[str, Any]) -> None:
+    """Believe what another program believed of this cell. Raises pydantic.ValidationError for what it never was."""
+    if not state:
+        return
+    cell.believed = _BELIEVED.validate_python(state["believed"], by_name=True, by_alias=False)
+    for name, belief in state["powders"].items():
+        cell.powder_beliefs[name] = PowderBelief.model_validate(belief, by_name=True, by_alias=False)
+    cell.balance_belief = BalanceBelief.model_validate(state["balance"], by_name=True, by_alias=False)
+    cell.motion.set_cone_diameter(cell.hand.cone_diameter_mm / 1000)
+    cell.motion.set_container(cell.believed.pan.kind if cell.believed.pan is not None else None)
