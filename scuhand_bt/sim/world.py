@@ -34,19 +34,16 @@ from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import Plant, PowderFlow
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.sim.state import Packer
+from scuhand_bt.sim.surroundings import Surroundings
 from scuhand_bt.sim.world_file import WorldFile, broken
-from scuhand_bt.specs import CellSpec, Container, Source, Station
+from scuhand_bt.specs import CellSpec, Container, Source
 from scuhand_bt.yaml_source import SourceError
 
 STEP_S = 0.020
-GRAVITY_MM_PER_S2 = 9810.0
-PAN_RADIUS_MM = 60.0
-WASTE_RADIUS_MM = 50.0
 POUR_TIME_S = 0.15
 """Time constant of powder sliding out of a tipped cone."""
 STICKING_SHARE = 0.02
 """Share of a scoop that touches bare sheet and sticks, until the sheet holds its residue."""
-RIM_POINTS = 16
 EMPTY_SPREAD = 0.2
 """Standard deviation of single containers' empty mass, as a share of their kind's tolerance."""
 SERVO_WATCHDOG_S = 0.1
@@ -106,10 +103,9 @@ class World:
         """The time it has come to."""
         self.pan: str | None = None
         """The id of the container on the pan."""
-        self._spec, self._sources, self._plant, self._seed = spec, sources, plant, seed
+        self._sources, self._plant, self._seed = sources, plant, seed
         self._arm, self._hand, self._balance = arm, hand, balance
-        self._station_of = {name: spec.stations[source.station] for name, source in sources.items()}
-        self._pan_station = spec.station_of_kind("balance")
+        self._around = Surroundings(spec, sources)
         self._containers: dict[str, tuple[Container, float]] = {}
         self._empty_mg = 0.0
         self._flow: PowderFlow | None = None
@@ -267,7 +263,7 @@ class World:
         pose = self._arm.pose(end_s)
         cone = Cone(self._hand.cone_diameter_mm, self._hand.spec.sheet_radius_mm)
         held_deg = cone.wall_deg + self._sources[self._cone_source].powder.wall_friction_deg
-        if pose.axis[2] >= math.cos(math.radians(min(held_deg, 179.0))) or self._mortar_around(pose) is not None:
+        if pose.axis[2] >= math.cos(math.radians(min(held_deg, 179.0))) or self._around.mortar(pose) is not None:
             return
         gone_mg = in_cone_mg if in_cone_mg < 0.1 else in_cone_mg * min(1.0, dt_s / POUR_TIME_S)
         self._drop(end_s, gone_mg)
@@ -275,7 +271,8 @@ class World:
     def _drop(self, now_s: float, mass_mg: float) -> None:
         if self._place is None or self._arm.is_active:
             pose = self._arm.pose(now_s)
-            self._place = (pose, *self._below(pose))
+            mouth_mm = self._containers[self.pan][0].mouth_mm if self.pan is not None else 0.0
+            self._place = (pose, *self._around.below(pose, mouth_mm, self._cone_source))
         _, place, fall_s = self._place
         self.transfer("cone", "flight", mass_mg)
         self._flying.append((now_s + fall_s, mass_mg, place))
@@ -400,61 +397,6 @@ class World:
         while self.now_s < until_s:
             self.step(self.now_s, until_s)
 
-    # --- geometry ---
-
-    def _below(self, pose: Pose) -> tuple[str, float]:
-        """What lies under the apex ("balance": the container on the pan), and the fall time to it [s]."""
-        x_mm, y_mm, z_mm = (1000.0 * float(value) for value in pose.position_m)
-
-        def aside_mm(station: Station) -> float:
-            return math.hypot(x_mm - station.position_mm[0], y_mm - station.position_mm[1])
-
-        def fall_s(floor_mm: float) -> float:
-            return math.sqrt(2.0 * max(1.0, z_mm - floor_mm) / GRAVITY_MM_PER_S2)
-
-        off_centre_mm = aside_mm(self._pan_station)
-        if off_centre_mm <= PAN_RADIUS_MM:
-            inside = self.pan is not None and off_centre_mm <= self._containers[self.pan][0].mouth_mm / 2.0
-            return "balance" if inside else "pan", fall_s(self._pan_station.position_mm[2])
-        for name, station in self._station_of.items():
-            mortar = self._sources[name].mortar
-            if aside_mm(station) <= mortar.bore_mm / 2.0:
-                place = f"source:{name}" if name == self._cone_source else "returned"
-                return place, fall_s(station.position_mm[2] + mortar.height_mm - mortar.depth_mm)
-        for station in self._spec.stations.values():
-            if station.kind == "waste" and aside_mm(station) <= WASTE_RADIUS_MM:
-                return "waste", fall_s(station.position_mm[2])
-        return "spilled", fall_s(0.0)
-
-    def _mortar_around(self, pose: Pose) -> str | None:
-        """The source whose mortar the apex is in: over its bore and below its rim."""
-        x_mm, y_mm, z_mm = (1000.0 * float(value) for value in pose.position_m)
-        for name, station in self._station_of.items():
-            mortar = self._sources[name].mortar
-            aside_mm = math.hypot(x_mm - station.position_mm[0], y_mm - station.position_mm[1])
-            if aside_mm <= mortar.bore_mm / 2.0 and z_mm < station.position_mm[2] + mortar.height_mm:
-                return name
-        return None
-
-    def _overtravel_mm(self, pose: Pose, source: str) -> float:
-        """How far the undeformed sheet, its rim or its apex, would reach beyond the mortar's bowl."""
-        mortar, station = self._sources[source].mortar, self._station_of[source]
-        radius_mm = mortar.bowl_radius_mm
-        rim_mm = station.position_mm[2] + mortar.height_mm
-        centre = np.array([*station.position_mm[:2], rim_mm - mortar.depth_mm + radius_mm])
-        cone = Cone(self._hand.cone_diameter_mm, self._hand.spec.sheet_radius_mm)
-        up = np.asarray(pose.axis)
-        apex_mm = 1000.0 * np.asarray(pose.position_m)
-        across = np.cross(up, (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0))
-        across /= np.linalg.norm(across)
-        angles = np.linspace(0.0, 2.0 * math.pi, RIM_POINTS, endpoint=False)[:, None]
-        ring = np.cos(angles) * across + np.sin(angles) * np.cross(up, across)
-        points = np.vstack([apex_mm + cone.depth_mm * up + cone.diameter_mm / 2.0 * ring, apex_mm])
-        points = points[points[:, 2] <= rim_mm + 1.0]
-        if not len(points):
-            return 0.0
-        return float(np.linalg.norm(points - centre, axis=1).max() - radius_mm)
-
     # --- scooping ---
 
     def _scoop(self, now_s: float) -> None:
@@ -462,8 +404,9 @@ class World:
         diameter_mm = self._hand.cone_diameter_mm
         if self._hand.is_closing:
             pose = self._arm.pose(now_s)
-            source = self._mortar_around(pose)
-            overtravel_mm = self._overtravel_mm(pose, source) if source is not None else 0.0
+            source = self._around.mortar(pose)
+            cone = Cone(diameter_mm, self._hand.spec.sheet_radius_mm)
+            overtravel_mm = self._around.overtravel_mm(pose, cone, source) if source is not None else 0.0
             if source is not None and overtravel_mm > 0.0:
                 if self._stroke is None:
                     self._stroke = Stroke(source, diameter_mm, diameter_mm, overtravel_mm)
