@@ -101,6 +101,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "The cone holds powder, but none comes out, even with vibration.",
         "Look for a bridge or a lump at the apex; dry or sieve the powder.",
     ),
+    "hand.valve_stuck": Failure(
+        "The valve does not move; powder may be running out of it.",
+        "Hold a vessel under the cone, empty it by hand, and look for powder or a fold of the sheet in the valve.",
+    ),
     "scoop.nothing": Failure(
         "The scoop brought (almost) nothing.",
         "Check that the mortar holds powder and stands at its station.",

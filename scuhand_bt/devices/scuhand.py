@@ -183,6 +183,6 @@ def _level(vibration: float) -> float:
     return vibration
 
 
-FAULT_CODES = {"d": "device.lost", "s": "servo.overload", "t": "servo.overload"}
+FAULT_CODES = {"d": "device.lost", "s": "servo.overload", "t": "hand.valve_stuck"}
 """The failure that each of the controller's faults is."""
 assert FAULT_CODES.keys() | {"e"} == FAULTS.keys()

@@ -9,8 +9,16 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.kinematics import Floats, apex
+from scuhand_bt.sim.faults import Faults
 
 START_TOLERANCE_RAD = 0.01
+SHUT_DOWN = {
+    "servo.overheat": ("servo.overload", "servo 4 (joint 3) has shut down: it is too hot"),
+    "servo.overload": ("servo.overload", "servo 4 (joint 3) has shut down on overload"),
+    "arm.lost": ("device.lost", "the servo bus does not answer; check its cable and supply"),
+}
+"""The faults that stop the arm, and how they show."""
+BLOCKED = "servo.not_following"
 
 
 class Pose(Protocol):
@@ -30,6 +38,9 @@ class SimulatedArm:
         self, clock: Clock, apex_offset_m: float, joints: Joints, apex_of: Callable[[Joints], Pose] | None = None
     ) -> None:
         self.news = Signal()
+        self.faults = Faults()
+        """What is wrong with it, in a simulation of faults."""
+        self._is_blocked = self._was_faulty = False
         self._clock = clock
         self._apex_of = apex_of or (lambda q: apex(q, apex_offset_m))
         self._rest: Joints = np.array(joints, dtype=float)
@@ -45,22 +56,37 @@ class SimulatedArm:
     def is_stopped(self) -> bool:
         return self._trajectory is None
 
+    @property
+    def fault(self) -> SkillFailed | None:
+        """What is wrong with it now."""
+        active = self.faults.active
+        if not active:
+            return None
+        if self._is_blocked and BLOCKED in active:
+            return SkillFailed("arm.not_following", "joint 3 is 8.0° from where it should be")
+        return next((SkillFailed(*SHUT_DOWN[name]) for name in active if name in SHUT_DOWN), None)
+
     def stop(self) -> None:
         self._hold(self._at(self._clock.now_s))
 
     def start(self, trajectory: Trajectory) -> None:
         """Begin; SkillFailed arm.not_following if it does not start where the arm is."""
+        if (fault := self.fault) is not None:
+            raise fault
         now_s = self._clock.now_s
         apart_rad = float(np.abs(trajectory.sample(0.0) - self._at(now_s)).max())
         if apart_rad > START_TOLERANCE_RAD:
             raise SkillFailed("arm.not_following", f"the motion starts {apart_rad:.3f} rad from where the arm is")
         self._trajectory = trajectory
         self._begin_s, self._end_s = now_s, now_s + trajectory.duration_s
+        self.faults.chance("motion", now_s)
 
     def follow(self, trajectory: Trajectory) -> Steps[None]:
         self.start(trajectory)
         while self._trajectory is trajectory:
             yield Wake.on(self.news, self._end_s)
+        if (fault := self.fault) is not None:
+            raise fault
 
     @property
     def is_active(self) -> bool:
@@ -68,8 +94,20 @@ class SimulatedArm:
 
     def advance(self, end_s: float) -> None:
         """Go on to this time; the end of the motion is told."""
+        if self.faults.active or self._was_faulty:
+            self._suffer(end_s)
         if self._trajectory is not None and end_s >= self._end_s - 1e-9:
             self._hold(self._trajectory.sample(self._trajectory.duration_s))
+            self.news.fire()
+
+    def _suffer(self, now_s: float) -> None:
+        """Stand still where a fault has stopped it, and tell of its coming and going."""
+        active = self.faults.active
+        self._is_blocked = BLOCKED in active and (self._is_blocked or self._trajectory is not None)
+        if (fault := self.fault) is not None and self._trajectory is not None:
+            self._hold(self._at(now_s))
+        if (fault is not None) != self._was_faulty:
+            self._was_faulty = fault is not None
             self.news.fire()
 
     def held_at(self, time_s: float) -> list[float]:

@@ -14,6 +14,7 @@ import numpy as np
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.specs import BalanceSpec
 
@@ -21,6 +22,10 @@ BAND_DIGITS = 1.5
 WINDOW_S = 1.0
 MEAN_OF = 5
 """How many stable readings in a row a stable mean is made of."""
+LOST_AFTER_S = 3.0
+"""Without a reading for this long, the balance is taken for lost."""
+DRIFT_MG_PER_S = 0.5
+"""Of a balance whose zero wanders: more than `BAND_DIGITS` lets pass."""
 
 
 class SimulatedBalance:
@@ -34,6 +39,7 @@ class SimulatedBalance:
         "_values",
         "_readings",
         "_overloaded",
+        "_heard_s",
     )
     """What the world's file keeps of it."""
 
@@ -42,6 +48,10 @@ class SimulatedBalance:
         self.news = Signal()
         self.latest: Reading | None = None
         self.is_stopped = True
+        self.faults = Faults()
+        """What is wrong with it, in a simulation of faults."""
+        self._heard_s = 0.0  # when it last gave out something
+        self._was_lost = False
         self.next_reading_s = spec.period_s
         self._clock = clock
         self._plant = plant
@@ -55,6 +65,13 @@ class SimulatedBalance:
     def stop(self) -> None:
         """A balance only reads: nothing to stop."""
 
+    @property
+    def fault(self) -> SkillFailed | None:
+        """What is wrong with it now."""
+        if self._was_lost:
+            return SkillFailed("device.lost", f"the balance has sent no reading for {LOST_AFTER_S:g} s")
+        return None
+
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
         deadline_s = self._clock.now_s + timeout_s
         seen = self.news.count
@@ -62,6 +79,8 @@ class SimulatedBalance:
             if self._clock.now_s >= deadline_s:
                 raise SkillFailed("device.lost", f"the balance sent nothing for {timeout_s:g} s")
             yield Wake(deadline_s, self.news, seen)
+        if (fault := self.fault) is not None:
+            raise fault
         return self._sound_reading()
 
     def settled(self, timeout_s: float = 30.0) -> Steps[StableMean]:
@@ -97,9 +116,14 @@ class SimulatedBalance:
             return
         self._readings += 1
         self.next_reading_s = self._readings * self.spec.period_s
+        if self.faults.active or self._was_lost:
+            if self._is_silent(end_s):
+                return
+            value_mg += self._error_mg(end_s)
+        self._heard_s = end_s
         digit_mg = self.spec.readability_mg
         value_mg = round(value_mg / digit_mg) * digit_mg
-        self._overloaded = value_mg > self.spec.maximum_mg
+        self._overloaded = value_mg > self.spec.maximum_mg or "balance.overload" in self.faults.active
         values = self._values
         values.append(value_mg)
         stable = False
@@ -108,5 +132,20 @@ class SimulatedBalance:
             for index in range(self._half, 2 * self._half):
                 newer += values[index] - values[index - self._half]
             stable = abs(newer) <= BAND_DIGITS * digit_mg * self._half
-        self.latest = Reading(value_mg, stable, end_s)
+        self.latest = Reading(value_mg, stable and "balance.unstable" not in self.faults.active, end_s)
         self.news.fire()
+
+    def _is_silent(self, now_s: float) -> bool:
+        """Whether it says nothing that is a reading; after a while that is news."""
+        is_silent = "balance.silent" in self.faults.active or "balance.garbage" in self.faults.active
+        if self._was_lost != (is_silent and now_s - self._heard_s >= LOST_AFTER_S):
+            self._was_lost = not self._was_lost
+            self.latest = None if self._was_lost else self.latest
+            self.news.fire()
+        return is_silent
+
+    def _error_mg(self, now_s: float) -> float:
+        """What a wandering zero and a draught add to what it reads."""
+        active = self.faults.active
+        error_mg = DRIFT_MG_PER_S * (now_s - active["balance.drifting"]) if "balance.drifting" in active else 0.0
+        return error_mg + (self.faults.push_mg() if "balance.draught" in active else 0.0)

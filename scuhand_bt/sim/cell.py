@@ -12,6 +12,7 @@ from scuhand_bt.record import Record
 from scuhand_bt.sim.arm import Pose, SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.changer import SimulatedChanger
+from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import load_plant
 from scuhand_bt.sim.world import World
@@ -35,13 +36,14 @@ def simulated_cell(
     plant: str | None = None,
     joints: Joints = ZERO,
     changer: Changer | None = None,
+    faults: Faults | None = None,
     apex_of: Callable[[Joints], Pose] | None = None,
 ) -> tuple[Cell, World]:
     """A cell whose devices act on a `World`; the caller makes the world the clock's process.
 
     `plant` is "module:Class", None for the cell's own (`spec.plant`) or ours; `joints` is where the arm
     stands; `changer` replaces the simulated carousel (the operator's hands), `apex_of` the arm's forward
-    kinematics. PlantError, before anything moves, for a plant that cannot be used.
+    kinematics; `faults` are what is to go wrong. PlantError, before anything moves, for a plant that cannot be used.
     """
     physics = load_plant(plant or spec.plant)
     for source in sources.values():
@@ -49,7 +51,7 @@ def simulated_cell(
     arm = SimulatedArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, apex_of)
     hand = SimulatedHand(spec.hand, clock)
     balance = SimulatedBalance(spec.balance, clock, physics)
-    world = World(spec, sources, physics, seed, arm, hand, balance)
+    world = World(spec, sources, physics, seed, arm, hand, balance, faults)
     cell = Cell(
         spec=spec,
         clock=clock,

@@ -14,11 +14,21 @@ import numpy as np
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import HandSpec
 
 FADE_MM = 0.2
 """Below this servo position the opening's error fades to nothing."""
 INITIAL_DIAMETER_MM = 90.0
+SHUT_MM = 0.01
+"""A valve that is this near to shut is shut."""
+SLOW = 0.4
+"""Share of its speed that a slow valve has left."""
+STUCK_S = 2.5
+"""A valve that was told to move for this long, in all, and has not, is stuck."""
+DEAD_MAN_S = 0.3
+"""After this silence of the host the hand's controller closes the valve."""
 
 
 class SimulatedHand:
@@ -36,6 +46,8 @@ class SimulatedHand:
         "_morph",
         "_moved",
         "_rng",
+        "_blocked_s",
+        "_seized_s",
     )
     """What the world's file keeps of it."""
 
@@ -44,6 +56,11 @@ class SimulatedHand:
         self.news = Signal()
         self.vibration = 0.0
         self.cone_diameter_mm = INITIAL_DIAMETER_MM
+        self.faults = Faults()
+        """What is wrong with it, in a simulation of faults."""
+        self._blocked_s = 0.0
+        self._seized_s = -math.inf  # when its controller last closed the valve by itself
+        self._was_faulty = False
         self._clock = clock
         self._servo_mm = self._target_mm = self._real_mm = 0.0
         self._error_mm = self._sample_error_mm = 0.0
@@ -56,17 +73,34 @@ class SimulatedHand:
 
     @property
     def opening_mm(self) -> float:
-        return self._servo_mm
+        return 0.0 if self._is_lost else self._servo_mm
 
     @property
     def is_stopped(self) -> bool:
-        return not self.is_active
+        return not (self.is_active or self._is_lost)
+
+    @property
+    def fault(self) -> SkillFailed | None:
+        """What is wrong with it now."""
+        active = self.faults.active
+        if not active:
+            return None
+        if "hand.emergency_stop" in active:
+            return SkillFailed("device.emergency_stop", "the hand controller: the emergency stop is pressed")
+        if "hand.lost" in active:
+            return SkillFailed("device.lost", "the hand controller does not answer; check its cable and supply")
+        if self._blocked_s >= STUCK_S:
+            stands = f"it stands at {self._servo_mm:.2f} mm and was told to go to {self._target_mm:.2f} mm"
+            return SkillFailed("hand.valve_stuck", f"the valve does not move: {stands}")
+        return None
 
     def stop(self) -> None:
         self.hold_sheet()
-        self.shut(self._clock.now_s)
+        if not self._is_lost:
+            self.shut(self._clock.now_s)
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
+        self._require_roller()
         Cone(cone_diameter_mm, self.spec.sheet_radius_mm)  # refuses what the sheet cannot make
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         begin_s = self._clock.now_s
@@ -77,10 +111,12 @@ class SimulatedHand:
         self.start_morph(cone_diameter_mm, duration_s)
         while self._morph is not None:
             yield Wake.on(self.news, self._morph[1])
+        self._require_roller()
 
     def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
         if not (math.isfinite(dwell_s) and dwell_s >= 0.0):
             raise ValueError(f"a dwell is a time of 0 s or more, not {dwell_s!r}")
+        self._require_sound()
         opening_mm = self._possible(opening_mm)
         ramp_s = opening_mm / self.spec.valve_speed_mm_per_s
         begin_s = self._clock.now_s
@@ -88,19 +124,26 @@ class SimulatedHand:
         self._command(opening_mm, begin_s)
         self._command(0.0, begin_s + ramp_s + dwell_s)
         shut_s = begin_s + 2.0 * ramp_s + dwell_s + self.spec.valve_dead_time_s
-        while self._clock.now_s < shut_s:
-            yield Wake(shut_s)
+        while self._clock.now_s < shut_s or self._servo_mm > SHUT_MM:
+            yield Wake.on(self.news, max(shut_s, self._clock.now_s + self.spec.valve_dead_time_s))
+            self._require_sound()
         self.set_vibration(0.0)
 
     def set_opening(self, opening_mm: float) -> None:
         if not self.spec.streaming:
             raise RuntimeError("this hand takes the step command only: use pulse()")
-        self._command(self._possible(opening_mm), self._clock.now_s)
+        if opening_mm > 0.0:
+            self._require_sound()
+        if not self._is_lost:
+            self._command(self._possible(opening_mm), self._clock.now_s)
 
     def set_vibration(self, level: float) -> None:
         if not 0.0 <= level <= 1.0:
             raise ValueError(f"vibration is 0 to 1, not {level!r}")
-        self.vibration = level
+        if level > 0.0:
+            self._require_sound()
+        if not self._is_lost:
+            self.vibration = level
 
     # --- what the world does with it ---
 
@@ -131,6 +174,8 @@ class SimulatedHand:
 
     def advance(self, end_s: float, dt_s: float) -> float:
         """Move for `dt_s`; the mean real opening [mm] over it."""
+        if self.faults.active or self._was_faulty:
+            self._suffer(end_s - dt_s)
         if self._morph is not None:
             self._advance_morph(end_s)
         if not self._commands and self._servo_mm == self._target_mm:
@@ -149,8 +194,8 @@ class SimulatedHand:
                     self._turn_to(target_mm)
                     continue
                 until_s = min(end_s, begin_s)
-            step_mm = self.spec.valve_speed_mm_per_s * (until_s - at_s)
             way_mm = self._target_mm - self._servo_mm
+            step_mm = self._way_in(until_s - at_s, way_mm)
             if abs(way_mm) <= step_mm:
                 self._servo_mm = self._target_mm
             else:
@@ -160,8 +205,48 @@ class SimulatedHand:
             at_s = until_s
         return opened_mm_s / dt_s
 
+    def _way_in(self, dt_s: float, way_mm: float) -> float:
+        """How far the valve can go in this time, on its way."""
+        step_mm = self.spec.valve_speed_mm_per_s * dt_s
+        active = self.faults.active
+        if not active or way_mm == 0.0:
+            return step_mm
+        if ("valve.stuck_open" if way_mm < 0.0 else "valve.stuck_closed") in active:
+            self._blocked_s += dt_s
+            return 0.0
+        return step_mm * (SLOW if "valve.slow" in active else 1.0)
+
+    def _suffer(self, now_s: float) -> None:
+        """What the controller does by itself in a fault; and tell of faults that come and go."""
+        active = self.faults.active
+        since_s = active.get("hand.emergency_stop", active.get("hand.lost", -math.inf) + DEAD_MAN_S)
+        if self._seized_s < since_s <= now_s:
+            self._seized_s = now_s
+            self.shut(now_s)
+        if "arm.lost" in active:
+            self.hold_sheet()
+        if not ("valve.stuck_open" in active or "valve.stuck_closed" in active):
+            self._blocked_s = 0.0
+        is_faulty = self.fault is not None
+        if is_faulty != self._was_faulty:
+            self._was_faulty = is_faulty
+            self.news.fire()
+
+    @property
+    def _is_lost(self) -> bool:
+        return "hand.lost" in self.faults.active
+
+    def _require_sound(self) -> None:
+        if (fault := self.fault) is not None:
+            raise fault
+
+    def _require_roller(self) -> None:
+        if "arm.lost" in self.faults.active:
+            raise SkillFailed("device.lost", "the servo bus, which the roller is on, does not answer")
+
     def _turn_to(self, target_mm: float) -> None:
         if self._servo_mm == 0.0 and self._target_mm == 0.0 and target_mm > 0.0:
+            self.faults.opening(self._clock.now_s)
             figures = self.spec.simulation
             self._error_mm = self._sample_error_mm + figures.opening_mm * self._rng.standard_normal()
             if self._rng.random() < figures.stick_probability:

@@ -30,7 +30,8 @@ import numpy as np
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import Pose, SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
-from scuhand_bt.sim.hand import SimulatedHand
+from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
 from scuhand_bt.sim.plant import Plant, PowderFlow
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.sim.state import Packer
@@ -48,8 +49,12 @@ EMPTY_SPREAD = 0.2
 """Standard deviation of single containers' empty mass, as a share of their kind's tolerance."""
 SERVO_WATCHDOG_S = 0.1
 """After this silence the arm's servos and the roller stand still."""
-DEAD_MAN_S = 0.3
-"""After this silence the hand's controller closes the valve."""
+CLOG_SHAKE_S = 3.0
+"""A clog at the apex is broken by so much vibration at full level."""
+LEAK_MG_PER_S = 2.0
+"""What a leaking cone loses while its valve is shut."""
+WRONG_MASS = 0.2
+"""How much heavier a wrong container is, as a share; at least three tolerances."""
 OUTAGE_S = 2.0
 """Time that passes in the world at least, from the last word of a killed program to the first of the next one."""
 LONGEST_OUTAGE_S = 10.0
@@ -80,6 +85,7 @@ class World:
         "_stroke",
         "_flow_rng",
         "_scoop_rng",
+        "_shaken_s",
     )
     """What its file keeps of it, beside the masses, and the containers in the file's log."""
 
@@ -92,7 +98,10 @@ class World:
         arm: SimulatedArm,
         hand: SimulatedHand,
         balance: SimulatedBalance,
+        faults: Faults | None = None,
     ) -> None:
+        self.faults = arm.faults = hand.faults = balance.faults = faults or Faults()
+        self._shaken_s = 0.0
         self.masses_mg: dict[str, float] = dict.fromkeys(
             ("cone", "sheet", "flight", "pan", "returned", "waste", "spilled"), 0.0
         )
@@ -115,7 +124,7 @@ class World:
         self._was_open = False
         self._stroke: Stroke | None = None
         self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
-        self._packer = Packer((self, hand, balance))
+        self._packer = Packer((self, hand, balance, *([self.faults] if self.faults.rules else [])))
         self._file: WorldFile | None = None
         self._tell: Callable[[str], None] = lambda why: None
         self.begin_sample("", 0)
@@ -140,6 +149,7 @@ class World:
             return substream(self._seed, sample, attempt, device)
 
         self._flow_rng, self._scoop_rng = stream("flow"), stream("scoop")
+        self.faults.begin_sample(sample, attempt, self.now_s)
         self._hand.use_randomness(stream("hand"))
         self._balance.use_randomness(stream("balance"))
 
@@ -174,9 +184,12 @@ class World:
     def _know(self, container: Container) -> None:
         if container.id not in self._containers:
             rng = substream(self._seed, "container", container.id)
+            wrong_mg = 0.0
+            if self.faults.befalls("container.wrong", self.now_s):
+                wrong_mg = max(WRONG_MASS * container.empty_mass_mg, 3.0 * container.empty_mass_tolerance_mg)
             spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
             empty_mg = container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0))
-            self._containers[container.id] = (container, max(1.0, empty_mg))
+            self._containers[container.id] = (container, max(1.0, empty_mg) + wrong_mg)
             self.masses_mg[f"container:{container.id}"] = 0.0
             self._log(container.id)
 
@@ -215,8 +228,10 @@ class World:
 
     def step(self, now_s: float, limit_s: float) -> float:
         """Go on by one step, not past `limit_s`; the new time."""
-        hand, arm, balance = self._hand, self._arm, self._balance
-        active = hand.is_active or arm.is_active or bool(self._flying) or self._was_open
+        hand, arm, balance, faults = self._hand, self._arm, self._balance, self.faults
+        faults.advance(now_s)
+        leaks = "cone.leak" in faults.active
+        active = hand.is_active or arm.is_active or bool(self._flying) or self._was_open or leaks
         end_s = balance.next_reading_s
         if active and end_s > now_s + STEP_S + 1e-6:
             end_s = now_s + STEP_S
@@ -228,6 +243,8 @@ class World:
         arm.advance(end_s)
         if opening_mm > 0.0 or self._was_open:
             self._leave(end_s, dt_s, opening_mm)
+        elif leaks and self.masses_mg["cone"] > 0.0:
+            self._drop(end_s, min(LEAK_MG_PER_S * dt_s, self.masses_mg["cone"]))
         if arm.is_active:
             self._place = None
             self._pour(end_s, dt_s)
@@ -237,7 +254,7 @@ class World:
         on_pan_mg = self._empty_mg + self.masses_mg["pan"] - landing_mg
         if self.pan is not None:
             on_pan_mg += self.masses_mg[f"container:{self.pan}"]
-        balance.advance(end_s, dt_s, on_pan_mg, landing_mg, hand.vibration)
+        balance.advance(end_s, dt_s, on_pan_mg, landing_mg, self._vibration)
         self.now_s = end_s
         if self._swing is not None and end_s >= self._swing[0]:
             self._end_swing()
@@ -247,13 +264,26 @@ class World:
         """Powder leaves the apex."""
         in_cone_mg = self.masses_mg["cone"]
         self._was_open = opening_mm > 0.0
-        if in_cone_mg <= 0.0 or self._flow is None:
+        if in_cone_mg <= 0.0 or self._flow is None or self._is_clogged(end_s, dt_s):
             return
         leaving_mg = self._plant.leaving(
-            self._flow.step(dt_s, opening_mm, self._hand.vibration, in_cone_mg, self._flow_rng), in_cone_mg
+            self._flow.step(dt_s, opening_mm, self._vibration, in_cone_mg, self._flow_rng), in_cone_mg
         )
         if leaving_mg > 0.0:
             self._drop(end_s, leaving_mg)
+
+    @property
+    def _vibration(self) -> float:
+        return 0.0 if "vibration.dead" in self.faults.active else self._hand.vibration
+
+    def _is_clogged(self, now_s: float, dt_s: float) -> bool:
+        if "powder.clog" not in self.faults.active:
+            return False
+        self._shaken_s += self._vibration * dt_s
+        if self._shaken_s >= CLOG_SHAKE_S:
+            self._shaken_s = 0.0
+            self.faults.end("powder.clog", now_s)
+        return True
 
     def _pour(self, end_s: float, dt_s: float) -> None:
         """Powder slides over the rim of a cone that is tipped too far, unless the cone lies in a mortar."""
@@ -415,6 +445,8 @@ class World:
             return
         stroke, self._stroke = self._stroke, None
         assert stroke is not None
+        if self.faults.befalls("scoop.nothing", now_s):
+            return
         stroke.closed_diameter_mm = diameter_mm
         mortar, powder = self._sources[stroke.source].mortar, self._sources[stroke.source].powder
         place = f"source:{stroke.source}"

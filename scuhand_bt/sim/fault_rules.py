@@ -1,0 +1,212 @@
+"""Fault files: what is to go wrong in a simulated cell, and when, as rules that a person can read.
+
+faults:
+  - {fault: balance.silent, at_pulse: 3, for: 5 s}   # when the valve opens for the 3rd time
+  - {fault: valve.stuck_open, at: 2 min}             # at a time of the run
+  - {fault: scoop.nothing, probability: 0.2}         # at each opportunity
+  - {fault: container.wrong, sample: xrd-02}         # at the first opportunity within that sample
+"""
+
+import hashlib
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from scuhand_bt.quantity import Seconds
+from scuhand_bt.specs import Spec
+from scuhand_bt.yaml_source import (
+    Entries,
+    Items,
+    Mark,
+    Node,
+    Problem,
+    Problems,
+    Scalar,
+    SourceError,
+    describe,
+    parse,
+    read_text,
+    shorten,
+    validate,
+)
+
+Opportunity = Literal["opening", "motion", "scoop", "container", "question"]
+OPPORTUNITIES: Mapping[Opportunity, str] = {
+    "opening": "whenever the valve begins to open",
+    "motion": "whenever the arm begins to move",
+    "scoop": "at each scoop",
+    "container": "at each new container",
+    "question": "at each question to the operator",
+}
+TO_THE_END = math.inf
+A_MOMENT = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A fault there is: what it does, when it may begin, how long it lasts, and what it befalls.
+
+    Two faults of one place exclude one another; all others may come together.
+    """
+
+    summary: str
+    opportunity: Opportunity
+    lasts_s: float
+    place: str
+
+    @property
+    def is_momentary(self) -> bool:
+        return self.lasts_s == A_MOMENT
+
+
+KINDS: Mapping[str, Kind] = {
+    "balance.silent": Kind("The balance sends nothing.", "opening", TO_THE_END, "balance"),
+    "balance.garbage": Kind("The balance sends bytes that are no reading.", "opening", 1.0, "balance"),
+    "balance.unstable": Kind("The balance calls no reading stable.", "opening", TO_THE_END, "balance"),
+    "balance.overload": Kind("The balance says it is loaded beyond its maximum.", "opening", TO_THE_END, "balance"),
+    "balance.drifting": Kind("The balance's zero wanders by 0.5 mg/s.", "opening", TO_THE_END, "zero"),
+    "balance.draught": Kind("A draught makes the balance's readings jump by milligrams.", "opening", 10.0, "air"),
+    "valve.stuck_open": Kind("The valve opens and cannot close.", "opening", TO_THE_END, "valve"),
+    "valve.stuck_closed": Kind("The valve closes and cannot open.", "opening", TO_THE_END, "valve"),
+    "valve.slow": Kind("The valve moves at two fifths of its speed.", "opening", TO_THE_END, "valve"),
+    "vibration.dead": Kind("The motor does not vibrate, whatever it is told.", "opening", TO_THE_END, "vibration"),
+    "powder.clog": Kind(
+        "Nothing flows until 3 s of full vibration have broken the clog.", "opening", TO_THE_END, "apex"
+    ),
+    "cone.leak": Kind("The shut valve lets 2 mg/s through.", "opening", TO_THE_END, "leak"),
+    "servo.overheat": Kind("A servo of the arm shuts down because it is too hot.", "motion", TO_THE_END, "arm"),
+    "servo.overload": Kind("A servo of the arm shuts down on overload.", "motion", TO_THE_END, "arm"),
+    "servo.not_following": Kind("A joint is blocked: the arm does not follow.", "motion", TO_THE_END, "arm"),
+    "arm.lost": Kind("The servo bus (the arm and the hand's roller) is unplugged.", "motion", TO_THE_END, "arm"),
+    "hand.emergency_stop": Kind("The emergency stop is pressed.", "opening", 5.0, "hand"),
+    "hand.lost": Kind("The hand's controller is unplugged.", "opening", TO_THE_END, "hand"),
+    "scoop.nothing": Kind("A scoop collects nothing.", "scoop", A_MOMENT, "scoop"),
+    "container.wrong": Kind("A container of another mass is put on the pan.", "container", A_MOMENT, "container"),
+    "operator.refuses": Kind("The simulated person answers no.", "question", A_MOMENT, "person"),
+}
+TRIGGERS = ("at_pulse", "at", "probability")
+
+
+class Rule(Spec):
+    """One line of a fault file."""
+
+    fault: str
+    at_pulse: Annotated[int | None, Field(ge=1)] = None
+    """The opening of the valve it comes with, counted from 1."""
+    at_s: Annotated[Seconds | None, Field(ge=0)] = None
+    """When it comes: time of the run, or since its sample's beginning."""
+    probability: Annotated[float | None, Field(gt=0, le=1)] = None
+    """How likely it comes at each opportunity."""
+    sample: str | None = None
+    """The only sample in which it may come."""
+    for_s: Annotated[Seconds | None, Field(gt=0)] = None
+    """How long it lasts; as long as its kind says, if None."""
+    times: Annotated[int | None, Field(ge=1)] = None
+    """How often it may come."""
+
+    @property
+    def kind(self) -> Kind:
+        return KINDS[self.fault]
+
+    @property
+    def duration_s(self) -> float:
+        return self.for_s if self.for_s is not None else self.kind.lasts_s
+
+    @property
+    def at_most(self) -> float:
+        """How often it may come: once, or without limit for one that is drawn."""
+        return self.times if self.times is not None else 1 if self.probability is None else math.inf
+
+
+@dataclass(frozen=True)
+class FaultFile:
+    """A checked fault file."""
+
+    text: str
+    rules: tuple[Rule, ...]
+    marks: tuple[Mark, ...]
+    """Where each rule stands."""
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    def check_samples(self, samples: Collection[str]) -> None:
+        """SourceError for a rule about a sample that is not among these."""
+        problems = Problems()
+        for rule, mark in zip(self.rules, self.marks, strict=True):
+            if rule.sample is not None and rule.sample not in samples:
+                what = f"no sample of this recipe is called '{shorten(rule.sample)}'"
+                problems.add(mark, what, unknown=rule.sample, known=samples)
+        problems.raise_any()
+
+    def refuse(self, faults: Mapping[str, str], of_samples: str = "") -> None:
+        """SourceError for each rule about one of these faults, with the reason; or about a sample, if there is one."""
+        found = [
+            Problem(mark, f"'{rule.fault}' has no effect here: {faults[rule.fault]}")
+            for rule, mark in zip(self.rules, self.marks, strict=True)
+            if rule.fault in faults
+        ]
+        if of_samples:
+            marked = zip(self.rules, self.marks, strict=True)
+            found += [Problem(mark, f"'sample': {of_samples}") for rule, mark in marked if rule.sample is not None]
+        if found:
+            raise SourceError(found)
+
+
+def read_faults(path: Path) -> FaultFile:
+    """Read and check a fault file; SourceError with every mistake found."""
+    return parse_faults(read_text(path, "a fault file"), str(path))
+
+
+def parse_faults(text: str, file: str) -> FaultFile:
+    """The same of a text, which `file` names in messages."""
+    root, problems = parse(text, file, "a fault file"), Problems()
+    rules = [(_read_rule(item, problems), item.mark) for item in _items(root, problems)]
+    problems.raise_any()
+    read = [(rule, mark) for rule, mark in rules if rule is not None]
+    return FaultFile(text, tuple(rule for rule, _ in read), tuple(mark for _, mark in read))
+
+
+def _items(root: Node, problems: Problems) -> Sequence[Node]:
+    if not isinstance(root, Entries):
+        problems.add(root.mark, f"{describe(root)} stands where a fault file should be", "it has the key 'faults'")
+        return []
+    for key, mark in root.keys.items():
+        if key != "faults":
+            problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=["faults"])
+    node = root.get("faults")
+    if not isinstance(node, Items) or not node.items:
+        what = "'faults' is missing" if node is None else f"'faults': {describe(node)} names no fault"
+        problems.add(node.mark if node else root.mark, what, "a list: - {fault: …, at: 2 min}")
+        return []
+    return node.items
+
+
+def _read_rule(node: Node, problems: Problems) -> Rule | None:
+    rule = validate(Rule, node, problems, "a rule, such as {fault: balance.silent, at: 2 min},")
+    if not isinstance(node, Entries):
+        return None
+    fault = node.get("fault")
+    if isinstance(fault, Scalar) and fault.text is not None and fault.text not in KINDS:
+        problems.add(fault.mark, f"there is no fault {describe(fault)}", unknown=fault.text, known=KINDS)
+        return None
+    if rule is not None:
+        _check_together(rule, node, problems)
+    return rule
+
+
+def _check_together(rule: Rule, node: Entries, problems: Problems) -> None:
+    """What does not go with the rest of its rule."""
+    triggers = [key for key in TRIGGERS if key in node.keys]
+    for key in triggers[1:]:
+        problems.add(node.keys[key], f"'{key}' and '{triggers[0]}' both say when", "one of " + ", ".join(TRIGGERS))
+    if rule.kind.is_momentary and rule.for_s is not None:
+        problems.add(node.keys["for"], f"'{rule.fault}' is a matter of a moment; it does not last", "use 'times'")
+    if rule.times is not None and rule.probability is None and triggers and rule.sample is None:
+        problems.add(node.keys["times"], f"'{triggers[0]}' comes once in a run", "leave 'times' out")
