@@ -26,8 +26,7 @@ class Surroundings:
     def below(self, pose: Pose, mouth_mm: float, cone_source: str | None) -> tuple[str, float]:
         """What lies under the apex ("balance": the container on the pan), and the fall time to it [s].
 
-        `mouth_mm` is that container's, 0 without one; what falls into the mortar of another
-        source than `cone_source` is put back there.
+        `mouth_mm` is that container's, 0 without one; `cone_source` names the mortar that its powder goes back to.
         """
         x_mm, y_mm, z_mm = (1000.0 * float(value) for value in pose.position_m)
 
