@@ -31,6 +31,7 @@ def inventory(
 ) -> None:
     """Show what the cell is believed to hold between runs, or correct it with `inventory set`."""
     if context.invoked_subcommand is not None:
+        context.obj = lab  # it may as well be named before the subcommand
         return
     stock = _inventory(the_lab(lab)).stock(simulated=simulated)
     if as_json:
@@ -49,6 +50,7 @@ def inventory(
 
 @group.command("set")
 def set_entry(
+    context: typer.Context,
     what: Annotated[str, typer.Argument(help="A mortar station, cone, sheet, changer, or a kind of container.")],
     value: Annotated[str, typer.Argument(help="A mass (12 g); of the sheet: fresh, touched; else how many are used.")],
     powder: PowderOption = None,
@@ -56,7 +58,7 @@ def set_entry(
     lab: LabOption = None,
 ) -> None:
     """Correct the inventory: what is at a station or in the cone, a fresh sheet, slots or containers used."""
-    loaded = the_lab(lab)
+    loaded = the_lab(lab or context.obj)
     stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
     if powder is not None and powder not in loaded.library.powders:
         raise unknown("powder", powder, loaded.library.powders)

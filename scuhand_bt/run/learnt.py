@@ -5,23 +5,14 @@ simulated devices is kept apart, and never read by a run: a real run must not be
 dry run of one seed must not depend on the runs before it.
 """
 
-import sqlite3
-from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from scuhand_bt.devices.cell import Cell
+from scuhand_bt.run.lab_db import lab_db
 from scuhand_bt.specs import BalanceBelief, PowderBelief
-
-SCHEMA_VERSION = 1
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS learnt (
-    version INTEGER PRIMARY KEY, kind TEXT NOT NULL CHECK (kind IN ('powder', 'balance')), name TEXT NOT NULL,
-    simulated INTEGER NOT NULL, run TEXT NOT NULL, at TEXT NOT NULL, belief TEXT NOT NULL) STRICT;
-"""
-
 
 B = TypeVar("B", PowderBelief, BalanceBelief)
 
@@ -44,10 +35,10 @@ class Learnt(Generic[B]):
 
 
 class LabState:
-    """The lab's own small database; its folder is made when something is first written."""
+    """What the lab's database says of powders and balances; see `lab_db` for the errors of all of this."""
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / "lab.db"
+        self._folder = folder
 
     def powders(self, *, simulated: bool) -> dict[str, Learnt[PowderBelief]]:
         """The last belief about each powder lot; empty where nothing was ever learnt."""
@@ -78,24 +69,22 @@ class LabState:
         if not news:
             return
         at = datetime.now().astimezone().isoformat(timespec="seconds")
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with closing(sqlite3.connect(self.path)) as database, database:
-            database.execute(_SCHEMA)
-            database.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+        with lab_db(self._folder, write=True) as database:
+            assert database is not None
             database.executemany(
                 "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES (?, ?, ?, ?, ?, ?)",
                 [(kind, name, cell.simulated, run, at, belief.model_dump_json()) for kind, name, belief in news],
             )
 
     def _latest(self, kind: str, model: type[B], simulated: bool) -> dict[str, Learnt[B]]:
-        if not self.path.exists():
-            return {}
-        with closing(sqlite3.connect(self.path)) as database:
+        with lab_db(self._folder, write=False) as database:
+            if database is None:
+                return {}
             rows = database.execute(
                 "SELECT version, name, run, at, belief FROM learnt WHERE kind = ? AND simulated = ? ORDER BY version",
                 (kind, simulated),
-            ).fetchall()
-        return {
-            name: Learnt(version, name, simulated, run, at, model.model_validate_json(belief))
-            for version, name, run, at, belief in rows
-        }
+            )
+            return {
+                name: Learnt(version, name, simulated, run, at, model.model_validate_json(belief))
+                for version, name, run, at, belief in rows
+            }

@@ -1,0 +1,170 @@
+"""Where the inventory and a recipe disagree, and how a real run settles it before anything moves.
+
+`check` notes the doubts; a run on simulated devices has none, as it does not depend on what is in the real cell.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from scuhand_bt.clock import Steps
+from scuhand_bt.devices.cell import Believed, Cell
+from scuhand_bt.plan import Plan
+from scuhand_bt.quantity import format_mass
+from scuhand_bt.run.inventory import Entry, Stock
+from scuhand_bt.skill import SkillFailed
+from scuhand_bt.specs import CellSpec, Source
+from scuhand_bt.yaml_source import Mark, Problem, SourceError
+
+PLAUSIBLE_SHARE = 0.05
+"""A recipe's amount and the inventory's that differ by less are the same: of the larger, or what two scoops lose."""
+EMPTY_MG = 1.0
+"""A cone or a mortar with less holds nothing."""
+
+Settle = Callable[[Believed], None]
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One disagreement, where the recipe says otherwise, and the answers that settle it.
+
+    Without answers nothing but an operator's entry, or a change of the recipe, does.
+    """
+
+    mark: Mark
+    what: str
+    question: str = ""
+    answers: tuple[tuple[str, Settle], ...] = ()
+
+    @property
+    def problem(self) -> Problem:
+        return Problem(self.mark, self.what)
+
+
+def doubts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Doubt]:
+    """All that the inventory has against this plan."""
+    return [*_about_sources(plan, stock), *_about_hand(plan, stock), *_about_changer(plan, cell, stock)]
+
+
+def require_settled(found: Sequence[Doubt], *, unattended: bool) -> None:
+    """Raises SourceError for what no answer settles; unattended, for every doubt, as nobody can be asked."""
+    problems = [doubt.problem for doubt in found if unattended or not doubt.answers]
+    if problems:
+        raise SourceError(problems)
+
+
+def recall(cell: Cell, stock: Stock) -> None:
+    """Let a real cell believe what the inventory says, where it is about what the recipe names."""
+    believed = cell.believed
+    for name, source in cell.sources.items():
+        known = stock.get(("station", source.station))
+        if known is not None and known.lot_key == source.sheet_key:
+            believed.sources_mg[name] = known.mass_mg or 0.0
+    cone = stock.get(("cone", ""))
+    if cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG:
+        same = [name for name, source in cell.sources.items() if source.sheet_key == cone.lot_key]
+        if same:
+            believed.cone_source, believed.cone_mg = same[0], cone.mass_mg or 0.0
+    if (sheet := stock.get(("sheet", ""))) is not None:
+        believed.sheet, believed.sheets_used = sheet.lot_key or None, sheet.used or 1
+    if (changer := stock.get(("changer", ""))) is not None:
+        believed.slots_used = changer.used or 0
+    believed.containers_used = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
+
+
+def settle(cell: Cell, found: Sequence[Doubt]) -> Steps[None]:
+    """Ask the operator about each doubt, and believe the answer.
+
+    Raises SkillFailed operator.refused where the answer is to stop, operator.absent where nobody is there.
+    """
+    for doubt in found:
+        answers = dict(doubt.answers)
+        answer = yield from cell.operator.ask(doubt.question, (*answers, "stop"))
+        if answer not in answers:
+            raise SkillFailed("operator.refused", doubt.what)
+        answers[answer](cell.believed)
+
+
+def _about_sources(plan: Plan, stock: Stock) -> Iterator[Doubt]:
+    marks = plan.recipe.marks
+    for demand in plan.demands:
+        source, name = demand.source, demand.source.name
+        known = stock.get(("station", source.station))
+        if known is None or known.mass_mg is None:
+            continue
+        if known.lot_key != source.sheet_key:
+            if known.mass_mg >= EMPTY_MG:
+                yield Doubt(marks[f"sources.{name}"], _another_powder(source, known))
+            continue
+        mark = marks[f"sources.{name}.amount"]
+        amount, left = format_mass(source.amount_mg), format_mass(known.mass_mg)
+        what = f"'{name}' holds {left} of {source.sheet_key} by the inventory ({known.origin})"
+        needs = f"its samples need {format_mass(demand.needed_mg)} with losses"
+        plausible_mg = max(PLAUSIBLE_SHARE * max(source.amount_mg, known.mass_mg), 2 * source.powder.scoop_loss_mg)
+        if abs(source.amount_mg - known.mass_mg) > plausible_mg:
+            answers: tuple[tuple[str, Settle], ...] = (("recipe", _believe_source(name, source.amount_mg)),)
+            if known.mass_mg >= demand.needed_mg:
+                answers += (("inventory", _believe_source(name, known.mass_mg)),)
+            else:
+                what = f"{what}, too little: {needs}"
+            question = f"How much powder is at {source.station}: {amount} (recipe) or {left} (inventory)?"
+            yield Doubt(mark, f"{what}; the recipe says {amount}", question, answers)
+        elif known.mass_mg < demand.needed_mg:
+            yield Doubt(mark, f"{what}, too little: {needs}; refill it, and {_set(source)}")
+
+
+def _another_powder(source: Source, known: Entry) -> str:
+    left = format_mass(known.mass_mg or 0.0)
+    what = f"by the inventory '{source.station}' holds {left} of {known.lot_key} ({known.origin}), not"
+    return f"{what} {source.sheet_key}; if the mortar was changed, {_set(source)}"
+
+
+def _set(source: Source) -> str:
+    lot = f" --lot {source.lot}" if source.lot else ""
+    amount = f"{source.amount_mg:g} mg"
+    return f"say so: scuhand-bt inventory set {source.station} '{amount}' --powder {source.powder.name}{lot}"
+
+
+def _believe_source(name: str, mass_mg: float) -> Settle:
+    def believe(believed: Believed) -> None:
+        believed.sources_mg[name] = mass_mg
+
+    return believe
+
+
+def _about_hand(plan: Plan, stock: Stock) -> Iterator[Doubt]:
+    """The cone must be empty, or hold what comes first; and so the sheet."""
+    first = next((job.sample.source for job in plan.jobs if job.sample is not None and job.sample.source), None)
+    if first is None:
+        return
+    mark = plan.recipe.marks[f"sources.{first.name}"]
+    cone, sheet = stock.get(("cone", "")), stock.get(("sheet", ""))
+    if cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG and cone.lot_key != first.sheet_key:
+        what = f"by the inventory the cone holds {cone.in_words} of {cone.lot_key} ({cone.origin})"
+        say = "empty it, and say so: scuhand-bt inventory set cone '0 mg'"
+        yield Doubt(mark, f"{what}; the first sample needs {first.sheet_key}; {say}")
+    if sheet is not None and sheet.powder and sheet.lot_key != first.sheet_key:
+        what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
+        question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now?"
+        yield Doubt(mark, f"{what}; the first sample needs {first.sheet_key}", question, (("fresh", _believe_fresh),))
+
+
+def _believe_fresh(believed: Believed) -> None:
+    believed.sheet = None
+    believed.sheets_used += 1
+
+
+def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Doubt]:
+    changer = stock.get(("changer", ""))
+    if changer is None or cell.changer.driver == "operator":
+        return
+    containers = sum(1 for sample in plan.recipe.samples if sample.container is not None)
+    used, slots = changer.used or 0, cell.changer.slots
+    if used and used + containers > slots:
+        what = f"by the inventory {used} of the changer's {slots} slots are used ({changer.origin})"
+        question = f"{used} of the changer's {slots} slots are used. Is it filled again now?"
+        mark = Mark(str(plan.recipe.path))
+        yield Doubt(mark, f"{what}; the batch has {containers} containers", question, (("filled", _believe_filled),))
+
+
+def _believe_filled(believed: Believed) -> None:
+    believed.slots_used = 0

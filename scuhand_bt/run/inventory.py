@@ -1,0 +1,150 @@
+"""The inventory: what is believed to be in a cell from one run to the next, in the lab's database.
+
+What a run believes (`Cell.believed`, corrected by all that the balance saw) is kept after every job; a person
+corrects it with `scuhand-bt inventory set`. Rows are only ever added: the last one of a thing counts, the others are
+its history. What was simulated is kept apart, and never read by a run.
+"""
+
+import getpass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.quantity import format_mass
+from scuhand_bt.run.lab_db import lab_db
+from scuhand_bt.yaml_source import SourceError
+
+Kind = Literal["station", "cone", "sheet", "changer", "container"]
+KINDS: tuple[Kind, ...] = ("station", "cone", "sheet", "changer", "container")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One thing: the powder at a station or in the cone, the sheet, the changer's slots, a kind of container."""
+
+    kind: Kind
+    name: str = ""
+    """The station, or the kind of container."""
+    powder: str = ""
+    """At a station or in the cone; what the sheet has touched, "" for a fresh one."""
+    lot: str = ""
+    mass_mg: float | None = None
+    used: int | None = None
+    """Sheets (this one counts), slots of the changer since it was filled, or containers of this kind."""
+    run: str | None = field(default=None, compare=False)
+    operator: str | None = field(default=None, compare=False)
+    at: str = field(default="", compare=False)
+
+    @property
+    def lot_key(self) -> str:
+        """As `Source.sheet_key`: one powder of one lot."""
+        return f"{self.powder}/{self.lot}" if self.lot else self.powder
+
+    @property
+    def origin(self) -> str:
+        """Who says so, and since when."""
+        who = f"operator {self.operator}" if self.operator is not None else f"run {self.run}"
+        return f"{who}, {self.at}"
+
+    @property
+    def place(self) -> str:
+        """What `inventory set` calls it."""
+        return self.name or self.kind
+
+    @property
+    def in_words(self) -> str:
+        """How much, or how many."""
+        match self.kind:
+            case "station" | "cone":
+                return format_mass(self.mass_mg or 0.0)
+            case "sheet":
+                return f"number {self.used}, {'touched' if self.powder else 'fresh'}"
+            case _:
+                return f"{self.used} used"
+
+
+Stock = Mapping[tuple[Kind, str], Entry]
+"""The last entry of each thing, by its kind and name."""
+
+
+class Inventory:
+    """The inventory of one cell; `folder` holds the lab's database. See `lab_db` for the errors of reading."""
+
+    def __init__(self, folder: Path, cell: str) -> None:
+        self._folder = folder
+        self._cell = cell
+        self._kept: dict[bool, dict[tuple[Kind, str], Entry]] = {}
+
+    def stock(self, *, simulated: bool) -> Stock:
+        """What is known now."""
+        with lab_db(self._folder, write=False) as database:
+            if database is None:
+                return {}
+            rows = database.execute(
+                "SELECT kind, name, powder, lot, mass_mg, used, run, operator, at FROM inventory WHERE id IN "
+                "(SELECT max(id) FROM inventory WHERE cell = ? AND simulated = ? GROUP BY kind, name)",
+                (self._cell, simulated),
+            )
+            entries = (Entry(*row) for row in rows)
+            return {(entry.kind, entry.name): entry for entry in sorted(entries, key=lambda e: KINDS.index(e.kind))}
+
+    def keep(self, cell: Cell, run: str) -> str | None:
+        """Write what has changed of a run's belief since it was last written; what went wrong, or None.
+
+        What an operator has corrected meanwhile stands until the run itself changes it.
+        """
+        try:
+            kept = self._kept.setdefault(cell.simulated, dict(self.stock(simulated=cell.simulated)))
+            news = [entry for entry in _believed(cell) if kept.get((entry.kind, entry.name)) != entry]
+            if news:
+                self._write(news, cell.simulated, run, None)
+            kept |= {(entry.kind, entry.name): entry for entry in news}
+        except SourceError as error:
+            return str(error)
+        return None
+
+    def enter(self, entry: Entry) -> None:
+        """An operator's correction, of the real cell."""
+        self._write([entry], False, None, _user())
+
+    def _write(self, entries: Iterable[Entry], simulated: bool, run: str | None, operator: str | None) -> None:
+        at = datetime.now().astimezone().isoformat(timespec="seconds")
+        rows = [
+            (self._cell, simulated, e.kind, e.name, e.powder, e.lot, e.mass_mg, e.used, run, operator, at)
+            for e in entries
+        ]
+        with lab_db(self._folder, write=True, durable=not simulated) as database:
+            assert database is not None
+            database.executemany(
+                "INSERT INTO inventory (cell, simulated, kind, name, powder, lot, mass_mg, used, run, operator, at) "
+                "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                rows,
+            )
+
+
+def _believed(cell: Cell) -> Iterator[Entry]:
+    """What a cell believes now, as entries."""
+    believed = cell.believed
+    for name, source in cell.sources.items():
+        yield Entry("station", source.station, source.powder.name, source.lot, mass_mg=believed.sources_mg[name])
+    source_of_cone = cell.sources.get(believed.cone_source or "")
+    if source_of_cone is None:
+        yield Entry("cone", mass_mg=0.0)
+    else:
+        yield Entry("cone", "", source_of_cone.powder.name, source_of_cone.lot, mass_mg=believed.cone_mg)
+    powder, _, lot = (believed.sheet or "").partition("/")
+    yield Entry("sheet", "", powder, lot, used=believed.sheets_used)
+    if not cell.changer.needs_person:
+        yield Entry("changer", used=believed.slots_used)
+    for kind, used in believed.containers_used.items():
+        yield Entry("container", kind, used=used)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container without a user's entry
+        return "unknown"

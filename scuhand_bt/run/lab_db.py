@@ -1,0 +1,79 @@
+"""The lab's own small database, `.scuhand/lab.db`: what was learnt, and the inventory.
+
+Its schema is versioned (`PRAGMA user_version`). Opening it brings an older one up to date, in place and as one
+transaction; one that a newer program has written is left alone. Rows are only ever added.
+"""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from scuhand_bt.yaml_source import Mark, Problem, SourceError
+
+MIGRATIONS = (
+    """
+    CREATE TABLE IF NOT EXISTS learnt (
+        version INTEGER PRIMARY KEY, kind TEXT NOT NULL CHECK (kind IN ('powder', 'balance')), name TEXT NOT NULL,
+        simulated INTEGER NOT NULL, run TEXT NOT NULL, at TEXT NOT NULL, belief TEXT NOT NULL) STRICT
+    """,
+    """
+    CREATE TABLE inventory (
+        id INTEGER PRIMARY KEY, cell TEXT NOT NULL, simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)),
+        kind TEXT NOT NULL CHECK (kind IN ('station', 'cone', 'sheet', 'changer', 'container')), name TEXT NOT NULL,
+        powder TEXT NOT NULL, lot TEXT NOT NULL, mass_mg REAL, used INTEGER,
+        run TEXT, operator TEXT, at TEXT NOT NULL, CHECK (run IS NOT NULL OR operator IS NOT NULL)) STRICT
+    """,
+)
+"""One statement for each version of the schema, from the one before."""
+FILE = "lab.db"
+
+
+@contextmanager
+def lab_db(folder: Path, *, write: bool, durable: bool = True) -> Iterator[sqlite3.Connection | None]:
+    """The lab's database as one transaction; None if there is none yet and nothing is to be written.
+
+    Raises SourceError, naming the file and what to do, for one that is damaged, of a newer version, locked, or that
+    cannot be written. `durable` is full fsync.
+    """
+    path = folder / FILE
+    try:
+        if not write and not path.exists():
+            yield None
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with closing(sqlite3.connect(path, isolation_level=None)) as database:
+            database.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
+            if _version(database) != len(MIGRATIONS):
+                _migrate(database, path)
+            database.execute("BEGIN IMMEDIATE" if write else "BEGIN")
+            yield database
+            database.execute("COMMIT")
+    except sqlite3.OperationalError as error:
+        raise _problem(path, f"the lab's database cannot be used: {error}") from None
+    except (sqlite3.DatabaseError, ValueError) as error:  # ValueError: a row that cannot be understood
+        what = f"the lab's database is damaged ({type(error).__name__}: {error})"
+        raise _problem(path, f"{what}; move it away, and what was learnt and the inventory begin anew") from None
+    except OSError as error:
+        raise _problem(path, f"the lab's database cannot be written: {error.strerror or error}") from None
+
+
+def _version(database: sqlite3.Connection) -> int:
+    version = database.execute("PRAGMA user_version").fetchone()[0]
+    assert isinstance(version, int)
+    return version
+
+
+def _migrate(database: sqlite3.Connection, path: Path) -> None:
+    database.execute("BEGIN IMMEDIATE")  # and look again: another process may have been at it
+    if (version := _version(database)) > len(MIGRATIONS):
+        what = f"the lab's database has the schema {version}, and this program knows {len(MIGRATIONS)}"
+        raise _problem(path, f"{what}; a newer scuhand-bt has written it: use that one")
+    for statement in MIGRATIONS[version:]:
+        database.execute(statement)
+    database.execute(f"PRAGMA user_version={len(MIGRATIONS)}")
+    database.execute("COMMIT")
+
+
+def _problem(path: Path, what: str) -> SourceError:
+    return SourceError([Problem(Mark(str(path)), what)])

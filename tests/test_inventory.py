@@ -1,0 +1,383 @@
+"""The inventory: kept from run to run by what was measured, corrected by people, held against recipes."""
+
+import json
+import sqlite3
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from conftest import Desk, LabFolder, problems_of
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from running import dry_run
+
+from scuhand_bt import cli
+from scuhand_bt.clock import Steps
+from scuhand_bt.devices.cell import Cell
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.plan import Plan, make_plan
+from scuhand_bt.run.doubts import doubts, recall, require_settled, settle
+from scuhand_bt.run.inventory import Entry, Inventory, Stock
+from scuhand_bt.run.lab_db import MIGRATIONS, lab_db
+from scuhand_bt.run.learnt import LabState
+from scuhand_bt.yaml_source import SourceError
+
+RECIPE = """\
+recipe: one
+workflow: fill_xrd_holder
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g, lot: L7}
+defaults: {source: beads, container: xrd_holder, tolerance: 5 mg}
+samples: [{id: a, mass: 50 mg}, {id: b, mass: 60 mg}]
+"""
+Call = Callable[..., tuple[int, str, str]]
+AMOUNT, SOURCE = "4:86", "4:3"
+
+
+# --- the lab's database
+
+
+def learnt_before(folder: Path) -> None:
+    """A database as the first version of the schema had it."""
+    with closing(sqlite3.connect(folder / "lab.db")) as database, database:
+        database.execute(MIGRATIONS[0])
+        database.execute("PRAGMA user_version=1")
+        belief = '{"coefficient": 70.5, "doses": 3}'
+        row = ("powder", "glass_beads/L7", 0, "before", "2026-01-01T00:00:00+00:00", belief)
+        database.execute("INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES (?,?,?,?,?,?)", row)
+
+
+def test_a_database_of_the_first_schema_is_brought_up_to_date_with_what_it_holds(tmp_path: Path) -> None:
+    learnt_before(tmp_path)
+    assert LabState(tmp_path).powders(simulated=False)["glass_beads/L7"].belief.doses == 3
+    Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
+    assert set(Inventory(tmp_path, "starter").stock(simulated=False)) == {("cone", "")}
+    assert LabState(tmp_path).powders(simulated=False)["glass_beads/L7"].run == "before"
+
+
+def test_a_migration_that_breaks_leaves_the_database_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    learnt_before(tmp_path)
+    before = (tmp_path / "lab.db").read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr("scuhand_bt.run.lab_db.MIGRATIONS", (*MIGRATIONS, "CREATE NONSENSE"))
+        assert len(problems_of(lambda: LabState(tmp_path).powders(simulated=False))) == 1
+    assert (tmp_path / "lab.db").read_bytes() == before
+    assert LabState(tmp_path).powders(simulated=False)
+
+
+def test_a_database_of_a_newer_program_is_refused_and_left_alone(tmp_path: Path) -> None:
+    learnt_before(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "lab.db")) as database, database:
+        database.execute("PRAGMA user_version=7")
+    before = (tmp_path / "lab.db").read_bytes()
+    with pytest.raises(SourceError, match=r"lab\.db:1:1: .* has the schema 7, and this program knows 2; a newer"):
+        LabState(tmp_path).powders(simulated=False)
+    assert (tmp_path / "lab.db").read_bytes() == before
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_damaged_database_is_one_clear_problem_or_still_read(tmp_path: Path, data: st.DataObject) -> None:
+    for path in tmp_path.glob("lab.db*"):
+        path.unlink()
+    Inventory(tmp_path, "starter").enter(Entry("station", "mortar_bay", "glass_beads", "L7", 5000.0))
+    content = bytearray((tmp_path / "lab.db").read_bytes())
+    if data.draw(st.booleans()):
+        del content[data.draw(st.integers(1, len(content) - 1)) :]
+    else:
+        content[data.draw(st.integers(0, len(content) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    (tmp_path / "lab.db").write_bytes(content)
+    said = problems_of(lambda: Inventory(tmp_path, "starter").stock(simulated=False))
+    assert all("the lab's database" in problem for problem in said)
+
+
+def test_nothing_is_made_by_looking(tmp_path: Path) -> None:
+    assert Inventory(tmp_path / "none", "starter").stock(simulated=False) == {}
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_database_that_another_process_holds_is_said_to_be_locked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
+    with lab_db(tmp_path, write=True):
+        connect = sqlite3.connect
+        monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, timeout=0.05, **more))
+        with pytest.raises(SourceError, match="cannot be used: database is locked"):
+            Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
+
+
+# --- kept by runs
+
+
+def test_a_run_keeps_what_it_believes_apart_from_real_cells(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, RECIPE)
+    cell, inventory = ran.session.cell, Inventory(tmp_path, "starter")
+    assert inventory.keep(cell, "r1") is None
+    stock = inventory.stock(simulated=True)
+    station = stock["station", "mortar_bay"]
+    assert (station.lot_key, station.mass_mg) == ("glass_beads/L7", cell.believed.sources_mg["beads"])
+    assert station.mass_mg is not None
+    assert 4500 < station.mass_mg < 5000
+    assert station.run == "r1"
+    assert stock["cone", ""].mass_mg == 0.0
+    assert (stock["sheet", ""].lot_key, stock["sheet", ""].used) == ("glass_beads/L7", 1)
+    assert stock["changer", ""].used == 2
+    assert stock["container", "xrd_holder"].used == 2
+    assert Inventory(tmp_path, "starter").stock(simulated=False) == {}
+    assert Inventory(tmp_path, "another").stock(simulated=True) == {}
+
+
+def test_only_what_changes_is_added_and_an_operators_entry_stands_until_the_run_changes_it(tmp_path: Path) -> None:
+    cell = replace(dry_run(tmp_path, RECIPE).session.cell, simulated=False)
+    inventory = Inventory(tmp_path, "starter")
+
+    def count() -> int:
+        with lab_db(tmp_path, write=False) as database:
+            assert database is not None
+            return int(database.execute("SELECT count(*) FROM inventory WHERE simulated = 0").fetchone()[0])
+
+    inventory.keep(cell, "r1")
+    rows = count()
+    inventory.keep(cell, "r1")
+    assert count() == rows
+    Inventory(tmp_path, "starter").enter(Entry("station", "mortar_bay", "glass_beads", "L7", 9000.0))
+    inventory.keep(cell, "r1")
+    refilled = inventory.stock(simulated=False)["station", "mortar_bay"]
+    assert (refilled.mass_mg, refilled.run) == (9000.0, None)
+    assert refilled.operator
+    cell.believed.sources_mg["beads"] -= 100
+    inventory.keep(cell, "r1")
+    assert inventory.stock(simulated=False)["station", "mortar_bay"].run == "r1"
+
+
+def test_what_cannot_be_kept_is_told_and_ends_nothing(tmp_path: Path) -> None:
+    cell = dry_run(tmp_path, RECIPE).session.cell
+    (tmp_path / "lab.db").write_bytes(b"this is no database" * 100)
+    error = Inventory(tmp_path, "starter").keep(cell, "r1")
+    assert error is not None
+    assert "the lab's database is damaged" in error
+
+
+# --- held against a recipe
+
+
+def plan_of(desk: Desk, recipe: str = RECIPE) -> Plan:
+    return make_plan(desk.load(recipe), desk.lab)
+
+
+def stock_of(*entries: Entry) -> Stock:
+    return {(entry.kind, entry.name): replace(entry, run="r1", at="today") for entry in entries}
+
+
+def powder(mass_mg: float, lot: str = "L7", name: str = "glass_beads") -> Entry:
+    return Entry("station", "mortar_bay", name, lot, mass_mg)
+
+
+def noted(desk: Desk, *entries: Entry, recipe: str = RECIPE) -> list[str]:
+    found = doubts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))
+    return [f"{doubt.mark.line}:{doubt.mark.column}: {doubt.what}" for doubt in found]
+
+
+@pytest.mark.parametrize("mass_mg", [5000.0, 4800.0, 5200.0])
+def test_amounts_that_agree_are_no_doubt(desk: Desk, mass_mg: float) -> None:
+    assert noted(desk, powder(mass_mg)) == []
+
+
+def test_a_recipe_that_says_more_is_told_where_and_who_says_otherwise(desk: Desk) -> None:
+    assert noted(desk, powder(4300.0)) == [
+        f"{AMOUNT}: 'beads' holds 4.3000 g of glass_beads/L7 by the inventory (run r1, today); the recipe says 5.0000 g"
+    ]
+    (refilled,) = noted(desk, powder(9000.0))
+    assert refilled.endswith("the recipe says 5.0000 g")
+
+
+def test_too_little_for_the_samples_is_said(desk: Desk) -> None:
+    (asked,) = noted(desk, powder(100.0))
+    assert "100.0 mg of glass_beads/L7 by the inventory (run r1, today), too little: its samples need 1" in asked
+    scarce = RECIPE.replace("amount: 5 g", "amount: 150 mg")
+    (refused,) = noted(desk, powder(140.0), recipe=scarce)
+    assert refused.endswith(
+        "refill it, and say so: scuhand-bt inventory set mortar_bay '150 mg' --powder glass_beads --lot L7"
+    )
+    assert problems_of(lambda: require_settled(_doubts(desk, powder(140.0), recipe=scarce), unattended=False))
+
+
+def test_another_powder_or_lot_is_refused_by_a_real_run_with_what_to_say(desk: Desk) -> None:
+    for entry in (powder(4000.0, lot="L8"), powder(4000.0, lot="", name="titanium_dioxide")):
+        (problem,) = problems_of(lambda entry=entry: require_settled(_doubts(desk, entry), unattended=False))
+        assert problem.startswith(f"{SOURCE}: by the inventory 'mortar_bay' holds 4.0000 g of {entry.lot_key} (run r1")
+        assert "scuhand-bt inventory set mortar_bay '5000 mg' --powder glass_beads --lot L7" in problem
+    assert noted(desk, powder(0.0, lot="L8")) == []
+
+
+def test_a_cone_or_a_sheet_of_another_lot_is_doubted(desk: Desk) -> None:
+    cone = Entry("cone", "", "glass_beads", "L8", 300.0)
+    sheet = Entry("sheet", "", "glass_beads", "L8", used=2)
+    of_cone, of_sheet = noted(desk, cone, sheet)
+    assert of_cone.startswith(f"{SOURCE}: by the inventory the cone holds 300.0 mg of glass_beads/L8")
+    assert "inventory set cone '0 mg'" in of_cone
+    assert of_sheet.startswith(f"{SOURCE}: by the inventory the sheet has touched glass_beads/L8")
+    assert noted(desk, replace(cone, lot="L7"), replace(sheet, lot="L7")) == []
+    assert noted(desk, Entry("cone", mass_mg=0.0), Entry("sheet", used=3)) == []
+
+
+def test_a_changer_that_would_run_out_is_doubted(desk: Desk) -> None:
+    assert noted(desk, Entry("changer", used=22)) == []
+    (doubt,) = noted(desk, Entry("changer", used=23))
+    assert doubt.endswith("23 of the changer's 24 slots are used (run r1, today); the batch has 2 containers")
+
+
+def test_unattended_every_doubt_is_a_refusal(desk: Desk) -> None:
+    found = _doubts(desk, powder(4000.0))
+    require_settled(found, unattended=False)
+    assert len(problems_of(lambda: require_settled(found, unattended=True))) == 1
+
+
+def _doubts(desk: Desk, *entries: Entry, recipe: str = RECIPE) -> list[object]:
+    return doubts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))  # type: ignore[return-value]
+
+
+class Answering:
+    """An operator who gives these answers."""
+
+    def __init__(self, *answers: str) -> None:
+        self.answers = list(answers)
+        self.asked: list[tuple[str, tuple[str, ...]]] = []
+
+    def ask(self, question: str, choices: tuple[str, ...]) -> Steps[str]:
+        self.asked.append((question, choices))
+        return self.answers.pop(0)
+        yield
+
+
+def settled(cell: Cell, desk: Desk, operator: Answering, *entries: Entry) -> Cell:
+    stock = stock_of(*entries)
+    cell = replace(cell, operator=operator, believed=replace(cell.believed, sources_mg={"beads": 5000.0}))  # type: ignore[arg-type]
+    recall(cell, stock)
+    for _ in settle(cell, doubts(plan_of(desk), desk.lab.cell, stock)):
+        pass
+    return cell
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    return dry_run(tmp_path_factory.mktemp("run"), RECIPE).session.cell
+
+
+def test_a_real_run_believes_the_inventory_where_it_agrees(cell: Cell, desk: Desk) -> None:
+    believed = settled(
+        cell,
+        desk,
+        Answering(),
+        powder(4900.0),
+        Entry("cone", "", "glass_beads", "L7", 120.0),
+        Entry("sheet", "", "glass_beads", "L7", used=4),
+        Entry("changer", used=3),
+        Entry("container", "pellet_die_13mm", used=8),
+    ).believed
+    assert believed.sources_mg == {"beads": 4900.0}
+    assert (believed.cone_source, believed.cone_mg) == ("beads", 120.0)
+    assert (believed.sheet, believed.sheets_used, believed.slots_used) == ("glass_beads/L7", 4, 3)
+    assert believed.containers_used == {"pellet_die_13mm": 8}
+
+
+@pytest.mark.parametrize(("answer", "mass_mg"), [("recipe", 5000.0), ("inventory", 3000.0)])
+def test_a_real_run_asks_how_much_there_is(cell: Cell, desk: Desk, answer: str, mass_mg: float) -> None:
+    operator = Answering(answer)
+    assert settled(cell, desk, operator, powder(3000.0)).believed.sources_mg == {"beads": mass_mg}
+    question = "How much powder is at mortar_bay: 5.0000 g (recipe) or 3.0000 g (inventory)?"
+    assert operator.asked == [(question, ("recipe", "inventory", "stop"))]
+
+
+def test_what_is_too_little_is_no_answer(cell: Cell, desk: Desk) -> None:
+    operator = Answering("recipe")
+    settled(cell, desk, operator, powder(50.0))
+    assert operator.asked[0][1] == ("recipe", "stop")
+
+
+def test_a_fresh_sheet_is_counted_and_stop_refuses(cell: Cell, desk: Desk) -> None:
+    sheet = Entry("sheet", "", "glass_beads", "L8", used=4)
+    believed = settled(cell, desk, Answering("fresh"), sheet).believed
+    assert (believed.sheet, believed.sheets_used) == (None, 5)
+    with pytest.raises(SkillFailed, match=r"operator\.refused"):
+        settled(cell, desk, Answering("stop"), sheet)
+
+
+# --- the command
+
+
+@pytest.fixture
+def inventory(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, lab_folder: LabFolder) -> Call:
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        at = 2 if "set" in arguments else 1
+        monkeypatch.setattr(
+            sys, "argv", ["scuhand-bt", *arguments[:at], "--lab", str(lab_folder.folder), *arguments[at:]]
+        )
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = int(end.code or 0)
+        written = capsys.readouterr()
+        return code, written.out, " ".join(written.err.replace("│", " ").split())
+
+    return call
+
+
+def test_an_operator_says_what_is_there(inventory: Call) -> None:
+    assert inventory("inventory")[1].startswith("Nothing is known yet")
+    given = ("inventory", "set", "mortar_bay", "12 g", "--powder", "glass_beads", "--lot", "GB-0311")
+    assert inventory(*given) == (0, "mortar_bay: 12.0000 g of glass_beads/GB-0311\n", "")
+    assert inventory("inventory", "set", "mortar_bay", "9 g")[1] == "mortar_bay: 9.0000 g of glass_beads/GB-0311\n"
+    assert inventory("inventory", "set", "cone", "0 mg")[1] == "cone: 0.0 mg\n"
+    assert inventory("inventory", "set", "sheet", "touched", "--powder", "glass_beads")[0] == 0
+    assert inventory("inventory", "set", "sheet", "fresh")[1] == "sheet: number 2, fresh\n"
+    assert inventory("inventory", "set", "changer", "3")[1] == "changer: 3 used\n"
+    assert inventory("inventory", "set", "xrd_holder", "40")[0] == 0
+    shown = inventory("inventory")[1]
+    assert all(word in shown for word in ("mortar_bay", "glass_beads/GB-0311", "9.0000 g", "operator ", "40 used"))
+    entries = json.loads(inventory("inventory", "--json")[1])
+    assert [entry["kind"] for entry in entries] == ["station", "cone", "sheet", "changer", "container"]
+    assert inventory("inventory", "--simulated")[1].startswith("Nothing is known yet")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("mortar_bey", "1 g"), "did you mean 'mortar_bay'?"),
+        (("mortar_bay", "1"), "'1' has no unit; write a mass with its unit"),
+        (("mortar_bay", "1 mm"), "'mm' is a unit of length, not of mass"),
+        (("mortar_bay", "1 g"), "nothing is known of the powder yet; name it"),
+        (("mortar_bay", "1 g", "--powder", "glas_beads"), "did you mean 'glass_beads'?"),
+        (("cone", "1 g"), "nothing is known of the powder yet"),
+        (("sheet", "new"), "'new' is nothing a sheet can be; fresh or touched"),
+        (("changer", "full"), "'full' is no number of what is used"),
+        (("changer", "2", "--powder", "glass_beads"), "it holds no powder"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(inventory: Call, arguments: tuple[str, ...], said: str) -> None:
+    code, _, error = inventory("inventory", "set", *arguments)
+    assert code == 2
+    assert said in error
+    assert json.loads(inventory("inventory", "--json")[1]) == []
+
+
+def test_less_than_nothing_is_refused(inventory: Call) -> None:
+    code, _, error = inventory("inventory", "set", "--powder", "glass_beads", "mortar_bay", "--", "-1 g")
+    assert code == 2
+    assert "'-1 g' is less than nothing" in error
+
+
+def test_the_lab_may_be_named_before_the_subcommand(
+    inventory: Call, lab_folder: LabFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["scuhand-bt", "inventory", "--lab", str(lab_folder.folder), "set", "cone", "0 g"])
+    with pytest.raises(SystemExit):
+        cli.main()
+    assert (lab_folder.folder / ".scuhand" / "lab.db").exists()
