@@ -191,7 +191,7 @@ class SimulatedHand:
                 begin_s, target_mm = self._commands[0]
                 if begin_s <= at_s + 1e-9:
                     self._commands.popleft()
-                    self._turn_to(target_mm)
+                    self._turn_to(target_mm, at_s)
                     continue
                 until_s = min(end_s, begin_s)
             way_mm = self._target_mm - self._servo_mm
@@ -244,9 +244,9 @@ class SimulatedHand:
         if "arm.lost" in self.faults.active:
             raise SkillFailed("device.lost", "the servo bus, which the roller is on, does not answer")
 
-    def _turn_to(self, target_mm: float) -> None:
+    def _turn_to(self, target_mm: float, now_s: float) -> None:
         if self._servo_mm == 0.0 and self._target_mm == 0.0 and target_mm > 0.0:
-            self.faults.opening(self._clock.now_s)
+            self.faults.opening(now_s)
             figures = self.spec.simulation
             self._error_mm = self._sample_error_mm + figures.opening_mm * self._rng.standard_normal()
             if self._rng.random() < figures.stick_probability:
