@@ -3,12 +3,15 @@
 import json
 import sys
 from collections.abc import Callable
+from typing import ClassVar
 
 import pytest
-from conftest import REPOSITORY, LabFolder
+from conftest import REPOSITORY, Bench, LabFolder
 
 from scuhand_bt import cli
 from scuhand_bt.failures import CATALOGUE
+from scuhand_bt.skill import Cell, Condition, Failure, Skill, SkillFailed, Steps, Wake
+from scuhand_bt.tree.nodes import SkillBug
 
 Explain = Callable[..., tuple[int, str, str]]
 
@@ -90,3 +93,37 @@ def test_a_skills_own_failures_are_checked(lab_folder: LabFolder, failures: str,
     begin, end = text.index("    failures: ClassVar = {"), text.index("    typical_s")
     lab_folder.write("skills/check_valve.py", f"{text[:begin]}    failures: ClassVar = {failures}\n{text[end:]}")
     assert any(said in problem for problem in lab_folder.problems())
+
+
+def test_a_code_made_at_run_time_that_nobody_explained_is_the_skills_bug(bench: Bench) -> None:
+    class Odd(Skill[None]):
+        """Fail with a code put together."""
+
+        def run(self, cell: Cell) -> Steps[None]:
+            yield Wake(1.0)
+            raise SkillFailed(".".join(["odd", "code"]), "so it is")
+
+    class Watch(Condition):
+        """Hold never."""
+
+        def check(self, cell: Cell) -> None:
+            raise SkillFailed(".".join(["odd", "code"]), "so it is")
+
+    said = "broke: it fails with a code that nobody has explained: odd.code: so it is"
+    with pytest.raises(SkillBug, match=f"the skill odd {said}"):
+        bench.run("odd:", {"odd": Odd})
+    with pytest.raises(SkillBug, match=f"the skill watch {said}"):
+        bench.run("while: {guards: [{watch: }], child: {odd: }}", {"odd": Odd, "watch": Watch})
+
+
+def test_a_skills_own_code_is_a_failure_as_any(bench: Bench) -> None:
+    class Sieve(Skill[None]):
+        """Fail with a code of its own."""
+
+        failures: ClassVar = {"sieve.blocked": Failure("Blocked.", "Clean it.")}
+
+        def run(self, cell: Cell) -> Steps[None]:
+            yield Wake(1.0)
+            raise SkillFailed("sieve.blocked", "so it is")
+
+    assert bench.run("sieve:", {"sieve": Sieve}).failure is not None

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.devices.cell import Cell
+from scuhand_bt.failures import CATALOGUE
 from scuhand_bt.skill import Condition, Skill, SkillFailed
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.past import ENDED, REJOINING, Decision, Past, Recorded, rejoin, settle
@@ -148,6 +149,9 @@ class SkillLeaf(Behaviour):
             self._end("done", stop.value)
             return Status.SUCCESS
         except SkillFailed as failure:
+            if not _is_explained(self.skill, failure):
+                self._end("broken", None)
+                raise _unexplained(self.name, failure) from failure
             self.failure = failure
             self._end("failed", failure)
             return Status.FAILURE
@@ -243,6 +247,15 @@ def _bug(name: str, error: Exception) -> SkillBug:
     return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}")
 
 
+def _is_explained(skill: type[Skill[Any]], failure: SkillFailed) -> bool:
+    """Whether recipes and workflows can name this failure: the catalogue has it, or the skill itself."""
+    return failure.code in CATALOGUE or failure.code in skill.failures
+
+
+def _unexplained(name: str, failure: SkillFailed) -> SkillBug:
+    return SkillBug(f"the skill {name} broke: it fails with a code that nobody has explained: {failure}")
+
+
 def _made(name: str, skill: type[S], inputs: Values) -> S:
     """The skill with its parameters; SkillFailed workflow.bad_value for values that it does not accept."""
     try:
@@ -266,6 +279,8 @@ class Guard(Behaviour):
         try:
             _made(self.name, self.condition, self._arguments()).check(self._cell)
         except SkillFailed as failure:
+            if not _is_explained(self.condition, failure):
+                raise _unexplained(self.name, failure) from failure
             self.failure = failure
             return Status.FAILURE
         except Exception as error:
