@@ -17,11 +17,9 @@ some seconds after the first one was killed: by then the devices, which nobody s
 """
 
 import math
-import pickle
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import ClassVar
 
@@ -32,13 +30,12 @@ from scuhand_bt.sim.arm import Pose, SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
+from scuhand_bt.sim.memory import Memory
 from scuhand_bt.sim.plant import Plant, PowderFlow
 from scuhand_bt.sim.randomness import substream
-from scuhand_bt.sim.state import Packer
 from scuhand_bt.sim.surroundings import Surroundings
-from scuhand_bt.sim.world_file import WorldFile, broken
+from scuhand_bt.sim.world_file import broken
 from scuhand_bt.specs import CellSpec, Container, Source
-from scuhand_bt.yaml_source import SourceError
 
 STEP_S = 0.020
 POUR_TIME_S = 0.15
@@ -124,9 +121,7 @@ class World:
         self._was_open = False
         self._stroke: Stroke | None = None
         self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
-        self._packer = Packer((self, hand, balance, *([self.faults] if self.faults.rules else [])))
-        self._file: WorldFile | None = None
-        self._tell: Callable[[str], None] = lambda why: None
+        self._memory = Memory((self, hand, balance, *([self.faults] if self.faults.rules else [])), plant.name)
         self.begin_sample("", 0)
 
     # --- for judging, never for skills ---
@@ -338,8 +333,7 @@ class World:
 
     def keep_in(self, path: Path, tell: Callable[[str], None]) -> None:
         """Live in a new file from now on. `tell` is told, at most once, why it cannot be saved after all."""
-        self._tell = tell
-        self._file = WorldFile.create(path, pickle.dumps("it ended at once"))
+        self._memory.begin(path, tell)
         for container_id in self._containers:
             self._log(container_id)
         self.save()
@@ -349,57 +343,28 @@ class World:
 
         Raises SourceError for a file that is missing, damaged, or of a world that could not be saved.
         """
-        file, state, log = WorldFile.open(path)
-        try:
-            kept = pickle.loads(state)
-            if isinstance(kept, str):
-                raise broken(path, f"its world could not be saved: {kept}")
-            joints, masses_mg, on_pan_mg = self._packer.give_back(kept)
-            stream = BytesIO(log)
-            while stream.tell() < len(log):
-                container, empty_mg, mass_mg = pickle.load(stream)
-                self._containers[container.id] = (container, empty_mg)
-                self.masses_mg[f"container:{container.id}"] = mass_mg
-            if self.pan is not None:
-                self.masses_mg[f"container:{self.pan}"] = on_pan_mg
-        except SourceError:
-            raise
-        except Exception as error:  # a pickle may fail in any way
-            why = f"it was written by another version of the program or the plant ({type(error).__name__}: {error})"
-            raise broken(path, why) from None
+        (joints, masses_mg, on_pan_mg), containers = self._memory.take_up(path, tell)
         if self._cone_source is not None and self._cone_source not in self._sources:
+            self.close()
             raise broken(path, f"powder of '{self._cone_source}', which the recipe no longer has, is in the cone")
+        for container, empty_mg, mass_mg in containers:
+            self._containers[container.id] = (container, empty_mg)
+            self.masses_mg[f"container:{container.id}"] = mass_mg
+        if self.pan is not None:
+            self.masses_mg[f"container:{self.pan}"] = on_pan_mg
         self.masses_mg.update(masses_mg)
         self._put(self.pan)
         self._arm.hold(joints)
-        self._tell, self._file = tell, file
         self._sit_out()
         self.save()
         return self.now_s
 
     def save(self) -> None:
         """Keep the world as it is now in its file, if it has one. OSError if the disk is full."""
-        if self._file is None:
+        if not self._memory.is_kept:
             return
-        try:
-            state = self._packed()
-        except Exception as error:  # of somebody's plant
-            why = f"{self._plant.name} cannot be pickled ({type(error).__name__}: {error})"
-            self._file.write(pickle.dumps(why))
-            self.close()
-            self._tell(why)
-        else:
-            self._file.write(state)
-
-    def close(self) -> None:
-        """Live in no file any more; what it is now is not saved."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-
-    def _packed(self) -> bytes:
         masses_mg = self.masses_mg
-        return self._packer.pack(
+        self._memory.save(
             (
                 self._arm.held_at(self.now_s + SERVO_WATCHDOG_S),
                 {name: masses_mg[name] for name in self._compartments},
@@ -407,10 +372,13 @@ class World:
             )
         )
 
+    def close(self) -> None:
+        """Live in no file any more; what it is now is not saved."""
+        self._memory.close()
+
     def _log(self, container_id: str) -> None:
         """Only what stands on the pan can change: what it is, and what it holds when it goes, is written once."""
-        if self._file is not None:
-            self._file.append(pickle.dumps((*self._containers[container_id], self.true_mass(container_id))))
+        self._memory.log((*self._containers[container_id], self.true_mass(container_id)))
 
     def _sit_out(self) -> None:
         """What happens while nobody speaks to the devices: the valve stays as it is until its dead-man closes it."""
