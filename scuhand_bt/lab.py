@@ -6,6 +6,7 @@ A lab's skills are imported under one constant package name, `scuhand_lab`, whos
 import ast
 import importlib
 import inspect
+import os
 import sys
 import traceback
 import types
@@ -58,6 +59,16 @@ def starter_lab() -> Path:
     package = Path(__file__).parent
     packed = package / "starter_lab"
     return packed if packed.is_dir() else package.parent
+
+
+def state_folder(lab: Lab) -> Path:
+    """Where journals, the inventory and what is learnt go: the lab's `.scuhand`.
+
+    The working folder's for the packed starter lab, and for one that cannot be written.
+    """
+    packed = lab.folder == starter_lab() and lab.folder.name == "starter_lab"
+    home = Path.cwd() if packed or not os.access(lab.folder, os.W_OK) else lab.folder
+    return home / ".scuhand"
 
 
 def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:

@@ -105,7 +105,7 @@ def test_a_database_that_another_process_holds_is_said_to_be_locked(
     Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
     with lab_db(tmp_path, write=True):
         connect = sqlite3.connect
-        monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, timeout=0.05, **more))
+        monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, **{**more, "timeout": 0.05}))
         with pytest.raises(SourceError, match="cannot be used: database is locked"):
             Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
 
@@ -115,14 +115,12 @@ def test_a_database_that_another_process_holds_is_said_to_be_locked(
 
 def test_a_run_keeps_what_it_believes_apart_from_real_cells(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, RECIPE)
-    cell, inventory = ran.session.cell, Inventory(tmp_path, "starter")
-    assert inventory.keep(cell, "r1") is None
-    stock = inventory.stock(simulated=True)
+    cell, stock = ran.session.cell, Inventory(tmp_path, "starter").stock(simulated=True)
     station = stock["station", "mortar_bay"]
     assert (station.lot_key, station.mass_mg) == ("glass_beads/L7", cell.believed.sources_mg["beads"])
     assert station.mass_mg is not None
     assert 4500 < station.mass_mg < 5000
-    assert station.run == "r1"
+    assert station.run == ran.session.run_id
     assert stock["cone", ""].mass_mg == 0.0
     assert (stock["sheet", ""].lot_key, stock["sheet", ""].used) == ("glass_beads/L7", 1)
     assert stock["changer", ""].used == 2
@@ -160,6 +158,9 @@ def test_what_cannot_be_kept_is_told_and_ends_nothing(tmp_path: Path) -> None:
     error = Inventory(tmp_path, "starter").keep(cell, "r1")
     assert error is not None
     assert "the lab's database is damaged" in error
+    error = LabState(tmp_path).keep(cell, "r1")
+    assert error is not None
+    assert "move it away" in error
 
 
 # --- held against a recipe

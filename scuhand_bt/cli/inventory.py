@@ -117,7 +117,7 @@ def _mass_mg(text: str) -> float:
 
 
 def _inventory(lab: "Lab") -> "Inventory":
+    from scuhand_bt.lab import state_folder
     from scuhand_bt.run.inventory import Inventory
-    from scuhand_bt.run.session import state_folder
 
     return Inventory(state_folder(lab), lab.cell.cell)

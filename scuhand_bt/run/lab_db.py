@@ -27,6 +27,8 @@ MIGRATIONS = (
 )
 """One statement for each version of the schema, from the one before."""
 FILE = "lab.db"
+LONGEST_S = 2.0
+"""How long another process's transaction is waited for."""
 
 
 @contextmanager
@@ -42,7 +44,7 @@ def lab_db(folder: Path, *, write: bool, durable: bool = True) -> Iterator[sqlit
             yield None
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        with closing(sqlite3.connect(path, timeout=LONGEST_S, isolation_level=None)) as database:
             database.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
             if _version(database) != len(MIGRATIONS):
                 _migrate(database, path)

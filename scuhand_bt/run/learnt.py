@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.run.lab_db import lab_db
 from scuhand_bt.specs import BalanceBelief, PowderBelief
+from scuhand_bt.yaml_source import SourceError
 
 B = TypeVar("B", PowderBelief, BalanceBelief)
 
@@ -55,8 +56,15 @@ class LabState:
         if balance is not None:
             cell.balance_belief = balance.belief
 
-    def keep(self, cell: Cell, run: str) -> None:
-        """Write what a cell believes now, where it differs from what was written last."""
+    def keep(self, cell: Cell, run: str) -> str | None:
+        """Write what a cell believes now, where it differs from what was written last; what went wrong, or None."""
+        try:
+            self._keep(cell, run)
+        except SourceError as error:
+            return str(error)
+        return None
+
+    def _keep(self, cell: Cell, run: str) -> None:
         powders, balances = self.powders(simulated=cell.simulated), self.balances(simulated=cell.simulated)
         news: list[tuple[str, str, PowderBelief | BalanceBelief]] = [
             ("powder", name, belief)
