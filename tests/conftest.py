@@ -16,7 +16,8 @@ from scuhand_bt.plan import Job
 from scuhand_bt.recipe import Recipe, load_recipe
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
-from scuhand_bt.run.journal import Journal, read
+from scuhand_bt.run.journal import Journal
+from scuhand_bt.run.reading import read
 from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.skill import DEVICES, Skill
 from scuhand_bt.tree.check import Library, check_workflows

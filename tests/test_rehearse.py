@@ -10,7 +10,7 @@ from scuhand_bt.devices.scuhand import ScuHand
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.plan import make_plan
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.journal import read
+from scuhand_bt.run.reading import read
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, Rehearsal
 from scuhand_bt.sim.wire.hand import NoCompiler, build_brain

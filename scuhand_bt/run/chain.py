@@ -9,7 +9,7 @@ import json
 import sqlite3
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 GENESIS = hashlib.sha256(b"scuhand_bt journal").digest()
 """What the first entry is chained to."""
@@ -55,16 +55,23 @@ class Verified:
 
 
 def verify(database: sqlite3.Connection, head: str | None = None) -> Verified:
-    """Follow the chain from its beginning; `head` is what it should end in."""
-    last, count = GENESIS, 0
+    """Follow the chain from its beginning; `head` is what it should end in.
+
+    Raises sqlite3.Error for a database without entries' table; what cannot be read in it is a problem found.
+    """
+    last, count, problem = GENESIS, 0, None
     for entry, stored in _entries(database):
-        if entry.seq != count + 1:
-            missing = f"entry {count + 1} is missing" if entry.seq > count + 1 else f"entry {entry.seq} is out of place"
-            return Verified(count, last.hex(), missing)
-        if digest(last, entry) != stored:
-            return Verified(count, last.hex(), f"entry {entry.seq} ({entry.kind}, {entry.at}) was altered")
-        last, count = stored, entry.seq
-    problem = None
+        if entry is None:
+            problem = f"entry {count + 1} cannot be read"
+        elif entry.seq != count + 1:
+            is_gap = entry.seq > count + 1
+            problem = f"entry {count + 1} is missing" if is_gap else f"entry {entry.seq} is out of place"
+        elif not _is_digest(stored, last, entry):
+            problem = f"entry {entry.seq} ({entry.kind}, {entry.at}) was altered"
+        else:
+            last, count = stored, entry.seq
+            continue
+        return Verified(count, last.hex(), problem)
     if not count:
         problem = "there is no entry"
     elif head is not None and head != last.hex():
@@ -74,11 +81,22 @@ def verify(database: sqlite3.Connection, head: str | None = None) -> Verified:
     return Verified(count, last.hex(), problem)
 
 
-def _entries(database: sqlite3.Connection) -> Iterator[tuple[Entry, bytes]]:
-    for row in database.execute(f"SELECT {COLUMNS}, hash FROM entry ORDER BY seq"):
-        yield Entry(*row[:-1]), bytes(row[-1]) if isinstance(row[-1], bytes) else b""
+def _entries(database: sqlite3.Connection) -> Iterator[tuple[Entry | None, bytes]]:
+    """Every entry with the hash it carries; None, at last, for one that cannot be read."""
+    cursor = database.execute(f"SELECT {COLUMNS}, hash FROM entry ORDER BY seq")
+    while True:
+        try:
+            row = cursor.fetchone()
+        except sqlite3.Error:
+            yield None, b""
+            return
+        if row is None:
+            return
+        yield Entry(*row[:-1]), row[-1]
 
 
-def decoded(text: str | None) -> Any:
-    """A JSON column's value."""
-    return None if text is None else json.loads(text)
+def _is_digest(stored: object, before: bytes, entry: Entry) -> bool:
+    try:
+        return digest(before, entry) == stored
+    except TypeError:  # a value of a type that no journal has
+        return False

@@ -8,21 +8,28 @@ import json
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.run.journal import read
+from scuhand_bt.run.reading import Contents, open_contents
 
 DECIMALS = 6
 RUN_KEYS = ("recipe", "recipe_hash", "seed", "simulated", "mode", "plant", "controller", "version")
 
 
 def canonical(journal: Path) -> str:
-    """The export of a journal as JSON text."""
-    return json.dumps(_export(journal), sort_keys=True, indent=1, ensure_ascii=False) + "\n"
+    """The export of a journal as JSON text. Raises SourceError for a file that is none."""
+    with open_contents(journal) as contents:
+        return canonical_of(contents)
 
 
-def _export(journal: Path) -> dict[str, Any]:
-    run = {row["key"]: row["value"] for row in read(journal, "run")}
-    events = read(journal, "event")
-    actions = read(journal, "action")
+def canonical_of(contents: Contents) -> str:
+    """The export of what a journal holds as JSON text."""
+    return json.dumps(_export(contents), sort_keys=True, indent=1, ensure_ascii=False) + "\n"
+
+
+def _export(contents: Contents) -> dict[str, Any]:
+    read = contents.rows
+    run = {row["key"]: row["value"] for row in read("run")}
+    events = read("event")
+    actions = read("action")
     ends = [event["payload"] for event in events if event["kind"] == "ended"]
     matter = [event["payload"] for event in events if event["kind"] == "matter"]
     export: dict[str, Any] = _rounded(
@@ -31,9 +38,9 @@ def _export(journal: Path) -> dict[str, Any]:
             "samples": list({e["payload"]["id"]: e["payload"] for e in events if e["kind"] == "sample"}.values()),
             "end": ends[-1] if ends else None,
             "matter_mg": matter[-1] if matter else None,
-            "jobs": [{key: value for key, value in row.items() if key != "id"} for row in read(journal, "job")],
+            "jobs": [{key: value for key, value in row.items() if key != "id"} for row in read("job")],
             "actions": [{key: value for key, value in row.items() if key not in ("id", "job")} for row in actions],
-            "pulses": [{"time_s": row["time_s"], **row["payload"]} for row in read(journal, "pulse")],
+            "pulses": [{"time_s": row["time_s"], **row["payload"]} for row in read("pulse")],
             "events": [
                 {"time_s": event["time_s"], "kind": event["kind"], **event["payload"]}
                 for event in events

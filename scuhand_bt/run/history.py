@@ -3,12 +3,12 @@
 import json
 import sqlite3
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from scuhand_bt.run.journal import to_json
+from scuhand_bt.run.reading import open_contents
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Dose
 from scuhand_bt.tree.past import Decision, Key, Past, Recorded
@@ -80,32 +80,37 @@ class History:
 
 
 def read_history(path: Path) -> History:
-    """The history of a run's journal. Raises sqlite3.Error for a file that is none."""
+    """The history of a run's journal, as far as that is whole. Raises SourceError for a file that is none."""
+    with open_contents(path) as contents:
+        return history_of(contents.database)
+
+
+def history_of(database: sqlite3.Connection) -> History:
+    """The history that a journal's database tells."""
     history = History()
     started: dict[int, tuple[JobHistory, Key]] = {}
     jobs: dict[int, JobHistory] = {}
-    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
-        rows = database.execute("SELECT seq, kind, job, action, time_s, at, payload, state FROM entry ORDER BY seq")
-        for seq, kind, job_seq, action, time_s, at, payload, state in rows:
-            values = json.loads(payload)
-            history.time_s, history.at = time_s, at
-            if state is not None:
-                history.state = json.loads(state)
-            if kind == "run":
-                history.run = values
-            elif kind == "job_started":
-                jobs[seq] = JobHistory(seq, time_s)
-                history.jobs[values["name"], values["attempt"]] = jobs[seq]
-            elif kind == "sample" and values["verdict"] not in ("interrupted", "not run"):
-                history.samples[values["id"], values["attempt"]] = values
-            elif kind == "chosen":
-                history.answers[values["sample"], values["attempt"]] = values["action"]
-            elif kind == "ended":
-                history.ended = values
-            elif kind == "resumed":
-                history.ended = None
-            if job_seq in jobs and kind != "job_started":
-                _note(jobs[job_seq], kind, seq, action, values, started)
+    rows = database.execute("SELECT seq, kind, job, action, time_s, at, payload, state FROM entry ORDER BY seq")
+    for seq, kind, job_seq, action, time_s, at, payload, state in rows:
+        values = json.loads(payload)
+        history.time_s, history.at = time_s, at
+        if state is not None:
+            history.state = json.loads(state)
+        if kind == "run":
+            history.run = values
+        elif kind == "job_started":
+            jobs[seq] = JobHistory(seq, time_s)
+            history.jobs[values["name"], values["attempt"]] = jobs[seq]
+        elif kind == "sample" and values["verdict"] not in ("interrupted", "not run"):
+            history.samples[values["id"], values["attempt"]] = values
+        elif kind == "chosen":
+            history.answers[values["sample"], values["attempt"]] = values["action"]
+        elif kind == "ended":
+            history.ended = values
+        elif kind == "resumed":
+            history.ended = None
+        if job_seq in jobs and kind != "job_started":
+            _note(jobs[job_seq], kind, seq, action, values, started)
     return history
 
 

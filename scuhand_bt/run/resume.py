@@ -1,17 +1,16 @@
 """Finding an interrupted run, and whether it may be resumed: that nothing was altered, or changed unnoticed."""
 
 import hashlib
-import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import scuhand_bt
 from scuhand_bt.lab import Lab
 from scuhand_bt.plan import Plan
-from scuhand_bt.run.chain import verify
-from scuhand_bt.run.history import History, read_history
+from scuhand_bt.run.history import History, history_of
+from scuhand_bt.run.journal import SCHEMA_VERSION
+from scuhand_bt.run.reading import open_contents
 from scuhand_bt.yaml_source import Mark, Problem, SourceError
 
 LAB_FOLDERS = ("robot", "skills", "trees")
@@ -49,14 +48,13 @@ def find_run(folder: Path, name: str) -> Path:
 
 def checked_history(path: Path) -> History:
     """The history of a run whose chain is whole and that has something left to do. Raises SourceError if not."""
-    try:
-        with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as database:
-            problem = verify(database).problem
-        history = read_history(path)
-    except (sqlite3.Error, KeyError, TypeError, ValueError) as error:
-        raise _refused(path, f"the journal cannot be read: {error}") from None
-    if problem is not None:
-        raise _refused(path, f"the journal is not as it was written: {problem}")
+    with open_contents(path) as contents:
+        if contents.version < SCHEMA_VERSION:
+            what = "an older scuhand-bt wrote it, which noted less than resuming needs"
+            raise _refused(path, f"{what}: start the run anew, with the samples that are left")
+        if contents.verified.problem is not None:
+            raise _refused(path, f"the journal is not as it was written: {contents.verified.problem}")
+        history = history_of(contents.database)
     if history.is_complete:
         raise _refused(path, "the run is complete: nothing is left to do")
     return history

@@ -1,0 +1,105 @@
+"""Reading a journal: any version of it, whole or not, and never changing the file.
+
+Nothing of a journal is believed beyond the first entry that is not as it was written: what stands after it is
+counted as lost, and `Contents.verified` says so.
+"""
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scuhand_bt.run.chain import COLUMNS, Entry, Verified, verify
+from scuhand_bt.run.journal import SCHEMA_VERSION
+from scuhand_bt.run.migrations import MIGRATIONS, in_memory
+from scuhand_bt.yaml_source import Mark, Problem, SourceError
+
+_JSON_COLUMNS = ("inputs", "result", "payload", "state")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a journal holds as far as it is whole, in today's form."""
+
+    path: Path
+    version: int
+    """Of the schema that it was written in."""
+    database: sqlite3.Connection
+    verified: Verified
+
+    @property
+    def is_chained(self) -> bool:
+        """Whether its entries carry hashes: those of version 1 do not."""
+        return self.version > 1
+
+    def rows(self, table: str) -> list[dict[str, Any]]:
+        """All rows of a table or view, in order; JSON columns are decoded."""
+        cursor = self.database.execute(f"SELECT * FROM {table}")
+        names = [column[0] for column in cursor.description]
+        rows = [dict(zip(names, row, strict=True)) for row in cursor]
+        for row in rows:
+            for key in _JSON_COLUMNS:
+                if row.get(key) is not None:
+                    row[key] = json.loads(row[key])
+        return rows
+
+
+@contextmanager
+def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
+    """A journal's database in today's form, and the version it was written in; nothing is verified.
+
+    Raises SourceError for a file that is no journal, of a newer version, or damaged: also for what goes wrong
+    while it is open here.
+    """
+    try:
+        if not path.is_file():
+            raise _problem(path, "there is no such journal")
+        # Not only errors of SQLite: a damaged journal may hold anything.
+        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)) as file:
+            file.text_factory = lambda text: text.decode(errors="backslashreplace")
+            version: int = file.execute("PRAGMA user_version").fetchone()[0]
+            if version > SCHEMA_VERSION:
+                what = f"a newer scuhand-bt wrote it (version {version}; this one reads up to {SCHEMA_VERSION})"
+                raise _problem(path, f"{what}: use that one")
+            if version < 1:
+                raise _problem(path, "this is no journal of a run")
+            database, found = file, version
+            while found < SCHEMA_VERSION:
+                database, found = MIGRATIONS[found](database), found + 1
+            try:
+                yield database, version
+            finally:
+                database.close()
+    except (sqlite3.Error, OSError) as error:
+        raise _problem(path, f"this is no journal of a run, or it is damaged: {error}") from None
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        what = f"it holds what no journal does ({type(error).__name__}: {error})"
+        raise _problem(path, f"this is no journal of a run, or it is damaged: {what}") from None
+
+
+@contextmanager
+def open_contents(path: Path, head: str | None = None) -> Iterator[Contents]:
+    """What a journal holds, verified; `head` is what its chain should end in. Raises SourceError as `open_journal`."""
+    with open_journal(path) as (database, version):
+        if version < SCHEMA_VERSION:
+            count = database.execute("SELECT COUNT(*) FROM entry").fetchone()[0]
+            yield Contents(path, version, database, Verified(count, "", None))
+            return
+        database.execute("BEGIN")  # a run that goes on writes meanwhile
+        verified = verify(database, head)
+        rows = database.execute(f"SELECT {COLUMNS}, hash FROM entry WHERE seq <= {verified.entries} ORDER BY seq")
+        with closing(in_memory((Entry(*row[:-1]), row[-1]) for row in rows)) as whole:
+            yield Contents(path, version, whole, verified)
+
+
+def read(path: Path, table: str) -> list[dict[str, Any]]:
+    """All rows of one table or view of a journal, in order. Raises SourceError as `open_journal`."""
+    with open_contents(path) as contents:
+        return contents.rows(table)
+
+
+def _problem(path: Path, what: str) -> SourceError:
+    return SourceError([Problem(Mark(str(path)), what)])
