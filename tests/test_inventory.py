@@ -375,6 +375,20 @@ def test_less_than_nothing_is_refused(inventory: Call) -> None:
     assert "'-1 g' is less than nothing" in error
 
 
+def test_check_notes_what_a_real_run_would_ask_and_dry_runs_do_not_mind(inventory: Call, lab_folder: LabFolder) -> None:
+    path = str(lab_folder.write("recipes/one.yaml", RECIPE))
+    inventory("inventory", "set", "mortar_bay", "3 g", "--powder", "glass_beads", "--lot", "L7")
+    code, _, noted = inventory("check", path)
+    assert code == 0
+    assert f"Note: {path}:{AMOUNT}: 'beads' holds 3.0000 g of glass_beads/L7 by the inventory (operator " in noted
+    notes = json.loads(inventory("plan", path, "--json")[1])["notes"]
+    assert any("the recipe says 5.0000 g" in note for note in notes)
+    inventory("inventory", "set", "mortar_bay", "3 g", "--lot", "L8")
+    assert inventory("run", path, "--dry-run", "--controller", "paper")[0] in (0, 1)
+    (lab_folder.folder / ".scuhand" / "lab.db").write_bytes(b"no database" * 1000)
+    assert "the lab's database is damaged" in inventory("check", path)[2]
+
+
 def test_the_lab_may_be_named_before_the_subcommand(
     inventory: Call, lab_folder: LabFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:

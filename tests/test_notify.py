@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from conftest import LabFolder
 
+from scuhand_bt import cli
 from scuhand_bt.run import notify as hook
 from scuhand_bt.run.notify import Notice, Notifier, notify
 from scuhand_bt.specs import NotifySpec
@@ -193,3 +194,21 @@ def test_a_cell_may_name_a_hook(lab_folder: LabFolder) -> None:
     spec = lab_folder.load().cell.notify
     assert spec is not None
     assert (spec.webhook, spec.allow) == ("https://example.org/hook", ("example.org",))
+
+
+def test_the_hook_can_be_tried(
+    lab_folder: LabFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], server: Any
+) -> None:
+    def tried(notify: str) -> int:
+        lab_folder.write("robot/cell.yaml", f"{cell}notify: {notify}\n" if notify else cell)
+        monkeypatch.setattr(sys, "argv", ["scuhand-bt", "notify", "--lab", str(lab_folder.folder)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return int(end.value.code or 0)
+
+    cell = (lab_folder.folder / "robot" / "cell.yaml").read_text()
+    assert tried("") == 2
+    assert tried(f"{{webhook: '{server.url}'}}") == 0
+    assert json.loads(server.received[0][2])["reason"] == "scuhand-bt notify: a trial"
+    assert tried("{command: [/no/such/program]}") == 1
+    assert "cannot be started" in capsys.readouterr().err

@@ -131,8 +131,7 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
     try:
         loaded = the_lab(lab, recipe)
         checked = load_recipe(recipe, loaded)
-        make_plan(checked, loaded)
-        notes = _notes(loaded, quiet=as_json)
+        notes = _notes(make_plan(checked, loaded), loaded, quiet=as_json)
     except SourceError as error:
         if not as_json:
             raise
@@ -152,7 +151,7 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
 def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
     made, loaded = the_plan(recipe, lab)
-    notes = _notes(loaded, quiet=as_json)
+    notes = _notes(made, loaded, quiet=as_json)
     if as_json:
         out.print_json(json.dumps({**_plan_values(made), "notes": notes}))
         return
@@ -218,11 +217,19 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
     }
 
 
-def _notes(lab: "Lab", *, quiet: bool) -> list[str]:
-    """What a run on the real cell would be refused for; shown beside the result, as a dry run does not mind."""
-    from scuhand_bt.lab import without_driver
+def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
+    """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
+    from scuhand_bt.lab import state_folder, without_driver
+    from scuhand_bt.run.doubts import doubts
+    from scuhand_bt.run.inventory import Inventory
 
-    notes = [str(problem) for problem in without_driver(lab)]
+    problems = without_driver(lab)
+    try:
+        stock = Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
+        problems += [doubt.problem for doubt in doubts(made, lab.cell, stock)]
+    except SourceError as error:
+        problems += error.problems
+    notes = [str(problem) for problem in problems]
     for note in () if quiet else notes:
         err.print(Text(f"Note: {note}"))
     return notes

@@ -1,4 +1,4 @@
-"""Commands about the inventory: what the cell is believed to hold between runs, and an operator's corrections."""
+"""Commands about the cell between runs: what it is believed to hold, an operator's corrections, and who is told."""
 
 import json
 from dataclasses import asdict
@@ -8,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, out, the_lab, unknown
+from scuhand_bt.cli.shared import EXIT_BAD_INPUT, JsonFlag, LabOption, app, err, out, the_lab, unknown
 from scuhand_bt.quantity import MASS, parse
 
 if TYPE_CHECKING:
@@ -114,6 +114,22 @@ def _mass_mg(text: str) -> float:
     if mass_mg < 0:
         raise typer.BadParameter(f"'{text}' is less than nothing", param_hint="VALUE")
     return mass_mg
+
+
+@app.command("notify")
+def try_notification(lab: LabOption = None) -> None:
+    """Try the notification hook of robot/cell.yaml (`notify:`)."""
+    from scuhand_bt.run.notify import Notice, notify
+
+    spec = the_lab(lab).cell.notify
+    if spec is None:
+        err.print("robot/cell.yaml has no `notify:`; docs/unattended.md shows it.")
+        raise typer.Exit(EXIT_BAD_INPUT)
+    error = notify(spec, Notice("none", "none", simulated=True, state="ended", reason="scuhand-bt notify: a trial"))
+    if error is not None:
+        err.print(Text(error))
+        raise typer.Exit(1)
+    out.print("Sent.")
 
 
 def _inventory(lab: "Lab") -> "Inventory":
