@@ -230,14 +230,13 @@ def main() -> None:
             kill_until_done(batch, min(given.a_batch, given.kills - tally.kills), rng, whole_s, tally)
         seed += 1
         print(
-            f"\r{tally.kills} kills ({tally.while_dosing} dosing, {tally.while_resuming} resuming), {tally.batches} batches, "
-            f"{len(tally.problems)} problems",
+            f"\r{tally.kills} kills, {tally.batches} batches, {len(tally.problems)} problems",
             end="",
             file=sys.stderr,
         )
     print(file=sys.stderr)
     print(
-        f"{tally.kills} kills of {given.recipe.name}: {tally.while_dosing} while dosing, {tally.while_resuming} resuming"
+        f"{tally.kills} kills of {given.recipe.name}: {tally.while_dosing} in a dose, {tally.while_resuming} resuming"
     )
     print(f"{tally.doses} doses in {tally.batches} batches; worst recorded against true: {tally.worst_error_mg:.2f} mg")
     print(f"worst imbalance of mass: {tally.worst_imbalance_mg:.1e} mg")

@@ -47,6 +47,8 @@ class PlainLines:
             self._write(f"{job.name}")
 
     def sample_ended(self, result: SampleResult) -> None:
+        if result.verdict == "not run":
+            return
         self._ended.add(result.id)
         self._write(f"[{len(self._ended)}/{self._total}] {result.id}: {_in_words(result)}")
 

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from scuhand_bt.cli.shared import (
     EXIT_BAD_INPUT,
+    FaultsOption,
     JsonFlag,
     LabOption,
     RecipeArgument,
@@ -46,6 +47,7 @@ def run(
     speed: Annotated[float | None, typer.Option(help="Watch a dry run at so many times real time.")] = None,
     controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
+    faults: FaultsOption = None,
     unattended: UnattendedFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
@@ -53,6 +55,7 @@ def run(
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
     from scuhand_bt.run.session import Options, Session
     from scuhand_bt.run.setup import DryRun, Rehearsal
+    from scuhand_bt.sim.fault_rules import read_faults
 
     if speed is not None and not 0 < speed < float("inf"):
         raise typer.BadParameter("must be more than 0", param_hint="--speed")
@@ -62,9 +65,12 @@ def run(
         raise typer.BadParameter("only a dry run has a speed", param_hint="--speed")
     if plant is not None and not (dry_run or rehearse):
         raise typer.BadParameter("only a dry run or a rehearsal has simulated physics", param_hint="--plant")
+    if faults is not None and not (dry_run or rehearse):
+        raise typer.BadParameter("only a dry run or a rehearsal has faults at will", param_hint="--faults")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
-    simulation = DryRun(seed, plant, speed) if dry_run else Rehearsal(seed, plant) if rehearse else None
+    wrong = read_faults(faults) if faults is not None else None
+    simulation = DryRun(seed, plant, speed, wrong) if dry_run else Rehearsal(seed, plant, wrong) if rehearse else None
 
     def make(control: "Control") -> "Session":
         made, loaded = the_plan(recipe, lab)
@@ -96,6 +102,10 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
             raise typer.Exit(EXIT_BAD_INPUT) from None
     out.print(doses_table(result.samples, out.width))
     out.print(Text(end_line(result, time.monotonic() - began)))
+    for rule in session.unused_rules:
+        out.print(Text(f"Never came: {rule}"))
+    for notice in session.notices:
+        err.print(Text(notice))
     if not result.is_complete:
         out.print(Text(f"`scuhand-bt resume {session.run_id}` goes on with it."))
     out.print(Text(f"Journal: {session.journal.path}"))

@@ -42,6 +42,9 @@ LabOption = Annotated[
     Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one upward from the recipe.")
 ]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of all randomness of a simulation.")]
+FaultsOption = Annotated[
+    Path | None, typer.Option("--faults", help="What goes wrong in a simulation, by a file; `faults` lists them all.")
+]
 UnattendedFlag = Annotated[
     bool, typer.Option("--unattended", help="Nobody is there: refuse a plan that needs a person, never wait for one.")
 ]

@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol
 
 from py_trees.behaviour import Behaviour
 
+from scuhand_bt.clock import Steps
 from scuhand_bt.devices.cell import Cell, DoseSoFar
 from scuhand_bt.plan import AFTER_FAILURE, Job, Plan
 from scuhand_bt.run.control import Control
@@ -91,7 +92,8 @@ class BatchObserver(Protocol):
 class Batch:
     """Runs a plan on a cell, or goes on with it from what `history` has. `true_mass_mg` judges a simulated dose.
 
-    `after_job` is called when a job has ended and all that is known of it is in the journal.
+    `first` is what is to be settled with the operator before the first job; `after_job` is called when a job has
+    ended and all that is known of it is in the journal.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class Batch:
         control: Control,
         true_mass_mg: Callable[[str], float] | None = None,
         history: History | None = None,
+        first: Steps[None] | None = None,
         after_job: Callable[[], None] = lambda: None,
     ) -> None:
         self._plan = plan
@@ -114,6 +117,7 @@ class Batch:
         self._control = control
         self._true_mass_mg = true_mass_mg
         self._history = history or History()
+        self._first = first
         self._after_job = after_job
         self._runner = Runner(cell, library, journal, control, Guards(cell), observer)
         self._results: dict[str, SampleResult] = {}
@@ -153,6 +157,8 @@ class Batch:
             return False
 
     def _run_jobs(self) -> _Ending:
+        if self._first is not None:
+            self._runner.ask(self._first)
         for number, job in enumerate(self._plan.jobs):
             if self._control.is_stopping:
                 return _Ending(EXIT_INTERRUPTED, "interrupted" if self._control.halts else "stopped")
@@ -172,8 +178,8 @@ class Batch:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
         attempt = 1
         while True:
-            began_s = self._cell.clock.now_s
             before = self._history.jobs.get((job.name, attempt))
+            began_s = self._cell.clock.now_s if before is None else before.began_s
             outcome = self._run_job(job, _inputs_for(sample, attempt), sample.id, attempt)
             failure = outcome.failure
             if outcome.interrupted is not None:
@@ -211,7 +217,8 @@ class Batch:
         if answer is None:
             choices = [choice for choice in ANSWERS if choice != "redo" or attempt == 1]
             try:
-                answer = self._runner.ask(f"Sample '{sample.id}' failed: {failure}. What now?", choices)
+                question = f"Sample '{sample.id}' failed: {failure}. What now?"
+                answer = self._runner.ask(self._cell.operator.ask(question, choices)) or "stop"
             except SkillFailed:
                 return "stop"
             if answer != "stop":  # which is asked anew when the run is resumed

@@ -30,6 +30,8 @@ class VirtualClock:
     def __init__(self, process: Process | None = None, speed: float | None = None) -> None:
         self.now_s = 0.0
         self.process = process
+        self.hurries: Callable[[], bool] = lambda: False
+        """Whether time need not be kept any more: the cell is to be made safe."""
         self._speed = speed
         self._began = time.monotonic()
 
@@ -63,9 +65,8 @@ class VirtualClock:
         self._began += time.monotonic() - held_at
 
     def _keep_pace(self, speed: float) -> None:
-        ahead_s = self.now_s / speed - (time.monotonic() - self._began)
-        if ahead_s > 0.002:
-            time.sleep(ahead_s)
+        while not self.hurries() and (ahead_s := self.now_s / speed - (time.monotonic() - self._began)) > 0.002:
+            time.sleep(min(ahead_s, 0.05))
 
 
 BEAT_S = 0.02

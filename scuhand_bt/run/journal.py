@@ -115,6 +115,8 @@ class Journal:
         """The run's clock; set once the cell exists."""
         self.state: Callable[[], Any] = lambda: None
         """What the cell is believed to hold now; set once the cell exists."""
+        self.heard: Callable[[str, Mapping[str, Any]], None] = lambda kind, values: None
+        """Told of every event once it is on disk."""
         self.job: int | None = None
         self.action: int | None = None
         """The action that is acting now; what devices record is its doing."""
@@ -202,6 +204,7 @@ class Journal:
 
     def event(self, kind: str, values: Mapping[str, Any]) -> None:
         self._append(kind, to_json(values))
+        self.heard(kind, values)
 
     def _append(self, kind: str, payload: str, *, with_state: bool = False, frames: bytes | None = None) -> int:
         if self._lost:

@@ -9,6 +9,7 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
+from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
 
 ANSWER_S = 60.0
@@ -16,20 +17,23 @@ ANSWER_S = 60.0
 
 
 class SimulatedOperator:
-    """Does what is asked, in a minute of run time unless told otherwise."""
+    """Does what is asked, in a minute of run time unless told otherwise; refuses where `faults` has it so."""
 
-    def __init__(self, clock: Clock, record: Record, answer_s: float = ANSWER_S) -> None:
+    def __init__(self, clock: Clock, record: Record, answer_s: float = ANSWER_S, faults: Faults | None = None) -> None:
         self._clock = clock
         self._record = record
         self._answer_s = answer_s
+        self._faults = faults or Faults()
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         self._record.event("asked", {"question": question, "choices": list(choices)})
         ready_s = self._clock.now_s + self._answer_s
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
-        self._record.event("answered", {"question": question, "answer": choices[0]})
-        return choices[0]
+        refuses = self._faults.befalls("operator.refuses", self._clock.now_s)
+        answer = choices[-1 if refuses else 0]
+        self._record.event("answered", {"question": question, "answer": answer})
+        return answer
 
 
 class Nobody:

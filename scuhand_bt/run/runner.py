@@ -1,9 +1,9 @@
 """The runner: ticks one job's tree, and moves the clock to the earliest thing the tree waits for."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar, cast
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -29,6 +29,7 @@ MAX_SILENCE_S = 3600.0
 """If nothing at all happens for this long, a skill waits for what never comes."""
 MAX_TICKS_AT_ONE_TIME = 10_000
 
+T = TypeVar("T")
 Interruption = Literal["stopped", "paused", "tripped"]
 
 
@@ -101,16 +102,15 @@ class Runner:
         self._cell.clock.wait([Wake(self._cell.clock.now_s + FALL_S)])
         return is_still
 
-    def ask(self, question: str, choices: Sequence[str]) -> str:
-        """Ask the person at the cell between jobs. SkillFailed operator.absent; "stop" if the run is to end now."""
-        steps: Steps[str] = self._cell.operator.ask(question, choices)
+    def ask(self, steps: Steps[T]) -> T | None:
+        """Drive a question to the person at the cell, between jobs; None if the run is to end before the answer."""
         try:
             while not self._control.stops_now:
                 self._cell.clock.wait([next(steps), self._wish()])
         except StopIteration as answer:
-            return str(answer.value)
+            return cast(T, answer.value)
         steps.close()
-        return "stop"
+        return None
 
     def hold(self) -> None:
         """Stand still until a person continues or stops the run."""

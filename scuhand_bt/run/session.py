@@ -4,11 +4,14 @@ import getpass
 import os
 import secrets
 import sqlite3
+from collections import Counter
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import scuhand_bt
 from scuhand_bt.devices.cell import Cell
@@ -17,13 +20,18 @@ from scuhand_bt.lab import Lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Plan, check_unattended
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
+from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, Held, Presence
+from scuhand_bt.run.doubts import doubts, recall, require_settled, settle
 from scuhand_bt.run.history import History
+from scuhand_bt.run.inventory import Inventory
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.learnt import LabState
+from scuhand_bt.run.notify import Notice, Notifier, State
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.run.setup import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.state import state_of, take_up
+from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.yaml_source import Mark, Problem, SourceError
 
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
@@ -65,6 +73,8 @@ class Session:
         if options.unattended:
             check_unattended(plan)
         self.plan = plan
+        self.notices: list[str] = []
+        """What went wrong beside the batch: a notification that failed, an inventory that could not be kept."""
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
         self._lab, self._options = lab, options
@@ -75,15 +85,21 @@ class Session:
         else:
             path = resumes.path
         self.run_id = path.stem
+        self._state = LabState(path.parent.parent)
+        self._inventory = Inventory(path.parent.parent, lab.cell.cell)
+        self._notifier = Notifier(lab.cell.notify)
+        stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
+        self._doubts = doubts(plan, lab.cell, stock) if resumes is None else []
+        require_settled(self._doubts, unattended=options.unattended)
         self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
             self._make_cell(motion, opened)
+            if not self.cell.simulated:
+                self._state.recall(self.cell)
+                recall(self.cell, stock)
             self._begin(resumes)
             opened.pop_all()
-        self._state = LabState(path.parent.parent)
-        if not self.cell.simulated:
-            self._state.recall(self.cell)
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
@@ -110,6 +126,9 @@ class Session:
         self.cell.balance.on_reading = journal.weighed
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
+        journal.heard = self._heard
+        if isinstance(self.cell.clock, VirtualClock):
+            self.cell.clock.hurries = lambda: self.control.halts
         if self.world is not None:
             journal.before_commit = self.world.save
 
@@ -127,6 +146,9 @@ class Session:
         """What is run, on what, in a line."""
         simulation = self._options.simulation
         mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else "real devices"
+        if simulation is not None and simulation.faults is not None:
+            count = len(simulation.faults.rules)
+            mode += f", {count} fault {'rule' if count == 1 else 'rules'}"
         again = "resumed, " if self._history is not None else ""
         count = len(self.plan.recipe.samples)
         return f"{self.plan.recipe.name}: {again}{count} samples on the cell '{self._lab.cell.cell}', {mode}"
@@ -143,19 +165,67 @@ class Session:
             self.control,
             world.true_mass if world is not None else None,
             self._history,
+            first=settle(self.cell, self._doubts) if self._doubts else None,
+            after_job=self._after_job,
         )
         try:
             result = batch.run()
         finally:
             if world is not None:
                 self.journal.event("matter", world.masses_mg)
+                if world.faults.rules:
+                    self.journal.event("fault_rules", {"rules": world.faults.account()})
             self._state.keep(self.cell, self.run_id)
+            self._keep_inventory()
+        self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)
         return result
 
+    @property
+    def unused_rules(self) -> list[str]:
+        """The rules of the fault file whose fault has never come, with their places."""
+        simulation, world = self._options.simulation, self.world
+        if simulation is None or simulation.faults is None or world is None:
+            return []
+        file = simulation.faults
+        return [f"{file.marks[i]}: '{file.rules[i].fault}'" for i in world.faults.never_came]
+
+    def _after_job(self) -> None:
+        if not self.cell.simulated:
+            self._keep_inventory()
+
+    def _keep_inventory(self) -> None:
+        if (problem := self._inventory.keep(self.cell, self.run_id)) is not None:
+            self._trouble(problem)
+
+    def _heard(self, kind: str, values: Mapping[str, Any]) -> None:
+        """What goes into the journal, and a person who is not here should know."""
+        if kind == "paused":
+            self._notifier.tell(self._notice("paused"))
+        elif kind == "asked" and not isinstance(self._options.simulation, DryRun):
+            self._notifier.tell(self._notice("needs person", values["question"]))
+
+    def _notice(self, state: State, reason: str = "", result: BatchResult | None = None) -> Notice:
+        return Notice(
+            self.run_id,
+            self.plan.recipe.name,
+            self.cell.simulated,
+            state,
+            reason,
+            result.exit_code if result is not None else None,
+            Counter(sample.verdict for sample in result.samples) if result is not None else {},
+            self.journal.head,
+        )
+
+    def _trouble(self, what: str) -> None:
+        self.notices.append(what)
+        self.journal.event("trouble", {"what": what})
+
     def close(self) -> None:
-        """Close the devices and the journal."""
+        """Wait for what is being told of the run, and close the devices and the journal."""
+        for what in self._notifier.finish():
+            self._trouble(what)
         with ExitStack() as closing:
             closing.callback(self._presence.end)
             closing.callback(self.journal.close)
@@ -185,6 +255,7 @@ def _check_controller(name: str | None) -> None:
 
 def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> dict[str, object]:
     simulation = options.simulation
+    faults = simulation.faults if simulation is not None else None
     return {
         "run": run_id,
         "recipe": plan.recipe.name,
@@ -200,10 +271,13 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
         "seed": simulation.seed if simulation is not None else None,
         "plant": (simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
         "controller": cell.controller,
+        "faults_hash": faults.hash if faults is not None else None,
+        "faults_text": faults.text if faults is not None else None,
         "options": {
             "controller": options.controller,
             "plant": simulation.plant if simulation is not None else None,
             "speed": simulation.speed if isinstance(simulation, DryRun) else None,
+            "faults": faults.marks[0].file if faults is not None else None,
         },
         "operator": _user(),
         "devices": {
@@ -222,7 +296,8 @@ def options_of(history: History, folder: Path, path: Path) -> Options:
     if run["mode"] == Rehearsal.mode:
         problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
         raise SourceError([Problem(Mark(str(path)), problem)])
-    simulation = DryRun(run["seed"], given["plant"], given["speed"]) if run["simulated"] else None
+    faults = parse_faults(run["faults_text"], given["faults"]) if run["faults_text"] is not None else None
+    simulation = DryRun(run["seed"], given["plant"], given["speed"], faults) if run["simulated"] else None
     return Options(simulation, given["controller"], folder, run["unattended"])
 
 

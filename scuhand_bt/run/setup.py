@@ -23,32 +23,51 @@ from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import Nobody, OperatorChanger, SimulatedOperator, TerminalOperator
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
+from scuhand_bt.sim.fault_rules import FaultFile
+from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container
 from scuhand_bt.yaml_source import SourceError
 
+MATTERLESS = {
+    "powder.clog": "no powder is behind twins alone",
+    "cone.leak": "no powder is behind twins alone",
+    "scoop.nothing": "no powder is behind twins alone",
+    "vibration.dead": "no powder is behind twins alone that would feel it",
+    "container.wrong": "nothing is put on the pan of twins alone",
+    "operator.refuses": "nobody is asked by twins alone",
+}
+"""Faults that twins without a recipe cannot show, and why."""
 REHEARSED_ANSWER_S = 2.0
 """Time that the simulated person of a rehearsal takes to do what is asked."""
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """Simulated devices on a virtual clock: the seed, the physics, how fast time may pass (None: at once)."""
+    """Simulated devices on a virtual clock: the seed, the physics, how fast time may pass (None: at once).
+
+    `faults` is what goes wrong.
+    """
 
     mode: ClassVar = "SIMULATED"
     seed: int = 0
     plant: str | None = None
     speed: float | None = None
+    faults: FaultFile | None = None
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """The real drivers in real time, against twins of the devices: the seed, and the physics behind them."""
+    """The real drivers in real time, against twins of the devices: the seed, and the physics behind them.
+
+    `faults` is what goes wrong.
+    """
 
     mode: ClassVar = "REHEARSAL (simulated matter, real drivers)"
     seed: int = 0
     plant: str | None = None
+    faults: FaultFile | None = None
 
 
 Simulation = DryRun | Rehearsal
@@ -80,9 +99,10 @@ def set_up(
     which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
     are needed, as they were all found possible before.
 
-    Raises SourceError for a real run on a cell whose changer has no driver, and for a world's file that cannot be
-    taken up; SkillFailed arm.* for a way that cannot be planned, device.lost for a device that cannot be opened;
-    PlantError for a plant that cannot be used; NoCompiler for a rehearsal without a C++ compiler.
+    Raises SourceError for a real run on a cell whose changer has no driver, for a world's file that cannot be taken
+    up and for faults that cannot come in this run; SkillFailed arm.* for a way that cannot be planned, device.lost
+    for a device that cannot be opened; PlantError for a plant that cannot be used; NoCompiler for a rehearsal
+    without a C++ compiler.
     """
     if simulation is None and (problems := without_driver(lab)):
         raise SourceError(problems)
@@ -116,7 +136,8 @@ def _dry_run(
 ) -> Setup:
     _find_plants(lab)
     clock = VirtualClock(speed=dry_run.speed)
-    operator = SimulatedOperator(clock, record)
+    faults = _faults(plan, dry_run)
+    operator = SimulatedOperator(clock, record, faults=faults)
     cell, world = simulated_cell(
         lab.cell,
         plan.recipe.sources,
@@ -127,6 +148,7 @@ def _dry_run(
         seed=dry_run.seed,
         plant=dry_run.plant,
         joints=motion.home(),
+        faults=faults,
     )
     clock.process = world
     if lab.cell.changer.driver == "operator":
@@ -153,23 +175,36 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, record: Record, motio
 
     clock = WallClock(beat)
     firmware = lab.folder / "robot" / "firmware"
-    bench = WireBench(lab.cell, plan.recipe.sources, firmware, motion.home(), clock, rehearsal.seed, rehearsal.plant)
+    faults = _faults(plan, rehearsal)
+    has_person = sys.stdin.isatty()
+    if rehearsal.faults is not None and has_person:
+        rehearsal.faults.refuse({"operator.refuses": "a person at this terminal answers for the operator"})
+    bench = WireBench(
+        lab.cell, plan.recipe.sources, firmware, motion.home(), clock, rehearsal.seed, rehearsal.plant, faults=faults
+    )
     world = bench.world
     with ExitStack() as opened:
         opened.enter_context(bench)
         devices = connect_cell_devices(bench.spec, clock, liveness)
         opened.callback(devices.close)
         opened.callback(liveness.end)
-        if sys.stdin.isatty():
+        if has_person:
             operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, record, _show)
         else:
-            operator = SimulatedOperator(clock, record, REHEARSED_ANSWER_S)
+            operator = SimulatedOperator(clock, record, REHEARSED_ANSWER_S, faults)
         by_hand = lab.cell.changer.driver == "operator"
         changer = OperatorChanger(operator, world.place, world.remove) if by_hand else SimulatedChanger(clock, world)
         cell = _wired_cell(plan, lab, devices, clock, record, motion, operator, changer, simulated=True)
         cell.begin_sample = world.begin_sample
         _follow_hands(world, cell)
         return Setup(cell, world, opened.pop_all().close)
+
+
+def _faults(plan: Plan, simulation: Simulation) -> Faults:
+    if simulation.faults is None:
+        return Faults()
+    simulation.faults.check_samples([sample.id for sample in plan.recipe.samples])
+    return Faults(simulation.faults.rules, simulation.seed)
 
 
 def _real(plan: Plan, lab: Lab, record: Record, motion: MotionPlanner, began_s: float) -> Setup:
@@ -247,10 +282,16 @@ def _show(question: str) -> None:
     print(question, flush=True)
 
 
-def bench_of(lab: Lab, seed: int = 0) -> WireBench:
-    """The twins of a lab's cell without a recipe: the arm parked, nothing on the pan. Raises NoCompiler."""
+def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:
+    """The twins of a lab's cell without a recipe: the arm parked, nothing on the pan.
+
+    Raises NoCompiler, and SourceError for faults that cannot come to twins alone.
+    """
+    if faults is not None:
+        faults.refuse(MATTERLESS, of_samples="twins alone know of no sample")
     parked = MotionPlanner(lab.urdf, lab.cell, {}, threads=1).home()
-    return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed)
+    wrong = Faults(faults.rules if faults is not None else (), seed)
+    return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong)
 
 
 def prepared_motion(plan: Plan, lab: Lab, *, all_ways: bool = True) -> MotionPlanner:
