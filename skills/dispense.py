@@ -73,7 +73,7 @@ class Dispense(Skill[Dose]):
             yield from cell.move_to(place)
         mean = yield from cell.balance.settled()
         arrived_mg = mean.value_mg - believed.pan_gross_mg
-        cell.record.event("reweighed", {"gross_mg": mean.value_mg, "arrived_mg": arrived_mg})
+        cell.record.event("reweighed", {**mean.values(), "arrived_mg": arrived_mg})
         believed.cone_mg = max(0.0, believed.cone_mg - arrived_mg)
         believed.pan_gross_mg = mean.value_mg
 

@@ -45,7 +45,8 @@ class PlaceContainer(Skill[None]):
         loaded = yield from cell.balance.settled()
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
-        cell.record.event("container", {"container": container.id, "kind": container.name, "mass_mg": mass_mg})
+        weighed = {"container": container.id, "kind": container.name, "mass_mg": mass_mg}
+        cell.record.event("container", {**weighed, "bare": bare.values(), "loaded": loaded.values()})
         if mass_mg < container.empty_mass_mg / 10:
             raise SkillFailed(
                 "container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {container.name} stands on it"

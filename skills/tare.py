@@ -17,5 +17,5 @@ class Tare(Skill[Milligrams]):
         mean = yield from cell.balance.settled()
         cell.believed.pan_empty_mg = cell.believed.pan_gross_mg = mean.value_mg
         cell.believed.dosing = DoseSoFar(began_s=cell.clock.now_s)
-        cell.record.event("tare", {"gross_mg": mean.value_mg, "uncertainty_mg": mean.uncertainty_mg})
+        cell.record.event("tare", {**mean.values(), "balance": cell.balance.identity})
         return mean.value_mg

@@ -6,9 +6,10 @@ the motor off when it ends, however it ends: a reading that does not come for `s
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 from scuhand_bt.clock import Clock, Steps, Wake
-from scuhand_bt.devices.interfaces import Balance, Hand
+from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Settle, Stream
 from scuhand_bt.record import Record
 
@@ -82,7 +83,10 @@ def run_dose(
             if acted_s - begin_s > LONGEST_S:
                 hand.stop()
                 mean = yield from balance.settled()
-                command = Finish("step_limit", mean.value_mg - empty_mg, math.sqrt(2.0) * mean.uncertainty_mg)
+                net_mg, uncertainty_mg = mean.value_mg - empty_mg, math.sqrt(2.0) * mean.uncertainty_mg
+                ended = Observation(mean.time_s, net_mg, uncertainty_mg, True, hand.opening_mm)
+                record.pulse(_values(Settle(0.0), ended, acted_s) | _weighed(mean))
+                command = Finish("step_limit", net_mg, uncertainty_mg)
                 break
             if isinstance(command, Stream):
                 pulses += not streaming
@@ -117,7 +121,7 @@ def run_dose(
                 uncertainty_mg = math.hypot(math.sqrt(2.0) * mean.uncertainty_mg, drift_mg)
                 seen = Observation(mean.time_s, mean.value_mg - empty_mg, uncertainty_mg, True, hand.opening_mm)
                 level = 0.0
-                record.pulse(_values(command, seen, acted_s))
+                record.pulse(_values(command, seen, acted_s) | _weighed(mean))
             command = controller.decide(seen)
             curve.append(
                 CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
@@ -134,3 +138,9 @@ def _values(command: Pulse | Settle, seen: Observation, acted_s: float) -> dict[
         values["vibration"] = command.vibration
     values |= {"began_s": acted_s, "ended_s": seen.time_s}
     return values | {"net_mg": seen.net_mg, "uncertainty_mg": seen.uncertainty_mg}
+
+
+def _weighed(mean: StableMean) -> dict[str, Any]:
+    """The gross mass that a net mass comes from, with the balance's own lines."""
+    values = mean.values()
+    return {"gross_mg": values["gross_mg"], "readings": values["readings"]}

@@ -7,7 +7,7 @@ then is its lease freed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +109,17 @@ class Reading:
     unit: str = "mg"
     raw: bytes = b""
 
+    def values(self) -> dict[str, Any]:
+        """As it is written down: the line as it came, and what was understood of it."""
+        line = self.raw.decode("latin-1")
+        return {
+            "raw": line,
+            "value_mg": self.value_mg,
+            "unit": self.unit,
+            "stable": self.stable,
+            "time_s": round(self.time_s, 4),
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class StableMean:
@@ -119,12 +130,22 @@ class StableMean:
     time_s: float
     readings: Sequence[Reading] = ()
 
+    def values(self) -> dict[str, Any]:
+        """As it is written down: the mean, and every reading that it is the mean of."""
+        readings = [reading.values() for reading in self.readings]
+        return {"gross_mg": self.value_mg, "uncertainty_mg": self.uncertainty_mg, "readings": readings}
+
 
 class Balance(Device, Protocol):
     """The balance. It is never tared by command: gross values only (a tare would die with the power)."""
 
     @property
     def spec(self) -> BalanceSpec: ...
+
+    @property
+    def identity(self) -> str:
+        """What the balance answered when asked who it is; "" where it did not."""
+        ...
 
     @property
     def latest(self) -> Reading | None: ...

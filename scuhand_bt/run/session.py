@@ -279,6 +279,13 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
             "speed": simulation.speed if isinstance(simulation, DryRun) else None,
             "faults": faults.marks[0].file if faults is not None else None,
         },
+        "sources": {
+            name: {"station": source.station, "powder": source.powder.name, "lot": source.lot}
+            for name, source in plan.recipe.sources.items()
+        },
+        "samples": [
+            {"id": sample.id, "workflow": sample.workflow, "inputs": sample.inputs} for sample in plan.recipe.samples
+        ],
         "operator": _user(),
         "devices": {
             name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)

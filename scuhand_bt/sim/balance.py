@@ -7,6 +7,8 @@ the filter still creeps.
 
 import math
 from collections import deque
+from collections.abc import Callable
+from decimal import Decimal
 from typing import ClassVar
 
 import numpy as np
@@ -22,8 +24,6 @@ BAND_DIGITS = 1.5
 WINDOW_S = 1.0
 MEAN_OF = 5
 """How many stable readings in a row a stable mean is made of."""
-LOST_AFTER_S = 3.0
-"""Without a reading for this long, the balance is taken for lost."""
 DRIFT_MG_PER_S = 0.5
 """Of a balance whose zero wanders: more than `BAND_DIGITS` lets pass."""
 
@@ -45,8 +45,10 @@ class SimulatedBalance:
 
     def __init__(self, spec: BalanceSpec, clock: Clock, plant: Plant) -> None:
         self.spec = spec
+        self.identity = "simulated"
         self.news = Signal()
         self.latest: Reading | None = None
+        self.on_reading: Callable[[Reading], None] | None = None
         self.is_stopped = True
         self.faults = Faults()
         """What is wrong with it, in a simulation of faults."""
@@ -57,6 +59,7 @@ class SimulatedBalance:
         self._plant = plant
         self._response = plant.balance(spec)
         self._rng = np.random.default_rng(0)
+        self._line = _line_of(spec.readability_mg)
         self._half = max(3, round(WINDOW_S / spec.period_s / 2.0))
         self._values: deque[float] = deque(maxlen=2 * self._half)
         self._readings = 1
@@ -69,7 +72,7 @@ class SimulatedBalance:
     def fault(self) -> SkillFailed | None:
         """What is wrong with it now."""
         if self._was_lost:
-            return SkillFailed("device.lost", f"the balance has sent no reading for {LOST_AFTER_S:g} s")
+            return SkillFailed("device.lost", f"the balance has sent no reading for {self.spec.lost_after_s:g} s")
         return None
 
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
@@ -132,13 +135,19 @@ class SimulatedBalance:
             for index in range(self._half, 2 * self._half):
                 newer += values[index] - values[index - self._half]
             stable = abs(newer) <= BAND_DIGITS * digit_mg * self._half
-        self.latest = Reading(value_mg, stable and "balance.unstable" not in self.faults.active, end_s)
+        stable = stable and "balance.unstable" not in self.faults.active
+        if self.on_reading is None:
+            self.latest = Reading(value_mg, stable, end_s)
+        else:
+            raw = self._line % (b"S" if stable else b"D", value_mg / 1000.0)
+            self.latest = Reading(value_mg, stable, end_s, "g", raw)
+            self.on_reading(self.latest)
         self.news.fire()
 
     def _is_silent(self, now_s: float) -> bool:
         """Whether it says nothing that is a reading; after a while that is news."""
         is_silent = "balance.silent" in self.faults.active or "balance.garbage" in self.faults.active
-        if self._was_lost != (is_silent and now_s - self._heard_s >= LOST_AFTER_S):
+        if self._was_lost != (is_silent and now_s - self._heard_s >= self.spec.lost_after_s):
             self._was_lost = not self._was_lost
             self.latest = None if self._was_lost else self.latest
             self.news.fire()
@@ -149,3 +158,9 @@ class SimulatedBalance:
         active = self.faults.active
         error_mg = DRIFT_MG_PER_S * (now_s - active["balance.drifting"]) if "balance.drifting" in active else 0.0
         return error_mg + (self.faults.push_mg() if "balance.draught" in active else 0.0)
+
+
+def _line_of(readability_mg: float) -> bytes:
+    """The pattern of its lines, in MT-SICS manner: b"S S    12.3456 g", in grams to the last digit it can show."""
+    decimals = max(0, -int(Decimal(str(readability_mg / 1000.0)).normalize().as_tuple().exponent))
+    return b"S %%s %%10.%df g\r\n" % decimals

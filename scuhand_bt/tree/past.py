@@ -141,7 +141,7 @@ def _compare_pan(cell: Cell, gross_mg: float) -> Steps[None]:
     believed = cell.believed
     mean = yield from cell.balance.settled()
     drift_mg = mean.value_mg - gross_mg
-    cell.record.event("pan_compared", {"gross_mg": mean.value_mg, "before_mg": gross_mg})
+    cell.record.event("pan_compared", {**mean.values(), "before_mg": gross_mg})
     if abs(drift_mg) > max(1.0, DRIFT_DIGITS * cell.spec.balance.readability_mg):
         answer = yield from cell.operator.ask(
             f"The pan shows {drift_mg:+.1f} mg against before the interruption, and nothing was being dosed. Has only "
