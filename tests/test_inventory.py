@@ -12,17 +12,22 @@ import pytest
 from conftest import Desk, LabFolder, problems_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from running import dry_run
+from running import Watching, dry_run, shared_planner
 
 from scuhand_bt import cli
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.lab import Lab
 from scuhand_bt.plan import Plan, make_plan
+from scuhand_bt.recipe import load_recipe
+from scuhand_bt.run.batch import BatchResult
 from scuhand_bt.run.doubts import doubts, recall, require_settled, settle
 from scuhand_bt.run.inventory import Entry, Inventory, Stock
 from scuhand_bt.run.lab_db import MIGRATIONS, lab_db
 from scuhand_bt.run.learnt import LabState
+from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.setup import DryRun, Setup, set_up
 from scuhand_bt.yaml_source import SourceError
 
 RECIPE = """\
@@ -226,6 +231,12 @@ def test_a_cone_or_a_sheet_of_another_lot_is_doubted(desk: Desk) -> None:
     assert noted(desk, Entry("cone", mass_mg=0.0), Entry("sheet", used=3)) == []
 
 
+def test_a_recipe_without_powder_needs_an_empty_cone(desk: Desk) -> None:
+    check = "recipe: c\nworkflow: start_of_day\nsamples: [{id: a, weight: 20 g}]\n"
+    (doubt,) = noted(desk, Entry("cone", "", "glass_beads", "L7", 300.0), Entry("sheet", "", "x", used=2), recipe=check)
+    assert doubt.startswith("1:1: by the inventory the cone holds 300.0 mg of glass_beads/L7 (run r1, today); this rec")
+
+
 def test_a_changer_that_would_run_out_is_doubted(desk: Desk) -> None:
     assert noted(desk, Entry("changer", used=22)) == []
     (doubt,) = noted(desk, Entry("changer", used=23))
@@ -306,6 +317,61 @@ def test_a_fresh_sheet_is_counted_and_stop_refuses(cell: Cell, desk: Desk) -> No
     assert (believed.sheet, believed.sheets_used) == (None, 5)
     with pytest.raises(SkillFailed, match=r"operator\.refused"):
         settled(cell, desk, Answering("stop"), sheet)
+
+
+# --- in a real run, here with the simulated devices taken for real ones
+
+
+@pytest.fixture
+def real(tmp_path: Path, starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[BatchResult, Session]]:
+    def taken_for_real(plan: Plan, lab: Lab, simulation: object, *args: object, **more: object) -> Setup:
+        made = set_up(plan, lab, DryRun(), *args, **more)  # type: ignore[arg-type]
+        made.cell.simulated = False
+        return made
+
+    def run(recipe: str = RECIPE, operator: Answering | None = None, **options: bool) -> tuple[BatchResult, Session]:
+        path = tmp_path / "recipe.yaml"
+        path.write_text(recipe)
+        plan = make_plan(load_recipe(path, starter), starter)
+        given = Options(None, "paper", tmp_path / "runs", **options)
+        session = Session(plan, starter, given, shared_planner(plan, starter))
+        if operator is not None:
+            session.cell.operator = operator  # type: ignore[assignment]
+        try:
+            return session.run(Watching()), session
+        finally:
+            session.close()
+
+    monkeypatch.setattr("scuhand_bt.run.session.set_up", taken_for_real)
+    return run
+
+
+def test_a_real_run_goes_on_from_what_the_one_before_left(real: Callable[..., tuple[BatchResult, Session]]) -> None:
+    first = real()[1].cell.believed
+    result, session = real(operator=Answering())
+    second = session.cell.believed
+    assert result.exit_code in (0, 1)
+    assert second.sources_mg["beads"] < first.sources_mg["beads"] < 5000.0
+    assert (first.slots_used, second.slots_used) == (2, 4)
+    assert second.containers_used == {"xrd_holder": 4}
+
+
+def test_a_real_run_settles_its_doubts_before_anything_moves(
+    real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path
+) -> None:
+    Inventory(tmp_path, "starter").enter(powder(3000.0))
+    assert problems_of(lambda: real(unattended=True))[0].startswith(f"{AMOUNT}: 'beads' holds 3.0000 g")
+    operator = Answering("inventory")
+    result, session = real(operator=operator)
+    assert len(operator.asked) == 1
+    assert result.exit_code in (0, 1)
+    assert session.cell.believed.sources_mg["beads"] < 3000.0
+    refused, _ = real(RECIPE.replace("5 g", "9 g"), operator=Answering("stop"))
+    assert refused.exit_code == 3
+    assert "operator.refused" in refused.reason
+    assert [sample.verdict for sample in refused.samples] == ["not run", "not run"]
+    Inventory(tmp_path, "starter").enter(powder(3000.0, lot="L8"))
+    assert problems_of(real)[0].startswith(f"{SOURCE}: by the inventory 'mortar_bay' holds 3.0000 g of glass_beads/L8")
 
 
 # --- the command

@@ -134,18 +134,17 @@ def _believe_source(name: str, mass_mg: float) -> Settle:
 def _about_hand(plan: Plan, stock: Stock) -> Iterator[Doubt]:
     """The cone must be empty, or hold what comes first; and so the sheet."""
     first = next((job.sample.source for job in plan.jobs if job.sample is not None and job.sample.source), None)
-    if first is None:
-        return
-    mark = plan.recipe.marks[f"sources.{first.name}"]
+    mark = plan.recipe.marks[f"sources.{first.name}"] if first is not None else Mark(str(plan.recipe.path))
+    needs = f"the first sample needs {first.sheet_key}" if first is not None else "this recipe needs it empty"
     cone, sheet = stock.get(("cone", "")), stock.get(("sheet", ""))
-    if cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG and cone.lot_key != first.sheet_key:
+    is_loaded = cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG
+    if cone is not None and is_loaded and (first is None or cone.lot_key != first.sheet_key):
         what = f"by the inventory the cone holds {cone.in_words} of {cone.lot_key} ({cone.origin})"
-        say = "empty it, and say so: scuhand-bt inventory set cone '0 mg'"
-        yield Doubt(mark, f"{what}; the first sample needs {first.sheet_key}; {say}")
-    if sheet is not None and sheet.powder and sheet.lot_key != first.sheet_key:
+        yield Doubt(mark, f"{what}; {needs}; empty it, and say so: scuhand-bt inventory set cone '0 mg'")
+    if sheet is not None and sheet.powder and first is not None and sheet.lot_key != first.sheet_key:
         what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
         question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now?"
-        yield Doubt(mark, f"{what}; the first sample needs {first.sheet_key}", question, (("fresh", _believe_fresh),))
+        yield Doubt(mark, f"{what}; {needs}", question, (("fresh", _believe_fresh),))
 
 
 def _believe_fresh(believed: Believed) -> None:
