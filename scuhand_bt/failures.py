@@ -98,8 +98,8 @@ CATALOGUE: Mapping[str, Failure] = {
         "Discard or return what is in the cone and swap the sheet.",
     ),
     "hand.no_flow": Failure(
-        "The cone holds powder, but none comes out, even with vibration.",
-        "Look for a bridge or a lump at the apex; dry or sieve the powder.",
+        "The cone should hold powder, but none comes out, even with vibration.",
+        "Look whether the scoop brought any; else for a bridge or a lump at the apex. Dry or sieve the powder.",
     ),
     "hand.valve_stuck": Failure(
         "The valve does not move; powder may be running out of it.",

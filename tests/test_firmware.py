@@ -181,7 +181,7 @@ def test_the_emergency_stop_latches_until_it_is_released_and_reset() -> None:
 
 def test_a_valve_that_does_not_arrive_is_stuck_and_one_whose_servo_fails_is_said_to() -> None:
     host = Host()
-    host.twin.stuck = True
+    host.twin.can_open = False
     host.report("open 1.0")
     assert host.wait(2.4).report().faults == ""
     assert host.wait(0.2).report().faults == "t"

@@ -12,6 +12,7 @@ from rich.text import Text
 from scuhand_bt.cli.shared import (
     EXIT_BAD_INPUT,
     EXIT_CELL_FAULT,
+    FaultsOption,
     JsonFlag,
     LabOption,
     SeedOption,
@@ -24,6 +25,7 @@ from scuhand_bt.cli.shared import (
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
+    from scuhand_bt.sim.fault_rules import FaultFile
     from scuhand_bt.sim.wire.bench import WireBench
 
 
@@ -32,12 +34,15 @@ def twins(
     cell: Annotated[Path | None, typer.Option("--cell", help="A lab's robot/cell.yaml, instead of --lab.")] = None,
     lab: LabOption = None,
     seed: SeedOption = 0,
+    faults: FaultsOption = None,
 ) -> None:
     """Start twins of the cell's devices on ports that any program can open, until Ctrl-C."""
     from scuhand_bt.clock import Signal, Wake
     from scuhand_bt.run.clock import WallClock
+    from scuhand_bt.sim.fault_rules import read_faults
 
-    bench = _bench(_lab_of_cell(cell, lab), seed)
+    wrong = read_faults(faults) if faults is not None else None
+    bench = _bench(_lab_of_cell(cell, lab), seed, wrong)
     stop, clock = Signal(), WallClock(bench.check)
     with on_signals(stop.fire), bench:
         table = Table("device", "driver", "port", show_edge=False)
@@ -99,14 +104,14 @@ def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
     return the_lab(folder)
 
 
-def _bench(lab: "Lab", seed: int = 0) -> "WireBench":
+def _bench(lab: "Lab", seed: int = 0, faults: "FaultFile | None" = None) -> "WireBench":
     """The twins of a lab's cell; ends with a message where they cannot be made."""
     from scuhand_bt.run.setup import bench_of
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
     try:
-        return bench_of(lab, seed)
+        return bench_of(lab, seed, faults)
     except (PlantError, NoCompiler) as error:
         err.print(Text(f"{error}"))
         raise typer.Exit(EXIT_BAD_INPUT) from None

@@ -1,4 +1,4 @@
-"""The command about failures: what a code means, what to do, who raises it and what a recipe can do about it."""
+"""Commands about failures: what a code means and what to do about it, and what can be made to fail in a simulation."""
 
 import json
 from pathlib import Path
@@ -70,3 +70,15 @@ def _engine() -> dict[str, list[Path]]:
     package = Path(scuhand_bt.__file__).parent
     parts = sorted(path for path in package.iterdir() if path.is_dir() and path.name != "starter_lab")
     return {f"scuhand_bt/{part.name}": sorted(part.rglob("*.py")) for part in parts}
+
+
+@app.command()
+def faults() -> None:
+    """List what can go wrong in a simulated cell, as `--faults FILE` has it (docs/faults.md)."""
+    from scuhand_bt.sim.fault_rules import KINDS, OPPORTUNITIES, TO_THE_END
+
+    table = Table("fault", "what happens", "for", "when it may begin, if not told", show_edge=False)
+    for name, kind in KINDS.items():
+        lasts = "once" if kind.is_momentary else "to the end" if kind.lasts_s == TO_THE_END else f"{kind.lasts_s:g} s"
+        table.add_row(name, kind.summary, lasts, OPPORTUNITIES[kind.opportunity])
+    out.print(table)

@@ -77,6 +77,7 @@ class OperatorChanger:
     """A container changer that is the operator's hands; `place` and `remove` let a simulation follow."""
 
     needs_person = True
+    fault = None
 
     def __init__(
         self,

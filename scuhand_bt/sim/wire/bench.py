@@ -22,10 +22,12 @@ from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
+from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import INITIAL_DIAMETER_MM, SimulatedHand
 from scuhand_bt.sim.plant import Plant, load_plant
 from scuhand_bt.sim.wire.balances import TWINS
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
+from scuhand_bt.sim.wire.faults import WireFaults
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
@@ -61,6 +63,8 @@ class WireArm(SimulatedArm):
         """See where the servos are."""
         joints = np.array([(servo.position - 2048) / COUNTS_PER_RAD for servo in self._servos])
         if np.abs(joints - self._rest).max() > 0.5 / COUNTS_PER_RAD:
+            if not self.is_active:
+                self.faults.chance("motion", end_s)
             self._moved_s = end_s
             self._hold(joints)
         self._now_s = end_s
@@ -119,9 +123,10 @@ class WireWorld(World):
         arm: WireArm,
         hand: WireHand,
         balance: SimulatedBalance,
+        faults: Faults | None = None,
     ) -> None:
         self._lock = threading.RLock()
-        super().__init__(spec, sources, plant, seed, arm, hand, balance)
+        super().__init__(spec, sources, plant, seed, arm, hand, balance, faults)
 
     def step(self, now_s: float, limit_s: float) -> float:
         with self._lock:
@@ -159,6 +164,8 @@ class WirePan:
         self._balance = balance
 
     def gross_mg(self, now_s: float) -> float:
+        if "balance.overload" in self._balance.faults.active:
+            return 2.0 * self._balance.spec.maximum_mg
         return self._balance.latest.value_mg if self._balance.latest is not None else 0.0
 
     def is_stable(self, now_s: float) -> bool:
@@ -183,6 +190,7 @@ class WireBench:
         seed: int = 0,
         plant: str | None = None,
         ports: Path | None = None,
+        faults: Faults | None = None,
     ) -> None:
         physics = load_plant(plant or spec.plant)
         for source in sources.values():
@@ -194,10 +202,11 @@ class WireBench:
         arm = WireArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, arm_servos)
         hand = WireHand(spec.hand, clock, valve, roller)
         balance = SimulatedBalance(spec.balance, clock, physics)
-        self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance)
+        self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance, faults)
         kind = TWINS[spec.balance.driver]
         twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
+        self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
         self.spec = spec.model_copy(
             update={
                 "arm": spec.arm.model_copy(update={"port": self.bus.url}),
@@ -247,5 +256,6 @@ class WireBench:
                 end_s = self._clock.now_s
                 while now_s < end_s and not self._closing.is_set():
                     now_s = self.world.step(now_s, end_s)
+                self._faults.apply()
         except Exception as error:
             self._failure = error

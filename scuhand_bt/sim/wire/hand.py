@@ -57,7 +57,10 @@ class HandTwin:
         valve_dead_time_s: float = 0.06,
     ) -> None:
         self.opening_mm = 0.0
-        self.stuck = False
+        self.can_open = self.can_close = True
+        """Whether nothing is in the valve's way."""
+        self.speed_ratio = 1.0
+        """What its speed is of what it should be."""
         self.healthy = True
         self.emergency_stop = False
         self.temperature_c = 30
@@ -109,6 +112,8 @@ class HandTwin:
         self._now_s = now_s
         while self._goals and self._goals[0][0] <= now_s:
             self._goal_mm = self._goals.pop(0)[1]
-        if not self.stuck and self.healthy:
-            most_mm = self._speed_mm_per_s * dt_s
-            self.opening_mm += max(-most_mm, min(most_mm, self._goal_mm - self.opening_mm))
+        if self.healthy:
+            most_mm = self._speed_mm_per_s * self.speed_ratio * dt_s
+            way_mm = max(-most_mm, min(most_mm, self._goal_mm - self.opening_mm))
+            if self.can_open if way_mm > 0.0 else self.can_close:
+                self.opening_mm += way_mm

@@ -1,0 +1,63 @@
+"""The faults of a simulated cell, as twins show them on their cables.
+
+What befalls matter (a clog, a leak, an empty scoop, a wrong container, a dead motor) and what a balance reads
+(a wandering zero, a draught, no stability, overload) come from the world behind the twins; the rest is here.
+"""
+
+from collections.abc import Callable
+
+from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.hand import SLOW
+from scuhand_bt.sim.wire.balances import BalanceTwin
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
+from scuhand_bt.sim.wire.hand import HandTwin
+from scuhand_bt.sim.wire.server import TwinServer
+from scuhand_bt.sim.wire.servo import OVERLOAD_BIT
+
+BEFALLEN = 4
+"""The servo that is blocked, hot or overloaded: joint 3."""
+NOISE = b"\xfe\x80?\x00~\xa5\r\n"
+MANY = 1_000_000
+
+
+class WireFaults:
+    """Lets the twins of one cell misbehave as its `Faults` say."""
+
+    def __init__(
+        self,
+        faults: Faults,
+        bus: TwinServer[DynamixelTwin],
+        hand: TwinServer[HandTwin],
+        balance: TwinServer[BalanceTwin],
+    ) -> None:
+        self._faults = faults
+        self._bus, self._hand, self._balance = bus, hand, balance
+        self._there: dict[str, float] = {}
+        valve, servo = hand.twin, bus.twin.servos[BEFALLEN]
+        self._switches: dict[str, Callable[[bool], None]] = {
+            "balance.silent": lambda on: setattr(balance, "paused", on),
+            "balance.garbage": lambda on: setattr(balance.misbehaviour, "drop", MANY * on),
+            "valve.stuck_open": lambda on: setattr(valve, "can_close", not on),
+            "valve.stuck_closed": lambda on: setattr(valve, "can_open", not on),
+            "valve.slow": lambda on: setattr(valve, "speed_ratio", SLOW if on else 1.0),
+            "servo.overheat": lambda on: setattr(servo, "temperature_c", servo.table[31] + 1.0 if on else 40.0),
+            "servo.overload": lambda on: servo.fail(OVERLOAD_BIT) if on else None,
+            "servo.not_following": lambda on: setattr(servo, "blocked", on),
+            "arm.lost": lambda on: bus.unplug() if on else bus.plug(),
+            "hand.lost": lambda on: hand.unplug() if on else hand.plug(),
+            "hand.emergency_stop": lambda on: setattr(valve, "emergency_stop", on),
+        }
+
+    def apply(self) -> None:
+        """Make the twins show what is wrong now."""
+        active = self._faults.active
+        if "balance.garbage" in active:
+            self._balance.say(NOISE)
+        if active is self._there:
+            return
+        before, self._there = self._there, active
+        for fault in before.keys() - active.keys() & self._switches.keys():
+            self._switches[fault](False)
+        for fault, since_s in active.items():
+            if fault in self._switches and before.get(fault) != since_s:
+                self._switches[fault](True)
