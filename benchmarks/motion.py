@@ -26,17 +26,8 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, roadmap, spill_limit_deg, transfer
 from scuhand_bt.motion.charts import JointChart
-from scuhand_bt.motion.kinematics import (
-    COUNT_RAD,
-    LIMITS_RAD,
-    ApexPose,
-    Floats,
-    apex,
-    apex_positions_m,
-    finest,
-    solutions,
-    unreachable_reason,
-)
+from scuhand_bt.motion.inverse import finest, solutions, unreachable_reason
+from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, Floats, apex, apex_positions_m
 from scuhand_bt.motion.planner import RELAXED_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import rest_to_rest_s

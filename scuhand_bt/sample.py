@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from scuhand_bt.devices import places
-from scuhand_bt.motion.kinematics import ApexPose, unreachable_reason
+from scuhand_bt.motion import ApexPose, unreachable_reason
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.specs import BalanceSpec, CellSpec, Container, Source
 from scuhand_bt.yaml_source import Mark, Node, Problems

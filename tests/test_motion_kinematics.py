@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.motion.kinematics import (
-    COUNT_RAD,
-    LIMITS_RAD,
-    ApexPose,
-    apex,
-    apex_positions_m,
-    checked_joints,
-    finest,
-    nearest_reachable,
-    solutions,
-    unreachable_reason,
-)
+from scuhand_bt.motion.inverse import finest, nearest_reachable, solutions, unreachable_reason
+from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, apex, apex_positions_m, checked_joints
 
 OFFSET_M = 0.12
 HEIGHTS_M = (0.041, 0.064, 0.065, 0.185, 0.121, 0.129, 0.019)

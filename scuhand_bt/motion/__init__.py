@@ -1,12 +1,13 @@
 """Motion of the arm: collision-free, jerk-limited and spill-safe, planned in milliseconds and proven.
 
-`kinematics` is numpy alone; `MotionPlanner` is imported on first use, because Pinocchio, coal and
+`kinematics` and `inverse` are numpy alone; `MotionPlanner` is imported on first use, because Pinocchio, coal and
 Ruckig take half a second to load and checking a recipe needs none of them.
 """
 
 from typing import TYPE_CHECKING, Any
 
-from scuhand_bt.motion.kinematics import ApexPose, apex, solutions, unreachable_reason
+from scuhand_bt.motion.inverse import solutions, unreachable_reason
+from scuhand_bt.motion.kinematics import ApexPose, apex
 from scuhand_bt.motion.spill import spill_limit_deg
 
 if TYPE_CHECKING:

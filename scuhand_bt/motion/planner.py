@@ -22,19 +22,8 @@ from scuhand_bt.motion import contact as contact_path
 from scuhand_bt.motion import surroundings, transfer
 from scuhand_bt.motion.chain import Chain
 from scuhand_bt.motion.collision import Arm, Scene, Solid
-from scuhand_bt.motion.kinematics import (
-    COUNT_RAD,
-    ApexPose,
-    Floats,
-    along,
-    apex,
-    checked_joints,
-    finest,
-    nearest_reachable,
-    solutions,
-    swivel_of,
-    unreachable_reason,
-)
+from scuhand_bt.motion.inverse import along, finest, nearest_reachable, solutions, swivel_of, unreachable_reason
+from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, apex, checked_joints
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import Rest, Stop, stop
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import ApexPose, unreachable_reason
+from scuhand_bt.motion import ApexPose, unreachable_reason
 from scuhand_bt.specs import CellSpec
 
 STEP_MM = 20

@@ -1,0 +1,375 @@
+"""Every way of putting the cone's apex somewhere: the arm's closed-form inverse kinematics.
+
+In the symbols of `kinematics`, given apex p and axis u, the wrist is W = p + L u and d = W - S. The
+elbow angle follows from |d|^2 = 2 l^2 (1 + cos q4); the elbow itself is free on a circle about d, by
+the swivel angle phi:
+
+    e(phi) = (d/|d|) cos(q4/2) + (n cos phi + m sin phi) sin(|q4|/2)
+
+The cosine or the tangent of every other joint is a ratio of expressions *linear* in e. So each joint
+limit is a root of A + B cos phi + C sin phi = 0, the swivel circle falls into arcs between those
+roots, and one look into each arc tells exactly whether any solution exists. q7 is free (yaw of a
+round cone) and returned as 0.
+
+Closed form in the manner of Shimizu et al., "Analytical inverse kinematic computation for 7-DOF
+redundant manipulators", IEEE T-RO 24(5), 2008. Lengths in metres, angles in radians, numpy only.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scuhand_bt.motion.kinematics import (
+    COUNT_RAD,
+    JOINTS,
+    LIMITS_RAD,
+    LINK_M,
+    SHOULDER_Z_M,
+    WRIST_TO_FLANGE_M,
+    ApexPose,
+    Floats,
+    apex,
+    apex_positions_m,
+)
+
+SWIVELS = 72
+_SINGULAR = 1e-9
+_EDGE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class _Circle:
+    """The elbow's circle of a pose: e(phi) = middle + across cos phi + up sin phi, with d, h and q4."""
+
+    middle: Floats
+    across: Floats
+    up: Floats
+    d_m: Floats
+    h: Floats
+    q4: float
+
+    def directions(self, phi: Floats) -> Floats:
+        """Unit vectors of the upper arm, (n, 3)."""
+        return self.middle + np.cos(phi)[:, None] * self.across + np.sin(phi)[:, None] * self.up
+
+
+@dataclass(frozen=True, slots=True)
+class _Circles:
+    """The circles of many poses, stacked: (n, 3) each, and q4 (n,)."""
+
+    middle: Floats
+    across: Floats
+    up: Floats
+    d_m: Floats
+    h: Floats
+    q4: Floats
+
+    def __getitem__(self, k: int) -> _Circle:
+        return _Circle(self.middle[k], self.across[k], self.up[k], self.d_m[k], self.h[k], float(self.q4[k]))
+
+
+def _circle(pose: ApexPose, apex_offset_m: float) -> _Circle | str:
+    """The pose's elbow circle, or the sentence that says why it has none."""
+    d = pose.position_m + (WRIST_TO_FLANGE_M + apex_offset_m) * pose.axis - (0.0, 0.0, SHOULDER_Z_M)
+    distance_m = math.sqrt(float(d @ d))
+    nearest_m = 2 * LINK_M * math.cos(LIMITS_RAD[0, 3] / 2)
+    if distance_m > 2 * LINK_M + _EDGE:
+        return (
+            f"the wrist would be {distance_m * 1e3:.0f} mm from the shoulder, {(distance_m - 2 * LINK_M) * 1e3:.0f} mm "
+            f"farther than the stretched arm's {2 * LINK_M * 1e3:.0f} mm"
+        )
+    if distance_m < nearest_m - _EDGE:
+        return (
+            f"the wrist would be {distance_m * 1e3:.0f} mm from the shoulder, {(nearest_m - distance_m) * 1e3:.0f} mm "
+            f"nearer than the folded elbow's {nearest_m * 1e3:.0f} mm"
+        )
+    half = math.acos(min(1.0, distance_m / (2 * LINK_M)))
+    towards = d / distance_m
+    # Any fixed normal does; the world's z, or x where the wrist is straight above the shoulder.
+    other = np.array([1.0, 0.0, 0.0]) if abs(towards[2]) > 0.99 else np.array([0.0, 0.0, 1.0])
+    up = other - (other @ towards) * towards
+    up /= math.sqrt(float(up @ up))
+    across = np.cross(up, towards)
+    # sin(q4/2) from |d| loses its last digits as the arm stretches; the elbow's own triangle does not.
+    sine = math.sqrt(max(0.0, 1 - (distance_m / (2 * LINK_M)) ** 2))
+    return _Circle(towards * math.cos(half), across * sine, up * sine, d, -pose.axis, -2 * half)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Dot products of vectors with one vector, or with one each."""
+    product: Floats = a @ b if b.ndim == 1 else (a * b).sum(axis=-1)
+    return product
+
+
+def _linear_forms(circle: _Circle | _Circles, e: Floats) -> Floats:
+    """The eight expressions, linear in e, that carry q1, q2, q3, q5 and q6: shape (8, n).
+
+    With s2 = sin q2, s4 = sin |q4|: s2 cos q1 and s2 sin q1, cos q2, s2 times the forearm's two
+    components that give q3, s4 times the hand's two that give q5 (without the sign of q6), cos q6.
+    """
+    d, h = circle.d_m / LINK_M, circle.h
+    along = _dot(circle.middle, d)
+    f = d - e
+    (dx, dy, dz), (hx, hy, hz) = d.T, h.T
+    across = np.array([dy * hz - dz * hy, dz * hx - dx * hz, dx * hy - dy * hx]).T
+    cos_q6 = _dot(f, h)
+    return np.stack(
+        [
+            -e[:, 0],
+            -e[:, 1],
+            e[:, 2],
+            d[..., 2] - e[:, 2] * along,
+            e[:, 1] * d[..., 0] - e[:, 0] * d[..., 1],
+            _dot(e, h) - cos_q6 * np.cos(circle.q4),
+            -_dot(e, across),
+            cos_q6,
+        ]
+    )
+
+
+def _configurations(circle: _Circle, phi: Floats) -> Floats:
+    """All four branches (signs of q2 and q6) at each swivel angle: shape (4 n, 7), limits ignored."""
+    e = circle.directions(phi)
+    x1, y1, c2, x3, y3, x5, y5, c6 = _linear_forms(circle, e)
+    q = np.zeros((2, 2, len(phi), JOINTS))
+    shoulder_bent = np.hypot(x1, y1) > _SINGULAR
+    elbow_bent = abs(circle.q4) > _SINGULAR
+    wrist_bent = np.hypot(x5, y5) > _SINGULAR * max(abs(math.sin(circle.q4)), _SINGULAR)
+    s2 = np.hypot(x1, y1)
+    for i, sign in enumerate((1.0, -1.0)):
+        q[i, :, :, 0] = np.where(shoulder_bent, np.arctan2(sign * y1, sign * x1), 0.0)
+        q[i, :, :, 1] = sign * np.arctan2(s2, c2)
+        q[i, :, :, 2] = np.where(shoulder_bent, np.arctan2(sign * y3, sign * x3), 0.0)
+    q[:, :, :, 3] = circle.q4
+    if not elbow_bent or not shoulder_bent.all():
+        _settle_singular(q, circle, e, elbow_bent)
+        return q.reshape(-1, JOINTS)
+    s6 = np.sqrt(np.maximum(0.0, 1 - np.minimum(1.0, c6 * c6)))
+    # |sin q6| from the two components is exact where c6 is near one.
+    s6 = np.where(np.abs(c6) > 0.9, np.hypot(x5, y5) / math.sin(-circle.q4), s6)
+    for k, sign in enumerate((1.0, -1.0)):
+        q[:, k, :, 4] = np.where(wrist_bent, np.arctan2(sign * y5, sign * x5), 0.0)
+        q[:, k, :, 5] = sign * np.arctan2(s6, c6)
+    return q.reshape(-1, JOINTS)
+
+
+def _settle_singular(q: Floats, circle: _Circle, e: Floats, elbow_bent: bool) -> None:
+    """Fill q3, q5 and q6 by turning vectors back, where the arm is straight or the upper arm upright."""
+    for i in range(2):
+        for n in range(q.shape[2]):
+            q1, q2 = q[i, 0, n, 0], q[i, 0, n, 1]
+            f = _turned_back(circle.d_m / LINK_M - e[n], q1, q2)
+            q3 = math.atan2(f[1], f[0]) if elbow_bent else 0.0
+            h = _turned_back(_turned_back(circle.h, q1, q2), q3, circle.q4)
+            s6 = math.hypot(h[0], h[1])
+            for k, sign in enumerate((1.0, -1.0)):
+                q5 = math.atan2(-sign * h[1], -sign * h[0]) if s6 > _SINGULAR else 0.0
+                q[i, k, n, 2], q[i, k, n, 4], q[i, k, n, 5] = q3, q5, sign * math.atan2(s6, h[2])
+
+
+def _turned_back(v: Floats, about_z: float, about_minus_y: float) -> Floats:
+    c, s = math.cos(about_z), math.sin(about_z)
+    x, y, z = c * v[0] + s * v[1], -s * v[0] + c * v[1], v[2]
+    c, s = math.cos(about_minus_y), math.sin(about_minus_y)
+    return np.array([c * x + s * z, y, -s * x + c * z])
+
+
+def _limit_roots(circle: _Circle, limits: Floats) -> Floats:
+    """Every swivel angle at which some joint may reach a limit: sorted, in [0, 2 pi)."""
+    forms = _linear_forms(circle, circle.directions(np.array([0.0, math.pi / 2, math.pi])))
+    constant = (forms[:, 0] + forms[:, 2]) / 2
+    cosine, sine = (forms[:, 0] - forms[:, 2]) / 2, forms[:, 1] - constant
+    rows = np.stack([constant, cosine, sine], axis=1)
+    lines = []
+    # tan q = y/x at its limit: x sin(limit) - y cos(limit) = 0, on either of the two branches.
+    for joint, (x, y) in ((0, (0, 1)), (2, (3, 4)), (4, (5, 6))):
+        for limit in limits[:, joint]:
+            lines.append(math.sin(limit) * rows[x] - math.cos(limit) * rows[y])
+    for joint, form in ((1, 2), (5, 7)):
+        for limit in limits[:, joint]:
+            lines.append(rows[form] - (math.cos(limit), 0.0, 0.0))
+    a, b, c = np.array(lines).T
+    amplitude = np.hypot(b, c)
+    crosses = amplitude > np.maximum(np.abs(a), 1e-15)
+    a, b, c, amplitude = a[crosses], b[crosses], c[crosses], amplitude[crosses]
+    middle, half = np.arctan2(c, b), np.arccos(-a / amplitude)
+    return np.sort(np.concatenate([middle - half, middle + half]) % (2 * math.pi))
+
+
+def _arcs(circle: _Circle, limits: Floats) -> tuple[Floats, Floats]:
+    """Begins and lengths of the arcs that the limits cut the swivel circle into."""
+    if abs(circle.q4) <= _SINGULAR:
+        return np.zeros(1), np.zeros(1)
+    roots = _limit_roots(circle, limits)
+    if not len(roots):
+        return np.zeros(1), np.full(1, 2 * math.pi)
+    return roots, np.diff(roots, append=roots[0] + 2 * math.pi)
+
+
+def _within(q: Floats, limits: Floats) -> NDArray[np.bool_]:
+    within: NDArray[np.bool_] = ((q >= limits[0] - _EDGE) & (q <= limits[1] + _EDGE)).all(axis=-1)
+    return within
+
+
+@cache
+def _even_swivels() -> Floats:
+    return np.linspace(0.0, 2 * math.pi, SWIVELS, endpoint=False)
+
+
+def solutions(pose: ApexPose, apex_offset_m: float, limits: Floats = LIMITS_RAD) -> Floats:
+    """Every configuration that puts the apex at the pose: shape (n, 7), q7 = 0, none for n = 0.
+
+    The elbow's family is continuous; it is returned every 5 deg of swivel, and at the middle of each
+    arc, so that n = 0 exactly where there is no solution.
+    """
+    circle = _circle(pose, apex_offset_m)
+    if isinstance(circle, str):
+        return np.zeros((0, JOINTS))
+    begins, lengths = _arcs(circle, limits)
+    middles = (begins + lengths / 2) % (2 * math.pi)
+    q = _configurations(circle, middles if len(lengths) == 1 and not lengths[0] else _merged(middles))
+    return np.clip(q[_within(q, limits)], limits[0], limits[1])
+
+
+def _merged(middles: Floats) -> Floats:
+    return np.sort(np.concatenate([_even_swivels(), middles]))
+
+
+def neighbours(
+    pose: ApexPose, q: Floats, apex_offset_m: float, spread_rad: float, count: int, limits: Floats = LIMITS_RAD
+) -> Floats:
+    """Solutions of the same branch within `spread_rad` of swivel around the solution q: shape (n, 7)."""
+    circle = _circle(pose, apex_offset_m)
+    if isinstance(circle, str):
+        return np.zeros((0, JOINTS))
+    around = _configurations(circle, _swivel_on(circle, q) + np.linspace(-spread_rad, spread_rad, count))
+    near = (np.abs(around[:, :6] - q[:6]) < 4 * spread_rad + _EDGE).all(axis=1)
+    family: Floats = around[near & _within(around, limits)]
+    return family
+
+
+def finest(pose: ApexPose, q: Floats, apex_offset_m: float, spread_rad: float = 0.05) -> Floats:
+    """The neighbour of the solution q whose servo counts, once rounded, hit the pose best: shape (7,).
+
+    One count is 0.09 deg; along the elbow's family some configurations lie much nearer to whole
+    counts than others, which makes the commanded apex some ten times more exact at no cost.
+    """
+    family = neighbours(pose, q, apex_offset_m, spread_rad, 400)
+    if not len(family):
+        return q
+    rounded_m, _ = apex_positions_m(np.round(family / COUNT_RAD) * COUNT_RAD, apex_offset_m)
+    best: Floats = family[np.argmin(((rounded_m - pose.position_m) ** 2).sum(axis=1))]
+    best[6] = q[6]
+    return best
+
+
+def unreachable_reason(pose: ApexPose, apex_offset_m: float, limits: Floats = LIMITS_RAD) -> str | None:
+    """Why no configuration within the joints' limits reaches the pose, or None where one does. Exact."""
+    circle = _circle(pose, apex_offset_m)
+    if isinstance(circle, str):
+        return circle
+    begins, lengths = _arcs(circle, limits)
+    q = _configurations(circle, begins + lengths / 2)
+    if _within(q, limits).any():
+        return None
+    excess = np.maximum(limits[0] - q, q - limits[1])
+    nearest = int(np.argmin(excess.max(axis=1)))
+    joint = int(np.argmax(excess[nearest]))
+    return (
+        f"no swivel of the elbow keeps all joints within their limits: joint {joint + 1} would be at "
+        f"{math.degrees(q[nearest, joint]):.1f} deg, {math.degrees(excess[nearest, joint]):.1f} deg beyond"
+    )
+
+
+def nearest_reachable(pose: ApexPose, apex_offset_m: float) -> ApexPose | None:
+    """A reachable pose of the same axis close to an unreachable one; None if there is none within 0.6 m.
+
+    Shells of growing radius (5 mm apart) around the position, 200 directions each, then bisection back.
+    """
+    index = np.arange(200) + 0.5
+    z, turn = 1 - 2 * index / 200, index * math.pi * (3 - math.sqrt(5))
+    directions = np.stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z], axis=1)
+    for radius_m in np.geomspace(0.002, 0.6, 40):
+        for direction in directions:
+            if unreachable_reason(ApexPose(pose.position_m + radius_m * direction, pose.axis), apex_offset_m) is None:
+                low_m, high_m = 0.0, float(radius_m)
+                for _ in range(12):
+                    middle_m = (low_m + high_m) / 2
+                    tried = ApexPose(pose.position_m + middle_m * direction, pose.axis)
+                    reached = unreachable_reason(tried, apex_offset_m) is None
+                    low_m, high_m = (low_m, middle_m) if reached else (middle_m, high_m)
+                return ApexPose(pose.position_m + high_m * direction, pose.axis)
+    return None
+
+
+def swivel_of(q: Floats, apex_offset_m: float) -> float:
+    """The elbow's swivel angle phi of a configuration."""
+    circle = _circle(apex(q, apex_offset_m), apex_offset_m)
+    if isinstance(circle, str):
+        raise ValueError(circle)
+    return _swivel_on(circle, q)
+
+
+def _swivel_on(circle: _Circle, q: Floats) -> float:
+    s = math.sin(q[1])
+    e = np.array([-s * math.cos(q[0]), -s * math.sin(q[0]), math.cos(q[1])])
+    return math.atan2(float(e @ circle.up), float(e @ circle.across))
+
+
+def along(positions_m: Floats, axes: Floats, swivels: Floats, q_start: Floats, apex_offset_m: float) -> Floats | None:
+    """Configurations (n, 7) of a course of poses (n, 3), (n, 3) and swivels (n,), on q_start's branch.
+
+    None where a pose is beyond the arm, or a joint would leave its limits or jump.
+    """
+    if (circles := _circles(positions_m, axes, apex_offset_m)) is None:
+        return None
+    q = np.empty((len(positions_m), JOINTS))
+    previous = q_start
+    for k, four in enumerate(_branches(circles, swivels)):
+        four[:, 6] = q_start[6]
+        jumps = np.abs(four - previous).max(axis=1)
+        nearest = int(jumps.argmin())
+        if jumps[nearest] > 0.1:
+            return None
+        q[k] = previous = four[nearest]
+    return q if _within(q, LIMITS_RAD).all() else None
+
+
+def _circles(positions_m: Floats, axes: Floats, apex_offset_m: float) -> _Circles | None:
+    """The elbow circles of many poses (n, 3), (n, 3), stacked; None where one has none."""
+    d = positions_m + (WRIST_TO_FLANGE_M + apex_offset_m) * axes - (0.0, 0.0, SHOULDER_Z_M)
+    share = np.linalg.norm(d, axis=1)[:, None] / (2 * LINK_M)
+    if share.max() > 1 + _EDGE or share.min() < math.cos(LIMITS_RAD[0, 3] / 2) - _EDGE:
+        return None
+    towards = d / (2 * LINK_M * share)
+    upright = np.abs(towards[:, 2:]) > 0.99
+    other = np.where(upright, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    up = other - _dot(other, towards)[:, None] * towards
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    share = np.minimum(share, 1.0)
+    sine = np.sqrt(1 - share**2)
+    return _Circles(towards * share, np.cross(up, towards) * sine, up * sine, d, -axes, -2 * np.arccos(share[:, 0]))
+
+
+def _branches(stacked: _Circles, swivels: Floats) -> Floats:
+    """The four configurations of each circle at its own swivel angle: (n, 4, 7)."""
+    phi = swivels[:, None]
+    e = stacked.middle + np.cos(phi) * stacked.across + np.sin(phi) * stacked.up
+    x1, y1, c2, x3, y3, x5, y5, c6 = _linear_forms(stacked, e)
+    s2, s4 = np.hypot(x1, y1), -np.sin(stacked.q4)
+    if min(s2.min(), s4.min(), (np.hypot(x5, y5) / np.maximum(s4, _SINGULAR)).min()) < 1e3 * _SINGULAR:
+        # Where an angle is not determined, one configuration at a time settles it.
+        return np.array([_configurations(stacked[k], swivels[k : k + 1]) for k in range(len(swivels))])
+    s6 = np.hypot(x5, y5) / s4
+    q = np.zeros((len(swivels), 2, 2, JOINTS))
+    q[..., 3] = stacked.q4[:, None, None]
+    for k, sign in enumerate((1.0, -1.0)):
+        q[:, k, :, 0] = np.arctan2(sign * y1, sign * x1)[:, None]
+        q[:, k, :, 1] = sign * np.arctan2(s2, c2)[:, None]
+        q[:, k, :, 2] = np.arctan2(sign * y3, sign * x3)[:, None]
+        q[:, :, k, 4] = np.arctan2(sign * y5, sign * x5)[:, None]
+        q[:, :, k, 5] = sign * np.arctan2(s6, c6)[:, None]
+    return q.reshape(-1, 4, JOINTS)
