@@ -341,6 +341,32 @@ def test_a_balance_that_speaks_another_dialect_is_named_and_never_read() -> None
             carry_out(bench.balance.next_reading(), bench.clock)
 
 
+def test_lines_of_no_known_format_are_shown_as_they_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An A&D balance whose menu says MT, or NU, or a wrong parity: it is not silent."""
+    monkeypatch.setattr("scuhand_bt.devices.balances.driver.LOST_AFTER_S", 0.3)
+    with Bench("and", SocketPort()) as bench:
+        bench.reads(12_345.6)
+        bench.twin.format = "MT"  # type: ignore[attr-defined]
+        with pytest.raises(
+            SkillFailed, match=r"no line of A&D, such as 'S +12\.3456 g'; set the balance to that format"
+        ):
+            bench.read_on()
+        bench.twin.format = "A&D"  # type: ignore[attr-defined]
+        bench.reads(12_345.6)
+        assert bench.balance.fault is None
+
+
+def test_a_balance_that_falls_silent_in_overload_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("scuhand_bt.devices.balances.driver.LOST_AFTER_S", 0.3)
+    with Bench("shimadzu", PtyPort()) as bench:
+        bench.pan.load_mg = 1e6
+        with pytest.raises(SkillFailed, match=r"balance\.overload"):
+            bench.read_on()
+        assert bench.balance.fault is None, "the load is to blame"
+        bench.server.paused = True
+        wait_for(lambda: bench.balance.fault is not None and bench.balance.fault.code == "device.lost")
+
+
 def test_an_adjustment_in_progress_is_busy_and_then_over() -> None:
     with Bench("mt_sics", SocketPort()) as bench:
         bench.reads(12_345.6)

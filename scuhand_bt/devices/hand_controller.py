@@ -8,6 +8,7 @@ valve itself and pings no more.
 
 import threading
 import time
+from collections.abc import Callable
 
 from scuhand_bt.clock import Signal
 from scuhand_bt.devices.hand_protocol import SEQUENCES, VERSION, Hello, Report, decode, encode
@@ -56,13 +57,22 @@ class HandController:
         self._hung = False
 
     def open(self, timeout_s: float = 4.0) -> Hello:
-        """Open the port and greet the controller; SkillFailed device.lost if it does not answer.
+        """Open the port, greet the controller, and clear what it latched before, where the cause has gone.
 
+        SkillFailed device.lost if it does not answer.
         A board that resets when its port is opened (most Arduinos) needs a second or two to answer.
         """
         self._link.start()
         deadline_s = time.monotonic() + timeout_s
-        while self.hello is None:
+        self._await(lambda: self.hello is not None, deadline_s)
+        self.reset()
+        self._await(lambda: self.is_done, deadline_s)
+        self.refused = None  # what cannot be cleared is in the report
+        assert self.hello is not None
+        return self.hello
+
+    def _await(self, condition: Callable[[], bool], deadline_s: float) -> None:
+        while not condition():
             if time.monotonic() > deadline_s:
                 self._link.close()
                 raise SkillFailed(
@@ -71,7 +81,6 @@ class HandController:
                     f"firmware that of robot/firmware (protocol {VERSION})?",
                 )
             time.sleep(0.005)
-        return self.hello
 
     def close(self) -> None:
         """Close the valve, end the thread and close the port. The controller's dead-man does the rest."""

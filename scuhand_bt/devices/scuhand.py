@@ -10,7 +10,7 @@ import numpy as np
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import Axis
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import FAULTS
 from scuhand_bt.devices.interfaces import Joints
@@ -67,6 +67,24 @@ class ScuHand:
         report = self._controller.report
         valve_is_safe = report is not None and report.is_safe and self._controller.is_done
         return valve_is_safe and not self._roller.is_moving
+
+    @property
+    def fault(self) -> SkillFailed | None:
+        """What is wrong with its controller, its roller, or the bus that this is on.
+
+        That the controller has once closed the valve because it heard nothing is the dose's matter: it hears again.
+        """
+        report = self._controller.report
+        heard_nothing = report is not None and report.faults == "d"
+        return (None if heard_nothing else self._valve_fault) or fault_of(self._chain, self._roller)
+
+    @property
+    def _valve_fault(self) -> SkillFailed | None:
+        report = self._controller.report
+        if self._controller.trouble is not None or report is None or not report.faults:
+            return self._controller.trouble
+        code = next(code for letter, code in FAULT_CODES.items() if letter in report.faults)
+        return SkillFailed(code, f"the hand controller: {report.why}")
 
     @property
     def cone_diameter_mm(self) -> float:
@@ -165,16 +183,12 @@ class ScuHand:
     def _raise_trouble(self) -> None:
         """Raise what is wrong; what was raised once is cleared, where its cause has gone."""
         controller = self._controller
-        if controller.trouble is not None:
-            raise controller.trouble
-        report, refused = controller.report, controller.refused
-        controller.refused = None
-        if report is not None and report.faults:
+        refused, controller.refused = controller.refused, None
+        fault = self._valve_fault
+        if fault is not None and controller.trouble is None:
             controller.reset()
-            code = "device.emergency_stop" if "e" in report.faults else FAULT_CODES[report.faults[0]]
-            raise SkillFailed(code, f"the hand controller: {report.why}")
-        if refused is not None:
-            raise refused
+        if (wrong := fault or refused) is not None:
+            raise wrong
 
 
 def _level(vibration: float) -> float:
@@ -183,6 +197,6 @@ def _level(vibration: float) -> float:
     return vibration
 
 
-FAULT_CODES = {"d": "device.lost", "s": "servo.overload", "t": "hand.valve_stuck"}
-"""The failure that each of the controller's faults is."""
-assert FAULT_CODES.keys() | {"e"} == FAULTS.keys()
+FAULT_CODES = {"e": "device.emergency_stop", "s": "servo.overload", "t": "hand.valve_stuck", "d": "device.lost"}
+"""The failure that each of the controller's faults is, the gravest first."""
+assert FAULT_CODES.keys() == FAULTS.keys()

@@ -7,7 +7,7 @@ zero is ever sent: a dose is the difference of two gross values.
 
 import math
 import statistics
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
@@ -18,8 +18,6 @@ from scuhand_bt.devices.serial_link import REOPEN_S, Framing, SerialLink, Silenc
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.specs import BalanceSpec
 
-LOST_AFTER_S = 3.0
-"""Without a line for this long, the balance is taken for lost."""
 ADJUSTMENT_S = 300.0
 """How long an internal adjustment may keep the balance silent."""
 AVERAGED = 5
@@ -53,6 +51,7 @@ class SerialBalance:
         self.news = Signal()
         self.latest: Reading | None = None
         """The last reading; None before the first one and while the balance is lost."""
+        self.on_reading: Callable[[Reading], None] | None = None
         self.identity = ""
         """What the balance answered when asked who it is; empty where it did not."""
         self._dialect = dialect
@@ -62,6 +61,8 @@ class SerialBalance:
         self._link = SerialLink(spec.port, framing, self, reopen_s)
         self._talk = Conversation(dialect, self._link.write, self._link.discard_input, spec.period_s)
         self._unit = ""
+        self._unread = b""
+        """The last line that said nothing in this dialect, since one that did."""
         self._silence = Silence()
         self._trouble: _Trouble | None = None
 
@@ -71,6 +72,12 @@ class SerialBalance:
 
     def stop(self) -> None:
         """Nothing of a balance moves."""
+
+    @property
+    def fault(self) -> SkillFailed | None:
+        """It is lost: its port has gone, or it has been silent for too long. A load beyond its range may be a hand."""
+        trouble = self._trouble
+        return self._failure(trouble) if trouble is not None and trouble.code == "device.lost" else None
 
     def open(self) -> None:
         """Open the port and begin to read; SkillFailed device.lost if it cannot be opened."""
@@ -90,7 +97,7 @@ class SerialBalance:
             if latest is not None and latest is not seen:
                 return latest
             if trouble is not None and trouble.code:
-                raise SkillFailed(trouble.code, f"{self._name}: {trouble.detail}")
+                raise self._failure(trouble)
             if self._clock.now_s >= deadline_s:
                 why = f": {trouble.detail}" if trouble else ""
                 raise SkillFailed("device.lost", f"no reading from {self._name} for {timeout_s:g} s{why}")
@@ -120,6 +127,7 @@ class SerialBalance:
     def opened(self) -> None:
         """Begin the conversation."""
         self._silence.broken()
+        self._unread = b""
         self._unit = self.spec.options.unit or ""  # it may be another balance now, in another unit
         self._talk.begin()
 
@@ -134,8 +142,10 @@ class SerialBalance:
                     self._say(_Trouble("device.lost", detail))
                     return
         if frame is None:
-            return  # noise, or half a line; if that is all there is, it shows as silence
+            self._unread = raw
+            return  # noise, or half a line; if that is all there is, it is said with the silence
         self._silence.broken()
+        self._unread = b""
         identifying = self._talk.state is State.IDENTIFYING
         if not self._talk.heard(frame):
             return
@@ -149,10 +159,9 @@ class SerialBalance:
     def idle(self) -> None:
         """Speak when it is time to, and notice silence."""
         adjusting = self._trouble is not None and self._trouble.adjusting
-        patience_s = ADJUSTMENT_S if adjusting else LOST_AFTER_S
-        if self._silence.seconds > patience_s and not (self._trouble and self._trouble.code):
-            detail = "it is silent; is it switched on, and are speed and parity as in robot/cell.yaml?"
-            self._say(_Trouble("device.lost", detail))
+        patience_s = ADJUSTMENT_S if adjusting else self.spec.lost_after_s
+        if self._silence.seconds > patience_s and self.fault is None:
+            self._say(_Trouble("device.lost", self._why_silent()))
         self._talk.go_on(patience_s)
 
     def lost(self, why: str) -> None:
@@ -168,6 +177,8 @@ class SerialBalance:
             return
         self.latest = Reading(value_mg, weight.stable, now_s, weight.unit, raw)
         self._trouble = None
+        if self.on_reading is not None:
+            self.on_reading(self.latest)
         self.news.fire()
 
     def _explained(self, frame: Frame) -> None:
@@ -176,6 +187,18 @@ class SerialBalance:
             self._say(_Trouble("balance.overload", detail))
         elif isinstance(frame, Busy):
             self._say(_Trouble("", f"it is busy ({frame.detail})", frame.adjusting))
+
+    def _why_silent(self) -> str:
+        if not self._unread:
+            return "it is silent; is it switched on, and are speed and parity as in robot/cell.yaml?"
+        shown = repr(self._unread[:40].strip())[2:-1]
+        return (
+            f"it sends what is no line of {self._dialect.name}, such as '{shown}'; set the balance to that format, or "
+            "correct `driver`, speed and parity in robot/cell.yaml"
+        )
+
+    def _failure(self, trouble: _Trouble) -> SkillFailed:
+        return SkillFailed(trouble.code, f"{self._name}: {trouble.detail}")
 
     def _say(self, trouble: _Trouble) -> None:
         if trouble.code == "device.lost":

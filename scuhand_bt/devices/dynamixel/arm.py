@@ -10,7 +10,7 @@ import numpy as np
 
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.devices.dynamixel.axes import Axis
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.dynamixel.registers import XM430, XM540
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import SkillFailed
@@ -66,6 +66,11 @@ class DynamixelArm:
     @property
     def positions(self) -> Joints:
         return self._group.positions_rad
+
+    @property
+    def fault(self) -> SkillFailed | None:
+        """What is wrong with the bus now, or ended the last motion early, until the next one begins."""
+        return fault_of(self._chain, self._group)
 
     def close(self) -> None:
         """Close the bus; the servos go on holding."""
