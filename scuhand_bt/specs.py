@@ -330,6 +330,11 @@ class BalanceSpec(Spec):
     period_s: Annotated[Seconds, Field(gt=0, le=2)] = 0.1
     simulation: BalanceResponseSpec = BalanceResponseSpec()
 
+    @property
+    def lost_after_s(self) -> float:
+        """Without a word for this long, the balance is taken for lost."""
+        return max(3.0, 10.0 * self.period_s)
+
 
 class ChangerSpec(Spec):
     """What brings containers: a carousel, or the operator."""

@@ -5,7 +5,7 @@ any time, from a halt, and never wait. A device `is_stopped` when nothing of it 
 then is its lease freed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scuhand_bt.clock import Signal, Steps
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.specs import BalanceSpec, Container, HandSpec
 
 Joints = NDArray[np.float64]
@@ -40,6 +41,11 @@ class Device(Protocol):
     @property
     def news(self) -> Signal:
         """Fires whenever the device reports something."""
+        ...
+
+    @property
+    def fault(self) -> SkillFailed | None:
+        """What is wrong with the device now, so that no run may go on with it; None if it is sound."""
         ...
 
     def stop(self) -> None:
@@ -101,7 +107,10 @@ class Hand(Device, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One line of the balance: gross value, its unit as sent, stability, run time, raw bytes."""
+    """One line of the balance: gross value, its unit as sent, stability, run time, raw bytes.
+
+    A simulated balance forms its `raw` bytes only where `Balance.on_reading` listens.
+    """
 
     value_mg: float
     stable: bool
@@ -138,6 +147,9 @@ class StableMean:
 
 class Balance(Device, Protocol):
     """The balance. It is never tared by command: gross values only (a tare would die with the power)."""
+
+    on_reading: Callable[[Reading], None] | None
+    """Told every reading, on the thread where it arrives; must be quick."""
 
     @property
     def spec(self) -> BalanceSpec: ...

@@ -74,7 +74,10 @@ def _read_line(answers: "queue.SimpleQueue[str]", answered: Signal) -> None:
 
 
 class OperatorChanger:
-    """A container changer that is the operator's hands; `place` and `remove` let a simulation follow."""
+    """A container changer that is the operator's hands; `place` and `remove` let a simulation follow.
+
+    `may_be_loaded`: a run before this one may have left a container on the pan.
+    """
 
     needs_person = True
     fault = None
@@ -84,13 +87,15 @@ class OperatorChanger:
         operator: Operator,
         place: Callable[[Container], None] = lambda container: None,
         remove: Callable[[], None] = lambda: None,
+        *,
+        may_be_loaded: bool = False,
     ) -> None:
         self.news = Signal()
         self.is_stopped = True
         self._operator = operator
         self._place = place
         self._remove = remove
-        self._is_loaded = False
+        self._is_loaded = may_be_loaded
 
     def stop(self) -> None:
         """Nothing moves by itself."""

@@ -136,10 +136,13 @@ class SimulatedBalance:
                 newer += values[index] - values[index - self._half]
             stable = abs(newer) <= BAND_DIGITS * digit_mg * self._half
         stable = stable and "balance.unstable" not in self.faults.active
+        if self._overloaded:  # it says so, and no mass
+            self.news.fire()
+            return
         if self.on_reading is None:
             self.latest = Reading(value_mg, stable, end_s)
         else:
-            raw = self._line % (b"S" if stable else b"D", value_mg / 1000.0)
+            raw = self._line % (b"S" if stable else b"D", value_mg / 1000.0 + 0.0)  # no -0.0000
             self.latest = Reading(value_mg, stable, end_s, "g", raw)
             self.on_reading(self.latest)
         self.news.fire()

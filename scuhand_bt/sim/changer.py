@@ -13,6 +13,7 @@ class SimulatedChanger:
     """A carousel beside the balance; see `scuhand_bt.devices.interfaces.Changer`."""
 
     needs_person = False
+    fault = None
 
     def __init__(self, clock: Clock, world: World) -> None:
         self.news = Signal()

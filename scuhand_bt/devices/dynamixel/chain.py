@@ -60,7 +60,7 @@ class AxisGroup:
         self.states: list[AxisState] = [AxisState(axis) for axis in axes]
         self.goals_rad: Joints = np.zeros(len(axes))
         self.fault: SkillFailed | None = None
-        """Why the last motion ended early."""
+        """Why the last motion ended early, or what has befallen the servos since, at rest."""
         self._path: Path | None = None
         self._duration_s = 0.0
         self._at_s = 0.0
@@ -289,6 +289,8 @@ class ServoChain:
                 if fault := self._fault_of(group, state, now_s):
                     if group.is_streaming or state.alert:
                         group.freeze(fault)
+                    else:
+                        group.fault = fault  # it stays told to be where it should be
                     self._hold()
 
     def _fault_of(self, group: AxisGroup, state: AxisState, now_s: float) -> SkillFailed | None:
@@ -334,3 +336,11 @@ class ServoChain:
             return
         self.lost = None
         self.news.fire()
+
+
+def fault_of(chain: ServoChain, group: AxisGroup) -> SkillFailed | None:
+    """What is wrong with a group now; a bus that has come back is sound again."""
+    if chain.lost is not None:
+        return chain.lost
+    fault = group.fault
+    return fault if fault is not None and fault.code != "device.lost" else None
