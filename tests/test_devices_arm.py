@@ -154,7 +154,6 @@ def test_a_blocked_joint_stops_the_arm_and_then_overload_is_named(bench: Bench) 
     bench.twin.servos[5].blocked = True
     with pytest.raises(SkillFailed, match=r"arm\.not_following: joint 4 is 1\d\.\d° from where it should be"):
         carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.5, 1.0)), bench.clock)
-    assert bench.arm.fault is None, "the arm is well, its way was not"
     bench.twin.servos[5].fail(5)
     with pytest.raises(SkillFailed, match=r"servo\.overload: servo 5 \(joint 4\) has shut down on overload"):
         carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.01, 1.0)), bench.clock)

@@ -343,7 +343,7 @@ def test_a_balance_that_speaks_another_dialect_is_named_and_never_read() -> None
 
 def test_lines_of_no_known_format_are_shown_as_they_came(monkeypatch: pytest.MonkeyPatch) -> None:
     """An A&D balance whose menu says MT, or NU, or a wrong parity: it is not silent."""
-    monkeypatch.setattr("scuhand_bt.devices.balances.driver.LOST_AFTER_S", 0.3)
+    monkeypatch.setattr(BalanceSpec, "lost_after_s", 0.3)
     with Bench("and", SocketPort()) as bench:
         bench.reads(12_345.6)
         bench.twin.format = "MT"  # type: ignore[attr-defined]
@@ -357,7 +357,7 @@ def test_lines_of_no_known_format_are_shown_as_they_came(monkeypatch: pytest.Mon
 
 
 def test_a_balance_that_falls_silent_in_overload_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scuhand_bt.devices.balances.driver.LOST_AFTER_S", 0.3)
+    monkeypatch.setattr(BalanceSpec, "lost_after_s", 0.3)
     with Bench("shimadzu", PtyPort()) as bench:
         bench.pan.load_mg = 1e6
         with pytest.raises(SkillFailed, match=r"balance\.overload"):
