@@ -402,7 +402,10 @@ def test_an_operator_says_what_is_there(inventory: Call) -> None:
     given = ("inventory", "set", "mortar_bay", "12 g", "--powder", "glass_beads", "--lot", "GB-0311")
     assert inventory(*given) == (0, "mortar_bay: 12.0000 g of glass_beads/GB-0311\n", "")
     assert inventory("inventory", "set", "mortar_bay", "9 g")[1] == "mortar_bay: 9.0000 g of glass_beads/GB-0311\n"
+    again = ("inventory", "set", "mortar_bay", "9 g", "--powder", "glass_beads")
+    assert inventory(*again)[1] == "mortar_bay: 9.0000 g of glass_beads/GB-0311\n"
     assert inventory("inventory", "set", "cone", "0 mg")[1] == "cone: 0.0 mg\n"
+    assert inventory("inventory", "set", "sheet", "fresh")[1] == "sheet: number 1, fresh\n"
     assert inventory("inventory", "set", "sheet", "touched", "--powder", "glass_beads")[0] == 0
     assert inventory("inventory", "set", "sheet", "fresh")[1] == "sheet: number 2, fresh\n"
     assert inventory("inventory", "set", "changer", "3")[1] == "changer: 3 used\n"

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from conftest import LabFolder
+from running import dry_run, make_lab
 
 from scuhand_bt import cli
 from scuhand_bt.run import notify as hook
@@ -194,6 +195,22 @@ def test_a_cell_may_name_a_hook(lab_folder: LabFolder) -> None:
     spec = lab_folder.load().cell.notify
     assert spec is not None
     assert (spec.webhook, spec.allow) == ("https://example.org/hook", ("example.org",))
+
+
+def test_a_run_tells_how_it_ended_with_the_head_of_its_journal(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    cell, target = lab / "robot" / "cell.yaml", tmp_path / "told.json"
+    code = f"import sys; open('{target}', 'w').write(sys.stdin.read())"
+    cell.write_text(f"{cell.read_text()}notify: {{command: ['{sys.executable}', '-c', \"{code}\"]}}\n")
+    sample = "{id: a, source: beads, container: xrd_holder, mass: 50 mg}"
+    recipe = f"recipe: short\nworkflow: scoop_and_dispense\nsamples: [{sample}]"
+    ran = dry_run(tmp_path, recipe, lab=lab)
+    assert ran.session.notices == []
+    told = json.loads(target.read_text())
+    assert (told["state"], told["recipe"], told["run"]) == ("ended", "short", ran.session.run_id)
+    assert (told["simulated"], told["exit_code"]) == (True, ran.result.exit_code)
+    assert sum(told["verdicts"].values()) == 1
+    assert told["head"] == ran.session.journal.head
 
 
 def test_the_hook_can_be_tried(

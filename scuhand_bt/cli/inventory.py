@@ -88,15 +88,16 @@ def _entry(kind: "Kind", name: str, value: str, powder: str | None, lot: str | N
         if not value.isascii() or not value.isdigit() or len(value) > 9:
             raise typer.BadParameter(f"'{value}' is no number of what is used; write 0 or more", param_hint="VALUE")
         return Entry(kind, name, used=int(value))
-    if powder is None and known is not None:
+    if known is not None and powder in (None, known.powder):
         powder, lot = known.powder, known.lot if lot is None else lot
     powder, lot = powder or "", lot or ""
     if kind == "sheet":
         if value not in ("fresh", "touched"):
             raise typer.BadParameter(f"'{value}' is nothing a sheet can be; fresh or touched", param_hint="VALUE")
-        used = known.used or 1 if known is not None else 1
+        used = known.used if known is not None else None
         if value == "fresh":
-            return Entry(kind, used=used + 1)
+            return Entry(kind, used=(used or 0) + 1)
+        used = used or 1
         mass_mg = None
     else:
         used, mass_mg = None, _mass_mg(value)

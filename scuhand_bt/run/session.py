@@ -175,7 +175,8 @@ class Session:
                 self.journal.event("matter", world.masses_mg)
                 if world.faults.rules:
                     self.journal.event("fault_rules", {"rules": world.faults.account()})
-            self._state.keep(self.cell, self.run_id)
+            if (problem := self._state.keep(self.cell, self.run_id)) is not None:
+                self._trouble(problem)
             self._keep_inventory()
         self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
         if result.is_complete:
@@ -223,13 +224,16 @@ class Session:
         self.journal.event("trouble", {"what": what})
 
     def close(self) -> None:
-        """Wait for what is being told of the run, and close the devices and the journal."""
-        for what in self._notifier.finish():
-            self._trouble(what)
+        """Close the devices, wait for what is being told of the run, and close the journal."""
         with ExitStack() as closing:
             closing.callback(self._presence.end)
             closing.callback(self.journal.close)
+            closing.callback(self._finish_telling)
             closing.callback(self._close_cell)
+
+    def _finish_telling(self) -> None:
+        for what in self._notifier.finish():
+            self._trouble(what)
 
 
 def state_folder(lab: Lab) -> Path:
