@@ -105,6 +105,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "The valve does not move; powder may be running out of it.",
         "Hold a vessel under the cone, empty it by hand, and look for powder or a fold of the sheet in the valve.",
     ),
+    "hand.leak": Failure(
+        "Powder runs onto the pan although the valve is shut.",
+        "Hold a vessel under the cone and empty it; look for powder in the valve, or a fold or hole in the sheet.",
+    ),
     "scoop.nothing": Failure(
         "The scoop brought (almost) nothing.",
         "Check that the mortar holds powder and stands at its station.",
@@ -116,6 +120,10 @@ CATALOGUE: Mapping[str, Failure] = {
     "dose.overshoot": Failure(
         "More than the target plus its tolerance has been dispensed; it cannot be taken back.",
         "Discard and dose a new container, or accept the mass that was measured.",
+    ),
+    "dose.runaway": Failure(
+        "Far more than the target is in the container, and the valve is still open.",
+        "Discard the container's content; look whether the valve shuts, and whether the balance reads true.",
     ),
     "dose.not_reached": Failure(
         "The dose stopped below its tolerance: the step limit was reached.",

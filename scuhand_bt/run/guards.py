@@ -1,16 +1,145 @@
-"""Guards."""
+"""Guards: what must never be while a run goes on, looked at wherever a reading or a device's news arrives.
+
+A guard that trips halts the job at once and ends the run safe; it judges no dose. Beside the devices' own
+faults there are two that only the readings tell:
+
+* runaway: far more than the target has arrived, and the valve is still open,
+* leak: the valve is shut, and the pan under the cone gains mass at a steady rate.
+"""
+
+import math
+from collections import deque
 
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.cell import Cell
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.skill import DEVICES
+
+BEYOND_TARGET_MG = 100.0
+"""More than honest overshoot: the worst of 24 000 simulated doses, of lumpy powder by pulses, was 96 mg too much."""
+BEYOND_TARGET = 0.2
+"""The same as a share of the target."""
+RUNAWAY_READINGS = 2
+"""So many in a row: one alone may be a knock at the bench."""
+SHUT_MM = 0.05
+"""A valve that reports no more is shut: its servo's zero is no better."""
+SETTLED_LAGS = 4.0
+"""After the valve has shut, or the container has come, the pan's readings follow for so many of the balance's lags."""
+LEAK_MG_PER_S = 1.0
+"""A steady rise to call a leak: twice what a balance in bad need of service drifts."""
+BLOCK_S = 0.5
+"""Readings are averaged over so much time, or a balance's lag or three of its periods where that is more."""
+RISES = 4
+"""A leak has raised so many averages in a row. A push or a step raises at most two, and then no more."""
+STEADY = 0.5
+"""The least of these rises as a share of the greatest: what is only settling slows down faster."""
+CERTAIN = 3.0
+"""A rise counts from so many standard errors of an average: then it is no noise."""
+OVER_PAN_MM = 60.0
+"""The apex is over the pan this near to its middle."""
 
 
 class Guards:
+    """The guards of one run on a cell."""
+
     def __init__(self, cell: Cell) -> None:
-        pass
+        self._cell = cell
+        self._devices = [cell.device(name) for name in DEVICES]
+        self._signals = list({id(device.news): device.news for device in self._devices}.values())
+        self._seen: Reading | None = None
+        self._beyond = 0
+        self._still_since_s: float | None = None
+        self._rise = _Rise(BLOCK_S, 0.0)
 
     def wakes(self) -> list[Wake]:
-        return []
+        """When to look again."""
+        return [Wake.on(signal) for signal in self._signals]
 
     def look(self) -> SkillFailed | None:
-        return None
+        """What has gone wrong, if anything has; cheap enough for every reading."""
+        for device in self._devices:
+            if (fault := device.fault) is not None:
+                return fault
+        reading = self._cell.balance.latest
+        if reading is None or reading is self._seen:
+            return None
+        self._seen = reading
+        if self._cell.hand.opening_mm > SHUT_MM:
+            self._still_since_s = None
+            return self._runaway(reading)
+        self._beyond = 0
+        return self._leak(reading)
+
+    def _runaway(self, reading: Reading) -> SkillFailed | None:
+        believed = self._cell.believed
+        target_mg, empty_mg = believed.dosing.target_mg, believed.pan_empty_mg
+        if target_mg is None or empty_mg is None:
+            return None
+        net_mg = reading.value_mg - empty_mg
+        is_beyond = net_mg > target_mg + max(BEYOND_TARGET_MG, BEYOND_TARGET * target_mg)
+        self._beyond = self._beyond + 1 if is_beyond else 0
+        if self._beyond < RUNAWAY_READINGS:
+            return None
+        stands = f"the valve stands at {self._cell.hand.opening_mm:.2f} mm"
+        return SkillFailed("dose.runaway", f"{net_mg:.0f} mg of {target_mg:g} mg are in the container, and {stands}")
+
+    def _leak(self, reading: Reading) -> SkillFailed | None:
+        if self._cell.believed.pan_gross_mg is None:
+            self._still_since_s = None
+            return None
+        if self._still_since_s is None:
+            self._still_since_s = self._begin_watch(reading.time_s)
+        if reading.time_s < self._still_since_s or (rate := self._rise.add(reading)) is None:
+            return None
+        if not self._is_over_pan():
+            return None
+        return SkillFailed("hand.leak", f"the valve is shut, and the pan below it gains {rate:.1f} mg/s")
+
+    def _begin_watch(self, now_s: float) -> float:
+        """Forget what was; gives when the readings stand still, if nothing falls."""
+        balance, lag_s = self._cell.spec.balance, self._cell.balance_belief.lag_s
+        block_s = max(BLOCK_S, 0.75 * lag_s, 3.0 * balance.period_s)
+        self._rise = _Rise(block_s, max(LEAK_MG_PER_S * block_s, balance.readability_mg / 2.0))
+        return now_s + SETTLED_LAGS * lag_s
+
+    def _is_over_pan(self) -> bool:
+        pan_mm = self._cell.spec.station_of_kind("balance").position_mm
+        return math.dist(self._cell.apex_mm()[:2], pan_mm[:2]) <= OVER_PAN_MM
+
+
+class _Rise:
+    """Averages of readings, block by block: do they rise steadily, each by `least_mg` or more?"""
+
+    def __init__(self, block_s: float, least_mg: float) -> None:
+        self._block_s, self._least_mg = block_s, least_mg
+        self._ends_s: float | None = None
+        self._zero_mg = self._sum = self._squares = 0.0
+        self._count = 0
+        self._means: deque[float] = deque(maxlen=RISES + 1)
+
+    def add(self, reading: Reading) -> float | None:
+        """The rate [mg/s] of a steady rise, at the end of a block that shows one."""
+        if self._ends_s is None:
+            self._ends_s, self._zero_mg = reading.time_s + self._block_s, reading.value_mg
+        rate = self._block_ended(reading.time_s) if reading.time_s > self._ends_s - 1e-6 else None
+        value_mg = reading.value_mg - self._zero_mg
+        self._sum += value_mg
+        self._squares += value_mg * value_mg
+        self._count += 1
+        return rate
+
+    def _block_ended(self, now_s: float) -> float | None:
+        mean_mg = self._sum / self._count
+        error_mg = math.sqrt(max(0.0, self._squares / self._count - mean_mg * mean_mg) / self._count)
+        self._ends_s, self._sum, self._squares, self._count = now_s + self._block_s, 0.0, 0.0, 0
+        means = self._means
+        if means and mean_mg - means[-1] < max(self._least_mg, CERTAIN * error_mg):
+            means.clear()
+        means.append(mean_mg)
+        if len(means) <= RISES:
+            return None
+        rises = [means[i + 1] - means[i] for i in range(RISES)]
+        if min(rises) < STEADY * max(rises):
+            return None
+        return sum(rises) / (RISES * self._block_s)
