@@ -14,6 +14,7 @@ from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import BatchResult, SampleResult
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, places_of, prepared_motion
+from scuhand_bt.sim.fault_rules import parse_faults
 
 HEAD = """
 sources:
@@ -94,15 +95,16 @@ def dry_run(
     controller: str | None = "paper",
     stop_at: int | None = None,
     at_tick: Callable[[Any], None] | None = None,
+    faults: str | None = None,
 ) -> Ran:
-    """Run a recipe's text (without its sources, those of `HEAD` are used) to its end."""
+    """Run a recipe's text (without its sources, those of `HEAD` are used) to its end; `faults` is a fault file's."""
     path = tmp_path / "recipe.yaml"
     path.write_text(recipe if "sources:" in recipe else recipe + HEAD, encoding="utf-8")
     loaded = _load(lab or starter_lab())
     plan = make_plan(load_recipe(path, loaded), loaded)
-    session = Session(
-        plan, loaded, Options(DryRun(seed, plant), controller, tmp_path / "runs"), shared_planner(plan, loaded)
-    )
+    wrong = parse_faults(faults, "faults.yaml") if faults is not None else None
+    simulation = DryRun(seed, plant, faults=wrong)
+    session = Session(plan, loaded, Options(simulation, controller, tmp_path / "runs"), shared_planner(plan, loaded))
     watching = Watching(session, stop_at)
     if at_tick is not None:
         watching.at_tick = at_tick

@@ -91,7 +91,9 @@ class Runner:
             return interrupted
         if moving := self._still_moving():
             self.make_safe()
-            return Outcome(SkillFailed("device.busy", f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job"))
+            # Whatever the recipe says of failures: nothing goes on beside a device that does not stop.
+            busy = SkillFailed("device.busy", f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job")
+            return Outcome(self._guards.look() or busy, "tripped")
         return Outcome(None if tree.root.status is Status.SUCCESS else failure_of(tree.root))
 
     def make_safe(self) -> bool:

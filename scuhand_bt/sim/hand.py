@@ -124,9 +124,15 @@ class SimulatedHand:
         self._command(opening_mm, begin_s)
         self._command(0.0, begin_s + ramp_s + dwell_s)
         shut_s = begin_s + 2.0 * ramp_s + dwell_s + self.spec.valve_dead_time_s
-        while self._clock.now_s < shut_s or self._servo_mm > SHUT_MM:
-            yield Wake.on(self.news, max(shut_s, self._clock.now_s + self.spec.valve_dead_time_s))
-            self._require_sound()
+        is_shut = False
+        try:
+            while not is_shut:
+                yield Wake.on(self.news, max(shut_s, self._clock.now_s + self.spec.valve_dead_time_s))
+                self._require_sound()
+                is_shut = self._clock.now_s >= shut_s and self._servo_mm <= SHUT_MM
+        finally:
+            if not is_shut and not self._is_lost:
+                self.shut(self._clock.now_s)
         self.set_vibration(0.0)
 
     def set_opening(self, opening_mm: float) -> None:
@@ -151,6 +157,11 @@ class SimulatedHand:
     def is_active(self) -> bool:
         """Something moves, vibrates or is open, or is about to."""
         return bool(self._servo_mm or self._commands or self.vibration or self._target_mm or self._morph)
+
+    @property
+    def gap_mm(self) -> float:
+        """The real opening now."""
+        return self._real_mm
 
     @property
     def is_closing(self) -> bool:

@@ -131,6 +131,11 @@ class World:
         return self.masses_mg.get(f"container:{container_id}", 0.0)
 
     @property
+    def is_open(self) -> bool:
+        """Whether the valve is open, whatever it says itself."""
+        return self._hand.gap_mm > 0.0
+
+    @property
     def total_mg(self) -> float:
         """All there is; the same at all times."""
         return math.fsum(self.masses_mg.values())
