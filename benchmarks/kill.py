@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -30,7 +30,7 @@ from scuhand_bt.plan import Job, Plan, make_plan
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import SampleResult
 from scuhand_bt.run.chain import verify
-from scuhand_bt.run.journal import read
+from scuhand_bt.run.reading import read
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, prepared_motion
@@ -74,10 +74,16 @@ class Tally:
 
 
 class Silent:
-    """An observer that shows nothing."""
+    """An observer that shows nothing, and ends its own process at a tick."""
+
+    def __init__(self, last_tick: int | None) -> None:
+        self._left = last_tick
 
     def ticked(self, root: Any) -> None:
-        pass
+        if self._left is not None:
+            self._left -= 1
+            if self._left <= 0:
+                os.kill(os.getpid(), signal.SIGKILL)
 
     def job_started(self, job: Job, number: int) -> None:
         pass
@@ -93,14 +99,33 @@ def make_batch(recipe: Path, folder: Path, seed: int, motion: MotionPlanner | No
     return Batch(plan, lab, motion or prepared_motion(plan, lab), folder, seed)
 
 
-def kill_until_done(batch: Batch, kills: int, rng: random.Random, whole_s: float, tally: Tally) -> None:
-    """Run a batch, killing it `kills` times on its way, then let it end, and judge what came of it."""
-    begun: Path | None = None
+@dataclass(frozen=True)
+class Kill:
+    """When a child is ended: after some time, or at a tick of its tree."""
+
+    after_s: float = math.inf
+    at_tick: int | None = None
+
+
+def at_any_time(rng: random.Random, whole_s: float, kills: int) -> Iterator[Kill]:
+    """Kills spread over a batch that takes `whole_s`; a share of them soon, while the child resumes."""
     for _ in range(kills):
-        soon = begun is not None and rng.random() < RESUMING_SHARE
-        delay_s = rng.uniform(0.0, SOON_S) if soon else rng.uniform(0.0, 2.0 * whole_s / kills)
+        soon = rng.random() < RESUMING_SHARE
+        yield Kill(after_s=rng.uniform(0.0, SOON_S if soon else 2.0 * whole_s / kills))
+
+
+def at_ticks(rng: random.Random, most: int, kills: int) -> Iterator[Kill]:
+    """Kills at ticks, which are the same ones on every computer."""
+    for _ in range(kills):
+        yield Kill(at_tick=rng.randint(1, 4 if rng.random() < RESUMING_SHARE else most))
+
+
+def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
+    """Run a batch, killing it on its way, then let it end, and judge what came of it."""
+    begun: Path | None = None
+    for kill in kills:
         before = len(read(begun, "entry")) if begun is not None else 0
-        code = _child(batch, begun, delay_s)
+        code = _child(batch, begun, kill)
         if code is not None and code not in (0, 1):
             tally.problems.append(f"seed {batch.seed}: a child ended with {code} before it was killed")
             return
@@ -111,7 +136,7 @@ def kill_until_done(batch: Batch, kills: int, rng: random.Random, whole_s: float
         if begun is not None:
             _look(begun, before, tally)
     else:
-        code = _child(batch, begun, None)
+        code = _child(batch, begun, Kill())
     begun = begun or next(_journals(batch.folder))
     tally.batches += 1
     if code not in (0, 1):
@@ -131,36 +156,36 @@ def _has_begun(path: Path) -> bool:
         return False
 
 
-def _child(batch: Batch, begun: Path | None, delay_s: float | None) -> int | None:
-    """Run, or resume, in a process of its own; its exit code, None if it was killed after `delay_s`."""
+def _child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
+    """Run, or resume, in a process of its own; its exit code, None if it was killed."""
     child = os.fork()
     if child == 0:
         code = BROKEN
         try:
-            code = _run(batch, begun)
+            code = _run(batch, begun, kill.at_tick)
         except BaseException:
             traceback.print_exc()
         finally:
             os._exit(code)
-    deadline = time.monotonic() + (math.inf if delay_s is None else delay_s)
+    deadline = time.monotonic() + kill.after_s
     while time.monotonic() < deadline:
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
-            return os.waitstatus_to_exitcode(status)
+            return None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
         time.sleep(0.001)
     os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return None
 
 
-def _run(batch: Batch, begun: Path | None) -> int:
+def _run(batch: Batch, begun: Path | None, last_tick: int | None) -> int:
     options = Options(DryRun(batch.seed), folder=batch.folder)
     found = None
     if begun is not None:
         found = resumable(begun, checked_history(begun), batch.plan, batch.lab, accept_changes=False)
     session = Session(batch.plan, batch.lab, options, batch.motion, resumes=found)
     try:
-        return session.run(Silent()).exit_code
+        return session.run(Silent(last_tick)).exit_code
     finally:
         session.close()
 
@@ -225,9 +250,9 @@ def main() -> None:
             motion = batch.motion
             if not whole_s:
                 began = time.monotonic()
-                _child(make_batch(given.recipe, Path(folder) / "whole", seed, motion), None, None)
+                _child(make_batch(given.recipe, Path(folder) / "whole", seed, motion), None, Kill())
                 whole_s = time.monotonic() - began
-            kill_until_done(batch, min(given.a_batch, given.kills - tally.kills), rng, whole_s, tally)
+            kill_until_done(batch, at_any_time(rng, whole_s, given.a_batch), tally)
         seed += 1
         print(
             f"\r{tally.kills} kills, {tally.batches} batches, {len(tally.problems)} problems",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
+from scuhand_bt.cli.archive import JournalArgument, find_journal
 from scuhand_bt.cli.shared import LabOption, app, out, the_lab, unknown
 
 if TYPE_CHECKING:
@@ -57,26 +58,26 @@ def show_move(
 
 @app.command()
 def plot(
-    journal: Annotated[Path, typer.Argument(help="A run's journal (.scuhand/runs/….sqlite).", show_default=False)],
+    run: JournalArgument,
     sample: Annotated[str, typer.Argument(help="The sample whose dose to draw.", show_default=False)],
     output: OutputOption = None,
+    lab: LabOption = None,
 ) -> None:
     """Draw one dose: reading, estimate, opening and vibration against time (PNG or SVG; needs the extra `plot`)."""
     from scuhand_bt.report.dose_plot import plot_dose
-    from scuhand_bt.run.journal import read
+    from scuhand_bt.run.reading import open_contents
 
-    if not journal.is_file():
-        raise typer.BadParameter(f"'{journal}' is no journal")
-    jobs = {row["id"]: row["sample"] for row in read(journal, "job")}
-    samples = {row["id"]: jobs[row["job"]] for row in read(journal, "action")}
-    curves = [
-        event["payload"]["points"]
-        for event in read(journal, "event")
-        if event["kind"] == "dose_curve" and samples.get(event["action"]) == sample
-    ]
-    doses = [row["payload"] for row in read(journal, "dose") if jobs[row["job"]] == sample]
+    with open_contents(find_journal(run, lab)) as contents:
+        jobs = {row["id"]: row["sample"] for row in contents.rows("job")}
+        samples = {row["id"]: jobs[row["job"]] for row in contents.rows("action")}
+        curves = [
+            event["payload"]["points"]
+            for event in contents.rows("event")
+            if event["kind"] == "dose_curve" and samples.get(event["action"]) == sample
+        ]
+        doses = [row["payload"] for row in contents.rows("dose") if jobs[row["job"]] == sample]
     if not curves or not doses:
-        raise unknown("sample with a dose", sample, sorted({s for s in jobs.values() if s}))
+        raise unknown("sample with a dose", sample, {s for s in jobs.values() if s})
     path = output or Path(f"{sample}.png")
     points = [point for curve in curves for point in curve]
     plot_dose(points, doses[-1]["target_mg"], doses[-1]["tolerance_mg"], path, f"{sample}, {doses[-1]['controller']}")

@@ -195,7 +195,7 @@ class Batch:
             verdict: Verdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))
             if recorded is not None and before is not None and before.is_over:
-                self._show(_restored(recorded))
+                self._show(restored(recorded))
             else:
                 self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt), attempt)
             if failure is None:
@@ -317,7 +317,7 @@ class Batch:
         self._observer.sample_ended(result)
 
 
-def _restored(values: Mapping[str, Any]) -> SampleResult:
+def restored(values: Mapping[str, Any]) -> SampleResult:
     """A sample's result from its entry in the journal."""
     return SampleResult(**{name: values[name] for name in SampleResult.__dataclass_fields__})
 

@@ -244,18 +244,3 @@ class Journal:
         self.close()
         for suffix in ("", "-wal", "-shm"):
             self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
-
-
-def read(path: Path, table: str) -> list[dict[str, Any]]:
-    """All rows of one table or view of a journal, in order; JSON columns are decoded."""
-    database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
-    try:
-        database.row_factory = sqlite3.Row
-        rows = [dict(row) for row in database.execute(f"SELECT * FROM {table}")]
-    finally:
-        database.close()
-    for row in rows:
-        for key in ("inputs", "result", "payload", "state"):
-            if row.get(key) is not None:
-                row[key] = json.loads(row[key])
-    return rows

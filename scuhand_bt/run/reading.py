@@ -102,4 +102,4 @@ def read(path: Path, table: str) -> list[dict[str, Any]]:
 
 
 def _problem(path: Path, what: str) -> SourceError:
-    return SourceError([Problem(Mark(str(path)), what)])
+    return SourceError([Problem(Mark(str(path), 0), what)])

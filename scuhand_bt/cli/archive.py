@@ -1,0 +1,178 @@
+"""Commands about what runs have left: runs, show, verify, export."""
+
+import json
+import re
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import RenderableType
+from rich.json import JSON
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.ongoing import runs_folder
+from scuhand_bt.cli.shared import EXIT_BAD_INPUT, EXIT_CELL_FAULT, JsonFlag, LabOption, app, err, out
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from scuhand_bt.run.reading import Contents
+
+EXIT_ALTERED = EXIT_CELL_FAULT
+JournalArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN", help="A run's id, a unique beginning of it, 'last', or a journal's file.", show_default=False
+    ),
+]
+
+
+def find_journal(run: str, lab: Path | None) -> Path:
+    """The journal of a run, by its file or as `find_run` finds it. Raises SourceError if there is none."""
+    from scuhand_bt.run.resume import find_run
+
+    path = Path(run)
+    return path if path.suffix == ".sqlite" or path.is_file() else find_run(runs_folder(lab), run)
+
+
+@app.command()
+def runs(as_json: JsonFlag = False, lab: LabOption = None) -> None:
+    """List the lab's runs, the newest first: what each was, in what state it is, and how many samples are good."""
+    from scuhand_bt.run.archive import summaries
+
+    found = summaries(runs_folder(lab))
+    if as_json:
+        out.print_json(json.dumps([asdict(one) for one in found]))
+        return
+    table = Table("run", "recipe", "mode", "started", "state", "good", show_edge=False)
+    for one in found:
+        good = f"{one.good}" if one.total is None else f"{one.good}/{one.total}"
+        state = f"{one.state}: {one.reason}" if one.reason else one.state
+        mode = "SIMULATED" if one.mode == "SIMULATED" else one.mode.partition(" (")[0]
+        table.add_row(*(Text(cell) for cell in (one.id, one.recipe, mode, one.started, state, good)))
+    out.print(table if found else Text(f"There are no runs in {runs_folder(lab)}."))
+
+
+@app.command()
+def show(
+    run: JournalArgument,
+    frames: Annotated[
+        str | None, typer.Option(metavar="SAMPLE", help="Only the balance's own lines while it weighed for a sample.")
+    ] = None,
+    as_json: JsonFlag = False,
+    lab: LabOption = None,
+) -> None:
+    """Tell what happened in a run: every action, dose, question, pause and fault, and whether its journal is whole."""
+    from scuhand_bt.run.archive import frames as frames_of
+    from scuhand_bt.run.archive import story
+    from scuhand_bt.run.reading import open_contents
+
+    parts: list[RenderableType] = []
+    with open_contents(find_journal(run, lab)) as contents:
+        problem = contents.verified.problem
+        if contents.verified.entries:
+            found = frames_of(contents, frames) if frames is not None else story(contents)
+            parts = [JSON(json.dumps(found))] if as_json else list(_frames(found) if frames else _told(found))
+    for part in parts:
+        out.print(part)
+    if problem is not None:
+        err.print(Text(f"The journal is not as it was written: {problem}."))
+        raise typer.Exit(EXIT_ALTERED)
+
+
+def _told(story: Any) -> "Iterator[RenderableType]":
+    from scuhand_bt.live import doses_table
+    from scuhand_bt.report.run_story import chain_line, header_lines, told
+    from scuhand_bt.run.batch import restored
+
+    yield from map(Text, header_lines(story))
+    yield ""
+    if story["samples"]:
+        yield doses_table([restored(values) for values in story["samples"]], out.width)
+        yield ""
+    for happened in story["run"]:
+        yield from map(Text, told(happened))
+    yield Text(chain_line(story["chain"]))
+
+
+def _frames(lines: Any) -> "Iterator[RenderableType]":
+    for line in lines:
+        stable = "stable" if line["stable"] else "moving"
+        yield Text(f"{line['time_s']:10.3f} s  {line['value_mg']:12.3f} mg  {stable}  {line['raw']!r}")
+
+
+@app.command()
+def verify(
+    run: JournalArgument,
+    head: Annotated[str | None, typer.Option(metavar="HASH", help="The head that the run printed at its end.")] = None,
+    lab: LabOption = None,
+) -> None:
+    """Find out whether a journal is as it was written: every entry there, and none altered."""
+    from scuhand_bt.run.archive import summary_of
+    from scuhand_bt.run.reading import open_contents
+
+    expected = head.strip().lower() if head is not None else None
+    if expected is not None and not re.fullmatch("[0-9a-f]{64}", expected):
+        raise typer.BadParameter("a head is 64 hexadecimal digits", param_hint="--head")
+    path = find_journal(run, lab)
+    with open_contents(path, expected) as contents:
+        verified, is_chained = contents.verified, contents.is_chained
+        summary = summary_of(path, contents.database) if verified.problem is None else None
+    if not is_chained:
+        what = "an older scuhand-bt wrote it, without a chain: whether it was altered cannot be told"
+        err.print(Text(f"{path}: {what}."))
+        raise typer.Exit(EXIT_BAD_INPUT)
+    if verified.problem is not None or summary is None:
+        err.print(Text(f"{path}: {verified.problem}."))
+        raise typer.Exit(EXIT_ALTERED)
+    out.print(Text(f"{path.stem}: {verified.entries} entries, each as it was written. Head: {verified.head}"))
+    if expected is not None:
+        out.print("The head is the expected one: no entry is missing.")
+        return
+    out.print("Without --head, entries cut off at the end cannot be told: compare the head with the one printed then.")
+    if summary.state == "interrupted":
+        out.print("The run has no end: it was interrupted, or its end was cut off.")
+    elif summary.state in ("running", "paused"):
+        out.print(f"The run has no end yet: it is {summary.state}.")
+
+
+@app.command()
+def export(
+    run: JournalArgument,
+    as_csv: Annotated[bool, typer.Option("--csv", help="The weighing record, one row for every weighing.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="The canonical export, equal for equal runs.")] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The file to write; default: standard output.")
+    ] = None,
+    lab: LabOption = None,
+) -> None:
+    """Write a run's weighing record (CSV, for an audit or a spreadsheet) or its canonical export (JSON)."""
+    from scuhand_bt.run.reading import open_contents
+
+    if as_csv == as_json:
+        raise typer.BadParameter("one of them says what to write", param_hint="--csv/--json")
+    with open_contents(find_journal(run, lab)) as contents:
+        problem = contents.verified.problem
+        text = "" if problem is not None else _exported(contents, as_csv=as_csv)
+    if problem is not None:
+        err.print(Text(f"Nothing is exported from a journal that is not as it was written: {problem}."))
+        raise typer.Exit(EXIT_ALTERED)
+    if output is None:
+        sys.stdout.write(text)
+        return
+    try:
+        # Excel reads UTF-8 only behind a byte order mark; JSON must have none.
+        output.write_text(text, encoding="utf-8-sig" if as_csv else "utf-8", newline="")
+    except OSError as error:
+        raise typer.BadParameter(f"'{output}' cannot be written: {error.strerror}", param_hint="--output") from None
+    out.print(Text(f"Written: {output}"))
+
+
+def _exported(contents: "Contents", *, as_csv: bool) -> str:
+    from scuhand_bt.report.weighing_record import weighing_record
+    from scuhand_bt.run.export import canonical_of
+
+    return weighing_record(contents) if as_csv else canonical_of(contents)

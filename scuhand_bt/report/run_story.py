@@ -1,0 +1,88 @@
+"""A run told in lines: what it was, what each job did, and how it ended."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from scuhand_bt.quantity import format_mass
+
+_LONG = ("readings", "bare", "loaded", "traceback", "rules")
+
+
+def header_lines(story: Mapping[str, Any]) -> Iterator[str]:
+    """What the run was: on what, by whom, with what."""
+    run = story["header"]
+    yield f"{story['id']}: {story['mode']}" + (", no powder was moved" if story["simulated"] else "")
+    why = f" ({story['reason']})" if story["reason"] else ""
+    total = "" if story["total"] is None else f" of {story['total']}"
+    yield f"State: {story['state']}{why}; {story['good']}{total} samples good."
+    yield f"Recipe: {run['recipe']} ({run['recipe_path']}, {run['recipe_hash'][:16]}…), controller {run['controller']}."
+    operator = f" by {run['operator']}" if "operator" in run else ""
+    yield f"Started: {run['started']}{operator}, with scuhand_bt {run['version']} on the cell '{run['cell']}'."
+    if story["simulated"]:
+        yield f"Simulation: seed {run['seed']}, physics {run['plant']}."
+    if (balance := run.get("devices", {}).get("balance")) is not None:
+        yield f"Balance: {balance['driver']}, readability {balance['readability_mg']:g} mg."
+    for name, source in run.get("sources", {}).items():
+        lot = f", lot {source['lot']}" if source["lot"] else ""
+        yield f"Source '{name}': {source['powder']}{lot}, at {source['station']}."
+
+
+def chain_line(chain: Mapping[str, Any]) -> str:
+    """Whether the journal is as it was written, as far as it can tell by itself."""
+    if not chain["chained"]:
+        return "Chain: none; an older scuhand-bt wrote this journal, and whether it was altered cannot be told."
+    if chain["problem"] is not None:
+        return f"Chain: NOT AS IT WAS WRITTEN: {chain['problem']}. Only what stands before is shown."
+    return f"Chain: {chain['entries']} entries, whole; head {chain['head']}"
+
+
+def told(happened: Mapping[str, Any], indent: int = 0) -> Iterator[str]:
+    """One thing that happened, with all that happened in it."""
+    kind, mark = happened["kind"], f"{'  ' * indent}{happened['time_s']:9.1f} s  "
+    if kind == "job":
+        again = f", attempt {happened['attempt']}" if happened["attempt"] > 1 else ""
+        yield f"{mark}{happened['name']} ({happened['workflow']}{again}), {happened['at']}: {_ending(happened)}"
+    elif kind == "action":
+        inputs = ", ".join(f"{key} {_plain(value)}" for key, value in happened["inputs"].items())
+        yield f"{mark}{happened['skill']}({inputs}): {_ending(happened)}"
+    else:
+        yield f"{mark}{_event(kind, happened['values'])}"
+    for inner in happened.get("happened", []):
+        yield from told(inner, indent + 1)
+
+
+def _ending(happened: Mapping[str, Any]) -> str:
+    if happened["outcome"] in (None, "started"):
+        return "has not ended"
+    result = happened.get("result")
+    detail = happened.get("detail") or (result.get("detail") if isinstance(result, dict) else None)
+    words = [happened["outcome"], happened["code"], detail]
+    return f"{happened['ended_s']:.1f} s, " + ", ".join(word for word in words if word)
+
+
+def _event(kind: str, values: Mapping[str, Any]) -> str:
+    match kind:
+        case "pulse":
+            opened = ""
+            if values["kind"] == "pulse":
+                opened = f"opened {values['opening_mm']:.2f} mm for {values['dwell_s']:.2f} s, "
+                opened += f"vibration {values['vibration']:.2f}; "
+            return f"{opened}net {format_mass(values['net_mg'])} ± {values['uncertainty_mg']:.2f} mg"
+        case "dose":
+            reached = f"{format_mass(values['dispensed_mg'])} of {format_mass(values['target_mg'])}"
+            return f"dose: {reached} ± {values['uncertainty_mg']:.2f} mg, {values['verdict']} ({values['controller']})"
+        case "asked":
+            return f"asked: {values['question']} [{'/'.join(values['choices'])}]"
+        case "answered":
+            return f"answered: {values['answer']}"
+        case "resumed":
+            changes = "".join(f"; accepted: {change}" for change in values["changes"])
+            return f"resumed; the last entry before was of {values['last_at']}{changes}"
+        case "ended":
+            return f"the run ended with exit code {values['exit_code']}" + f": {values['reason']}".removesuffix(": ")
+    rest = ", ".join(f"{key} {_plain(value)}" for key, value in values.items() if key not in _LONG)
+    return f"{kind}: {rest}" if rest else kind
+
+
+def _plain(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
