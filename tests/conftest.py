@@ -11,11 +11,14 @@ import pytest
 from wire_helpers import Metronome
 
 from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.devices.cell import Believed
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.plan import Job
 from scuhand_bt.recipe import Recipe, load_recipe
+from scuhand_bt.record import NoRecord
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
+from scuhand_bt.run.history import read_history
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.reading import read
 from scuhand_bt.run.runner import Outcome, Runner
@@ -160,6 +163,8 @@ class FakeCell:
     clock: VirtualClock
     devices: Mapping[str, FakeDevice] = field(default_factory=lambda: {name: FakeDevice() for name in DEVICES})
     log: list[Any] = field(default_factory=list)
+    believed: Believed = field(default_factory=Believed)
+    record: NoRecord = field(default_factory=NoRecord)
 
     def device(self, name: str) -> FakeDevice:
         return self.devices[name]
@@ -189,8 +194,18 @@ class Bench:
         self.trees: list[Any] = []
         self._folder = folder
 
-    def run(self, tree: str, skills: Mapping[str, type[Skill[Any]]], others: Mapping[str, str] = {}) -> Outcome:
-        """Run a tree (the YAML below `tree:`), after its check; `others` are workflows by name, whole."""
+    def run(
+        self,
+        tree: str,
+        skills: Mapping[str, type[Skill[Any]]],
+        others: Mapping[str, str] = {},
+        *,
+        resumes: bool = False,
+    ) -> Outcome:
+        """Run a tree (the YAML below `tree:`), after its check; `others` are workflows by name, whole.
+
+        `resumes`: go on with what the last call has left.
+        """
         problems = Problems()
         texts = {"main": f"workflow: main\ntree:\n{_indented(tree)}", **others}
         workflows = {
@@ -202,10 +217,16 @@ class Bench:
         problems.raise_any()
         journal = Journal(self._folder / "journal.sqlite", durable=False)
         journal.now_s = lambda: self.cell.clock.now_s
-        journal.job_started("main", None, 1, "main")
+        past = Past()
+        if resumes:
+            job = read_history(journal.path).jobs["main", 1]
+            past = job.past(None)
+            journal.job_resumed(job.seq, job.dose)
+        else:
+            journal.job_started("main", None, 1, "main")
         try:
             runner = Runner(self.cell, library, journal, self.control, NoGuards(), self)  # type: ignore[arg-type]
-            return runner.run(Job("main", "main", {}), {}, Past())
+            return runner.run(Job("main", "main", {}), {}, past)
         finally:
             journal.close()
 

@@ -152,7 +152,7 @@ def _dry_run(
     )
     clock.process = world
     if lab.cell.changer.driver == "operator":
-        cell.changer = OperatorChanger(operator, world.place, world.remove)
+        cell.changer = OperatorChanger(operator, world.place, world.remove, may_be_loaded=restore)
     _follow_hands(world, cell)
 
     def tell(why: str) -> None:
@@ -215,7 +215,7 @@ def _real(plan: Plan, lab: Lab, record: Record, motion: MotionPlanner, began_s: 
         opened.callback(devices.close)
         opened.callback(liveness.end)
         operator = TerminalOperator(clock, record, _show)
-        changer = OperatorChanger(operator)
+        changer = OperatorChanger(operator, may_be_loaded=began_s > 0.0)
         cell = _wired_cell(plan, lab, devices, clock, record, motion, operator, changer, simulated=False)
         return Setup(cell, None, opened.pop_all().close)
 

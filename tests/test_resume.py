@@ -1,0 +1,375 @@
+"""A run that was interrupted goes on: nothing twice, nothing lost, and never unnoticed on other ground."""
+
+import random
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+from conftest import Bench
+from running import HEAD, make_lab, shared_planner
+
+from benchmarks.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
+from scuhand_bt.clock import Steps
+from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.plan import Plan, make_plan
+from scuhand_bt.recipe import load_recipe
+from scuhand_bt.run.control import Control
+from scuhand_bt.run.reading import read
+from scuhand_bt.run.resume import checked_history, find_run, resumable
+from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.setup import DryRun
+from scuhand_bt.skill import Condition, Ratio, Seconds, Skill, SkillFailed, pause
+from scuhand_bt.yaml_source import SourceError
+
+RECIPE = """
+recipe: three
+workflow: fill_xrd_holder
+defaults: {source: beads, container: xrd_holder, tolerance: 2 mg}
+samples:
+  - {id: a, mass: 20 mg}
+  - {id: b, mass: 80 mg}
+  - {id: c, mass: 200 mg, container: alumina_crucible, workflow: scoop_and_dispense}
+"""
+
+
+class Watch:
+    """Wishes something of the run at a tick, and waits for no one."""
+
+    def __init__(self, wish: str | None = None, at_tick: int = 10**9) -> None:
+        self.session: Any = None
+        self._wish, self._at, self.ticks = wish, at_tick, 0
+
+    def ticked(self, root: Any) -> None:
+        self.ticks += 1
+        if self.ticks == self._at:
+            self.session.control.wish(self._wish)
+
+    def job_started(self, job: Any, number: int) -> None:
+        pass
+
+    def sample_ended(self, result: Any) -> None:
+        pass
+
+
+class Run:
+    """A recipe in a folder, run and resumed in this process."""
+
+    def __init__(self, folder: Path, lab: Path, recipe: str = RECIPE) -> None:
+        self.folder, self.recipe = folder / "runs", folder / "recipe.yaml"
+        self.lab_folder = lab
+        self.recipe.write_text(recipe + HEAD, encoding="utf-8")
+
+    def plan(self) -> tuple[Plan, Lab]:
+        lab = load_lab(self.lab_folder)
+        return make_plan(load_recipe(self.recipe, lab), lab), lab
+
+    @property
+    def journal(self) -> Path:
+        return find_run(self.folder, "last")
+
+    def go(self, watch: Watch, *, resumes: bool = False, accept_changes: bool = False, **options: Any) -> Any:
+        plan, lab = self.plan()
+        found = None
+        if resumes:
+            history = checked_history(self.journal)
+            found = resumable(self.journal, history, plan, lab, accept_changes=accept_changes)
+        chosen = Options(DryRun(), folder=self.folder, **options)
+        session = Session(plan, lab, chosen, shared_planner(plan, lab), resumes=found)
+        watch.session = session
+        try:
+            return session.run(watch)
+        finally:
+            session.close()
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    return Run(tmp_path, make_lab(tmp_path / "lab"))
+
+
+def actions(journal: Path) -> list[tuple[str, str]]:
+    return [(row["skill"], row["outcome"]) for row in read(journal, "action")]
+
+
+def test_a_batch_that_is_killed_again_and_again_ends_with_every_dose_once(tmp_path: Path) -> None:
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(RECIPE + HEAD, encoding="utf-8")
+    rng, tally = random.Random(5), Tally()
+    motion = None
+    for seed in range(20):
+        if tally.kills >= 30:
+            break
+        batch = make_batch(recipe, tmp_path / f"runs-{seed}", seed, motion)
+        motion = batch.motion
+        kills = at_any_time(rng, 1.0, 10) if seed == 0 else at_ticks(rng, 250, 10)
+        kill_until_done(batch, kills, tally)
+    assert not tally.problems
+    assert tally.kills >= 30
+    assert tally.while_dosing
+    assert tally.while_resuming
+
+
+@pytest.mark.parametrize("at_tick", [1, 7, 40, 90, 140])
+def test_a_stopped_run_goes_on_where_it_was(run: Run, at_tick: int) -> None:
+    stopped = run.go(Watch("stop_now", at_tick))
+    assert stopped.exit_code == 130
+    before = actions(run.journal)
+    ended = run.go(Watch(), resumes=True)
+    assert ended.exit_code == 0
+    assert ended.is_complete
+    assert [sample.verdict for sample in ended.samples] == ["in tolerance"] * 3
+    finished = [action for action in before if action[1] == "done"]
+    assert [action for action in actions(run.journal) if action[1] == "done"][: len(finished)] == finished
+    places = [
+        row["inputs"]
+        for row in read(run.journal, "action")
+        if row["skill"] == "place_container" and row["outcome"] == "done"
+    ]
+    assert len(places) == 3
+
+
+def test_a_complete_run_has_nothing_left_to_do(run: Run) -> None:
+    run.go(Watch())
+    with pytest.raises(SourceError, match="complete"):
+        checked_history(run.journal)
+
+
+def test_a_paused_action_is_settled_and_begun_again(run: Run) -> None:
+    def when_paused(kind: str, values: Any) -> None:
+        if kind == "paused":
+            watch.session.control.wish("continue")
+
+    watch = Watch("pause_now", 60)
+    plan, lab = run.plan()
+    session = Session(plan, lab, Options(DryRun(), folder=run.folder), shared_planner(plan, lab))
+    session.journal.heard = when_paused
+    watch.session = session
+    try:
+        result = session.run(watch)
+    finally:
+        session.close()
+    assert result.exit_code == 0
+    kinds = [event["kind"] for event in read(run.journal, "event")]
+    assert kinds.index("paused") < kinds.index("continued")
+    assert "interrupted" in [outcome for _, outcome in actions(run.journal)]
+
+
+def test_a_pause_begins_no_action_and_halts_none(run: Run) -> None:
+    seen: list[str] = []
+
+    def when_paused(kind: str, values: Any) -> None:
+        if kind == "paused":
+            seen.extend(outcome for _, outcome in actions(run.journal))
+            watch.session.control.wish("continue")
+
+    watch = Watch("pause", 60)
+    plan, lab = run.plan()
+    session = Session(plan, lab, Options(DryRun(), folder=run.folder), shared_planner(plan, lab))
+    session.journal.heard = when_paused
+    watch.session = session
+    try:
+        assert session.run(watch).exit_code == 0
+    finally:
+        session.close()
+    assert seen
+    assert set(seen) <= {"done", "failed"}
+
+
+def test_a_run_that_stops_after_its_sample_leaves_it_finished(run: Run) -> None:
+    stopped = run.go(Watch("stop", 20))
+    assert [sample.verdict for sample in stopped.samples] == ["in tolerance", "not run", "not run"]
+    assert not stopped.is_complete
+    assert run.go(Watch(), resumes=True).exit_code == 0
+
+
+def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> None:
+    run.go(Watch("stop_now", 60))
+    run.recipe.write_text(run.recipe.read_text().replace("80 mg", "90 mg"), encoding="utf-8")
+    (run.lab_folder / "trees" / "fill.yaml").write_text(
+        (run.lab_folder / "trees" / "fill.yaml").read_text().replace("attempts: 8", "attempts: 9"), encoding="utf-8"
+    )
+    with pytest.raises(SourceError) as refused:
+        run.go(Watch(), resumes=True)
+    assert "the recipe" in str(refused.value)
+    assert "trees/fill.yaml has changed" in str(refused.value)
+    ended = run.go(Watch(), resumes=True, accept_changes=True)
+    assert ended.exit_code == 0
+    resumed = [event["payload"] for event in read(run.journal, "event") if event["kind"] == "resumed"]
+    assert len(resumed[-1]["changes"]) == 2
+    assert next(sample for sample in ended.samples if sample.id == "b").target_mg == 90.0
+
+
+def test_an_altered_journal_is_not_resumed(run: Run) -> None:
+    run.go(Watch("stop_now", 60))
+    with closing(sqlite3.connect(run.journal)) as database, database:
+        database.execute("DROP TRIGGER entries_stay")
+        database.execute("UPDATE entry SET payload = replace(payload, 'place', 'Place') WHERE kind = 'action_started'")
+    with pytest.raises(SourceError, match="altered"):
+        checked_history(run.journal)
+
+
+def test_a_run_in_progress_is_not_resumed_by_another(run: Run) -> None:
+    class Meddling(Watch):
+        def ticked(self, root: Any) -> None:
+            super().ticked(root)
+            if self.ticks == 30:
+                plan, lab = run.plan()
+                found = resumable(run.journal, checked_history(run.journal), plan, lab, accept_changes=False)
+                with pytest.raises(SourceError, match="another process"):
+                    Session(plan, lab, Options(DryRun(), folder=run.folder), shared_planner(plan, lab), resumes=found)
+
+    assert run.go(Meddling()).exit_code == 0
+
+
+# --- replaying, on a bench of fake devices
+
+
+class Work(Skill[float]):
+    """Take a while; give the time at which it was done."""
+
+    devices = ("hand",)
+    interrupted = "repeat"
+    duration_s: Seconds = 1.0
+
+    def run(self, cell: Any) -> Steps[float]:
+        yield from pause(cell, self.duration_s)
+        cell.note("worked")
+        return float(cell.clock.now_s)
+
+
+class Move(Work):
+    """The same with another device."""
+
+    devices = ("arm",)
+
+
+class Fail(Skill[None]):
+    """Fail after a while, until it has failed often enough."""
+
+    interrupted = "repeat"
+    times_ratio: Ratio = 2.0
+    failed: ClassVar[list[float]] = []
+
+    def run(self, cell: Any) -> Steps[None]:
+        yield from pause(cell, 0.5)
+        if len(self.failed) < self.times_ratio:
+            self.failed.append(cell.clock.now_s)
+            raise SkillFailed("hand.cone_empty", "again")
+
+
+class Early(Condition):
+    """Hold in the first ten seconds."""
+
+    watches = ("balance",)
+
+    def check(self, cell: Any) -> None:
+        if cell.clock.now_s > 10.0:
+            raise SkillFailed("hand.no_flow", "late")
+
+
+SKILLS: dict[str, type[Skill[Any]]] = {"work": Work, "move": Move, "fail": Fail, "early": Early}
+TREES = {
+    "sequence": "sequence: [{work: }, {early: }, {move: }, {work: }]",
+    "retry": "retry: {attempts: 4, child: {sequence: [{work: }, {fail: }, {move: }]}}",
+    "repeat": "repeat: {times: 3, child: {sequence: [{work: }, {move: }]}}",
+    "parallel": "sequence: [{parallel: [{work: {duration: 3 s}}, {sequence: [{move: }, {move: }]}]}, {work: }]",
+    "timeout": "fallback: [{timeout: {duration: 2 s, child: {repeat: {times: 9, child: {work: }}}}}, {move: }]",
+    "while": "fallback: [{while: {guards: [{early: }], child: {repeat: {times: 99, child: {work: }}}}}, {move: }]",
+}
+
+
+def outcomes(bench: Bench) -> list[tuple[str, str]]:
+    return [action for action in bench.actions() if action[1] in ("done", "failed")]
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_a_job_stopped_at_any_tick_repeats_no_finished_action(tree: str, tmp_path: Path) -> None:
+    def bench(name: str) -> Bench:
+        Fail.failed.clear()
+        folder = tmp_path / name
+        folder.mkdir()
+        made = Bench(folder)
+        for beat in range(40):
+            made.agenda.at(0.5 * beat, made.cell.devices["balance"].news.fire)
+        return made
+
+    whole = bench("whole")
+    ended = whole.run(TREES[tree], SKILLS)
+    for tick in range(1, len(whole.trees), max(1, len(whole.trees) // 12)):
+        stopped = bench(f"stopped-{tick}")
+
+        def ticked(root: Any, stopped: Bench = stopped, tick: int = tick) -> None:
+            stopped.trees.append(root)
+            if len(stopped.trees) == tick:
+                stopped.control.wish("stop_now")
+
+        stopped.ticked = ticked  # type: ignore[method-assign]
+        first = stopped.run(TREES[tree], SKILLS)
+        finished = outcomes(stopped)
+        stopped.control = Control()
+        if first.interrupted is None:
+            continue
+        again = stopped.run(TREES[tree], SKILLS, resumes=True)
+        assert (again.failure is None) == (ended.failure is None)
+        assert outcomes(stopped)[: len(finished)] == finished
+        if tree not in ("timeout", "while"):  # which begin anew, so that what they bound may do more
+            assert sorted(outcomes(stopped)) == sorted(outcomes(whole))
+
+
+def test_an_action_that_only_a_person_can_settle_is_asked_about(tmp_path: Path) -> None:
+    class Press(Skill[None]):
+        """Press a pellet: nobody should do that twice."""
+
+        def run(self, cell: Any) -> Steps[None]:
+            yield from pause(cell, 5.0)
+            cell.note("pressed")
+
+    class Answers:
+        def __init__(self) -> None:
+            self.asked: list[str] = []
+
+        def ask(self, question: str, choices: Any) -> Steps[str]:
+            self.asked.append(question)
+            yield from ()
+            return "done"
+
+    bench = Bench(tmp_path)
+    bench.agenda.at(3.0, lambda: bench.control.wish("stop_now"))
+    bench.run("press:", {"press": Press})
+    bench.control, operator = Control(), Answers()
+    bench.cell.operator = operator  # type: ignore[attr-defined]
+    outcome = bench.run("press:", {"press": Press}, resumes=True)
+    assert outcome.failure is None
+    assert "is it done" in operator.asked[0]
+    assert not bench.log
+
+
+def test_what_a_workflow_kept_is_kept_over_an_interruption(tmp_path: Path) -> None:
+    class Say(Skill[None]):
+        """Note a duration."""
+
+        interrupted = "repeat"
+        duration_s: Seconds
+
+        def run(self, cell: Any) -> Steps[None]:
+            yield from pause(cell, 1.0)
+            cell.note(f"{self.duration_s:g}")
+
+    class Give(Skill[Seconds]):
+        """Give a duration."""
+
+        interrupted = "repeat"
+
+        def run(self, cell: Any) -> Steps[float]:
+            yield from pause(cell, 1.0)
+            return 4.5
+
+    bench = Bench(tmp_path)
+    bench.agenda.at(1.5, lambda: bench.control.wish("stop_now"))
+    tree = "sequence: [{give: {as: long}}, {say: {duration: $long}}]"
+    bench.run(tree, {"say": Say, "give": Give})
+    bench.control = Control()
+    bench.run(tree, {"say": Say, "give": Give}, resumes=True)
+    assert [what for _, what in bench.log] == ["4.5"]
