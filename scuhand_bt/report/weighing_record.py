@@ -15,14 +15,13 @@ CONVENTION = (
     "absolute; in tolerance means |net - target| <= tolerance - 2 standard uncertainties of the net mass (guard band), "
     "by a mean of stable readings"
 )
-COLUMNS = tuple(
-    """
-    run simulated mode recipe recipe_hash operator at run_time_s sample attempt container container_kind weighing
-    balance_driver balance_identity readability_mg unit tare_mg gross_mg net_mg standard_uncertainty_mg stable
-    tare_lines gross_lines target_mg tolerance_mg tolerance_convention verdict failure_code source powder lot
-    sheet sheet_powder controller software entry entry_hash
-    """.split()
-)
+COLUMNS = (
+    "run", "simulated", "mode", "recipe", "recipe_hash", "operator", "at", "run_time_s", "sample", "attempt",
+    "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "unit",
+    "tare_mg", "gross_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "target_mg",
+    "tolerance_mg", "tolerance_convention", "verdict", "failure_code", "source", "powder", "lot", "sheet",
+    "sheet_powder", "controller", "software", "entry", "entry_hash",
+)  # fmt: skip
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
