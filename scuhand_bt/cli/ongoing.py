@@ -26,8 +26,7 @@ HEARD_S = 5.0
 
 def runs_folder(lab: Path | None) -> Path:
     """Where the runs of the lab (or of the one around this folder) are."""
-    from scuhand_bt.lab import find_lab, load_lab
-    from scuhand_bt.run.session import state_folder
+    from scuhand_bt.lab import find_lab, load_lab, state_folder
 
     return state_folder(load_lab(find_lab(None, lab))) / "runs"
 

@@ -5,7 +5,6 @@ corrects it with `scuhand-bt inventory set`. Rows are only ever added: the last 
 its history. What was simulated is kept apart, and never read by a run.
 """
 
-import getpass
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -15,6 +14,7 @@ from typing import Literal
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.run.lab_db import lab_db
+from scuhand_bt.run.operator import user_name
 from scuhand_bt.yaml_source import SourceError
 
 Kind = Literal["station", "cone", "sheet", "changer", "container"]
@@ -108,7 +108,7 @@ class Inventory:
 
     def enter(self, entry: Entry) -> None:
         """An operator's correction, of the real cell."""
-        self._write([entry], False, None, _user())
+        self._write([entry], False, None, user_name())
 
     def _write(self, entries: Iterable[Entry], simulated: bool, run: str | None, operator: str | None) -> None:
         at = datetime.now().astimezone().isoformat(timespec="seconds")
@@ -141,10 +141,3 @@ def _believed(cell: Cell) -> Iterator[Entry]:
         yield Entry("changer", used=believed.slots_used)
     for kind, used in believed.containers_used.items():
         yield Entry("container", kind, used=used)
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container without a user's entry
-        return "unknown"

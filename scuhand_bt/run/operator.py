@@ -1,5 +1,6 @@
 """The person at the cell: at this terminal, simulated, or nobody."""
 
+import getpass
 import queue
 import sys
 import threading
@@ -14,6 +15,14 @@ from scuhand_bt.specs import Container
 
 ANSWER_S = 60.0
 """Run time that a simulated person takes to do what is asked."""
+
+
+def user_name() -> str:
+    """Who uses this program."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user without a name, as in a container
+        return "unknown"
 
 
 class SimulatedOperator:

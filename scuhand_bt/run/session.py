@@ -1,7 +1,5 @@
 """One run from plan to result: the cell, its journal, and the batch between them."""
 
-import getpass
-import os
 import secrets
 import sqlite3
 from collections import Counter
@@ -16,7 +14,7 @@ from typing import Any
 import scuhand_bt
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.dosing import CONTROLLERS
-from scuhand_bt.lab import Lab, starter_lab
+from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Plan, check_unattended
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
@@ -28,6 +26,7 @@ from scuhand_bt.run.inventory import Inventory
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.learnt import LabState
 from scuhand_bt.run.notify import Notice, Notifier, State
+from scuhand_bt.run.operator import user_name
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.run.setup import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.state import state_of, take_up
@@ -89,7 +88,8 @@ class Session:
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
         self._notifier = Notifier(lab.cell.notify)
         stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
-        self._doubts = doubts(plan, lab.cell, stock) if resumes is None else []
+        has_begun = self._history is not None and self._history.state
+        self._doubts = [] if has_begun else doubts(plan, lab.cell, stock)
         require_settled(self._doubts, unattended=options.unattended)
         self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
@@ -236,13 +236,6 @@ class Session:
             self._trouble(what)
 
 
-def state_folder(lab: Lab) -> Path:
-    """Where journals and what is learnt go: the lab's `.scuhand`; the working folder's for the packed starter lab."""
-    packed = lab.folder == starter_lab() and lab.folder.name == "starter_lab"
-    home = Path.cwd() if packed or not os.access(lab.folder, os.W_OK) else lab.folder
-    return home / ".scuhand"
-
-
 def _open_journal(path: Path, *, durable: bool) -> Journal:
     try:
         return Journal(path, durable=durable)
@@ -290,7 +283,7 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
         "samples": [
             {"id": sample.id, "workflow": sample.workflow, "inputs": sample.inputs} for sample in plan.recipe.samples
         ],
-        "operator": _user(),
+        "operator": user_name(),
         "devices": {
             name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
             for name in ("arm", "hand", "balance", "changer")
@@ -310,13 +303,6 @@ def options_of(history: History, folder: Path, path: Path) -> Options:
     faults = parse_faults(run["faults_text"], given["faults"]) if run["faults_text"] is not None else None
     simulation = DryRun(run["seed"], given["plant"], given["speed"], faults) if run["simulated"] else None
     return Options(simulation, given["controller"], folder, run["unattended"])
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user without a name, as in a container
-        return "unknown"
 
 
 def _version(name: str) -> str:
