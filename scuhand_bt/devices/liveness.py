@@ -6,7 +6,7 @@ beats (`run.clock` and the runner, at every tick and every slice of a wait); dri
 
 import time
 
-LIMIT_S = 0.06
+LIMIT_S = 0.07
 """Longer without a beat, and what moves is stopped: it stands within 100 ms. Waits beat every 20 ms."""
 
 
