@@ -1,0 +1,224 @@
+"""Guards: each trips in time, and none does while all is well."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from running import dry_run
+
+from benchmarks.rig import DISH, PAN, Bench, Setting, shipped_powders
+from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.run.guards import BEYOND_TARGET_MG, Guards
+from scuhand_bt.specs import BalanceBelief, BalanceResponseSpec, BalanceSpec
+
+POWDERS = shipped_powders()
+
+
+class Guarded:
+    """A bench whose cone is believed, and taken, to stand over the container on the pan."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, powder: str = "glass_beads", **setting: Any) -> None:
+        self.apex_mm: tuple[float, float, float] = (PAN.position_mm[0], PAN.position_mm[1] + 5.0, 140.0)
+        self.rig = Bench(POWDERS[powder], 20.0, 1, 0, Setting(**setting))
+        self.cell, self.clock = self.rig.cell, self.rig.clock
+        monkeypatch.setattr(self.cell, "apex_mm", lambda: self.apex_mm)
+        self.guards = Guards(self.cell)
+        gross_mg = self.rig.drive(self.cell.balance.settled()).value_mg
+        believed = self.cell.believed
+        believed.pan, believed.pan_empty_mg, believed.pan_gross_mg = DISH, gross_mg, gross_mg
+
+    def begin(self, fault: str) -> None:
+        """Let a fault come now."""
+        self.rig.world.faults.active[fault] = self.clock.now_s
+
+    def watch(self, duration_s: float, steps: Steps[Any] | None = None) -> SkillFailed | None:
+        """What a guard finds within this time, looked at as a run does, while `steps` are carried out."""
+        end_s = self.clock.now_s + duration_s
+        waiting = steps or iter(())
+        wake = next(waiting, Wake())
+        while self.clock.now_s < end_s:
+            self.clock.wait([wake, Wake(end_s), *self.guards.wakes()])
+            if (fault := self.guards.look()) is not None:
+                return fault
+            if wake.has_fired or self.clock.now_s >= wake.until_s:
+                wake = next(waiting, Wake())
+        return None
+
+    def drop(self, mass_mg: float) -> None:
+        """Let powder fall from the cone all at once, through a valve that is shut."""
+        self.rig.world.transfer("cone", "flight", mass_mg)
+        self.rig.world._flying.append((self.clock.now_s + 0.13, mass_mg, "balance"))
+
+
+@pytest.fixture
+def guarded(monkeypatch: pytest.MonkeyPatch) -> Guarded:
+    return Guarded(monkeypatch)
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [
+        ("hand.emergency_stop", "device.emergency_stop"),
+        ("hand.lost", "device.lost"),
+        ("arm.lost", "device.lost"),
+        ("servo.overheat", "servo.overload"),
+        ("servo.overload", "servo.overload"),
+    ],
+)
+def test_a_device_that_tells_of_a_fault_trips_the_guard_at_the_next_look(
+    guarded: Guarded, fault: str, code: str
+) -> None:
+    assert guarded.guards.look() is None
+    guarded.begin(fault)
+    tripped = guarded.guards.look()
+    assert tripped is not None
+    assert tripped.code == code
+
+
+def test_a_silent_balance_trips_after_three_seconds(guarded: Guarded) -> None:
+    guarded.begin("balance.silent")
+    began_s = guarded.clock.now_s
+    tripped = guarded.watch(10.0)
+    assert tripped is not None
+    assert str(tripped) == "device.lost: the balance has sent no reading for 3 s"
+    assert 2.9 <= guarded.clock.now_s - began_s <= 3.2
+
+
+def test_a_slow_balance_is_given_ten_of_its_periods(monkeypatch: pytest.MonkeyPatch) -> None:
+    guarded = Guarded(monkeypatch, balance=BalanceSpec(period_s=1.0))
+    guarded.begin("balance.silent")
+    assert guarded.watch(8.9) is None
+    tripped = guarded.watch(2.1)
+    assert tripped is not None
+    assert tripped.code == "device.lost"
+
+
+BALANCES = {
+    "the lab's": BalanceSpec(),
+    "a coarse one": BalanceSpec(readability_mg=1.0),
+    "a noisy one": BalanceSpec(simulation=BalanceResponseSpec(noise_mg=0.3, drift_mg=1.0)),
+    "a slow one": BalanceSpec(simulation=BalanceResponseSpec(lag_s=1.0)),
+    "one with few readings": BalanceSpec(period_s=0.2),
+}
+
+
+@pytest.mark.parametrize("balance", BALANCES)
+def test_a_leak_over_the_pan_is_found_within_four_seconds(monkeypatch: pytest.MonkeyPatch, balance: str) -> None:
+    guarded = Guarded(monkeypatch, balance=BALANCES[balance])
+    assert guarded.watch(5.0) is None
+    guarded.begin("cone.leak")
+    began_s = guarded.clock.now_s
+    tripped = guarded.watch(10.0)
+    assert tripped is not None
+    assert tripped.code == "hand.leak"
+    assert guarded.clock.now_s - began_s <= 4.0
+
+
+def test_a_leak_is_found_also_between_the_pulses_of_a_dose(guarded: Guarded) -> None:
+    guarded.cell.believed.dosing.target_mg = 20.0
+    guarded.begin("cone.leak")
+    assert guarded.watch(1.2, guarded.cell.hand.pulse(0.5, 0.2)) is None
+    tripped = guarded.watch(8.0)
+    assert tripped is not None
+    assert tripped.code == "hand.leak"
+
+
+def test_what_falls_onto_the_pan_from_elsewhere_is_no_leak_of_the_cone(guarded: Guarded) -> None:
+    guarded.apex_mm = (PAN.position_mm[0], PAN.position_mm[1] + 100.0, 140.0)
+    guarded.begin("cone.leak")
+    assert guarded.watch(20.0) is None
+
+
+def test_while_containers_are_changed_nothing_is_a_leak(guarded: Guarded) -> None:
+    guarded.cell.believed.pan_gross_mg = None
+    guarded.begin("cone.leak")
+    assert guarded.watch(20.0) is None
+
+
+def _single_drops(guarded: Guarded) -> Iterator[Wake]:
+    """Knocks and lumps, once the balance's lag is known."""
+    guarded.cell.balance_belief = BalanceBelief(lag_s=guarded.cell.spec.balance.simulation.lag_s)
+    for mass_mg in (3.0, 400.0, 20.0, 1000.0):
+        guarded.drop(mass_mg)
+        yield Wake(guarded.clock.now_s + 3.7)
+
+
+def _pulses(guarded: Guarded) -> Steps[None]:
+    for opening_mm in (0.4, 0.8, 1.6):
+        yield from guarded.cell.hand.pulse(opening_mm, 0.5)
+        yield Wake(guarded.clock.now_s + 8.0)
+
+
+def _a_container_comes(guarded: Guarded) -> Iterator[Wake]:
+    believed = guarded.cell.believed
+    believed.pan_gross_mg = None
+    guarded.rig.world.remove()
+    yield Wake(guarded.clock.now_s + 2.0)
+    guarded.rig.world.place(DISH)
+    believed.pan_gross_mg = 25_000.0  # sooner than any skill would say so
+    yield Wake()
+
+
+@pytest.mark.parametrize("balance", BALANCES)
+@pytest.mark.parametrize("happens", [_single_drops, _pulses, _a_container_comes])
+def test_what_settles_is_no_leak(monkeypatch: pytest.MonkeyPatch, balance: str, happens: Any) -> None:
+    guarded = Guarded(monkeypatch, balance=BALANCES[balance])
+    assert guarded.watch(40.0, happens(guarded)) is None
+
+
+@pytest.mark.parametrize("fault", ["balance.draught", "balance.drifting", "balance.unstable"])
+def test_a_restless_balance_is_no_leak(guarded: Guarded, fault: str) -> None:
+    guarded.begin(fault)
+    guarded.cell.hand.set_vibration(1.0)
+    assert guarded.watch(300.0) is None
+
+
+def test_a_dose_that_runs_away_trips_while_the_valve_is_open(guarded: Guarded) -> None:
+    guarded.cell.believed.dosing.target_mg = 20.0
+    guarded.cell.hand.set_opening(1.5)
+    tripped = guarded.watch(20.0)
+    assert tripped is not None
+    assert tripped.code == "dose.runaway"
+    latest = guarded.cell.balance.latest
+    assert latest is not None
+    limit_mg = (guarded.cell.believed.pan_empty_mg or 0.0) + 20.0 + BEYOND_TARGET_MG
+    flow_mg_per_reading = 0.1 * 200.0
+    assert limit_mg < latest.value_mg < limit_mg + 3.0 * flow_mg_per_reading
+
+
+def test_too_much_behind_a_shut_valve_is_for_the_dose_to_judge(guarded: Guarded) -> None:
+    guarded.cell.believed.dosing.target_mg = 20.0
+    guarded.drop(500.0)
+    assert guarded.watch(10.0) is None
+
+
+def test_emptying_the_cone_is_no_dose(guarded: Guarded) -> None:
+    assert guarded.watch(20.0, guarded.cell.hand.pulse(2.0, 10.0, vibration=1.0)) is None
+
+
+RECIPE = """
+recipe: lumpy
+workflow: scoop_and_dispense
+defaults: {container: xrd_holder, tolerance: 3 mg}
+samples: [{id: a, source: titania, mass: 40 mg}, {id: b, source: beads, mass: 100 mg}]
+sources:
+  titania: {station: mortar_bay, container: agate_mortar, powder: titanium_dioxide, amount: 10 g}
+  beads: {station: mortar_bay_2, container: small_agate_mortar, powder: glass_beads, amount: 8 g}
+on_failure: {otherwise: flag}
+"""
+
+
+@pytest.mark.parametrize("controller", ["adaptive", "paper", "direct_pid"])
+def test_a_whole_run_trips_nothing(tmp_path: Path, controller: str) -> None:
+    ran = dry_run(tmp_path, RECIPE, controller=controller)
+    assert ran.result.exit_code != 3, ran.result.reason
+
+
+def test_a_leak_in_a_run_ends_it_with_the_valve_shut(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, RECIPE, faults="faults: [{fault: cone.leak, at_pulse: 1}]", controller="adaptive")
+    assert ran.result.exit_code == 3
+    assert "hand.leak" in ran.result.reason
+    assert ran.session.cell.hand.is_stopped
+    assert ran.session.cell.arm.is_stopped
