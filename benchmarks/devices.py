@@ -2,14 +2,14 @@
 
 Streaming's jitter; how soon the arm stands and the valve closes when the host dies or hangs; one rehearsed
 dose (its processor time, and how far the arm's path was from the planned one); a million bytes into every
-parser; hundreds of unplugs of every device. On an otherwise idle computer, `nice -n -15`; a quarter of an hour.
+parser; hundreds of unplugs of every device. On an otherwise idle computer, `nice -n -15`; half an hour.
 """
 
 import argparse
 import json
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from rich.console import Console
@@ -36,10 +36,10 @@ GOALS = {
 }
 """The goals, by the figure's name."""
 
-SECTIONS: dict[str, Callable[[int], dict[str, Figures]]] = {
-    "streaming": lambda cycles: {"streaming": devices_motion.streaming()},
+SECTIONS: dict[str, Callable[[int], Iterable[tuple[str, Figures]]]] = {
+    "streaming": lambda cycles: [("streaming", devices_motion.streaming())],
     "stops": lambda cycles: devices_motion.stops(),
-    "rehearsal": lambda cycles: {"rehearsal of an XRD dose": devices_motion.rehearsal()},
+    "rehearsal": lambda cycles: [("rehearsal of an XRD dose", devices_motion.rehearsal())],
     "parsers": lambda cycles: devices_wires.parsers(),
     "unplugs": devices_wires.unplugs,
 }
@@ -67,7 +67,7 @@ def main() -> None:
     console = Console()
     console.print(results["machine"])
     for section in given.only:
-        for title, figures in SECTIONS[section](given.cycles).items():
+        for title, figures in SECTIONS[section](given.cycles):
             figures["load_1min"] = os.getloadavg()[0]
             results[title] = figures
             table = Table("figure", "measured", "goal", title=title, title_justify="left")

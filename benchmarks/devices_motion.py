@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -140,11 +140,11 @@ class Seen:
         hand.hear = watched  # type: ignore[method-assign]
 
 
-def stops() -> dict[str, Figures]:
+def stops() -> Iterator[tuple[str, Figures]]:
     """The host dies, is stopped, or its tick hangs, while the arm sways, the valve is open and the motor runs."""
     rng = random.Random(1)
     blows = {"host killed": signal.SIGKILL, "host stopped": signal.SIGSTOP, "tick hung": signal.SIGUSR1}
-    return {name: _blows(blow, rng) for name, blow in blows.items()}
+    return ((name, _blows(blow, rng)) for name, blow in blows.items())
 
 
 def _blows(blow: signal.Signals, rng: random.Random) -> Figures:
@@ -175,7 +175,7 @@ def _one_blow(blow: signal.Signals, rng: random.Random) -> tuple[float, ...]:
     times_ms, opening_mm, vibration, tripped, shafts = (1000 * (rows[:, 0] - blow_s), *rows[:, 1:4].T, rows[:, 4:])
     moving = (np.abs(shafts - shafts[-1]) > STANDS_COUNTS).any(axis=1)
     events = (tripped == 1.0, opening_mm < opening_mm[0] - 0.005, vibration == 0.0)
-    return float(times_ms[moving].max()), *(float(times_ms[event].min(initial=np.inf)) for event in events)
+    return float(times_ms[moving].max(initial=0.0)), *(float(times_ms[event].min(initial=np.inf)) for event in events)
 
 
 def host(bus_url: str, hand_url: str) -> None:

@@ -5,7 +5,7 @@ import random
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Generator, Hashable
+from collections.abc import Callable, Generator, Hashable, Iterator
 from pathlib import Path
 from statistics import median
 from typing import Any, TypeAlias
@@ -88,14 +88,13 @@ def no_figure(rng: random.Random) -> int:
     return rng.choice(b"\x00\x80\xff\r\n;#~")
 
 
-def parsers() -> dict[str, Figures]:
-    found = {f"parser: balance, {DIALECTS[name].name}": _balance_parser(name) for name in sorted(DIALECTS)}
-    return found | {
-        "parser: hand controller's answers": _hand_parser(),
-        "parser: servos' answers": _status_parser(),
-        "parser: the bus twin": _instruction_parser(),
-        "parser: firmware": _firmware(),
-    }
+def parsers() -> Iterator[tuple[str, Figures]]:
+    for name in sorted(DIALECTS):
+        yield f"parser: balance, {DIALECTS[name].name}", _balance_parser(name)
+    yield "parser: hand controller's answers", _hand_parser()
+    yield "parser: servos' answers", _status_parser()
+    yield "parser: the bus twin", _instruction_parser()
+    yield "parser: firmware", _firmware()
 
 
 def _balance_parser(name: str) -> Figures:
@@ -242,12 +241,13 @@ def comes(condition: Callable[[], object]) -> bool:
     return True
 
 
-def unplugs(cycles: int) -> dict[str, Figures]:
+def unplugs(cycles: int) -> Iterator[tuple[str, Figures]]:
     """Every device's cable, pulled in the middle of what the device does."""
-    found = {"unplugs: servo bus, arm swaying": _bus(cycles), "unplugs: hand, valve open": _hand(cycles)}
+    yield "unplugs: servo bus, arm swaying", _bus(cycles)
+    yield "unplugs: hand, valve open", _hand(cycles)
     for name in sorted(DIALECTS):
-        found[f"unplugs: balance, {DIALECTS[name].name}"] = _balance(name, PtyPort(), cycles)
-    return found | {"unplugs: balance on a socket": _balance("and", SocketPort(), cycles)}
+        yield f"unplugs: balance, {DIALECTS[name].name}", _balance(name, PtyPort(), cycles)
+    yield "unplugs: balance on a socket", _balance("and", SocketPort(), cycles)
 
 
 def _bus(count: int) -> Figures:

@@ -59,6 +59,8 @@ def test_each_ailment_of_a_servo_is_found_with_what_to_do(healthy: WireBench) ->
     twin.servos[4].put(144, 2, 84)
     twin.servos[5].temperature_c = 76.0
     twin.servos[6].put(48, 4, 3000)
+    twin.servos[7].put(10, 1, 1)
+    twin.servos[7].put(20, 4, -512)
     twin.servos[9].fail(5)
     try:
         findings = list(doctor.servos(healthy.spec))
@@ -74,6 +76,7 @@ def test_each_ailment_of_a_servo_is_found_with_what_to_do(healthy: WireBench) ->
         ("servo 4 (joint 3)", "voltage", "8.4 V"),
         ("servo 5 (joint 4)", "temperature", "76 °C"),
         ("servo 6 (joint 5)", "window", "-157.0 to 83.7°"),
+        ("servo 7 (joint 6)", "offset, drive mode", "offset -512, mode 1"),
         ("servo 9 (roller)", "hardware error", "overload"),
     ]
     assert all(f.what_to_do for f in findings if f.verdict == "FAIL")

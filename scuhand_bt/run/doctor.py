@@ -139,6 +139,11 @@ def _servo(bus: DynamixelBus, axis: Axis, number: int, limits_rad: tuple[float, 
     bits = read(r.HARDWARE_ERROR)
     do = "it has shut down and holds nothing: support the arm, find the cause, and switch its supply off and on"
     yield judged(name, "hardware error", r.hardware_errors(bits), "none", not bits, do)
+    odd = [
+        f"{what} {value}" for what, value in (("offset", read(r.HOMING_OFFSET)), ("mode", read(r.DRIVE_MODE))) if value
+    ]
+    do = "set Homing Offset and Drive Mode to 0 with the DYNAMIXEL Wizard; `home_counts`, `directions` say it all"
+    yield judged(name, "offset, drive mode", ", ".join(odd) or "none", "none", not odd, do)
     low_v, high_v = read(r.MIN_VOLTAGE_LIMIT) / 10, read(r.MAX_VOLTAGE_LIMIT) / 10
     volts = read(r.PRESENT_VOLTAGE) / 10
     do = "check the supply and its cable"
@@ -246,10 +251,10 @@ def balance(spec: BalanceSpec, clock: Clock) -> Iterator[Finding]:
     with closing(device):
         try:
             reading = _now(device.next_reading(FIRST_READING_S), clock)
-            yield Finding("balance", "reading", f"{reading.value_mg / 1000:.4f} g", "a reading", "ok")
+            yield Finding("balance", "reading", _grams(reading.value_mg), "a reading", "ok")
             yield _identity(spec, device)
             mean = _now(device.settled(), clock)
-            found = f"{mean.value_mg / 1000:.4f} g ± {mean.uncertainty_mg:.2f} mg"
+            found = f"{_grams(mean.value_mg)} ± {mean.uncertainty_mg:.2f} mg"
             yield Finding("balance", "stability", found, "stable readings", "ok")
         except SkillFailed as error:
             if error.code == "device.lost":
@@ -257,6 +262,10 @@ def balance(spec: BalanceSpec, clock: Clock) -> Iterator[Finding]:
             else:
                 remedy = CATALOGUE[error.code].remedy
                 yield judged("balance", "stability", error.detail, "stable readings", False, remedy)
+
+
+def _grams(mass_mg: float) -> str:
+    return f"{round(mass_mg / 1000, 4) + 0.0:.4f} g"  # + 0.0: nobody weighs -0.0000 g
 
 
 def _identity(spec: BalanceSpec, device: SerialBalance) -> Finding:

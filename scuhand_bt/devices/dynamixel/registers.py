@@ -33,7 +33,11 @@ MODEL_NUMBER = Register(0, 2)
 FIRMWARE = Register(6, 1)
 RETURN_DELAY = Register(9, 1)
 """2 µs units."""
+DRIVE_MODE = Register(10, 1)
+"""Bit 0 turns the direction round, bit 2 makes profiles times, bit 3 lets a goal switch the torque on."""
 OPERATING_MODE = Register(11, 1)
+HOMING_OFFSET = Register(20, 4, signed=True)
+"""Added to the position, in memory that outlives a cell's description."""
 TEMPERATURE_LIMIT = Register(31, 1)
 MAX_VOLTAGE_LIMIT = Register(32, 2)
 MIN_VOLTAGE_LIMIT = Register(34, 2)
