@@ -184,6 +184,20 @@ def test_a_hung_tick_stops_the_arm_within_a_tenth_of_a_second(bench: Bench) -> N
     carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.005, 0.05)), bench.clock)
 
 
+def test_a_servo_that_is_pushed_away_at_rest_is_a_fault_until_the_next_motion(bench: Bench) -> None:
+    assert bench.arm.fault is None
+    elbow = bench.twin.servos[5]
+    elbow.blocked = True
+    elbow.position += 20.0 / 360.0 * 4096
+    wait_for(lambda: bench.arm.fault is not None)
+    assert str(bench.arm.fault).startswith("arm.not_following: joint 4 is 20.0° from where it should be")
+    elbow.blocked = False
+    wait_for(lambda: np.allclose(bench.arm.positions, READY, atol=0.01))
+    assert bench.arm.fault is not None, "somebody has been there"
+    carry_out(bench.arm.follow(Sway(bench.arm.positions, 0.02, 0.2)), bench.clock)
+    assert bench.arm.fault is None
+
+
 HOST = """
 import sys, time
 import numpy as np

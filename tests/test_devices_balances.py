@@ -9,6 +9,7 @@ from wire_helpers import carry_out, wait_for
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.conversation import ANSWER_TIMEOUT_S, QUIET_S, Conversation, State
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.devices.serial_link import LineBuffer
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.clock import WallClock
@@ -256,6 +257,23 @@ def test_every_balance_is_read_over_a_terminal_and_a_socket(name: str, port: typ
         mean = carry_out(bench.balance.settled(), bench.clock)
         assert mean.value_mg == -321.5
         assert 0.02 < mean.uncertainty_mg < 0.04, "the rounding to 0.1 mg remains"
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_whoever_listens_hears_every_reading_with_the_line_that_it_came_in(name: str) -> None:
+    with Bench(name, PtyPort()) as bench:
+        bench.reads(12_345.6)
+        heard: list[Reading] = []
+        bench.balance.on_reading = heard.append
+        for load_mg in (-20.0, 400.1, 12_345.6):
+            bench.pan.load_mg = load_mg
+            bench.reads(load_mg)
+        bench.balance.on_reading = None
+        assert {reading.value_mg for reading in heard} >= {-20.0, 400.1, 12_345.6}
+        for reading in heard:
+            weight = DIALECTS[name].parse(reading.raw)
+            assert isinstance(weight, Weight)
+            assert (weight.milligrams("g"), weight.stable) == (reading.value_mg, reading.stable)
 
 
 @pytest.mark.parametrize("name", ["and", "mt_sics", "sbi"])

@@ -8,6 +8,9 @@ from hypothesis import strategies as st
 
 from benchmarks.rig import BAY, DISH, PAN, Bench, Setting, shipped_powders
 from scuhand_bt.clock import Wake
+from scuhand_bt.devices.balances.frames import Weight
+from scuhand_bt.devices.balances.mt_sics import DIALECT as MT_SICS
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.sim.plant import Plant, PlantError, load_plant
@@ -36,6 +39,24 @@ def let_pass(rig: Bench, duration_s: float) -> None:
 def everything_is_there(rig: Bench) -> None:
     assert rig.world.total_mg == pytest.approx(10_000.0, abs=1e-6)
     assert all(mass_mg >= 0.0 for mass_mg in rig.world.masses_mg.values())
+
+
+@pytest.mark.parametrize("readability_mg", [0.01, 0.1, 0.5, 1.0])
+def test_a_simulated_balance_gives_its_lines_to_whoever_listens(readability_mg: float) -> None:
+    rig = bench(balance=BalanceSpec(readability_mg=readability_mg))
+    let_pass(rig, 1.0)
+    assert rig.cell.balance.latest is not None
+    assert rig.cell.balance.latest.raw == b"", "nobody listened"
+    heard: list[Reading] = []
+    rig.cell.balance.on_reading = heard.append
+    rig.drive(rig.cell.hand.pulse(1.0, 0.5))
+    let_pass(rig, 2.0)
+    assert len(heard) > 25
+    for reading in heard:
+        weight = MT_SICS.parse(reading.raw)
+        assert isinstance(weight, Weight)
+        assert weight.milligrams() == pytest.approx(reading.value_mg, abs=1e-9)
+        assert (weight.unit, weight.stable) == (reading.unit, reading.stable)
 
 
 actions = st.lists(
