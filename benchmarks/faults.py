@@ -44,14 +44,14 @@ CODES: Mapping[str, set[str]] = {
     "balance.garbage": {RECOVERS, "device.lost"},
     "balance.unstable": {"balance.unstable"},
     "balance.overload": {"balance.overload"},
-    "balance.drifting": {"balance.unstable", "cone.leak", "hand.leak", "balance.drift"},
-    "balance.draught": {RECOVERS, "balance.unstable", "dose.overshoot", "cone.leak", "hand.leak"},
-    "valve.stuck_open": {"hand.valve_stuck"},
+    "balance.drifting": {"balance.unstable", "hand.leak"},
+    "balance.draught": {RECOVERS, "balance.unstable", "dose.overshoot"},
+    "valve.stuck_open": {"hand.valve_stuck", "dose.runaway"},
     "valve.stuck_closed": {"hand.valve_stuck"},
-    "valve.slow": {RECOVERS, "dose.overshoot", "hand.valve_stuck"},
+    "valve.slow": {RECOVERS, "dose.overshoot"},
     "vibration.dead": {RECOVERS, "hand.no_flow"},
     "powder.clog": {RECOVERS, "hand.no_flow"},
-    "cone.leak": {"balance.unstable", "cone.leak", "hand.leak"},
+    "cone.leak": {"balance.unstable", "hand.leak"},
     "servo.overheat": {"servo.overload"},
     "servo.overload": {"servo.overload"},
     "servo.not_following": {"arm.not_following"},
@@ -131,7 +131,7 @@ class Matrix:
         code = failed.code if failed is not None and failed.code is not None else ""
         if not code and result.reason:
             code = next((word.strip(":;") for word in result.reason.split() if "." in word.strip(".:;")), "?")
-        wrong = [*_unsafe(session, fault), *_untrue(result.samples)]
+        wrong = [*_unsafe(session, fault), *_untrue(result.samples), *self._lost(session)]
         if (code or RECOVERS) not in CODES[fault]:
             wrong.append(f"ended as {code or RECOVERS}, not as {' or '.join(sorted(CODES[fault]))}")
         if result.exit_code not in ((0, 1) if not code else (1, 3)):
@@ -141,6 +141,13 @@ class Matrix:
         with open_contents(session.journal.path) as contents:
             wrong += ["a traceback"] * sum(event["kind"] == "broken" for event in contents.rows("event"))
         return Outcome(fault, moment, seed, result.exit_code, code or RECOVERS, result.reason, tuple(wrong))
+
+    def _lost(self, session: Session) -> Iterator[str]:
+        """Powder that is nowhere."""
+        assert session.world is not None
+        was_mg = sum(source.amount_mg for source in self._plan.recipe.sources.values())
+        if abs(session.world.total_mg - was_mg) > 1e-6:
+            yield f"of {was_mg:.1f} mg of powder {session.world.total_mg:.1f} mg are left"
 
     def _session(self, seed: int, faults: str | None) -> Session:
         self._motion.set_container(None)
