@@ -298,6 +298,7 @@ def test_a_bus_that_is_unplugged_at_any_moment_is_reported_and_comes_back_holdin
         time.sleep(rng.uniform(0.0, 0.05))
         bench.server.unplug()
         wait_for(lambda: bench.arm.fault is not None and bench.arm.fault.code == "device.lost")
+        assert bench.arm.is_stopped, "its watchdogs see to that"
         assert all(servo.has_torque for servo in bench.twin.servos.values())
         if cycle % 3 == 0:  # and again while it is set up
             bench.server.plug()

@@ -1,6 +1,7 @@
 """A rehearsal: the real drivers carry out a recipe in real time, and the world behind the twins judges it."""
 
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.reading import read
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, Rehearsal
+from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
 
 pytestmark = pytest.mark.real_time
@@ -107,6 +109,46 @@ def test_a_rehearsal_that_is_stopped_ends_safe_and_leaves_nobody_watched(tmp_pat
     rests = arm.positions
     session.close()
     assert np.allclose(arm.positions, rests)
+
+
+class Bench(WireBench):
+    """The wire bench of the last rehearsal, so that a test can get at its cables."""
+
+    last: ClassVar["Bench"]
+
+    def __init__(self, *arguments: Any, **others: Any) -> None:
+        super().__init__(*arguments, **others)
+        Bench.last = self
+
+    def is_at_work(self, device: str) -> bool:
+        """Something of this device moves, or is waited for."""
+        turning = any(abs(servo.velocity) > 50.0 for servo in self.bus.twin.servos.values())
+        return {"bus": turning, "hand": self.hand.twin.opening_mm > 0.5, "balance": True}[device]
+
+
+@pytest.mark.parametrize("device", ["bus", "hand", "balance"])
+def test_a_device_that_is_unplugged_at_work_is_named_and_the_cell_ends_safe(
+    tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch, device: str
+) -> None:
+    monkeypatch.setattr("scuhand_bt.run.setup.WireBench", Bench)
+    recipe = ONE_DOSE if device == "balance" else HEAD + "  - {id: a, workflow: open}\n"
+    session = session_of(tmp_path, lab, Rehearsal(), recipe)
+    bench = Bench.last
+    server = getattr(bench, device)
+
+    def pull(root: Any) -> None:
+        if bench.is_at_work(device):
+            server.unplug()
+
+    try:
+        result = session.run(Watching(session, at_tick=pull))
+    finally:
+        session.close()
+    assert result.exit_code == 3
+    assert "device.lost" in result.reason
+    assert bench.hand.twin.opening_mm < 0.04
+    assert bench.hand.twin.vibration == 0.0
+    assert all(servo.has_torque for servo in bench.bus.twin.servos.values()), "the arm has no brakes"
 
 
 def test_a_plant_that_fails_in_the_middle_ends_the_rehearsal(tmp_path: Path, lab: Lab) -> None:

@@ -321,6 +321,8 @@ class ServoChain:
         self.lost = SkillFailed("device.lost", detail)
         for group in self.groups:
             group.freeze(self.lost)
+            for state in group.states:  # nothing more is heard of them: their watchdogs stop them now
+                state.moving, state.velocity_rad_per_s = False, 0.0
         self.bus.close()
         self.news.fire()
 
