@@ -89,6 +89,8 @@ class _Expected:
 def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     """Order the samples, put sheet swaps between powders, and forecast.
 
+    The forecast is of a run in which nothing fails: what a `retry` holds counts once.
+
     Raises SourceError if the lab lacks a workflow that the plan needs, or has a wrong one.
     """
     jobs = tuple(_jobs(recipe, lab))
@@ -147,16 +149,18 @@ def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterat
 
 
 def _jobs(recipe: Recipe, lab: Lab) -> Iterator[Job]:
+    """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
     last: Source | None = None
     for sample in _ordered(recipe):
         source = sample.source
         if source is not None:
             if last is not None and source.sheet_key != last.sheet_key:
-                yield Job(f"change powder to {source.powder.name}", CHANGE_POWDER, {"source": last})
+                name = f"change powder to {source.powder.name} for {sample.id}"
+                yield Job(name, CHANGE_POWDER, {"source": last})
             last = source
         yield Job(sample.id, sample.workflow, sample.inputs, sample)
     if last is not None and FINISH_BATCH in lab.library.workflows:
-        yield Job("finish", FINISH_BATCH, {"source": last})
+        yield Job("finish the batch", FINISH_BATCH, {"source": last})
 
 
 def _ordered(recipe: Recipe) -> list[Sample]:

@@ -172,7 +172,8 @@ def test_plan_shows_jobs_powder_swaps_and_persons(scuhand_bt: Call) -> None:
     assert shown.returncode == 0
     assert "change powder to monosodium_glutamate" in shown.stdout
     assert "Sheet swaps: 1. Estimated duration: " in shown.stdout
-    assert "A person is needed at 'change powder to monosodium_glutamate': swap the sheet (two screws)." in shown.stdout
+    change = "change powder to monosodium_glutamate for m-xrd-1"
+    assert f"A person is needed at '{change}': swap the sheet (two screws)." in shown.stdout
 
 
 def test_plan_as_json_has_every_job(scuhand_bt: Call) -> None:

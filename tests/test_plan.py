@@ -26,7 +26,7 @@ def plan_of(desk: Desk, order: str = "order: by_powder", second: str = "monosodi
 def test_samples_are_grouped_by_powder_with_a_swap_between(desk: Desk) -> None:
     plan = plan_of(desk)
     names = [job.name for job in plan.jobs]
-    assert names == ["a", "c", "change powder to monosodium_glutamate", "b", "finish"]
+    assert names == ["a", "c", "change powder to monosodium_glutamate for b", "b", "finish the batch"]
     assert plan.swaps == 1
     assert plan.jobs[2].inputs["source"].name == "beads"
 
@@ -35,6 +35,15 @@ def test_as_written_keeps_the_order_and_swaps_as_often_as_it_must(desk: Desk) ->
     plan = plan_of(desk, order="order: as_written")
     assert [job.sample.id for job in plan.jobs if job.sample] == ["a", "b", "c"]
     assert plan.swaps == 2
+
+
+def test_every_job_has_a_name_of_its_own(desk: Desk) -> None:
+    again = TWO.replace("id: c", "id: finish").format(
+        order="order: as_written", second="monosodium_glutamate, amount: 5 g"
+    )
+    plan = make_plan(desk.load(again + "  - {id: d, source: msg}\n"), desk.lab)
+    assert plan.swaps == 3
+    assert len({job.name for job in plan.jobs}) == len(plan.jobs)
 
 
 def test_two_lots_of_one_powder_need_two_sheets_and_one_lot_in_two_mortars_one(desk: Desk) -> None:

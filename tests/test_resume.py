@@ -130,6 +130,35 @@ def test_a_stopped_run_goes_on_where_it_was(run: Run, at_tick: int) -> None:
     assert len(places) == 3
 
 
+def test_powders_that_change_to_and_fro_are_changed_every_time_over_a_stop(tmp_path: Path) -> None:
+    samples = "".join(
+        f"  - {{id: s{i}, mass: 20 mg, source: {source}}}\n"
+        for i, source in enumerate(("beads", "msg", "beads", "msg"))
+    )
+    recipe = f"""
+recipe: to-and-fro
+order: as_written
+workflow: fill_xrd_holder
+defaults: {{container: xrd_holder, tolerance: 2 mg}}
+samples:
+{samples}"""
+    run = Run(tmp_path, make_lab(tmp_path / "lab"), recipe)
+
+    class StopAt(Watch):
+        """Stop as soon as this sample begins."""
+
+        def job_started(self, job: Any, number: int) -> None:
+            if job.name == "s2":
+                self.session.control.wish("stop")
+
+    assert run.go(StopAt()).exit_code == 130
+    ended = run.go(Watch(), resumes=True)
+    assert [sample.verdict for sample in ended.samples] == ["in tolerance"] * 4
+    jobs = [row["name"] for row in read(run.journal, "job") if row["outcome"] == "done"]
+    assert [name.split(" for ")[-1] for name in jobs if name.startswith("change")] == ["s1", "s2", "s3"]
+    assert [skill for skill, outcome in actions(run.journal) if outcome == "done"].count("swap_sheet") == 3
+
+
 def test_a_complete_run_has_nothing_left_to_do(run: Run) -> None:
     run.go(Watch())
     with pytest.raises(SourceError, match="complete"):

@@ -67,7 +67,7 @@ def test_each_place_that_needs_a_person_is_told_once(desk: Desk, lab_folder: Lab
     told = refusals(plan_of(desk))
     assert [line.split(": ", 1)[1].removeprefix("this run is to be unattended, but a person is ") for line in told] == [
         "perhaps needed: Look, after a failed sample",
-        "needed at 'finish': take the container off the pan",
+        "needed at 'finish the batch': take the container off the pan",
         "needed at 'a': put xrd_holder 'a' on the pan (and 1 more like it)",
     ]
 
