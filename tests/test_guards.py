@@ -9,8 +9,9 @@ from running import dry_run
 
 from benchmarks.rig import DISH, PAN, Bench, Setting, shipped_powders
 from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.run.guards import BEYOND_TARGET_MG, Guards
+from scuhand_bt.run.guards import BEYOND_TARGET_MG, RUNAWAY_S, Guards
 from scuhand_bt.specs import BalanceBelief, BalanceResponseSpec, BalanceSpec
 
 POWDERS = shipped_powders()
@@ -175,17 +176,23 @@ def test_a_restless_balance_is_no_leak(guarded: Guarded, fault: str) -> None:
     assert guarded.watch(300.0) is None
 
 
-def test_a_dose_that_runs_away_trips_while_the_valve_is_open(guarded: Guarded) -> None:
-    guarded.cell.believed.dosing.target_mg = 20.0
-    guarded.cell.hand.set_opening(1.5)
+def test_a_dose_that_runs_away_trips_when_the_valve_has_had_time_to_shut(guarded: Guarded) -> None:
+    cell, heard = guarded.cell, list[Reading]()
+    cell.balance.on_reading = heard.append
+    cell.believed.dosing.target_mg = 20.0
+    cell.hand.set_opening(1.5)
     tripped = guarded.watch(20.0)
     assert tripped is not None
     assert tripped.code == "dose.runaway"
-    latest = guarded.cell.balance.latest
-    assert latest is not None
-    limit_mg = (guarded.cell.believed.pan_empty_mg or 0.0) + 20.0 + BEYOND_TARGET_MG
-    flow_mg_per_reading = 0.1 * 200.0
-    assert limit_mg < latest.value_mg < limit_mg + 3.0 * flow_mg_per_reading
+    limit_mg = (cell.believed.pan_empty_mg or 0.0) + 20.0 + BEYOND_TARGET_MG
+    beyond = next(reading for reading in heard if reading.value_mg > limit_mg)
+    assert guarded.clock.now_s == pytest.approx(beyond.time_s + RUNAWAY_S, abs=0.11)
+
+
+def test_a_valve_that_shuts_behind_an_avalanche_is_no_runaway(guarded: Guarded) -> None:
+    guarded.cell.believed.dosing.target_mg = 20.0
+    guarded.drop(500.0)
+    assert guarded.watch(10.0, guarded.cell.hand.pulse(1.5, 1.0)) is None
 
 
 def test_too_much_behind_a_shut_valve_is_for_the_dose_to_judge(guarded: Guarded) -> None:

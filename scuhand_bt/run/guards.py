@@ -20,8 +20,8 @@ BEYOND_TARGET_MG = 100.0
 """More than honest overshoot: the worst of 24 000 simulated doses, of lumpy powder by pulses, was 96 mg too much."""
 BEYOND_TARGET = 0.2
 """The same as a share of the target."""
-RUNAWAY_READINGS = 2
-"""So many in a row: one alone may be a knock at the bench."""
+RUNAWAY_S = 2.0
+"""And the valve is still open so long after: one that was told to shut has, even a slow one, and the dose is over."""
 SHUT_MM = 0.05
 """A valve that reports no more is shut: its servo's zero is no better."""
 SETTLED_LAGS = 4.0
@@ -48,7 +48,7 @@ class Guards:
         self._devices = [cell.device(name) for name in DEVICES]
         self._signals = list({id(device.news): device.news for device in self._devices}.values())
         self._seen: Reading | None = None
-        self._beyond = 0
+        self._beyond_since_s: float | None = None
         self._still_since_s: float | None = None
         self._rise = _Rise(BLOCK_S, 0.0)
 
@@ -68,7 +68,7 @@ class Guards:
         if self._cell.hand.opening_mm > SHUT_MM:
             self._still_since_s = None
             return self._runaway(reading)
-        self._beyond = 0
+        self._beyond_since_s = None
         return self._leak(reading)
 
     def _runaway(self, reading: Reading) -> SkillFailed | None:
@@ -78,8 +78,12 @@ class Guards:
             return None
         net_mg = reading.value_mg - empty_mg
         is_beyond = net_mg > target_mg + max(BEYOND_TARGET_MG, BEYOND_TARGET * target_mg)
-        self._beyond = self._beyond + 1 if is_beyond else 0
-        if self._beyond < RUNAWAY_READINGS:
+        if not is_beyond:
+            self._beyond_since_s = None
+            return None
+        if self._beyond_since_s is None:
+            self._beyond_since_s = reading.time_s
+        if reading.time_s - self._beyond_since_s < RUNAWAY_S:
             return None
         stands = f"the valve stands at {self._cell.hand.opening_mm:.2f} mm"
         return SkillFailed("dose.runaway", f"{net_mg:.0f} mg of {target_mg:g} mg are in the container, and {stands}")
