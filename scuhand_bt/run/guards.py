@@ -75,14 +75,13 @@ class Guards:
         believed = self._cell.believed
         target_mg, empty_mg = believed.dosing.target_mg, believed.pan_empty_mg
         if target_mg is None or empty_mg is None:
+            self._beyond_since_s = None
             return None
         net_mg = reading.value_mg - empty_mg
         is_beyond = net_mg > target_mg + max(BEYOND_TARGET_MG, BEYOND_TARGET * target_mg)
-        if not is_beyond:
-            self._beyond_since_s = None
+        if not is_beyond or self._beyond_since_s is None:
+            self._beyond_since_s = reading.time_s if is_beyond else None
             return None
-        if self._beyond_since_s is None:
-            self._beyond_since_s = reading.time_s
         if reading.time_s - self._beyond_since_s < RUNAWAY_S:
             return None
         stands = f"the valve stands at {self._cell.hand.opening_mm:.2f} mm"
