@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from running import dry_run
+from running import dry_run, make_lab
 
 from benchmarks.rig import DISH, PAN, Bench, Setting, shipped_powders
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.guards import BEYOND_TARGET_MG, RUNAWAY_S, Guards
+from scuhand_bt.run.operator import ANSWER_S
 from scuhand_bt.specs import BalanceBelief, BalanceResponseSpec, BalanceSpec
 
 POWDERS = shipped_powders()
@@ -229,3 +230,35 @@ def test_a_leak_in_a_run_ends_it_with_the_valve_shut(tmp_path: Path) -> None:
     assert "hand.leak" in ran.result.reason
     assert ran.session.cell.hand.is_stopped
     assert ran.session.cell.arm.is_stopped
+
+
+WAITING = """
+workflow: waiting
+inputs: {source: Source, container: Container}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - scoop: {source: $source}
+    - move_over: {container: $container}
+    - timeout: {duration: 1 s, child: {wait: {duration: 60 s}}}
+"""
+ASKING = """
+recipe: asking
+workflow: waiting
+samples: [{id: a, source: beads, container: xrd_holder}]
+on_failure: {otherwise: ask}
+"""
+
+
+@pytest.mark.parametrize(("fault", "code"), [("cone.leak", "hand.leak"), ("balance.silent", "device.lost")])
+def test_guards_go_on_while_a_person_is_asked_what_to_do(tmp_path: Path, fault: str, code: str) -> None:
+    """The sample fails over the pan; that goes wrong while the person thinks, for a minute."""
+    lab = make_lab(tmp_path / "lab", trees__waiting=WAITING)
+    well = dry_run(tmp_path, ASKING, lab=lab)
+    assert well.result.exit_code == 1, "the person answers: flag it"
+    failed_s = well.sample("a").duration_s - ANSWER_S
+    ran = dry_run(tmp_path, ASKING, lab=lab, faults=f"faults: [{{fault: {fault}, at: {failed_s + 5.0:.0f} s}}]")
+    assert ran.result.exit_code == 3
+    assert code in ran.result.reason
+    assert failed_s + 5.0 < ran.session.cell.clock.now_s < failed_s + 20.0

@@ -219,7 +219,9 @@ class Batch:
             try:
                 question = f"Sample '{sample.id}' failed: {failure}. What now?"
                 answer = self._runner.ask(self._cell.operator.ask(question, choices)) or "stop"
-            except SkillFailed:
+            except SkillFailed as error:
+                if error.code != "operator.absent":
+                    raise
                 return "stop"
             if answer != "stop":  # which is asked anew when the run is resumed
                 self._journal.event("chosen", {"sample": sample.id, "attempt": attempt, "action": answer})

@@ -105,10 +105,15 @@ class Runner:
         return is_still
 
     def ask(self, steps: Steps[T]) -> T | None:
-        """Drive a question to the person at the cell, between jobs; None if the run is to end before the answer."""
+        """Drive a question to the person at the cell, between jobs; None if the run is to end before the answer.
+
+        The guards go on: what trips one is raised.
+        """
         try:
             while not self._control.stops_now:
-                self._cell.clock.wait([next(steps), self._wish()])
+                self._cell.clock.wait([next(steps), self._wish(), *self._guards.wakes()])
+                if (fault := self._guards.look()) is not None:
+                    raise fault
         except StopIteration as answer:
             return cast(T, answer.value)
         steps.close()
@@ -190,7 +195,7 @@ class _Recorder:
         self._actions: dict[SkillLeaf, int] = {}
 
     def started(self, leaf: SkillLeaf, inputs: Mapping[str, Any]) -> None:
-        weighs = "balance" in leaf.skill.devices
+        weighs = {"hand", "balance"} <= set(leaf.skill.devices)
         self._actions[leaf] = self._journal.action_started(leaf.path, leaf.visits, leaf.name, inputs, weighs=weighs)
 
     def acting(self, leaf: SkillLeaf) -> None:
