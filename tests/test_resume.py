@@ -402,3 +402,49 @@ def test_what_a_workflow_kept_is_kept_over_an_interruption(tmp_path: Path) -> No
     bench.control = Control()
     bench.run(tree, {"say": Say, "give": Give}, resumes=True)
     assert [what for _, what in bench.log] == ["4.5"]
+
+
+class Unkept:
+    """A plant whose powder cannot be saved."""
+
+    class Flow:
+        def __init__(self) -> None:
+            self.hidden = lambda: None
+
+        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
+            return min(in_cone_mg, 100.0 * opening_mm * dt_s)
+
+    def flow(self, powder: object) -> "Unkept.Flow":
+        return self.Flow()
+
+
+def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(run: Run) -> None:
+    plan, lab = run.plan()
+    options = Options(DryRun(plant="test_resume:Unkept"), folder=run.folder)
+    session = Session(plan, lab, options, shared_planner(plan, lab))
+    watch = Watch("stop_now", 90)
+    watch.session = session
+    try:
+        session.run(watch)
+    finally:
+        session.close()
+    with pytest.raises(SourceError, match="Unkept cannot be pickled.*anew"):
+        checked_history(run.journal)
+
+
+def test_a_full_disk_ends_the_run_safe_and_says_so(run: Run) -> None:
+    class Filling(Watch):
+        def ticked(self, root: Any) -> None:
+            super().ticked(root)
+            if self.ticks == 60:
+                database = self.session.journal._db
+                pages = database.execute("PRAGMA page_count").fetchone()[0]
+                database.execute(f"PRAGMA max_page_count={pages}")
+
+    watch = Filling()
+    result = run.go(watch)
+    assert result.exit_code == 3
+    assert "cannot be written any more" in result.reason
+    assert all(watch.session.cell.device(name).is_stopped for name in ("arm", "hand", "balance", "changer"))
+    assert watch.session.cell.hand.opening_mm == 0.0
+    assert run.go(Watch(), resumes=True).exit_code == 0

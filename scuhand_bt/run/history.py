@@ -64,6 +64,8 @@ class History:
     """Run time of the last entry."""
     at: str = ""
     """Wall time of the last entry."""
+    lost_world: str = ""
+    """Why the simulated world could not be kept; empty where it was."""
     ended: dict[str, Any] | None = None
     """How the run ended; None if it did not say."""
 
@@ -105,6 +107,8 @@ def history_of(database: sqlite3.Connection) -> History:
             history.samples[values["id"], values["attempt"]] = values
         elif kind == "chosen":
             history.answers[values["sample"], values["attempt"]] = values["action"]
+        elif kind == "not_resumable":
+            history.lost_world = values["why"]
         elif kind == "ended":
             history.ended = values
         elif kind == "resumed":

@@ -82,18 +82,29 @@ class Memory:
         self._pickler.clear_memo()
         try:
             self._pickler.dump((beside, [getter(thing) for getter, thing in self._getters]))
+            state = buffer.getvalue()
         except Exception as error:  # of somebody's plant
-            why = f"{self._plant} cannot be pickled ({type(error).__name__}: {error})"
-            self._file.write(pickle.dumps(why))
-            self.close()
-            self._tell(why)
-        else:
-            self._file.write(buffer.getvalue())
+            self._give_up(f"{self._plant} cannot be pickled ({type(error).__name__}: {error})")
+            return
+        try:
+            self._file.write(state)
+        except OSError as error:
+            self._give_up(f"its file cannot be written: {error.strerror}")
 
     def log(self, record: object) -> None:
         """Keep what will not change any more, with the next state that is saved."""
         if self._file is not None:
-            self._file.append(pickle.dumps(record))
+            try:
+                self._file.append(pickle.dumps(record))
+            except OSError as error:
+                self._give_up(f"its file cannot be written: {error.strerror}")
+
+    def _give_up(self, why: str) -> None:
+        """What is in the file is older than what the run knows: nobody may go on from it."""
+        assert self._file is not None
+        self._file.remove()
+        self._file = None
+        self._tell(why)
 
     def close(self) -> None:
         if self._file is not None:

@@ -365,7 +365,7 @@ class World:
         return self.now_s
 
     def save(self) -> None:
-        """Keep the world as it is now in its file, if it has one. OSError if the disk is full."""
+        """Keep the world as it is now in its file, if it has one."""
         if not self._memory.is_kept:
             return
         masses_mg = self.masses_mg

@@ -88,6 +88,11 @@ class WorldFile:
         slot = SUM.pack(crc32(state, crc32(fields))) + fields + state
         self._memory[begin : begin + len(slot)] = slot
 
+    def remove(self) -> None:
+        """Close it, and take it away."""
+        self.close()
+        self._path.unlink(missing_ok=True)
+
     def close(self) -> None:
         self._memory.close()
         os.close(self._file)
