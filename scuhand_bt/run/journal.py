@@ -7,6 +7,7 @@ reader would rather see (jobs, actions, pulses, doses, events) are views of it.
 import json
 import math
 import sqlite3
+import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -25,7 +26,7 @@ from scuhand_bt.specs import Container, Dose, Powder, Source
 
 SCHEMA_VERSION = 2
 FLUSH_S = 0.5
-"""Readings of the balance wait this long in memory, at the most, before they are on disk."""
+"""Readings of the balance wait this long in memory, by the wall's time, before they are written down."""
 _ENDED = """
     LEFT JOIN (SELECT {of} AS of, MAX(seq) AS seq FROM entry WHERE kind = '{of}_ended' GROUP BY {of}) AS last
         ON last.of = began.seq
@@ -60,6 +61,7 @@ CREATE VIEW event AS SELECT seq AS id, action, time_s, kind, payload FROM entry
     WHERE kind NOT IN ('run', 'job_started', 'job_ended', 'job_resumed', 'action_started', 'action_ended', 'pulse',
         'dose', 'frames') ORDER BY seq;
 """
+_INSERT = f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})"
 
 
 class JournalLost(Exception):  # noqa: N818 - it says what happened
@@ -83,11 +85,14 @@ def plain_value(value: Any) -> Any:
     return value if isinstance(value, str | int | float | bool | None) else str(value)
 
 
+_to_json = json.JSONEncoder(sort_keys=True, default=plain_value, allow_nan=False).encode
+
+
 def to_json(values: Any) -> str:
     """Compact JSON with sorted keys; what is no number in JSON (NaN, infinity) by its name."""
     whole = dict(values) if isinstance(values, Mapping) else plain_value(values)
     try:
-        return json.dumps(whole, sort_keys=True, default=plain_value, allow_nan=False)
+        return _to_json(whole)
     except ValueError:
         return json.dumps(_named_infinities(json.loads(json.dumps(whole, default=plain_value))), sort_keys=True)
 
@@ -123,9 +128,10 @@ class Journal:
         self.last_dose: Dose | None = None
         """The last dose of the current job."""
         self._lost = False
-        self._state: str | None = None
+        self._state: Any = None
         self._readings: deque[Reading] = deque()
         self._weighing: set[int] = set()
+        self._flushed_at_s = time.monotonic()
         path.parent.mkdir(parents=True, exist_ok=True)
         self._db = sqlite3.connect(path, isolation_level=None)
         self._db.execute("PRAGMA journal_mode=WAL")
@@ -162,7 +168,7 @@ class Journal:
     def action_started(
         self, path: str, visit: int, skill: str, inputs: Mapping[str, Any], *, weighs: bool = False
     ) -> int:
-        """Before the action acts; the readings of one that `weighs` are kept as they came."""
+        """Before the action acts; all readings of one that `weighs` what it lets flow are kept as they came."""
         self.action = None
         values = {"path": path, "visit": visit, "skill": skill, "inputs": inputs}
         action = self._append("action_started", to_json(values), with_state=True)
@@ -183,10 +189,14 @@ class Journal:
             self._readings.append(reading)
 
     def flush(self, older_than_s: float = 0.0) -> None:
-        """Write the balance's readings down, if the first of them has waited for so long."""
+        """Write the balance's readings down, if some may have waited for so long.
+
+        A power cut comes in the wall's time: a dry run, whose own time flies, writes larger parts, and not more often.
+        """
         waiting = self._readings
-        if not waiting or self.now_s() - waiting[0].time_s < older_than_s:
+        if not waiting or time.monotonic() - self._flushed_at_s < older_than_s:
             return
+        self._flushed_at_s = time.monotonic()
         readings = [waiting.popleft() for _ in range(len(waiting))]  # others may come meanwhile
         lines = [[round(r.time_s, 4), r.raw.decode("latin-1"), r.value_mg, r.unit, r.stable] for r in readings]
         frames = zlib.compress(json.dumps(lines).encode(), 1)
@@ -209,16 +219,14 @@ class Journal:
     def _append(self, kind: str, payload: str, *, with_state: bool = False, frames: bytes | None = None) -> int:
         if self._lost:
             return self._seq
+        self.before_commit()  # first, for it may have something to say itself
         state = self._changed_state() if with_state else None
         at = datetime.now().astimezone().isoformat(timespec="milliseconds")
         seq = self._seq + 1
         entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
         head = digest(self._head, entry)
-        self.before_commit()
         try:
-            self._db.execute(
-                f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})", (*entry, head)
-            )
+            self._db.execute(_INSERT, (*entry, head))
         except sqlite3.Error as error:
             self._lost = True
             raise JournalLost(f"the journal {self.path} cannot be written any more: {error}") from error
@@ -227,11 +235,10 @@ class Journal:
 
     def _changed_state(self) -> str | None:
         state = self.state()
-        text = None if state is None else to_json(state)
-        if text == self._state:
+        if state == self._state:
             return None
-        self._state = text
-        return text
+        self._state = state
+        return to_json(state)
 
     def close(self) -> None:
         """The journal is one file again, which may be copied as it is."""
