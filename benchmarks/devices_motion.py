@@ -148,23 +148,35 @@ def stops() -> Iterator[tuple[str, Figures]]:
 
 
 def _blows(blow: signal.Signals, rng: random.Random) -> Figures:
-    measured = np.array([_one_blow(blow, rng) for _ in range(BLOWS)])
-    figures: Figures = {"blows": BLOWS}
+    rows: list[tuple[float, ...]] = []
+    tries = 0
+    while len(rows) < BLOWS:
+        tries += 1
+        if (row := _one_blow(blow, rng)) is not None:
+            rows.append(row)
+    measured = np.array(rows)
+    figures: Figures = {"blows": BLOWS, "stopped_before": tries - BLOWS}
     for name, times_ms in zip(("arm_stands", "watchdogs_trip", "valve_moves", "motor_off"), measured.T, strict=True):
         if np.isfinite(times_ms).all():  # a host that hangs goes on talking to the servos
             figures |= {f"{name}_ms_median": float(np.median(times_ms)), f"{name}_ms_max": float(times_ms.max())}
     return figures
 
 
-def _one_blow(blow: signal.Signals, rng: random.Random) -> tuple[float, ...]:
-    """Milliseconds from the blow until the arm stands, watchdogs trip, the valve begins to move, the motor is off."""
+def _one_blow(blow: signal.Signals, rng: random.Random) -> tuple[float, ...] | None:
+    """Milliseconds from the blow until the arm stands, watchdogs trip, the valve begins to move, the motor is off.
+
+    None where the computer paused for so long before it that all had been stopped already.
+    """
     seen = Seen()
     with seen.bus, seen.hand:
         host = subprocess.Popen([sys.executable, "-m", "benchmarks.devices_motion", seen.bus.url, seen.hand.url])
         try:
-            assert comes(lambda: seen.valve.opening_mm > 1.9 and seen.valve.vibration == 1.0)
+            if not comes(lambda: seen.valve.opening_mm > 1.9 and seen.valve.vibration == 1.0, 10.0):
+                return None
             time.sleep(rng.uniform(0.5, 1.5))
-            assert comes(lambda: abs(seen.servos[0].velocity) > FAST_RAD_PER_S * 4096 / (2 * np.pi))
+            fast = FAST_RAD_PER_S * 4096 / (2 * np.pi)
+            if not comes(lambda: abs(seen.servos[0].velocity) > fast, 3.0) or seen.valve.opening_mm < 1.9:
+                return None
             blow_s = time.monotonic()
             host.send_signal(blow)
             time.sleep(1.0)

@@ -231,9 +231,9 @@ class Cycles:
         }
 
 
-def comes(condition: Callable[[], object]) -> bool:
+def comes(condition: Callable[[], object], timeout_s: float = WAIT_S) -> bool:
     """Whether this comes true in time."""
-    end_s = time.monotonic() + WAIT_S
+    end_s = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > end_s:
             return False
