@@ -375,7 +375,8 @@ def test_without_a_compiler_a_rehearsal_is_code_2_in_words(
 
 def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "scuhand_bt", "twins", "--cell", str(REPOSITORY / "robot" / "cell.yaml")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    try:
         assert process.stdout is not None
         lines: list[str] = []
         while not any("balance" in line for line in lines):
@@ -386,6 +387,8 @@ def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
             assert port.read_until(b"\r\n").endswith(b"g \r\n")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
     assert (process.returncode, err) == (0, "")
     assert "SIMULATED" in lines[0]
     assert list(tmp_path.iterdir()) == []
