@@ -37,12 +37,12 @@ class Entry(NamedTuple):
 
 
 COLUMNS = ", ".join(Entry._fields)
+_as_text = json.JSONEncoder(ensure_ascii=True, separators=(",", ":")).encode
 
 
 def digest(before: bytes, entry: Entry) -> bytes:
     """SHA-256 over the hash of the entry before and everything in this one."""
-    text = json.dumps(entry[:-1], ensure_ascii=True, separators=(",", ":"))
-    return hashlib.sha256(before + text.encode() + b"\0" + (entry.frames or b"")).digest()
+    return hashlib.sha256(before + _as_text(entry[:-1]).encode() + b"\0" + (entry.frames or b"")).digest()
 
 
 @dataclass(frozen=True)
