@@ -30,6 +30,7 @@ from scuhand_bt.plan import Job, Plan, make_plan
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import SampleResult
 from scuhand_bt.run.chain import verify
+from scuhand_bt.run.history import read_history
 from scuhand_bt.run.reading import read
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Options, Session
@@ -135,6 +136,9 @@ def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
         tally.kills += 1
         if begun is not None:
             _look(begun, before, tally)
+            if read_history(begun).is_complete:  # the kill came after its last word
+                code = 0
+                break
     else:
         code = _child(batch, begun, Kill())
     begun = begun or next(_journals(batch.folder))
@@ -210,9 +214,9 @@ def _judge(batch: Batch, journal: Path, tally: Tally) -> None:
         if (problem := verify(database).problem) is not None:
             wrong(problem)
     events = read(journal, "event")
-    matter = [event["payload"] for event in events if event["kind"] == "matter"][-1]
+    matter = [event["payload"] for event in events if event["kind"] == "matter"]
     there_mg = sum(source.amount_mg for source in batch.plan.recipe.sources.values())
-    imbalance_mg = abs(math.fsum(matter.values()) - there_mg)
+    imbalance_mg = abs(math.fsum(matter[-1].values()) - there_mg) if matter else 0.0
     tally.worst_imbalance_mg = max(tally.worst_imbalance_mg, imbalance_mg)
     if imbalance_mg > LOST_MG:
         wrong(f"{imbalance_mg} mg lost or made")
