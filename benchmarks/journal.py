@@ -1,0 +1,225 @@
+"""What a journal costs: `python -m benchmarks.journal [--runs 5] [--mutations 1000] [--json FILE]`.
+
+Runs `synthesis_batch.yaml` dry, in turns with a journal and with one that writes nothing, and times what is spent
+within the journal and within the file of the simulated world; then once with every entry forced onto the disk.
+Last, it damages many copies of a journal, and sees that nothing takes one for whole that is not.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+from unittest.mock import patch
+
+from py_trees.behaviour import Behaviour
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.mutated_journals import mutations
+from scuhand_bt.lab import Lab, load_lab, starter_lab
+from scuhand_bt.motion import MotionPlanner
+from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.recipe import load_recipe
+from scuhand_bt.run import session
+from scuhand_bt.run.batch import SampleResult
+from scuhand_bt.run.journal import Journal
+from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.setup import DryRun, prepared_motion
+from scuhand_bt.sim.world import World
+
+OWN_OF = 20_000
+"""Empty calls that a stopwatch's own cost is measured by."""
+RECIPE = starter_lab() / "recipes" / "synthesis_batch.yaml"
+_WRITING = (
+    *("describe_run", "job_started", "job_ended", "action_started", "action_ended"),
+    *("flush", "pulse", "dose", "event"),
+)
+
+
+class Silent:
+    """Watches nothing."""
+
+    def ticked(self, root: Behaviour) -> None:
+        pass
+
+    def job_started(self, job: Job, number: int) -> None:
+        pass
+
+    def sample_ended(self, result: SampleResult) -> None:
+        pass
+
+
+class NoJournal(Journal):
+    """Does what a run needs of its journal, its world's file included, and writes nothing."""
+
+    def describe_run(self, values: Any) -> None:
+        self.before_commit()
+
+    def job_started(self, name: str, sample: str | None, attempt: int, workflow: str) -> None:
+        self.job = self.action = self.last_dose = None
+        self.before_commit()
+
+    def job_ended(self, outcome: str, code: str | None = None, detail: str | None = None) -> None:
+        self.before_commit()
+
+    def action_started(self, path: str, visit: int, skill: str, inputs: Any, *, weighs: bool = False) -> int:
+        self.before_commit()
+        return 0
+
+    def action_ended(self, action: int, outcome: str, code: str | None, result: Any) -> None:
+        self.before_commit()
+
+    def weighed(self, reading: Any) -> None:
+        pass
+
+    def flush(self, older_than_s: float = 0.0) -> None:
+        pass
+
+    def pulse(self, values: Any) -> None:
+        self.before_commit()
+
+    def dose(self, dose: Any) -> None:
+        self.last_dose = dose
+        self.before_commit()
+
+    def event(self, kind: str, values: Any) -> None:
+        self.before_commit()
+
+
+class Stopwatch:
+    """The time spent within some methods, without that within some others that they call, and without its own."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.spent_s = {"journal": 0.0, "world": 0.0}
+        self._clock = clock
+        self._within: list[str] = []
+        self._since_s = 0.0
+        self.own_s = 0.0
+        nothing = self.timing("journal", lambda: None)
+        for _ in range(OWN_OF):
+            nothing()
+        self.own_s = self.spent_s["journal"] / OWN_OF
+        self.spent_s["journal"] = 0.0
+
+    def timing(self, what: str, method: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            self.spent_s[what] -= self.own_s
+            self._turn()
+            self._within.append(what)
+            try:
+                return method(*args, **kwargs)
+            finally:
+                self._turn()
+                self._within.pop()
+
+        return timed
+
+    def _turn(self) -> None:
+        now_s = self._clock()
+        if self._within:
+            self.spent_s[self._within[-1]] += now_s - self._since_s
+        self._since_s = now_s
+
+
+@contextmanager
+def watched(stopwatch: Stopwatch) -> Iterator[None]:
+    """Every write of the journal and of the world's file, timed."""
+    patches = [patch.object(Journal, name, stopwatch.timing("journal", getattr(Journal, name))) for name in _WRITING]
+    patches.append(patch.object(World, "save", stopwatch.timing("world", World.save)))
+    for one in patches:
+        one.start()
+    try:
+        yield
+    finally:
+        for one in patches:
+            one.stop()
+
+
+class Bench:
+    """One batch, planned once."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._lab: Lab = load_lab(starter_lab())
+        self._plan: Plan = make_plan(load_recipe(RECIPE, self._lab), self._lab)
+        began_s = time.process_time()
+        self._motion: MotionPlanner = prepared_motion(self._plan, self._lab)
+        self.planning_s = time.process_time() - began_s
+        self.journal = Path()
+
+    def run(self, clock: Callable[[], float] = time.process_time) -> float:
+        """Seconds of one dry run, without the planning before it."""
+        began_s = clock()
+        run = Session(self._plan, self._lab, Options(DryRun(), None, self._folder), self._motion)
+        run.run(Silent())
+        run.close()
+        self.journal = run.journal.path
+        return clock() - began_s
+
+
+def durable(path: Path, **kwargs: Any) -> Journal:
+    return Journal(path, durable=True)
+
+
+def overhead(bench: Bench, runs: int) -> dict[str, float]:
+    """Alternating runs with a journal and without, and what the stopwatch says of the former."""
+    bench.run()
+    whole, without, inside, world = [], [], [], []
+    for _ in range(runs):
+        whole.append(bench.run())
+        with patch.object(session, "Journal", NoJournal):
+            without.append(bench.run())
+        stopwatch = Stopwatch(time.process_time)
+        with watched(stopwatch):
+            timed_s = bench.run()
+        inside.append(stopwatch.spent_s["journal"] / timed_s)
+        world.append(stopwatch.spent_s["world"] / timed_s)
+    run_s, bare_s = median(whole), median(without)
+    stopwatch = Stopwatch(time.perf_counter)
+    with patch.object(session, "Journal", durable), watched(stopwatch):
+        durable_s = bench.run(time.perf_counter)
+    return {
+        "planning_cpu_s": bench.planning_s,
+        "run_cpu_s": run_s,
+        "run_without_journal_cpu_s": bare_s,
+        "journal_percent_of_run": 100 * median(inside),
+        "journal_percent_by_difference": 100 * (run_s - bare_s) / run_s,
+        "journal_percent_of_dry_run": 100 * median(inside) * run_s / (run_s + bench.planning_s),
+        "world_file_percent_of_run": 100 * median(world),
+        "durable_run_wall_s": durable_s,
+        "durable_journal_percent_of_run": 100 * stopwatch.spent_s["journal"] / durable_s,
+        "journal_kb": bench.journal.stat().st_size / 1024,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--mutations", type=int, default=1000)
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        bench = Bench(folder / "runs")
+        figures = overhead(bench, options.runs)
+        figures |= mutations(bench.journal, folder / "mutated", options.mutations)
+    goals = {
+        "journal_percent_of_dry_run": "< 5",
+        "mutations_broken": "0",
+        "mutations_unnoticed": "0",
+    }
+    table = Table("figure", "measured", "goal", title="The journal")
+    for key, value in figures.items():
+        table.add_row(key, f"{value:.3g}" if value < 1000 else f"{value:.0f}", goals.get(key, ""))
+    Console().print(table)
+    if options.json is not None:
+        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
