@@ -50,7 +50,7 @@ CODES: Mapping[str, set[str]] = {
     "valve.stuck_closed": {"hand.valve_stuck"},
     "valve.slow": {RECOVERS, "dose.overshoot"},
     "vibration.dead": {RECOVERS, "hand.no_flow"},
-    "powder.clog": {RECOVERS, "hand.no_flow"},
+    "powder.clog": {RECOVERS, "hand.no_flow", "dose.overshoot"},
     "cone.leak": {"balance.unstable", "hand.leak"},
     "servo.overheat": {"servo.overload"},
     "servo.overload": {"servo.overload"},

@@ -227,6 +227,13 @@ def test_a_cone_that_leaks_loses_powder_through_its_shut_valve(tmp_path: Path) -
     assert all(sample.verdict == "in tolerance" for sample in ran.result.samples)
 
 
+def test_a_valve_that_was_open_when_its_controller_was_lost_for_a_moment_is_shut_at_the_end(tmp_path: Path) -> None:
+    ran = run_with(tmp_path, "fault: hand.lost, for: 0.1 s")
+    assert ran.sample("a").code == "device.lost"
+    assert ran.session.world is not None
+    assert not ran.session.world.is_open
+
+
 def test_an_operator_who_refuses_ends_the_change_of_powder(tmp_path: Path) -> None:
     ran = run_with(tmp_path, "fault: operator.refuses")
     assert ran.sample("a").verdict == "in tolerance"

@@ -60,7 +60,7 @@ class SimulatedHand:
         """What is wrong with it, in a simulation of faults."""
         self._blocked_s = 0.0
         self._seized_s = -math.inf  # when its controller last closed the valve by itself
-        self._was_faulty = False
+        self._was_faulty = self._was_lost = False
         self._clock = clock
         self._servo_mm = self._target_mm = self._real_mm = 0.0
         self._error_mm = self._sample_error_mm = 0.0
@@ -234,6 +234,9 @@ class SimulatedHand:
         if self._seized_s < since_s <= now_s:
             self._seized_s = now_s
             self.shut(now_s)
+        if self._was_lost and not self._is_lost:
+            self.shut(now_s)  # as a controller does that is greeted anew
+        self._was_lost = self._is_lost
         if "arm.lost" in active:
             self.hold_sheet()
         if not ("valve.stuck_open" in active or "valve.stuck_closed" in active):
