@@ -18,11 +18,13 @@ from scuhand_bt.devices.cell import Cell
 from scuhand_bt.plan import Job, Plan
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.run.batch import BatchResult, SampleResult
+from scuhand_bt.run.control import Control
 
 REFRESH_S = 0.1
 LAST_DOSES = 8
 WIDE = 120
 """Columns of a terminal that shows the whole table of doses."""
+KEYS = "Ctrl-Z pauses, Ctrl-\\ stops after this sample, Ctrl-C stops now"
 _STATUS = {
     Status.SUCCESS: ("✓", "green"),
     Status.FAILURE: ("✗", "red"),
@@ -56,8 +58,10 @@ class PlainLines:
 class LiveView:
     """The current job's tree, progress and time left, the balance, and the finished doses; on a terminal."""
 
-    def __init__(self, console: Console, cell: Cell, plan: Plan) -> None:
+    def __init__(self, console: Console, cell: Cell, plan: Plan, control: Control) -> None:
         self._cell = cell
+        self._control = control
+        self._wish_shown = KEYS
         self._plan = plan
         self._total = len(plan.recipe.samples)
         self._results: dict[str, SampleResult] = {}
@@ -75,9 +79,9 @@ class LiveView:
 
     def ticked(self, root: Behaviour) -> None:
         self._root = root
-        now = time.monotonic()
-        if now - self._shown_at >= REFRESH_S:
-            self._shown_at = now
+        now, wish = time.monotonic(), self._wish()
+        if now - self._shown_at >= REFRESH_S or wish != self._wish_shown:
+            self._shown_at, self._wish_shown = now, wish
             self._live.update(self._picture(), refresh=True)
 
     def job_started(self, job: Job, number: int) -> None:
@@ -106,6 +110,7 @@ class LiveView:
         status.add_row("balance", balance)
         status.add_row("valve", f"{self._cell.hand.opening_mm:.2f} mm")
         status.add_row("run time", str(timedelta(seconds=round(self._cell.clock.now_s))))
+        status.add_row("", self._wish_shown)
         tree = Text() if self._root is None else tree_text(self._root)
         name = self._job.name if self._job is not None else ""
         parts: list[RenderableType] = [
@@ -116,6 +121,12 @@ class LiveView:
         if self._results:
             parts.append(doses_table(list(self._results.values())[-LAST_DOSES:], self._live.console.width))
         return Group(*parts)
+
+    def _wish(self) -> str:
+        """What was asked of the run, or can be."""
+        if self._control.is_stopping:
+            return "stopping"
+        return "paused before the next action; Ctrl-Z continues" if self._control.is_pausing else KEYS
 
     def _time_left_s(self) -> float | None:
         """The mean time of the samples until now, for those left; the plan's forecast before the first."""

@@ -125,7 +125,7 @@ def _watched(session: "Session") -> "BatchResult":
 
     try:
         if out.is_terminal:
-            with LiveView(out, session.cell, session.plan) as view:
+            with LiveView(out, session.cell, session.plan, session.control) as view:
                 return session.run(view)
         return session.run(PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples)))
     finally:
