@@ -1,0 +1,333 @@
+"""The journal: what is written is there, chained, and found to be altered if it was; old ones are read."""
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from benchmarks.mutated_journals import Judge, mutations
+from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.run.chain import COLUMNS
+from scuhand_bt.run.export import canonical
+from scuhand_bt.run.history import read_history
+from scuhand_bt.run.journal import SCHEMA_VERSION, Journal, JournalLost
+from scuhand_bt.run.reading import open_contents, open_journal, read
+from scuhand_bt.run.resume import checked_history
+from scuhand_bt.specs import Dose
+from scuhand_bt.yaml_source import SourceError
+
+STARTED = "2026-05-04T08:00:00+02:00"
+HEADER = {
+    "run": "r", "recipe": "two", "recipe_hash": "0" * 64, "recipe_path": "two.yaml", "mode": "SIMULATED", "seed": 3,
+    "simulated": True, "plant": None, "controller": "paper", "version": "0.1.0", "cell": "starter", "started": STARTED,
+}  # fmt: skip
+DOSE = Dose(
+    target_mg=20.0, tolerance_mg=2.0, dispensed_mg=20.3, uncertainty_mg=0.05, pulses=3, vibration_s=1.5, duration_s=30.0,
+    controller="paper", verdict="in tolerance",
+)  # fmt: skip
+RESULT = {
+    "id": "a", "container": "xrd_holder", "target_mg": 20.0, "dispensed_mg": 20.3, "error_mg": 0.3,
+    "uncertainty_mg": 0.05, "tolerance_mg": 2.0, "pulses": 3, "scoops": 1, "vibration_s": 1.5, "duration_s": 30.0,
+    "controller": "paper", "verdict": "in tolerance", "code": None, "detail": None, "true_mg": 20.2, "attempt": 1,
+}  # fmt: skip
+
+
+def write_run(path: Path) -> Journal:
+    """A small run, still open."""
+    journal = Journal(path, durable=False)
+    now_s = iter(range(1000))
+    journal.now_s = lambda: float(next(now_s))
+    journal.describe_run(HEADER)
+    journal.job_started("a", "a", 1, "fill_xrd_holder")
+    tare = journal.action_started("fill/0/tare", 1, "tare", {})
+    journal.action = tare
+    journal.event("tare", {"gross_mg": 9200.0})
+    journal.action_ended(tare, "done", None, 9200.0)
+    dispense = journal.action_started("fill/1/dispense", 1, "dispense", {"mass": 20.0}, weighs=True)
+    journal.weighed(Reading(9201.5, False, 4.1, "g", b"S D     9.2015 g\r\n"))
+    journal.weighed(Reading(9202.5, True, 4.2, "g", b"S S     9.2025 g\r\n"))
+    journal.flush()
+    journal.action = dispense
+    journal.pulse({"kind": "settle", "net_mg": 20.3, "uncertainty_mg": 0.05})
+    journal.dose(DOSE)
+    journal.action_ended(dispense, "failed", "hand.no_flow", {"detail": "no powder comes"})
+    journal.job_ended("done")
+    journal.event("sample", RESULT)
+    journal.event("ended", {"exit_code": 0, "reason": "", "complete": True})
+    return journal
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    journal = write_run(tmp_path / "r.sqlite")
+    journal.close()
+    return journal.path
+
+
+def problem_of(path: Path, head: str | None = None) -> str | None:
+    with open_contents(path, head) as contents:
+        return contents.verified.problem
+
+
+def test_what_is_written_is_read_back_in_order(run: Path) -> None:
+    kinds = [row["kind"] for row in read(run, "entry")]
+    assert kinds[:3] == ["run", "job_started", "action_started"]
+    assert [row["skill"] for row in read(run, "action")] == ["tare", "dispense"]
+    assert [(row["outcome"], row["code"]) for row in read(run, "action")] == [
+        ("done", None),
+        ("failed", "hand.no_flow"),
+    ]
+    assert read(run, "action")[1]["result"] == {"detail": "no powder comes"}
+    assert read(run, "dose")[0]["payload"]["dispensed_mg"] == 20.3
+    assert {row["key"]: row["value"] for row in read(run, "run")}["simulated"] == "true"
+
+
+def test_a_killed_program_leaves_an_action_started(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.describe_run(HEADER)
+    journal.job_started("a", "a", 1, "w")
+    journal.action_started("w/0/tare", 1, "tare", {})
+    history = read_history(journal.path)  # while the program still has it
+    journal.close()
+    assert history.jobs["a", 1].actions["w/0/tare", 1].outcome == "started"
+    assert history.ended is None
+
+
+def test_entries_can_be_neither_changed_nor_taken_away(run: Path) -> None:
+    with closing(sqlite3.connect(run)) as database:
+        for statement in ("UPDATE entry SET time_s = 0", "DELETE FROM entry"):
+            with pytest.raises(sqlite3.IntegrityError, match="only added"):
+                database.execute(statement)
+
+
+def test_a_whole_journal_is_whole_and_its_head_is_what_the_run_printed(tmp_path: Path) -> None:
+    journal = write_run(tmp_path / "r.sqlite")
+    journal.close()
+    assert problem_of(journal.path, journal.head) is None
+    assert "it is another run" in (problem_of(journal.path, "0" * 64) or "")
+
+
+def test_a_journal_goes_on_where_another_program_left_it(run: Path) -> None:
+    journal = Journal(run, durable=False)
+    journal.event("resumed", {"last_at": "", "changes": [], "version": ""})
+    journal.close()
+    assert problem_of(run, journal.head) is None
+
+
+def tamper(run: Path, *statements: str) -> None:
+    """What somebody does who knows SQLite."""
+    with closing(sqlite3.connect(run, isolation_level=None)) as database:
+        database.executescript("DROP TRIGGER entries_stay; DROP TRIGGER entries_last;")
+        for statement in statements:
+            database.execute(statement)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ("UPDATE entry SET payload = replace(payload, '20.3', '20.0') WHERE kind = 'dose'", "(dose,"),
+        ("UPDATE entry SET at = '2020-01-01T00:00:00+00:00' WHERE seq = 3", "entry 3 "),
+        ("UPDATE entry SET time_s = time_s + 1 WHERE seq = 5", "entry 5 "),
+        ("UPDATE entry SET kind = 'note' WHERE seq = 5", "entry 5 "),
+        ("UPDATE entry SET job = NULL WHERE seq = 5", "entry 5 "),
+        ("UPDATE entry SET action = 2 WHERE seq = 5", "entry 5 "),
+        ("UPDATE entry SET state = '{}' WHERE seq = 5", "entry 5 "),
+        ("UPDATE entry SET frames = zeroblob(9) WHERE frames IS NOT NULL", "(frames,"),
+        ("UPDATE entry SET hash = zeroblob(32) WHERE seq = 4", "entry 4 "),
+        ("DELETE FROM entry WHERE seq = 6", "entry 6 is missing"),
+        ("DELETE FROM entry WHERE seq = 1", "entry 1 is missing"),
+        ("DELETE FROM entry", "there is no entry"),
+        ("UPDATE entry SET seq = seq + 1000 WHERE seq > 7", "entry 8 is missing"),
+        ("INSERT INTO entry SELECT 0, kind, job, action, time_s, at, payload, state, frames, hash FROM entry "
+         "WHERE seq = 3", "entry 0 is out of place"),
+    ],
+)  # fmt: skip
+def test_every_change_is_found_and_says_where(run: Path, change: str, found: str) -> None:
+    tamper(run, change)
+    assert found in (problem_of(run) or "")
+    with pytest.raises(SourceError, match="not as it was written"):
+        checked_history(run)
+
+
+def test_nothing_after_an_altered_entry_is_believed(run: Path) -> None:
+    tamper(run, "UPDATE entry SET payload = replace(payload, '9200', '9300') WHERE kind = 'tare'")
+    assert read(run, "dose") == []
+    assert [row["kind"] for row in read(run, "entry")] == ["run", "job_started", "action_started"]
+
+
+def test_only_the_head_tells_of_a_tail_cut_off(tmp_path: Path) -> None:
+    journal = write_run(tmp_path / "r.sqlite")
+    journal.close()
+    tamper(journal.path, "DELETE FROM entry WHERE kind = 'ended'")
+    assert problem_of(journal.path) is None
+    assert "are missing" in (problem_of(journal.path, journal.head) or "")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_value_of_any_entry_may_change_and_it_is_found(tmp_path: Path, data: st.DataObject) -> None:
+    journal = write_run(tmp_path / "any.sqlite")
+    journal.close()
+    try:
+        column = data.draw(st.sampled_from([*COLUMNS.split(", ")[1:], "hash"]))
+        seq = data.draw(st.integers(1, len(read(journal.path, "entry"))))
+        value: Any = data.draw(
+            {"hash": st.binary(), "frames": st.binary(), "time_s": st.floats(-1e9, 1e9)}.get(
+                column, st.integers(0, 99) if column in ("job", "action") else st.text(st.characters(codec="utf-8"))
+            )
+        )
+        with closing(sqlite3.connect(journal.path, isolation_level=None)) as database:
+            database.execute("DROP TRIGGER entries_stay")
+            before = database.execute(f"SELECT {column} FROM entry WHERE seq = ?", (seq,)).fetchone()[0]
+            database.execute(f"UPDATE entry SET {column} = ? WHERE seq = ?", (value, seq))
+        assert (problem_of(journal.path) is None) == (value == before)
+    finally:
+        journal.path.unlink()
+
+
+def test_damaged_journals_end_in_a_clean_error_or_a_correct_result(run: Path, tmp_path: Path) -> None:
+    figures = mutations(run, tmp_path / "damaged", 200)
+    assert figures["mutations_broken"] == figures["mutations_unnoticed"] == 0
+    assert figures["mutations_found"] > 10
+    assert figures["mutations_found_by_the_head"] > 10
+    assert figures["mutations_refused"] > 10
+
+
+def test_the_judge_of_damaged_journals_notices_what_the_chain_would_not(run: Path) -> None:
+    judge = Judge(run)
+    tamper(run, "DELETE FROM entry WHERE kind = 'ended'")
+    assert judge.outcome(run) == "found by the head"
+
+
+@pytest.mark.parametrize("content", [b"", b"not a database", b"SQLite format 3\0" + bytes(100)])
+def test_a_file_that_is_no_journal_is_said_to_be_none(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.sqlite"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match="no journal of a run"), open_journal(path):
+        pass
+
+
+def test_a_folder_and_nothing_are_no_journals(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "gone.sqlite"):
+        with pytest.raises(SourceError, match="no such journal"), open_journal(path):
+            pass
+
+
+def test_a_newer_journal_is_refused(run: Path) -> None:
+    with closing(sqlite3.connect(run)) as database:
+        database.execute(f"PRAGMA user_version={SCHEMA_VERSION + 1}")
+    with pytest.raises(SourceError, match="a newer scuhand-bt wrote it"):
+        read(run, "entry")
+
+
+def test_a_name_with_signs_of_an_address_is_a_name(tmp_path: Path) -> None:
+    journal = write_run(tmp_path / "50%?#a b.sqlite")
+    journal.close()
+    assert problem_of(journal.path, journal.head) is None
+
+
+def test_reading_changes_nothing(run: Path) -> None:
+    before = run.read_bytes()
+    canonical(run)
+    assert run.read_bytes() == before
+    assert [path.name for path in run.parent.iterdir()] == [run.name]
+
+
+def test_a_lost_journal_says_so_once(tmp_path: Path) -> None:
+    journal = write_run(tmp_path / "r.sqlite")
+    journal._db.execute("PRAGMA query_only=ON")  # as a full disk
+    with pytest.raises(JournalLost, match="cannot be written any more"):
+        journal.event("asked", {})
+    journal.event("asked", {})
+    journal.close()
+    assert problem_of(journal.path, journal.head) is None
+
+
+def test_readings_are_written_as_they_came(run: Path) -> None:
+    from scuhand_bt.run.archive import frames
+
+    with open_contents(run) as contents:
+        lines = frames(contents, "a")
+    assert [line["raw"] for line in lines] == ["S D     9.2015 g\r\n", "S S     9.2025 g\r\n"]
+    assert [line["stable"] for line in lines] == [False, True]
+
+
+# --- version 1, as the release before wrote it
+
+VERSION_1 = """
+CREATE TABLE run (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
+CREATE TABLE job (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL, sample TEXT, attempt INTEGER NOT NULL, workflow TEXT NOT NULL,
+    started_s REAL NOT NULL, ended_s REAL, outcome TEXT, code TEXT, detail TEXT) STRICT;
+CREATE TABLE action (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job(id), path TEXT NOT NULL, visit INTEGER NOT NULL,
+    skill TEXT NOT NULL, inputs TEXT NOT NULL, started_s REAL NOT NULL, ended_s REAL, outcome TEXT NOT NULL,
+    code TEXT, result TEXT) STRICT;
+CREATE TABLE pulse (
+    id INTEGER PRIMARY KEY, action INTEGER REFERENCES action(id), time_s REAL NOT NULL, payload TEXT NOT NULL) STRICT;
+CREATE TABLE dose (
+    id INTEGER PRIMARY KEY, job INTEGER NOT NULL REFERENCES job(id), time_s REAL NOT NULL,
+    payload TEXT NOT NULL) STRICT;
+CREATE TABLE event (
+    id INTEGER PRIMARY KEY, action INTEGER REFERENCES action(id), time_s REAL NOT NULL, kind TEXT NOT NULL,
+    payload TEXT NOT NULL) STRICT;
+PRAGMA user_version=1;
+"""
+
+
+def version_1(path: Path) -> Iterator[None]:
+    with closing(sqlite3.connect(path, isolation_level=None)) as database:
+        database.executescript(VERSION_1)
+        header = {**HEADER, "plant": "null", "seed": "3", "simulated": "true", "libraries": '{"numpy": "2.0"}'}
+        database.executemany("INSERT INTO run VALUES (?, ?)", header.items())
+        database.execute("INSERT INTO job VALUES (1, 'a', 'a', 1, 'fill', 0.0, 40.0, 'done', NULL, NULL)")
+        database.execute("INSERT INTO job VALUES (2, 'b', 'b', 1, 'fill', 40.0, NULL, NULL, NULL, NULL)")
+        actions = [
+            (1, 1, "fill/0/tare", 1, "tare", "{}", 0.0, 4.0, "done", None, "9200.0"),
+            (2, 1, "fill/1/dispense", 1, "dispense", '{"mass": 20.0}', 4.0, 40.0, "failed", "hand.no_flow", None),
+            (3, 2, "fill/0/tare", 1, "tare", "{}", 40.0, None, "started", None, None),
+        ]
+        database.executemany("INSERT INTO action VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", actions)
+        pulse = json.dumps({"kind": "settle", "net_mg": 20.3, "uncertainty_mg": 0.05})
+        database.execute("INSERT INTO pulse VALUES (1, 2, 39.0, ?)", (pulse,))
+        database.execute("INSERT INTO dose VALUES (1, 1, 40.0, ?)", (DOSE.model_dump_json(by_alias=False),))
+        points = {"points": [[4.0, 0.0, 0.0, 0.0, False, 0.0], [39.0, 20.3, 0.5, 0.5, True, 20.3]]}
+        events = [
+            (1, 1, 4.0, "tare", '{"gross_mg": 9200.0}'),
+            (2, 2, 40.0, "dose_curve", json.dumps(points)),
+            (3, 2, 40.0, "sample", json.dumps(RESULT)),
+        ]
+        database.executemany("INSERT INTO event VALUES (?, ?, ?, ?, ?)", events)
+    yield
+
+
+@pytest.fixture
+def old_run(tmp_path: Path) -> Iterator[Path]:
+    yield from (tmp_path / "old.sqlite" for _ in version_1(tmp_path / "old.sqlite"))
+
+
+def test_a_journal_of_version_1_is_read_as_one_of_today_and_not_touched(old_run: Path) -> None:
+    before = old_run.read_bytes()
+    actions = [(row["skill"], row["started_s"], row["ended_s"], row["outcome"]) for row in read(old_run, "action")]
+    assert actions == [("tare", 0.0, 4.0, "done"), ("dispense", 4.0, 40.0, "failed"), ("tare", 40.0, None, "started")]
+    assert [(row["name"], row["outcome"]) for row in read(old_run, "job")] == [("a", "done"), ("b", None)]
+    export = json.loads(canonical(old_run))
+    assert export["run"]["simulated"] == "true"
+    assert export["samples"] == [RESULT]
+    assert export["pulses"][0]["net_mg"] == 20.3
+    kinds = [row["kind"] for row in read(old_run, "entry")]
+    assert kinds.index("tare") < kinds.index("action_ended") < kinds.index("pulse") < kinds.index("sample")
+    first = read(old_run, "entry")[1]
+    assert first["at"].startswith("2026-05-04T08:00:00")
+    assert old_run.read_bytes() == before
+
+
+def test_a_run_of_version_1_is_not_resumed(old_run: Path) -> None:
+    with pytest.raises(SourceError, match="an older scuhand-bt wrote it.*start the run anew"):
+        checked_history(old_run)
