@@ -88,17 +88,18 @@ def stop(run: RunArgument, now: NowFlag = False, lab: LabOption = None) -> None:
 def what_is_known(history: "History", samples: int) -> list[str]:
     """What is known of an interrupted run, and what is not, for whoever lets it go on."""
     believed = history.state.get("believed", {})
-    run, done = history.run, len({sample for sample, _ in history.samples})
+    run, done = history.run, {sample for sample, attempt in history.samples if history.jobs[sample, attempt].is_over}
     lines = [
         f"{run['recipe']} ({run['mode']}): interrupted at {format_duration(history.time_s)} of run time; "
         f"the last entry is of {history.at}.",
-        f"{done} of {samples} samples are finished.",
+        f"{len(done)} of {samples} samples are finished.",
     ]
     if (unfinished := history.unfinished()) is not None:
         job, name = unfinished
         open_ones = [recorded.skill for recorded in job.actions.values() if recorded.outcome not in ("done", "failed")]
         at_work = f" '{open_ones[-1]}' had begun and not ended: how far it came is not known yet." if open_ones else ""
-        lines.append(f"'{name}' was under way.{at_work}")
+        why = f", and had failed: {job.failure}; it is taken up where it failed" if job.failure is not None else ""
+        lines.append(f"'{name}' was under way{why}.{at_work}")
     if believed:
         source, pan = believed["cone_source"], believed["pan"]
         cone = f"about {format_mass(believed['cone_mg'])} from '{source}'" if source else "no powder"
