@@ -13,6 +13,8 @@ from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.guards import BEYOND_TARGET_MG, RUNAWAY_S, Guards
 from scuhand_bt.run.operator import ANSWER_S
+from scuhand_bt.sim.arm import SimulatedArm
+from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.specs import BalanceBelief, BalanceResponseSpec, BalanceSpec
 
 POWDERS = shipped_powders()
@@ -262,3 +264,19 @@ def test_guards_go_on_while_a_person_is_asked_what_to_do(tmp_path: Path, fault: 
     assert ran.result.exit_code == 3
     assert code in ran.result.reason
     assert failed_s + 5.0 < ran.session.cell.clock.now_s < failed_s + 20.0
+
+
+def test_a_device_that_cannot_be_stopped_does_not_keep_the_others_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def breaks(arm: SimulatedArm) -> None:
+        raise RuntimeError("no such joint")
+
+    told: list[SimulatedHand] = []
+    monkeypatch.setattr(SimulatedArm, "stop", breaks)
+    monkeypatch.setattr(SimulatedHand, "stop", lambda hand: told.append(hand))
+    lab = make_lab(tmp_path / "lab", trees__waiting=WAITING)
+    ran = dry_run(tmp_path, ASKING.replace("ask}", "flag}"), lab=lab)
+    assert told == [ran.session.cell.hand]
+    assert ran.result.exit_code == 3
+    assert "a device did not stop" in ran.result.reason

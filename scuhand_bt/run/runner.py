@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar, cast
 
@@ -98,8 +99,9 @@ class Runner:
 
     def make_safe(self) -> bool:
         """Valve closed, vibration off, arm stopped: tell every device, then wait. False if one did not stop."""
-        for name in DEVICES:
-            self._cell.device(name).stop()
+        with ExitStack() as stopping:  # one that cannot be told does not keep the others from it
+            for name in DEVICES:
+                stopping.callback(self._cell.device(name).stop)
         is_still = not self._still_moving()
         self._cell.clock.wait([Wake(self._cell.clock.now_s + FALL_S)])
         return is_still
