@@ -2,7 +2,6 @@
 
 import json
 import sqlite3
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -28,8 +27,8 @@ HEADER = {
     "simulated": True, "plant": None, "controller": "paper", "version": "0.1.0", "cell": "starter", "started": STARTED,
 }  # fmt: skip
 DOSE = Dose(
-    target_mg=20.0, tolerance_mg=2.0, dispensed_mg=20.3, uncertainty_mg=0.05, pulses=3, vibration_s=1.5, duration_s=30.0,
-    controller="paper", verdict="in tolerance",
+    target_mg=20.0, tolerance_mg=2.0, dispensed_mg=20.3, uncertainty_mg=0.05, pulses=3, vibration_s=1.5,
+    duration_s=30.0, controller="paper", verdict="in tolerance",
 )  # fmt: skip
 RESULT = {
     "id": "a", "container": "xrd_holder", "target_mg": 20.0, "dispensed_mg": 20.3, "error_mg": 0.3,
@@ -281,7 +280,7 @@ PRAGMA user_version=1;
 """
 
 
-def version_1(path: Path) -> Iterator[None]:
+def write_version_1(path: Path) -> None:
     with closing(sqlite3.connect(path, isolation_level=None)) as database:
         database.executescript(VERSION_1)
         header = {**HEADER, "plant": "null", "seed": "3", "simulated": "true", "libraries": '{"numpy": "2.0"}'}
@@ -304,12 +303,12 @@ def version_1(path: Path) -> Iterator[None]:
             (3, 2, 40.0, "sample", json.dumps(RESULT)),
         ]
         database.executemany("INSERT INTO event VALUES (?, ?, ?, ?, ?)", events)
-    yield
 
 
 @pytest.fixture
-def old_run(tmp_path: Path) -> Iterator[Path]:
-    yield from (tmp_path / "old.sqlite" for _ in version_1(tmp_path / "old.sqlite"))
+def old_run(tmp_path: Path) -> Path:
+    write_version_1(tmp_path / "old.sqlite")
+    return tmp_path / "old.sqlite"
 
 
 def test_a_journal_of_version_1_is_read_as_one_of_today_and_not_touched(old_run: Path) -> None:
@@ -329,5 +328,5 @@ def test_a_journal_of_version_1_is_read_as_one_of_today_and_not_touched(old_run:
 
 
 def test_a_run_of_version_1_is_not_resumed(old_run: Path) -> None:
-    with pytest.raises(SourceError, match="an older scuhand-bt wrote it.*start the run anew"):
+    with pytest.raises(SourceError, match=r"an older scuhand-bt wrote it.*start the run anew"):
         checked_history(old_run)

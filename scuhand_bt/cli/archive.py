@@ -77,7 +77,7 @@ def show(
             found = frames_of(contents, frames) if frames is not None else story(contents)
             parts = [JSON(json.dumps(found))] if as_json else list(_frames(found) if frames else _told(found))
     for part in parts:
-        out.print(part)
+        out.print(part, soft_wrap=as_json)
     if problem is not None:
         err.print(Text(f"The journal is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)

@@ -42,7 +42,8 @@ _as_text = json.JSONEncoder(ensure_ascii=True, separators=(",", ":")).encode
 
 def digest(before: bytes, entry: Entry) -> bytes:
     """SHA-256 over the hash of the entry before and everything in this one."""
-    return hashlib.sha256(before + _as_text(entry[:-1]).encode() + b"\0" + (entry.frames or b"")).digest()
+    frames = b"" if entry.frames is None else b"\0" + entry.frames
+    return hashlib.sha256(before + _as_text(entry[:-1]).encode() + frames).digest()
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,284 @@
+"""runs, show, verify and export: what a person, or an auditor, gets to see of runs that are over."""
+
+import csv
+import io
+import json
+import sqlite3
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scuhand_bt.cli import main
+from scuhand_bt.report.weighing_record import COLUMNS, weighing_record
+from scuhand_bt.run.archive import summaries
+from scuhand_bt.run.control import Control, Presence
+from scuhand_bt.run.journal import Journal
+from scuhand_bt.run.reading import open_contents, read
+from tests.running import Ran, dry_run, make_lab
+from tests.test_journal import HEADER, tamper, write_run, write_version_1
+
+Command = Callable[..., tuple[int, str, str]]
+DOSES = """
+recipe: two
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, source: beads}
+samples:
+  - {id: a, mass: 30 mg}
+  - {id: b, mass: 40 mg}
+"""
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """A command in this process: its exit code, standard output and standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["scuhand-bt", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        done = capsys.readouterr()
+        return int(ended.value.code or 0), done.out, done.err
+
+    return run
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    journal = write_run(tmp_path / "r.sqlite")
+    journal.close()
+    return journal.path
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    return dry_run(tmp_path_factory.mktemp("ran"), DOSES)
+
+
+def record(path: Path) -> list[dict[str, str]]:
+    with open_contents(path) as contents:
+        return list(csv.DictReader(io.StringIO(weighing_record(contents))))
+
+
+def test_runs_are_listed_newest_first_with_their_states(tmp_path: Path, command: Command) -> None:
+    lab = make_lab(tmp_path / "lab")
+    folder = lab / ".scuhand" / "runs"
+    write_run(folder / "complete.sqlite").close()
+    exit_codes = {"stopped": 130, "fault": 3, "cut": None, "held": None, "rest": None}
+    for day, (name, ends) in enumerate(exit_codes.items(), start=5):
+        journal = Journal(folder / f"{name}.sqlite", durable=False)
+        journal.describe_run({**HEADER, "started": f"2026-05-{day:02}T08:00:00+02:00", "samples": [{}, {}]})
+        if ends is not None:
+            journal.event("ended", {"exit_code": ends, "reason": "a reason", "complete": False})
+        if name == "rest":
+            journal.event("paused", {})
+        journal.close()
+    (folder / "broken.sqlite").write_bytes(b"nothing")
+    held = [Presence(folder / f"{name}.sqlite", Control()) for name in ("held", "rest")]
+    try:
+        code, out, _ = command("runs", "--json", "--lab", lab)
+        shown = command("runs", "--lab", lab)[1]
+    finally:
+        for one in held:
+            one.end()
+    found = json.loads(out)
+    assert code == 0
+    states = {one["id"]: one["state"] for one in found}
+    assert states == {
+        "broken": "unreadable", "rest": "paused", "held": "running", "cut": "interrupted", "fault": "fault",
+        "stopped": "stopped", "complete": "complete",
+    }  # fmt: skip
+    in_order = [one["id"] for one in found if one["id"] != "broken"]
+    assert in_order == ["rest", "held", "cut", "fault", "stopped", "complete"]
+    assert "SIMULATED" in shown
+    assert "stopped: a reason" in shown
+    assert found[-1]["good"] == found[-1]["total"] == 1
+    assert next(one for one in found if one["id"] == "cut")["total"] == 2
+
+
+def test_a_folder_without_runs_has_none(tmp_path: Path, command: Command) -> None:
+    assert summaries(tmp_path) == []
+    lab = make_lab(tmp_path / "lab")
+    assert "There are no runs" in command("runs", "--lab", lab)[1]
+    code, _, err = command("show", "last", "--lab", lab)
+    assert (code, "there is no run 'last'" in err) == (2, True)
+
+
+def test_show_tells_what_happened(run: Path, command: Command) -> None:
+    code, out, _ = command("show", run)
+    assert code == 0
+    assert "r: SIMULATED, no powder was moved" in out
+    assert "State: complete; 1 of 1 samples good." in out
+    assert "dispense(mass 20): " in out
+    assert "failed, hand.no_flow, no powder comes" in out
+    assert "dose: 20.3 mg of 20.0 mg ± 0.05 mg, in tolerance (paper)" in out
+    assert "entries, whole; head " in out
+
+
+def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command: Command) -> None:
+    journal = write_run(tmp_path / "r.sqlite")
+    journal.event("resumed", {"last_at": "then", "changes": ["the recipe has changed"], "version": ""})
+    journal.event("asked", {"question": "Is it?", "choices": ["done", "stop"]})
+    journal.event("answered", {"question": "Is it?", "answer": "done"})
+    journal.event("paused", {})
+    journal.event("continued", {})
+    journal.close()
+    out = command("show", journal.path)[1]
+    assert "resumed; the last entry before was of then; accepted: the recipe has changed" in out
+    assert "asked: Is it? [done/stop]" in out
+    assert out.index("answered: done") < out.index("paused") < out.index("continued")
+    assert "State: interrupted" in out
+
+
+def test_show_as_json_has_all_of_it(ran: Ran, command: Command) -> None:
+    code, out, _ = command("show", ran.journal, "--json")
+    story: dict[str, Any] = json.loads(out)
+    assert code == 0
+    assert [sample["id"] for sample in story["samples"]] == ["a", "b"]
+    jobs = {job["name"]: job for job in story["run"] if job["kind"] == "job"}
+    dispense = next(one for one in jobs["a"]["happened"] if one.get("skill") == "dispense")
+    assert {"pulse", "dose"} <= {one["kind"] for one in dispense["happened"]}
+    assert story["chain"]["head"] == ran.session.journal.head
+    assert story["header"]["samples"][0]["id"] == "a"
+
+
+def test_the_balances_own_lines_of_a_dose_are_kept(ran: Ran, command: Command) -> None:
+    lines = json.loads(command("show", ran.journal, "--frames", "a", "--json")[1])
+    assert len(lines) > 20
+    assert all(line["raw"].endswith("\r\n") for line in lines)
+    times_s = [line["time_s"] for line in lines]
+    assert times_s == sorted(times_s)
+    steps_s = [after - before for before, after in pairwise(times_s)]
+    assert max(steps_s) < 1.5 * ran.session.cell.spec.balance.period_s  # of one dispense, none is missing
+    code, _, err = command("show", ran.journal, "--frames", "z")
+    assert code == 2
+    assert "the samples are a, b" in err
+
+
+def test_verify_says_whole_altered_or_cut_off(run: Path, command: Command) -> None:
+    with open_contents(run) as contents:
+        head = contents.verified.head
+    code, out, _ = command("verify", run)
+    assert code == 0
+    assert head in out
+    assert "Without --head, entries cut off at the end cannot be told" in out
+    assert "no entry is missing" in command("verify", run, "--head", head.upper())[1]
+    assert command("verify", run, "--head", "0" * 64)[0] == 3
+    assert command("verify", run, "--head", "abc")[0] == 2
+    tamper(run, "DELETE FROM entry WHERE kind = 'ended'")
+    code, out, _ = command("verify", run)
+    assert code == 0
+    assert "The run has no end" in out
+    code, _, err = command("verify", run, "--head", head)
+    assert code == 3
+    assert "are missing" in err
+    with closing(sqlite3.connect(run, isolation_level=None)) as database:
+        database.execute("UPDATE entry SET time_s = 99 WHERE seq = 3")
+    code, _, err = command("verify", run)
+    assert code == 3
+    assert "entry 3 (action_started," in err
+
+
+def test_an_altered_journal_is_shown_up_to_there_and_not_exported(run: Path, command: Command) -> None:
+    tamper(run, "UPDATE entry SET payload = '{}' WHERE kind = 'dose'")
+    code, out, err = command("show", run)
+    assert code == 3
+    assert "NOT AS IT WAS WRITTEN" in out
+    assert "dose:" not in out
+    assert "(dose, " in err
+    assert "State: altered" in out
+    for form in ("--csv", "--json"):
+        code, out, err = command("export", run, form)
+        assert (code, out) == (3, "")
+        assert "Nothing is exported" in err
+
+
+@pytest.mark.parametrize("form", [("show",), ("verify",), ("export", "--csv"), ("plot", "a")])
+def test_what_is_no_journal_is_refused_cleanly(tmp_path: Path, command: Command, form: tuple[str, ...]) -> None:
+    broken = tmp_path / "broken.sqlite"
+    broken.write_bytes(b"SQLite format 3\0" + bytes(range(256)) * 40)
+    for path in (broken, tmp_path / "gone.sqlite"):
+        code, _, err = command(form[0], path, *form[1:])
+        assert code == 2
+        assert str(path) in err
+        assert "Traceback" not in err
+
+
+def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran: Ran) -> None:
+    rows = record(ran.journal)
+    doses = {row["sample"]: row for row in rows if row["weighing"] == "dose"}
+    assert {row["weighing"] for row in rows} == {"container", "tare", "dose"}
+    for name in ("a", "b"):
+        row, result = doses[name], ran.sample(name)
+        tare = next(one for one in rows if one["weighing"] == "tare" and one["sample"] == name)
+        assert row["tare_mg"] == tare["gross_mg"]
+        assert row["tare_lines"] == tare["gross_lines"]
+        assert float(row["gross_mg"]) - float(row["tare_mg"]) == pytest.approx(float(row["net_mg"]), abs=1e-3)
+        assert float(row["net_mg"]) == pytest.approx(result.dispensed_mg, abs=1e-4)
+        assert row["verdict"] == result.verdict
+        shown_mg = [1000 * float(line.split()[-2]) for line in row["gross_lines"].split(" | ")]
+        assert sum(shown_mg) / len(shown_mg) == pytest.approx(float(row["gross_mg"]), abs=1e-3)
+    first = doses["a"]
+    assert first["simulated"] == "yes"
+    assert first["stable"] == "yes"
+    assert first["unit"] == "g"
+    assert first["readability_mg"] == "0.1000"
+    assert first["balance_identity"] == "simulated"
+    assert (first["source"], first["powder"], first["sheet"]) == ("beads", "glass_beads", "1")
+    assert "guard band" in first["tolerance_convention"]
+    assert first["operator"]
+    assert first["at"][-6] in "+-"
+    assert first["software"].startswith("scuhand_bt ")
+    entry = next(row for row in read(ran.journal, "entry") if row["seq"] == int(first["entry"]))
+    assert (entry["kind"], entry["hash"].hex()) == ("dose", first["entry_hash"])
+
+
+def test_a_text_that_would_be_a_formula_is_none(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.describe_run({**HEADER, "operator": '=HYPERLINK("http://x")', "recipe": "@two", "samples": []})
+    journal.job_started("-1+1", "-1+1", 1, "w")
+    raw = {"value_mg": -5.0, "unit": "g", "stable": True, "time_s": 1.0, "raw": "-  0.0050 g  \r\n"}
+    journal.event("tare", {"gross_mg": -5.0, "readings": [raw], "balance": "+cmd"})
+    journal.close()
+    (row,) = record(journal.path)
+    assert row["operator"].startswith("'=")
+    assert row["recipe"] == "'@two"
+    assert row["sample"] == "'-1+1"
+    assert row["balance_identity"] == "'+cmd"
+    assert row["gross_lines"].startswith("'-")
+    assert row["gross_mg"] == "-5.0000"  # a number is a number
+
+
+def test_export_writes_files_that_spreadsheets_and_programs_read(run: Path, tmp_path: Path, command: Command) -> None:
+    table, text = tmp_path / "record.csv", tmp_path / "export.json"
+    assert command("export", run, "--csv", "-o", table)[0] == 0
+    assert table.read_bytes().startswith(b"\xef\xbb\xbfrun,simulated,")
+    assert b"\r\n" in table.read_bytes()
+    assert command("export", run, "--json", "-o", text)[0] == 0
+    assert json.loads(text.read_bytes())["samples"][0]["id"] == "a"
+    out = command("export", run, "--csv")[1]
+    assert out.splitlines()[0] == ",".join(COLUMNS)
+    assert command("export", run)[0] == 2
+    assert command("export", run, "--csv", "-o", tmp_path)[0] == 2
+
+
+def test_a_journal_of_version_1_is_listed_shown_exported_and_drawn(tmp_path: Path, command: Command) -> None:
+    path = tmp_path / "old.sqlite"
+    write_version_1(path)
+    (found,) = summaries(tmp_path)
+    assert (found.state, found.simulated, found.good) == ("interrupted", True, 1)
+    code, out, _ = command("show", path)
+    assert code == 0
+    assert "Chain: none; an older scuhand-bt wrote this journal" in out
+    assert "tare(): has not ended" in out
+    code, _, err = command("verify", path)
+    assert code == 2
+    assert "without a chain" in err
+    tare, dose = record(path)
+    assert (tare["weighing"], dose["weighing"]) == ("tare", "dose")
+    assert (dose["tare_mg"], dose["net_mg"], dose["entry"], dose["stable"]) == ("9200.0000", "20.3000", "", "")
+    assert command("plot", path, "a", "-o", tmp_path / "a.png")[0] == 0
