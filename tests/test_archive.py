@@ -121,14 +121,16 @@ def test_show_tells_what_happened(run: Path, command: Command) -> None:
 
 def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command: Command) -> None:
     journal = write_run(tmp_path / "r.sqlite")
-    journal.event("resumed", {"last_at": "then", "changes": ["the recipe has changed"], "version": ""})
+    journal.event(
+        "resumed", {"last_at": "then", "changes": ["the recipe has changed"], "version": "", "operator": "eve"}
+    )
     journal.event("asked", {"question": "Is it?", "choices": ["done", "stop"]})
     journal.event("answered", {"question": "Is it?", "answer": "done"})
     journal.event("paused", {})
     journal.event("continued", {})
     journal.close()
     out = command("show", journal.path)[1]
-    assert "resumed; the last entry before was of then; accepted: the recipe has changed" in out
+    assert "resumed by eve; the last entry before was of then; accepted: the recipe has changed" in out
     assert "asked: Is it? [done/stop]" in out
     assert out.index("answered: done") < out.index("paused") < out.index("continued")
     assert "State: interrupted" in out
@@ -169,6 +171,11 @@ def test_verify_says_whole_altered_or_cut_off(run: Path, command: Command) -> No
     assert "no entry is missing" in command("verify", run, "--head", head.upper())[1]
     assert command("verify", run, "--head", "0" * 64)[0] == 3
     assert command("verify", run, "--head", "abc")[0] == 2
+    other = run.with_name("s.sqlite")
+    other.write_bytes(run.read_bytes())
+    code, _, err = command("verify", other)
+    assert code == 3
+    assert "the journal of another run, r" in err
     tamper(run, "DELETE FROM entry WHERE kind = 'ended'")
     code, out, _ = command("verify", run)
     assert code == 0

@@ -121,12 +121,16 @@ def verify(
     with open_contents(path, expected) as contents:
         verified, is_chained = contents.verified, contents.is_chained
         summary = summary_of(path, contents.database) if verified.problem is None else None
+        its_name = next((row["value"] for row in contents.rows("run") if row["key"] == "run"), path.stem)
     if not is_chained:
         what = "an older scuhand-bt wrote it, without a chain: whether it was altered cannot be told"
         err.print(Text(f"{path}: {what}."))
         raise typer.Exit(EXIT_BAD_INPUT)
     if verified.problem is not None or summary is None:
         err.print(Text(f"{path}: {verified.problem}."))
+        raise typer.Exit(EXIT_ALTERED)
+    if its_name != path.stem:
+        err.print(Text(f"{path}: it is the journal of another run, {its_name}."))
         raise typer.Exit(EXIT_ALTERED)
     out.print(Text(f"{path.stem}: {verified.entries} entries, each as it was written. Head: {verified.head}"))
     if expected is not None:

@@ -77,7 +77,7 @@ def _event(kind: str, values: Mapping[str, Any]) -> str:
             return f"answered: {values['answer']}"
         case "resumed":
             changes = "".join(f"; accepted: {change}" for change in values["changes"])
-            return f"resumed; the last entry before was of {values['last_at']}{changes}"
+            return f"resumed by {values['operator']}; the last entry before was of {values['last_at']}{changes}"
         case "ended":
             return f"the run ended with exit code {values['exit_code']}" + f": {values['reason']}".removesuffix(": ")
     rest = ", ".join(f"{key} {_plain(value)}" for key, value in values.items() if key not in _LONG)

@@ -61,6 +61,8 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
         believed = row["state"]["believed"] if row["state"] is not None else believed
         if kind == "run":
             sources, of_run = values.get("sources", {}), _of_run(values)
+        elif kind == "resumed":
+            of_run |= {"operator": values.get("operator"), "software": f"scuhand_bt {values['version']}"}
         elif kind == "job_started":
             tare = loaded = {}
         elif kind == "tare":

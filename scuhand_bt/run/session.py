@@ -139,7 +139,7 @@ class Session:
             return
         take_up(self.cell, resumes.history.state)
         values = {"last_at": resumes.history.at, "changes": list(resumes.changes), "version": scuhand_bt.__version__}
-        self.journal.event("resumed", values)
+        self.journal.event("resumed", {**values, "operator": user_name()})
 
     @property
     def title(self) -> str:
