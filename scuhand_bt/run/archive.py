@@ -89,7 +89,7 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
         recipe=run["recipe"],
         mode=run["mode"],
         simulated=run["simulated"],
-        started=run["started"],
+        started=datetime.fromisoformat(run["started"]).isoformat(),
         good=sum(_is_good(values) for values in samples.values()),
         total=len(planned) if planned is not None else len(samples) if ended is not None else None,
     )
@@ -147,7 +147,6 @@ def _is_good(values: Mapping[str, Any]) -> bool:
 
 
 def _began(path: Path, one: Summary) -> float:
-    try:
+    if one.started:
         return datetime.fromisoformat(one.started).timestamp()
-    except ValueError:
-        return path.stat().st_mtime
+    return path.stat().st_mtime if path.exists() else 0.0
