@@ -24,8 +24,8 @@ BAND_DIGITS = 1.5
 WINDOW_S = 1.0
 MEAN_OF = 5
 """How many stable readings in a row a stable mean is made of."""
-DRIFT_MG_PER_S = 0.5
-"""Of a balance whose zero wanders: more than `BAND_DIGITS` lets pass."""
+DRIFT_MG_PER_S = 1.0
+"""Of a balance whose zero wanders: more than three times what `BAND_DIGITS` lets pass at 0.1 mg."""
 
 
 class SimulatedBalance:

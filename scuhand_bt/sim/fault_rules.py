@@ -68,7 +68,7 @@ KINDS: Mapping[str, Kind] = {
     "balance.garbage": Kind("The balance sends bytes that are no reading.", "opening", 1.0, "balance"),
     "balance.unstable": Kind("The balance calls no reading stable.", "opening", TO_THE_END, "balance"),
     "balance.overload": Kind("The balance says it is loaded beyond its maximum.", "opening", TO_THE_END, "balance"),
-    "balance.drifting": Kind("The balance's zero wanders by 0.5 mg/s.", "opening", TO_THE_END, "zero"),
+    "balance.drifting": Kind("The balance's zero wanders by 1 mg/s.", "opening", TO_THE_END, "zero"),
     "balance.draught": Kind("A draught makes the balance's readings jump by milligrams.", "opening", 10.0, "air"),
     "valve.stuck_open": Kind("The valve opens and cannot close.", "opening", TO_THE_END, "valve"),
     "valve.stuck_closed": Kind("The valve closes and cannot open.", "opening", TO_THE_END, "valve"),
