@@ -5,7 +5,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from scuhand_bt.table import read_table
-from scuhand_bt.yaml_source import Entries, Items, Node, Problems, Scalar, describe
+from scuhand_bt.yaml_source import Entries, Items, Mark, Node, Problems, Scalar, describe
+
+MAX_SAMPLES = 20_000
+"""The most that one recipe may have."""
 
 
 def expand(node: Node, folder: Path, problems: Problems) -> Iterator[Entries]:
@@ -20,7 +23,12 @@ def expand(node: Node, folder: Path, problems: Problems) -> Iterator[Entries]:
         problems.add(table.mark, f"'table': {describe(table)} is no file name")
     else:
         shared = node.without("table")
-        for row in read_table(folder / table.text, table.mark, problems):
+        rows = read_table(folder / table.text, table.mark, problems)
+        if rows and not any("id" in row.keys for row in (shared, *rows)):
+            header = Mark(rows[0].mark.file)
+            problems.add(header, "has no column 'id', and so is no table of samples", "id, container, mass [mg], …")
+            return
+        for row in rows:
             if "table" in row.keys:
                 problems.add(row.keys["table"], "a table cannot name another table")
             yield from _expand_lists(_merge(shared, row), problems)
@@ -41,8 +49,8 @@ def _expand_lists(entry: Entries, problems: Problems) -> Iterator[Entries]:
             return
     if (repeat := entry.get("repeat")) is not None:
         text = repeat.text if isinstance(repeat, Scalar) else None
-        if text is None or not re.fullmatch(r"[1-9]\d{0,4}", text):
-            problems.add(repeat.mark, f"'repeat': {describe(repeat)} is no number of samples", "1 to 99999")
+        if text is None or not re.fullmatch(r"[1-9][0-9]{0,4}", text) or int(text) > MAX_SAMPLES:
+            problems.add(repeat.mark, f"'repeat': {describe(repeat)} is no number of samples", f"1 to {MAX_SAMPLES}")
             return
         if lists:
             problems.add(repeat.mark, "'repeat' and a list stand in one sample", "use one of them")

@@ -18,8 +18,8 @@ from typing import Any, TypeVar
 from scuhand_bt.failures import CATALOGUE, Failure, SkillFailed
 from scuhand_bt.skill import DEVICES, Condition, Skill
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Powder, Spec, Station
-from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.grammar import KEYWORDS, Workflow, read_workflow
+from scuhand_bt.tree.check import Library, check_workflows
+from scuhand_bt.tree.grammar import KEYWORDS, Call, Workflow, read_workflow, walk
 from scuhand_bt.yaml_source import (
     Entries,
     Mark,
@@ -116,9 +116,11 @@ def load_lab(folder: Path) -> Lab:
                 problems.add(vessels.mark, f"'{key}' is missing", "name: {…}, as in the starter lab")
         containers = _load_named(ContainerKind, vessels.get("containers"), problems)
         mortars = _load_named(Mortar, vessels.get("mortars"), problems)
-    library = Library(
-        _load_skills(folder, problems), _load_workflows(folder / "trees", problems), powders, containers, mortars
-    )
+    library = Library(_load_skills(folder, problems), {}, powders, containers, mortars)
+    is_sound = not problems.found
+    library.workflows = _load_workflows(folder / "trees", problems)
+    if is_sound:
+        _check_what_was_read(library, folder, problems)
     _check_names(library, folder, problems)
     _check_codes(library, folder, problems)
     problems.raise_any()
@@ -189,7 +191,7 @@ def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]
             names = ", ".join(cls.__name__ for cls in found) or "none"
             problems.add(Mark(str(path)), f"a skill's file holds one Skill class; here: {names}")
         else:
-            _check_skill(found[0], Mark(str(path), inspect.getsourcelines(found[0])[1]), problems)
+            _check_skill(found[0], Mark(str(path), inspect.findsource(found[0])[1] + 1), problems)
             skills[path.stem] = found[0]
     return skills
 
@@ -290,6 +292,24 @@ def without_driver(lab: Lab) -> list[Problem]:
     what = f"the changer '{lab.cell.changer.driver}' has no driver yet, it is there in dry runs and rehearsals only"
     problems.add(node.mark, what, "for the real cell write `changer: {driver: operator}`: a person changes containers")
     return problems.found
+
+
+def _check_what_was_read(library: Library, folder: Path, problems: Problems) -> None:
+    """The wires of workflows whose files are wrong: all that is wrong with a file is told at once.
+
+    Those that call one that is wrong are left out, as the mistake may be the other's.
+    """
+    workflows = library.workflows
+    calls = {
+        name: {part.name for part in walk(workflow.tree) if isinstance(part, Call)}
+        for name, workflow in workflows.items()
+    }
+    wrong = {path.stem for path in (folder / "trees").glob("*.yaml")}
+    wrong -= {name for name, workflow in workflows.items() if workflow.is_whole}
+    doubtful = set(wrong)
+    while more := {name for name in calls if name not in doubtful and calls[name] & doubtful}:
+        doubtful |= more
+    check_workflows(library, sorted(name for name in wrong & set(calls) if not calls[name] & doubtful), problems)
 
 
 def _check_names(library: Library, folder: Path, problems: Problems) -> None:

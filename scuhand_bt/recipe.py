@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from scuhand_bt.expansion import expand
+from scuhand_bt.expansion import MAX_SAMPLES, expand
 from scuhand_bt.lab import Lab
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.sample import Sample, check_demand, check_reach, check_sample, check_source
@@ -42,7 +42,6 @@ ACTIONS: Mapping[str, str] = {
 DEFAULT_ON_FAILURE: Mapping[str, Action] = {"dose.overshoot": "flag", "dose.not_reached": "flag", "otherwise": "stop"}
 ORDERS = ("by_powder", "as_written")
 RECIPE_KEYS = ("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples", "on_failure")
-MAX_SAMPLES = 20_000
 _ID = re.compile(r"\w[\w.+-]{0,63}")
 _ID_ALLOWED = "letters, digits and . _ - +, at most 64, beginning with a letter or digit"
 
@@ -183,7 +182,14 @@ class _Reader:
         return sources
 
     def _read_source(self, name: str, node: Node) -> Source | None:
-        lab, before = self.lab, len(self.problems.found)
+        lab = self.lab
+        if isinstance(node, Entries):
+            known = [info.alias or "" for info in _SourceText.model_fields.values()]
+            unknown = [key for key in node.keys if key not in known]
+            for key in unknown:
+                self.problems.add(node.keys[key], f"unknown key '{shorten(key)}'", unknown=key, known=known)
+            node = node.without(*unknown)
+        before = len(self.problems.found)
         text = validate(_SourceText, node, self.problems)
         if not isinstance(node, Entries):
             return None

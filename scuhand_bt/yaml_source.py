@@ -288,13 +288,40 @@ def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems)
         problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known)
     elif error["type"] == "missing":
         problems.add(mark, f"'{name}' is missing")
-    elif error["type"] == "quantity":
-        problems.add(mark, f"'{name}': {error['msg']}")
     else:
-        given, why = error["input"], error["msg"].removeprefix("Value error, ")
-        shown = f"'{shorten(given)}'" if isinstance(given, str) else "nothing" if given is None else "this"
-        where = f"'{name}': " if name else ""
-        problems.add(mark, f"{where}{shown} is not accepted", why[:1].lower() + why[1:])
+        problems.add(mark, (f"'{shorten(name)}': " if name else "") + refusal(error))
+
+
+def refusal(error: Any) -> str:
+    """What pydantic has against a value (one of `ValidationError.errors()`), in a user's words."""
+    if error["type"] == "quantity":
+        return str(error["msg"])
+    given, context = error["input"], error.get("ctx", {})
+    shown = (
+        f"'{shorten(str(given))}'" if isinstance(given, str | int | float) else "nothing" if given is None else "this"
+    )
+    why = _WHY.get(error["type"], "").format(**context) or error["msg"].removeprefix("Value error, ")
+    return f"{shown} is not accepted; {why[:1].lower() + why[1:]}"
+
+
+_WHY = {
+    "missing": "it is missing",
+    "greater_than": "more than {gt:g}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than": "less than {lt:g}",
+    "less_than_equal": "at most {le:g}",
+    **dict.fromkeys(("int_parsing", "int_type", "int_from_float", "int_parsing_size"), "a whole number, such as 3"),
+    **dict.fromkeys(("float_parsing", "float_type", "finite_number"), "a plain number, such as 0.5"),
+    **dict.fromkeys(("bool_parsing", "bool_type"), "yes or no"),
+    "string_type": "a text",
+    "string_pattern_mismatch": "text of the form {pattern}",
+    "literal_error": "write {expected}",
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping (key: value)"),
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+}
+"""What would be accepted, by pydantic's types of errors."""
 
 
 def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:

@@ -26,7 +26,7 @@ class WatchBalance(Skill[Milligrams]):
         yield from cell.balance.settled()
         end_s = cell.clock.now_s + self.duration_s
         values_mg = []
-        while cell.clock.now_s < end_s:
+        while not values_mg or cell.clock.now_s < end_s:
             reading = yield from cell.balance.next_reading()
             values_mg.append(reading.value_mg)
         span_mg = max(values_mg) - min(values_mg)

@@ -56,7 +56,7 @@ def test_the_shipped_recipes_have_no_problem(starter: object) -> None:
             "{id: a, container: alumina_crucible, mass: 90 g}",
             "are too heavy for the balance; its maximum is 120.0000 g",
         ),
-        ("{id: a, mass: 50 mg, repeat: 0}", "7:34: 'repeat': '0' is no number of samples; 1 to 99999"),
+        ("{id: a, mass: 50 mg, repeat: 0}", "7:34: 'repeat': '0' is no number of samples; 1 to 20000"),
         ("{id: [a, b], mass: [1 mg, 2 mg, 3 mg]}", "7:24: 'mass' lists 3 values, but 'id' lists 2"),
         ("{id: [a, b], mass: 50 mg, repeat: 2}", "7:39: 'repeat' and a list stand in one sample"),
         ("{id: a, mass: []}", "7:5: an empty list gives no sample"),
@@ -83,7 +83,7 @@ def test_what_is_wrong_with_a_sample_is_said_in_its_place(desk: Desk, line: str,
         ("agate_mortar", "agate", "4:41: unknown mortar 'agate'"),
         ("powder: mono", "powder: mno", "did you mean 'monosodium_glutamate'?"),
         ("amount: 6 g", "amount: 6 mL", "4:93: 'amount': 'mL' is a unit of volume, not of mass"),
-        ("amount: 6 g", "amount: 0 g", "4:93: 'amount': '0 g' is not accepted; input should be greater than 0"),
+        ("amount: 6 g", "amount: 0 g", "4:93: 'amount': '0 g' is not accepted; more than 0"),
         ("amount: 6 g", "amount: 900 g", "900.0000 g of monosodium_glutamate does not fit into 'agate_mortar'"),
         ("amount: 6 g", "amount: 100 mg", "4:3: 'msg' holds 100.0 mg of monosodium_glutamate, but its 2 samples need"),
         ("amount: 6 g", "amount: 6 g, colour: white", "unknown key 'colour'; known: amount, container"),
@@ -177,7 +177,7 @@ def test_an_unreachable_station_is_said_before_anything_moves(lab_folder: LabFol
 
 def test_a_batch_bomb_is_refused_at_once(desk: Desk) -> None:
     began = time.monotonic()
-    lines = "".join(f"  - {{id: a{i}, mass: 50 mg, repeat: 99999}}\n" for i in range(1000))
+    lines = "".join(f"  - {{id: a{i}, mass: 50 mg, repeat: 20000}}\n" for i in range(1000))
     (problem,) = desk.problems(HEAD + lines)
     assert "more than 20000 samples" in problem
     assert time.monotonic() - began < 5.0
@@ -232,3 +232,16 @@ def test_any_mutated_recipe_is_a_recipe_or_located_problems(desk: Desk, seed: in
     path = Path(desk.folder / "recipe.yaml")
     path.write_text("".join(text), encoding="utf-8")
     problems_of(lambda: load_recipe(path, desk.lab))
+
+
+def test_an_unknown_key_of_a_source_hides_nothing_else(desk: Desk) -> None:
+    problems = desk.problems(HEAD.replace("amount: 6 g", "amount: 6 kg, colour: white") + "  - {id: a, mass: 50 mg}\n")
+    assert any("unknown key 'colour'" in problem for problem in problems)
+    assert any("does not fit into" in problem for problem in problems)
+
+
+def test_a_table_of_something_else_is_one_problem(desk: Desk) -> None:
+    path = desk.write("other.csv", "name;colour\na;red\nb;blue\n")
+    assert desk.problems(HEAD + f"  - {{table: {path.name}}}\n") == [
+        "1:1: has no column 'id', and so is no table of samples; id, container, mass [mg], …"
+    ]

@@ -386,7 +386,7 @@ def test_a_value_that_a_skill_does_not_accept_is_a_failure_in_words(bench: Bench
     outcome = bench.run(tree, {**SKILLS, "twice": Twice, "picky": Picky})
     assert outcome.failure is not None
     assert outcome.failure.code == "workflow.bad_value"
-    assert outcome.failure.detail == "picky: longer than 5 s"
+    assert outcome.failure.detail == "picky: this is not accepted; longer than 5 s"
 
 
 # --- leases

@@ -125,6 +125,7 @@ class _Checker:
         self._results: dict[str, WireType] = {}
         self._sizes: dict[str, int] = {}
         self._calling: list[str] = []
+        self._is_whole = True
         self._types: dict[str, WireType | None] = {}
         """By name; None where what gives the value is wrong, and reported, itself."""
 
@@ -139,6 +140,7 @@ class _Checker:
             return NOTHING
         self._calling.append(name)
         outer_types, self._types = self._types, {key: declared.type for key, declared in workflow.inputs.items()}
+        outer_is_whole, self._is_whole = self._is_whole, workflow.is_whole
         for declared in workflow.inputs.values():
             if declared.default is not None:
                 value = self._check_literal(declared.name, declared.type, declared.default)
@@ -149,7 +151,7 @@ class _Checker:
         result = NOTHING
         if workflow.result is not None:
             result = self._type_of(workflow.result, defined) or NOTHING
-        self._types = outer_types
+        self._types, self._is_whole = outer_types, outer_is_whole
         self._calling.pop()
         self._results[name] = result
         self._check_size(workflow)
@@ -275,6 +277,8 @@ class _Checker:
             return None
 
     def _type_of(self, reference: Reference, defined: frozenset[str]) -> WireType | None:
+        if not self._is_whole and reference.name not in defined:
+            return None  # what gives it a value may be what could not be read
         if reference.name not in self._types:
             known = [f"${name}" for name in self._types]
             what = f"unknown value '{reference}'"

@@ -107,6 +107,8 @@ class Workflow:
     inputs: dict[str, Input]
     result: Reference | None
     tree: TreeNode
+    is_whole: bool = True
+    """False if its file is wrong, so that names may be missing that it is meant to have."""
 
 
 def walk(node: TreeNode) -> Iterator[TreeNode]:
@@ -123,6 +125,7 @@ def walk(node: TreeNode) -> Iterator[TreeNode]:
 
 def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
     """Read a workflow file; problems are collected, and None returned if it has no usable tree."""
+    before = len(problems.found)
     if not isinstance(root, Entries):
         problems.add(root.mark, f"{describe(root)} stands where a workflow should be", "it has the key 'workflow'")
         return None
@@ -146,7 +149,8 @@ def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
     tree = _read_node(tree_node, problems)
     if tree is None:
         return None
-    return Workflow(root.mark, stem, _text(root, "summary", problems) or "", inputs, result, tree)
+    summary = _text(root, "summary", problems) or ""
+    return Workflow(root.mark, stem, summary, inputs, result, tree, len(problems.found) == before)
 
 
 def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:

@@ -16,6 +16,7 @@ from pydantic import AllowInfNan, BaseModel, FiniteFloat, TypeAdapter, Validatio
 from scuhand_bt import quantity
 from scuhand_bt.quantity import Unit, plain_name
 from scuhand_bt.specs import Container, Dose, Powder, Source
+from scuhand_bt.yaml_source import refusal
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def in_words(error: ValidationError) -> str:
     found = []
     for item in error.errors(include_url=False):
         name = ".".join(map(str, item["loc"]))
-        found.append((f"'{name}': " if name else "") + item["msg"].removeprefix("Value error, "))
+        found.append((f"'{name}': " if name else "") + refusal(item))
     return "; ".join(found)
 
 
