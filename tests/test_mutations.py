@@ -1,0 +1,38 @@
+"""Some hundred mutated recipes, tables, workflows, cells and fault files; `benchmarks.mutations` has the thousands."""
+
+from pathlib import Path
+
+import pytest
+
+import benchmarks.mutations
+from benchmarks.mutants import mutant, structures
+from benchmarks.mutations import Judge
+from scuhand_bt.lab import Lab
+from scuhand_bt.recipe import Recipe
+
+
+@pytest.fixture(scope="module")
+def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
+    return Judge(tmp_path_factory.mktemp("mutants") / "lab")
+
+
+@pytest.mark.parametrize("first", range(0, 240, 40))
+def test_a_changed_file_is_a_clean_error_or_a_correct_run(judge: Judge, first: int) -> None:
+    outcomes = [judge.judge(mutant(number, judge.originals)) for number in range(first, first + 40)]
+    assert [outcome for outcome in outcomes if outcome.wrong] == []
+
+
+def test_a_workflow_put_together_at_random_is_a_clean_error_or_a_correct_run(judge: Judge) -> None:
+    outcomes = [judge.judge(each) for each in structures(0, 60)]
+    assert [outcome for outcome in outcomes if outcome.wrong] == []
+    assert any(not outcome.end.startswith("refused") for outcome in outcomes)
+
+
+def test_the_judge_sees_an_error_that_is_not_clean(judge: Judge, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(path: Path, lab: Lab) -> Recipe:
+        raise KeyError("unforeseen")
+
+    monkeypatch.setattr(benchmarks.mutations, "load_recipe", broken)
+    outcome = judge.judge(mutant(0, judge.originals))
+    assert outcome.end == "broken"
+    assert "KeyError at test_mutations.py" in outcome.wrong[0]
