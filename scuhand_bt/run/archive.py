@@ -81,6 +81,8 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
         code = ended["exit_code"]
         is_complete = ended.get("complete", code <= 1)
         state = "complete" if is_complete else "stopped" if code == EXIT_INTERRUPTED else "fault"
+    if not run:
+        return Summary(path.stem, state, "it had not begun")
     planned = run.get("samples")
     return Summary(
         id=path.stem,

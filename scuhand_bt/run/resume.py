@@ -52,6 +52,8 @@ def checked_history(path: Path) -> History:
         if contents.version < SCHEMA_VERSION:
             what = "an older scuhand-bt wrote it, which noted less than resuming needs"
             raise _refused(path, f"{what}: start the run anew, with the samples that are left")
+        if not contents.verified.entries:
+            raise _refused(path, "the run had ended before it began, and nothing had moved: start it anew")
         if contents.verified.problem is not None:
             raise _refused(path, f"the journal is not as it was written: {contents.verified.problem}")
         history = history_of(contents.database)
