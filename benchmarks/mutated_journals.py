@@ -76,21 +76,21 @@ class Judge:
         """What came of a damaged copy. Raises AssertionError for a change that goes unnoticed."""
         summary(copy)
         try:
-            with open_contents(copy) as contents:
+            with open_contents(copy, self._head) as contents:
+                problem = contents.verified.problem
+                is_cut_off = problem is not None and "entries after" in problem
                 assert entries(contents) == self._entries[: contents.verified.entries], "an altered entry was shown"
                 if contents.verified.entries:
                     list(self._told(contents))
-                if contents.verified.problem is None:
-                    self._exported(contents)
-            with open_contents(copy, self._head) as contents:
-                problem = contents.verified.problem
+                if problem is None or is_cut_off:
+                    exports = self._exported(contents)
                 if problem is None:
-                    assert entries(contents) == self._entries, "an entry is gone, unnoticed"
-                    assert self._exported(contents) == self._exports, "the exports are others"
+                    assert len(self._entries) == contents.verified.entries, "an entry is gone, unnoticed"
+                    assert exports == self._exports, "the exports are others"
         except SourceError:
             outcome = "refused"
         else:
-            outcome = "unharmed" if problem is None else "found by the head" if "not in" in problem else "found"
+            outcome = "unharmed" if problem is None else "found by the head" if is_cut_off else "found"
         try:
             checked_history(copy)
         except SourceError:

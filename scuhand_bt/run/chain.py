@@ -36,6 +36,8 @@ class Entry(NamedTuple):
     """Raw lines of the balance, compressed."""
 
 
+NO_ENTRY = "there is no entry"
+"""The problem of a journal whose program ended before its first one."""
 COLUMNS = ", ".join(Entry._fields)
 _as_text = json.JSONEncoder(ensure_ascii=True, separators=(",", ":")).encode
 
@@ -74,7 +76,7 @@ def verify(database: sqlite3.Connection, head: str | None = None) -> Verified:
             continue
         return Verified(count, last.hex(), problem)
     if not count:
-        problem = "there is no entry"
+        problem = NO_ENTRY
     elif head is not None and head != last.hex():
         problem = (
             f"the chain ends in {last.hex()}, not in {head}: entries after {count} are missing, or it is another run"

@@ -8,6 +8,7 @@ from pathlib import Path
 import scuhand_bt
 from scuhand_bt.lab import Lab
 from scuhand_bt.plan import Plan
+from scuhand_bt.run.chain import NO_ENTRY
 from scuhand_bt.run.history import History, history_of
 from scuhand_bt.run.journal import SCHEMA_VERSION
 from scuhand_bt.run.reading import open_contents
@@ -52,8 +53,8 @@ def checked_history(path: Path) -> History:
         if contents.version < SCHEMA_VERSION:
             what = "an older scuhand-bt wrote it, which noted less than resuming needs"
             raise _refused(path, f"{what}: start the run anew, with the samples that are left")
-        if not contents.verified.entries:
-            raise _refused(path, "the run had ended before it began, and nothing had moved: start it anew")
+        if contents.verified.problem == NO_ENTRY:
+            raise _refused(path, "the journal is empty: nothing had moved when the run ended; start it anew")
         if contents.verified.problem is not None:
             raise _refused(path, f"the journal is not as it was written: {contents.verified.problem}")
         history = history_of(contents.database)
