@@ -51,30 +51,61 @@ def test_a_scene_without_a_margin_is_refused_because_coal_then_misses_penetratio
         scene(arm, margin_m=0.0)
 
 
-def test_no_point_of_the_arm_moves_farther_than_the_bound(arm):
-    space = scene(arm)
+def surfaces(space):
+    """Points of the arm's surface, with their joints: what the bound speaks of, from the second link on."""
+    rng = np.random.default_rng(5)
+    for thing in space.shapes.geometryObjects:
+        if thing.parentJoint >= 2:
+            shape, round_ends = thing.geometry, type(thing.geometry).__name__ == "Capsule"
+            turn, height = rng.uniform(0, 2 * np.pi, 40), rng.uniform(-1, 1, 40) * shape.halfLength
+            points = np.stack([shape.radius * np.cos(turn), shape.radius * np.sin(turn), height], axis=1)
+            if round_ends:
+                points[0] = [0.0, 0.0, shape.halfLength + shape.radius]
+            yield thing.parentJoint, points @ thing.placement.rotation.T + thing.placement.translation
+
+
+def seen_from(space, q, link):
+    """The surface points beyond a link, in its frame."""
     data = space.model.createData()
-    rng = np.random.default_rng(2)
-    for q in configurations(60, seed=3):
-        dq = rng.normal(size=7) * 0.05
-        tips = []
-        for one in (q, q + dq):
-            pin.forwardKinematics(space.model, data, one)
-            tips.append([data.oMi[j].act(np.array([0.02, 0.03, 0.05])) for j in range(1, 8)])
-        moved_m = np.linalg.norm(np.subtract(*tips), axis=1).max()
-        assert moved_m <= space.motion_bound_m(dq)
+    pin.forwardKinematics(space.model, data, q)
+    placed = [(data.oMi[link].inverse() * data.oMi[joint], points) for joint, points in surfaces(space) if joint > link]
+    return np.vstack([points @ place.rotation.T + place.translation for place, points in placed])
 
 
-def test_samples_that_prove_a_curve_are_never_farther_apart_than_twice_the_margin(arm):
+def test_between_two_samples_no_point_is_farther_from_both_than_the_bound_whoever_looks(arm):
     space = scene(arm)
+    rng = np.random.default_rng(2)
+    tightest = 0.0
+    for q in configurations(12, seed=3):
+        dq = rng.normal(size=7) * rng.choice([0.02, 0.1], 7)
+        passed_m = space.bound.passed_m(np.stack([q, q + dq]))[0]
+        for link in (0, 1, 2, 4):
+            first, last = seen_from(space, q, link), seen_from(space, q + dq, link)
+            for share in (0.3, 0.5, 0.8):
+                between = seen_from(space, q + share * dq, link)
+                away_m = np.minimum(
+                    np.linalg.norm(between - first, axis=1), np.linalg.norm(between - last, axis=1)
+                ).max()
+                assert away_m <= passed_m
+                tightest = max(tightest, away_m / passed_m)
+    # A bound, but not a wasteful one.
+    assert tightest > 0.6
+
+
+def test_samples_that_prove_a_curve_are_as_close_as_the_margin_asks(arm):
+    space = scene(arm)
+    acceleration = np.full(7, 1.2)
 
     def curve(times_s):
         return np.sin(times_s)[:, None] * np.array([1.0, 0.5, 0.8, 0.4, 1.2, 0.6, 0.3]) + np.array(
             [0, 0, 0, -1.2, 0, 0, 0]
         )
 
-    times_s = space.proving_times_s(curve, 6.0, np.full(7, 1.2))
-    assert space.motion_bound_m(np.diff(curve(times_s), axis=0)).max() <= 2 * space.margin_m
+    times_s, q = space.proving_samples(curve, 6.0, acceleration)
+    assert times_s[[0, -1]].tolist() == [0.0, 6.0]
+    assert np.array_equal(q, curve(times_s))
+    chord_m = acceleration @ space.bound.reach_m * np.diff(times_s) ** 2 / 8
+    assert (space.bound.passed_m(q) + chord_m).max() <= space.margin_m
 
 
 def test_beyond_a_joints_limit_nothing_is_free(arm):

@@ -1,13 +1,9 @@
 """What touches what: the arm's shapes against each other and the cell, and a proof for whole motions.
 
-A point of the arm beyond joint j moves at most rho_j |dq_j|, so nothing moves farther than
-
-    L = sum_j rho_j |dq_j|        rho_j: largest distance [m] of anything beyond joint j from its axis
-
-between two configurations. Where each sample keeps a clearance of m from everything and L between
-neighbours is at most 2 m, no point is ever farther than m from where a sample has proven it free:
-*nothing can touch in between*. Along a curve sampled every h seconds the chord may be missed by
-a h^2/8 per joint; m is reduced by that.
+Where each sample keeps a clearance of m from everything, and between two samples every point of the
+arm passes within m of where it was at one of them (`bound`), no point is ever farther than m from where
+it has been proven free: *nothing can touch in between*. A curve over time sampled every h seconds may
+miss the line between its samples by a h^2/8 per joint (a: its acceleration), which is added.
 
 This module also holds every trap of the libraries below it. Pinocchio reads `<capsule>` only from
 URDF version 1.1 and drops it silently otherwise: shapes are counted. Unknown names give no error:
@@ -30,6 +26,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from scuhand_bt.motion.bound import MotionBound
 from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, apex
 from scuhand_bt.motion.timelaw import RateLimits
 
@@ -38,7 +35,8 @@ SHAPES = 10
 SMALLEST_MARGIN_M = 1e-4
 SHEET_M = 0.002
 """Sheet, clamps and their play, added to the cone's radius."""
-_RIM_SIDES = 12
+_FIRST_SAMPLES = 24
+_FIRST_SHARE = 1.0
 
 
 CurveAt: TypeAlias = Callable[[Floats], Floats]
@@ -167,7 +165,7 @@ class Scene:
         self.threads = threads
         self.model = arm.model
         self.rates = arm.rates
-        self.reach_m = _reach_m(shapes, arm.model)
+        self.bound = MotionBound(shapes, arm.model)
         self.shapes = pin.GeometryModel(shapes)
         moving = self.shapes.ngeoms
         for solid in solids:
@@ -193,11 +191,12 @@ class Scene:
         return hit
 
     def any_hit(self, q: Floats) -> bool:
-        """Whether any of the configurations is hit; stops at the first."""
+        """Whether any configuration of a path (n, 7) is hit; looked at ever finer, up to the first that is."""
         if ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any():
             return True
         threads = self.threads if len(q) >= 8 else 1
-        return bool(pin.computeCollisionsInParallel(threads, self._pool, np.ascontiguousarray(q.T), True, True).any())
+        in_order = np.ascontiguousarray(q[_coarse_to_fine(len(q))].T)
+        return bool(pin.computeCollisionsInParallel(threads, self._pool, in_order, True, True).any())
 
     def clearance_m(self, q: Floats) -> tuple[float, str]:
         """Exact distance of the closest pair at one configuration, negative inside, and the two names."""
@@ -208,39 +207,42 @@ class Scene:
         names = [self.shapes.geometryObjects[k].name.rsplit("_0", 1)[0] for k in (pair.first, pair.second)]
         return float(distances[nearest]), " and ".join(names)
 
-    def motion_bound_m(self, dq: Floats) -> Floats:
-        """How far anything moves at most for joint changes (..., 7)."""
-        bound: Floats = np.abs(dq) @ self.reach_m
-        return bound
-
-    def line(self, q0: Floats, q1: Floats) -> Floats:
-        """Samples of the straight joint path, close enough together to prove it: (n, 7)."""
-        count = int(float(np.abs(q1 - q0) @ self.reach_m) / (2 * self.margin_m)) + 2
-        return q0 + np.linspace(0.0, 1.0, count)[:, None] * (q1 - q0)
+    def line(self, q0: Floats, q1: Floats) -> tuple[Floats, Floats]:
+        """Shares (n,) of the straight joint path and joints (n, 7) there, close enough together to prove it."""
+        return self.proving_samples(lambda shares: q0 + shares[:, None] * (q1 - q0), 1.0, 0 * q0)
 
     def curve_free(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> bool:
         """Whether a curve over time is proven free; `acceleration` (7,) bounds its joints'."""
-        times_s = self.proving_times_s(positions_at, duration_s, acceleration)
-        return not self.any_hit(positions_at(times_s[coarse_to_fine(len(times_s))]))
+        return not self.any_hit(self.proving_samples(positions_at, duration_s, acceleration)[1])
 
-    def proving_times_s(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> Floats:
-        """Times whose samples prove the whole curve, by the bound on motion and the chord's error."""
-        longest_s = math.sqrt(8 * 0.04 * self.margin_m / float(acceleration @ self.reach_m))
-        allowed_m = 2 * (1 - 0.04) * self.margin_m
-        times_s = np.linspace(0.0, duration_s, int(duration_s / longest_s) + 2)
-        for _ in range(20):
-            steps_m = self.motion_bound_m(np.diff(positions_at(times_s), axis=0))
-            if steps_m.max() <= allowed_m:
-                return times_s
-            cuts = np.maximum(1, np.ceil(steps_m / (0.98 * allowed_m)).astype(int))
-            starts, widths = np.repeat(times_s[:-1], cuts), np.repeat(np.diff(times_s) / cuts, cuts)
-            within = np.arange(len(starts)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
-            times_s = np.append(starts + within * widths, duration_s)
+    def proving_samples(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> tuple[Floats, Floats]:
+        """Times (n,) and configurations (n, 7) whose freedom proves the whole curve free.
+
+        A few samples tell how the bound is spread over the curve, and are laid anew, evenly in it;
+        where that is not yet enough, more are laid between.
+        """
+        bulge = float(acceleration @ self.bound.reach_m) / 8
+        times_s = np.linspace(0.0, duration_s, _FIRST_SAMPLES)
+        for attempt in range(20):
+            q = positions_at(times_s)
+            steps_s = times_s[1:] - times_s[:-1]
+            shares = (self.bound.passed_m(q) + bulge * steps_s * steps_s) / self.margin_m
+            if shares.max() <= 1:
+                return times_s, q
+            if attempt == 0:
+                course = np.concatenate([[0.0], np.cumsum(shares)])
+                even = np.linspace(0.0, course[-1], math.ceil(course[-1] * _FIRST_SHARE) + 1)
+                times_s = np.interp(even, course, times_s)
+            else:
+                cuts = np.ceil(shares / 0.98).astype(int)
+                starts, widths = np.repeat(times_s[:-1], cuts), np.repeat(steps_s / cuts, cuts)
+                within = np.arange(len(starts)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
+                times_s = np.append(starts + within * widths, duration_s)
         raise ValueError("the curve jumps: no sampling proves it")
 
 
 @cache
-def coarse_to_fine(count: int) -> NDArray[np.intp]:
+def _coarse_to_fine(count: int) -> NDArray[np.intp]:
     """The indices of `count` samples, ever finer: what is not free is mostly found by the first few."""
     strides = [16, 16, 8, 4, 2]
     begins = [0, 8, 4, 2, 1]
@@ -260,43 +262,3 @@ def _pairs(shapes: pin.GeometryModel, moving: int, touchable: set[str]) -> Itera
             # Base and shoulder stand or turn on the spot: the cell is built around them.
             if joint > 1 and not (objects[first].name in sheet and objects[second].name in touchable):
                 yield first, second
-
-
-def _reach_m(shapes: pin.GeometryModel, model: pin.Model) -> Floats:
-    """rho_j of every joint: the farthest point beyond it from its axis, over all configurations."""
-    offsets_m = [np.asarray(model.jointPlacements[j].translation) for j in range(1, JOINTS + 1)]
-    axes = [np.array([0.0, 0.0, 1.0]) if j % 2 == 0 else np.array([0.0, 1.0, 0.0]) for j in range(JOINTS)]
-    reach_m = np.zeros(JOINTS)
-    for thing in shapes.geometryObjects:
-        points = _hull(thing)
-        for j in range(thing.parentJoint):
-            here = points if thing.parentJoint == j + 1 else offsets_m[j + 1][None, :]
-            off_axis = here - (here @ axes[j])[:, None] * axes[j]
-            distance_m = float(np.linalg.norm(off_axis, axis=1).max())
-            for k in range(j + 2, thing.parentJoint):
-                distance_m += float(np.linalg.norm(offsets_m[k]))
-            if thing.parentJoint > j + 1:
-                distance_m += float(np.linalg.norm(points, axis=1).max())
-            reach_m[j] = max(reach_m[j], distance_m)
-    return reach_m
-
-
-def _hull(thing: pin.GeometryObject) -> Floats:
-    """Points in the joint's frame whose hull encloses the shape: (n, 3)."""
-    shape = thing.geometry
-    if isinstance(shape, coal.Box):
-        half = shape.halfSide
-        points = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
-    else:
-        capped = shape.radius if isinstance(shape, coal.Capsule) else 0.0
-        angles = np.arange(_RIM_SIDES) * 2 * math.pi / _RIM_SIDES
-        outer_m = shape.radius / math.cos(math.pi / _RIM_SIDES)
-        rim = np.stack([np.cos(angles) * outer_m, np.sin(angles) * outer_m], axis=1)
-        ends = np.array([-1.0, 1.0]) * (shape.halfLength + capped)
-        if isinstance(shape, coal.Cone):
-            points = np.vstack([np.column_stack([rim, np.full(_RIM_SIDES, ends[0])]), [[0.0, 0.0, ends[1]]]])
-        else:
-            points = np.vstack([np.column_stack([rim, np.full(_RIM_SIDES, end)]) for end in ends])
-    placement = thing.placement
-    inside: Floats = points @ placement.rotation.T + placement.translation
-    return inside

@@ -40,9 +40,6 @@ SETTLED_RAD = 2 * COUNT_RAD
 EMPTY_WILL_DO = 1.35
 """The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
 LIMIT_STEP_DEG = 5.0
-GOALS_AT_ONCE = 24
-GOALS_ENOUGH = 48
-"""Of the goal's configurations the nearest are looked at, so many at once, until so many are free."""
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
 
@@ -60,13 +57,13 @@ Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
 """Start and goals as their bytes, geometry, spill limit: what a plan is kept by."""
 
 
-def _rng(request: Request) -> np.random.Generator:
-    """Randomness that belongs to the request, so that its answer is the same on every run."""
+def _seed(request: Request) -> int:
+    """A seed that belongs to the request, so that its answer is the same on every run."""
     start, goals, geometry, spill_limit_deg = request
     kind = geometry.container.name if geometry.container is not None else ""
     words = f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}"
     digest = hashlib.blake2b(start + goals + words.encode(), digest_size=16).digest()
-    return np.random.default_rng(int.from_bytes(digest, "big"))
+    return int.from_bytes(digest, "big")
 
 
 class MotionPlanner:
@@ -203,11 +200,11 @@ class MotionPlanner:
             course[0] = begin
             motion = through(times_s, course)
             motion = motion.stretched(max(1.0, self.rates.stretch_for(motion)))
-            times = scene.proving_times_s(motion.at, motion.duration_s, motion.extremes()[1])
-            hits = scene.hits(motion.at(times))
+            _, samples = scene.proving_samples(motion.at, motion.duration_s, motion.extremes()[1])
+            hits = scene.hits(samples)
             if not hits.any():
                 return motion
-            why = self._touching(scene, motion.at(times)[int(np.argmax(hits))])
+            why = self._touching(scene, samples[int(np.argmax(hits))])
         raise SkillFailed("arm.no_path", f"no way through the waypoints: {why}")
 
     def stop(self, trajectory: JointTrajectory, at_s: float) -> Stop | Rest:
@@ -238,27 +235,25 @@ class MotionPlanner:
     def _chain(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> Chain | None:
-        nearest_first = np.argsort(rest_to_rest_s(goals - begin, self.rates), kind="stable")
+        ranked = goals[np.argsort(rest_to_rest_s(goals - begin, self.rates), kind="stable")]
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
             scene = self.scene(margin_m)
             start_free = not scene.hits(begin[None, :])[0]
-            free = goals[:0]
-            for k in range(0, len(goals), GOALS_AT_ONCE):
-                some = goals[nearest_first[k : k + GOALS_AT_ONCE]]
-                free = np.concatenate([free, some[~scene.hits(some)]])
-                if len(free) >= GOALS_ENOUGH:
-                    break
+            free, more = goals[:0], ranked
+            while len(more) and not len(free):
+                some, more = more[: transfer.GOALS_AT_ONCE], more[transfer.GOALS_AT_ONCE :]
+                free = some[~scene.hits(some)]
             if start_free and len(free):
                 break
         if not start_free:
             raise SkillFailed("arm.start_in_collision", self._touching(scene, begin))
         if not len(free):
             raise SkillFailed("arm.no_path", self._blocked(scene, name, goals))
-        if np.abs(free - begin).max(axis=1).min() < 1e-9:
+        if np.abs(free[0] - begin).max() < 1e-9:
             return None
-        task = transfer.Task(begin, free, scene, self.rates, self._offset_m, spill_limit_deg)
-        rng = _rng((begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg))
-        chain = transfer.plan(task, effort, rng)
+        task = transfer.Task(begin, free, more, scene, self.rates, self._offset_m, spill_limit_deg)
+        seed = _seed((begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg))
+        chain = transfer.plan(task, effort, seed)
         if chain is None:
             raise SkillFailed("arm.no_path", f"no way to {name} was found that is free and keeps its limits")
         return chain

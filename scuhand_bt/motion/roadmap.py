@@ -11,12 +11,12 @@ Chart coordinates c shape (7,); polylines (m, 7). Budgets are iterations; random
 import numpy as np
 
 from scuhand_bt.motion.charts import Chart, JointChart
-from scuhand_bt.motion.collision import Scene, coarse_to_fine
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats, apex_positions_m
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 
 _BATCH = 48
-_GLANCES = ((0.5, 0.25, 0.75), (0.12, 0.37, 0.62, 0.88))
+_GLANCES = ((0.5,), (0.25, 0.75), (0.12, 0.37, 0.62, 0.88))
 """Where lines are glanced at, as shares: those that are hit drop out early."""
 _MOST_SAMPLES = 400
 _REACH_M = 0.6
@@ -32,19 +32,18 @@ class Space:
         self._upright = None if tilt_limit_deg is None else float(np.cos(np.radians(tilt_limit_deg)))
 
     def edge(self, c0: Floats, c1: Floats) -> tuple[Floats, Floats]:
-        """Shares (n,) and joints (n, 7) along the line, neighbours at most twice the margin apart."""
-        count = 12
+        """Shares (n,) and joints (n, 7) along the line, as close together as its proof needs."""
         if isinstance(self.chart, JointChart):
-            q = self.scene.line(c0, c1)
-            return np.linspace(0.0, 1.0, len(q)), q
+            return self.scene.line(c0, c1)
+        count = 12
         for _ in range(3):
             shares = np.linspace(0.0, 1.0, count)
             q = self.chart.joints(c0 + shares[:, None] * (c1 - c0))
-            longest_m = float(self.scene.motion_bound_m(np.diff(q, axis=0)).max())
-            if longest_m <= 2 * self.scene.margin_m:
+            passed_m = float(self.scene.bound.passed_m(q).max())
+            if passed_m <= self.scene.margin_m:
                 break
             # A wrist that whirls past its singularity would ask for thousands; its motion is proven later, or not.
-            count = min(int((count - 1) * longest_m / (1.96 * self.scene.margin_m)) + 2, _MOST_SAMPLES)
+            count = min(int((count - 1) * passed_m / (0.98 * self.scene.margin_m)) + 2, _MOST_SAMPLES)
         return shares, q
 
     def blocked(self, q: Floats) -> np.ndarray:
@@ -89,7 +88,7 @@ class Space:
         _, q = self.edge(c0, c1)
         if self._upright is not None and self._leans(q).any():
             return False
-        return not self.scene.any_hit(q[coarse_to_fine(len(q))])
+        return not self.scene.any_hit(q)
 
 
 class _Tree:
@@ -124,7 +123,7 @@ class _Tree:
 
 def connect(space: Space, start: Floats, goals: Floats, rng: np.random.Generator, iterations: int) -> Floats | None:
     """A free polyline (m, 7) from start (7,) to one of goals (n, 7), or None within the iterations."""
-    weights = space.scene.reach_m
+    weights = space.scene.bound.reach_m
     if len(goals) > 128:
         raise ValueError("choose among the goals first: at most 128 root a tree")
     ours, theirs = _Tree(start[None, :], weights), _Tree(goals, weights)

@@ -27,18 +27,24 @@ from scuhand_bt.motion.roadmap import Space
 from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 
-_PROPOSALS = 64
-_LOOKS = ((0.5, 0.25, 0.75), (0.12, 0.37, 0.62, 0.88), (0.06, 0.18, 0.31, 0.44, 0.56, 0.69, 0.82, 0.94))
-"""When a proposal is looked at, as shares of its duration: those that are hit drop out early."""
-_AT_ONCE = 16
-_NEAR_PART = 0.4
+_PROPOSALS = 160
+_LOOKS = tuple(
+    (tuple((2 * k + 1) / 2 ** (level + 1) for k in range(2**level)), kept)
+    for level, kept in enumerate((64, 24, 10, 5, 3))
+)
+"""When schedules are looked at, as shares of their durations, ever finer, and how many are kept from look to look."""
+_NEAR_PART = 0.7
 """Share of the proposals that change the best schedule instead of being drawn anew."""
 _NEAR_SPAN = 0.6
-_TURNING = 0.4
-_TURN_RAD = 0.5
+_TURNING = np.array([0.7, 0.8, 0.7, 0.95, 0.7, 0.7, 0.0])
+"""How often each joint takes a turning point; the elbow does most, as opening it lifts the hand over what stands."""
+_TURN_RAD = np.array([0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.0])
+"""How far a turning point is strewn about its joint's straight way."""
+_LIFT_RAD = np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
+"""And by how much it lies beside it: the elbow's towards the stretched arm."""
 _FIRST_UPTO = 2.0
-"""Times the least bound, what the first round looks at; a quarter more in every round that finds nothing."""
-_GIVEN_UP = 6
+"""Times the least bound, what the first round looks at; a half more in every round that finds nothing."""
+GIVEN_UP = 4
 """Rounds without any, after which another way has to be found first."""
 _QUICKER = 0.985
 _LEAST_S = 1e-9
@@ -111,9 +117,9 @@ class Scheduler:
         best, parent = known, None
         least_s = float(self._bounds_s[0])
         for k in range(rounds):
-            if (best is None and k == _GIVEN_UP) or (best is not None and best.duration_s <= good_s):
+            if (best is None and k == GIVEN_UP) or (best is not None and best.duration_s <= good_s):
                 break
-            most_s = (_FIRST_UPTO + k / 4) * least_s if best is None else _QUICKER * best.duration_s
+            most_s = (_FIRST_UPTO + k / 2) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)
             if parent is not None and self._bound_s(parent) <= most_s:
                 some = self._near(parent, some, most_s, rng)
@@ -126,10 +132,9 @@ class Scheduler:
         durations_s = least_s + (most_s - least_s) * rng.uniform(size=count)
         reachable = np.searchsorted(self._bounds_s, durations_s, side="right")
         goals = self._goals[(rng.uniform(size=count) * np.maximum(reachable, 1)).astype(int)]
-        turning = rng.uniform(size=goals.shape) < _TURNING * rng.integers(0, 3, (count, 1))
-        turning[:, 6] = False
+        turning = rng.uniform(size=goals.shape) < _TURNING * rng.choice((0.4, 1.0), (count, 1))
         between = self._start + rng.uniform(size=goals.shape) * (goals - self._start)
-        turns = np.where(turning, between + _TURN_RAD * rng.normal(size=goals.shape), goals)
+        turns = np.where(turning, between + _LIFT_RAD + _TURN_RAD * rng.normal(size=goals.shape), goals)
         shares = rng.exponential(size=(*goals.shape, 5)) ** 2
         shares /= shares.sum(axis=2, keepdims=True)
         return Schedules(goals, durations_s, self._within(turns), shares)
@@ -163,26 +168,24 @@ class Scheduler:
         return inside
 
     def _first_free(self, some: Schedules, best: Chain | None) -> tuple[Chain, Schedules] | None:
-        """The shortest of the schedules that is proven, a few looked at at once."""
+        """The shortest of the schedules that is proven."""
         limit_s = np.inf if best is None else best.duration_s
-        order = np.argsort(some.durations_s, kind="stable")
-        for begin in range(0, len(order), _AT_ONCE):
-            few = some.taken(order[begin : begin + _AT_ONCE])
-            times_s, steps = jerk_steps(self._start, few, self._limits)
-            for k in self._look_free(few.durations_s, times_s, steps):
-                course = of_jerk_steps(self._start, times_s[k], steps[k], float(few.durations_s[k]))
-                motion = self._shaper.proof(course, limit_s)
-                if motion is not None:
-                    return self._chain(motion), few.taken(np.array([k]))
+        some = some.taken(np.argsort(some.durations_s, kind="stable"))
+        times_s, steps = jerk_steps(self._start, some, self._limits)
+        for k in self._look_free(some.durations_s, times_s, steps):
+            course = of_jerk_steps(self._start, times_s[k], steps[k], float(some.durations_s[k]))
+            motion = self._shaper.proof(course, limit_s)
+            if motion is not None:
+                return self._chain(motion), some.taken(np.array([k]))
         return None
 
     def _look_free(self, durations_s: Floats, times_s: Floats, steps: Floats) -> np.ndarray:
-        """Which schedules look free: those that are hit drop out look by look."""
+        """The first few schedules that look free: those that are hit drop out look by look."""
         left = np.arange(len(durations_s))
-        for shares in _LOOKS:
+        for shares, kept in _LOOKS:
             q = positions(self._start, times_s[left], steps[left], durations_s[left, None] * np.array(shares))
             blocked = self._space.blocked(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).any(axis=1)
-            left = left[~blocked]
+            left = left[~blocked][:kept]
             if not len(left):
                 break
         return left

@@ -21,7 +21,7 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
 from scuhand_bt.motion.kinematics import Floats
-from scuhand_bt.motion.trajectory import JointTrajectory, joined
+from scuhand_bt.motion.trajectory import JointTrajectory, joined, of_jerk_steps
 
 _SHORTEST_S = 1e-9
 
@@ -139,11 +139,9 @@ class TimeLaw:
         distances = q1 - q0
         share = np.maximum(np.abs(distances), 1e-12)
         limits = (self.limits.speed, self.limits.acceleration, self.limits.jerk)
-        one = TimeLaw(RateLimits(*(np.array([(limit / share).min()]) for limit in limits)))
-        solved = one.solve(np.zeros(1), np.zeros(1), np.ones(1), np.zeros(1))
-        if solved is None:
-            raise ValueError("Ruckig found no motion along a line")
-        course = cubics([solved])
+        one = RateLimits(*(np.array([(limit / share).min()]) for limit in limits))
+        times_s, steps, duration_s = legs(np.ones(1), one)
+        course = of_jerk_steps(np.zeros(1), times_s, steps, float(duration_s[0]))
         coefficients = course.coefficients * distances
         coefficients[0] += q0
         return JointTrajectory(course.knots_s, coefficients)

@@ -12,7 +12,7 @@ not happen; the quicker one is kept. How long the search goes on is an `Effort`,
 Joints [rad] (7,), goals (n, 7), durations [s].
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,14 +22,17 @@ from scuhand_bt.motion.charts import Chart, JointChart, LevelChart
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.roadmap import Space, connect, shortened
-from scuhand_bt.motion.staggered import Scheduler
+from scuhand_bt.motion.staggered import GIVEN_UP, Scheduler
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
 _ITERATIONS = 4000
 _LOADED_ITERATIONS = 120
 """In each of the two charts, where an iteration costs several times as much."""
-_SHORTCUTS = 20
-_GOALS_AT_ONCE = 12
+_SHORTCUTS = 12
+_DIRECT_PROOFS = 4
+"""Of the direct motions that look free, so many of each batch are tried."""
+GOALS_AT_ONCE = 24
+"""Of the goal's configurations the nearest are looked at, so many at once."""
 _QUICKER = 0.8
 """A goal is worth a search if its bound is below this share of the direct motion's duration."""
 _ROOTS = 32
@@ -55,20 +58,37 @@ class Effort:
     """Nor is any motion within this."""
 
 
-LIVE = Effort(12, chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.62, good_enough=1.07)
-POLISHED = Effort(60, chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
+LIVE = Effort(10, chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.7, good_enough=1.07)
+POLISHED = Effort(36, chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is to be planned: where from, where to, in which scene, how fast, with what in the cone."""
+    """What is to be planned: where from, where to, in which scene, how fast, with what in the cone.
+
+    `goals` are free and come in the order of their bounds, as do those in `more`, which lie farther and
+    have not been looked at yet.
+    """
 
     start: Floats
     goals: Floats
+    more: Floats
     scene: Scene
     rates: RateLimits
     apex_offset_m: float
     spill_limit_deg: float | None = None
+
+    def bounds_s(self, goals: Floats) -> Floats:
+        """The least durations in which goals (n, 7) can be reached: (n,)."""
+        return rest_to_rest_s(goals - self.start, self.rates)
+
+    def free_goals(self, upto_s: float) -> Iterator[Floats]:
+        """The goals that are free, a few at a time; looked at when they are asked for."""
+        yield self.goals
+        near = self.more[self.bounds_s(self.more) <= upto_s]
+        for k in range(0, len(near), GOALS_AT_ONCE):
+            some = near[k : k + GOALS_AT_ONCE]
+            yield some[~self.scene.hits(some)]
 
     def charts(self) -> list[tuple[Chart, Space]]:
         """The charts to plan in, each with its space."""
@@ -84,20 +104,23 @@ class Task:
         return spaces
 
 
-def plan(task: Task, effort: Effort, rng: np.random.Generator) -> Chain | None:
-    """The quickest chain found within the effort, with its proven motion, or None."""
-    goals = task.goals[np.argsort(rest_to_rest_s(task.goals - task.start, task.rates), kind="stable")]
-    searches = [_Search(task, chart, space, goals) for chart, space in task.charts()]
+def plan(task: Task, effort: Effort, seed: int) -> Chain | None:
+    """The quickest chain found within the effort, with its proven motion, or None; the seed decides the search."""
+    searches = [_Search(task, chart, space) for chart, space in task.charts()]
+    bound_s = float(task.bounds_s(task.goals[:1])[0])
+    near_s, good_s = effort.near_optimum * bound_s, effort.good_enough * bound_s
+    best: Chain | None = None
+    for goals in task.free_goals(near_s):
+        best = _quickest([search.direct(goals, near_s) for search in searches])
+        if best is not None and best.duration_s <= near_s:
+            return best
+    rng = np.random.default_rng(seed)
     searches = [search for search in searches if len(search.ends)]
-    best = _quickest([search.direct(effort.near_optimum) for search in searches])
-    bound_s = float(rest_to_rest_s(goals[0] - task.start, task.rates))
-    if best is not None and best.duration_s <= effort.near_optimum * bound_s:
-        return best
-    good_s = effort.good_enough * bound_s
     best = _quickest([search.near(effort, best, rng, good_s) for search in searches])
     if best is None:
         best = _quickest([search.roadmap(effort, rng) for search in searches])
-        best = _quickest([search.staggered(effort, best, rng, good_s) for search in searches])
+        rounds = (effort.staggered - GIVEN_UP) // 2
+        best = _quickest([search.staggered(rounds, best, rng, good_s) for search in searches])
     return best
 
 
@@ -106,37 +129,37 @@ def _quickest(chains: Sequence[Chain | None]) -> Chain | None:
 
 
 class _Search:
-    """The ways to find a chain, in one chart; goals come in the order of their bounds."""
+    """The ways to find a chain, in one chart; goals are added in the order of their bounds."""
 
-    def __init__(self, task: Task, chart: Chart, space: Space, goals: Floats) -> None:
-        reached = goals[chart.covers(goals)]
-        self.space = space
+    def __init__(self, task: Task, chart: Chart, space: Space) -> None:
+        self.task, self.chart, self.space = task, chart, space
         self.shaper = Shaper(space, task.rates, task.apex_offset_m, task.spill_limit_deg)
         self.start = chart.coordinates(task.start[None, :])[0]
-        self.ends = chart.coordinates(reached)
-        self.bounds_s = rest_to_rest_s(reached - task.start, task.rates)
+        self.ends, self.bounds_s = np.empty((0, len(self.start))), np.empty(0)
         self.rates = task.rates if isinstance(chart, JointChart) else None
         self.loaded = task.spill_limit_deg is not None
         self.iterations = _LOADED_ITERATIONS if self.loaded else _ITERATIONS
 
-    def direct(self, near_optimum: float) -> Chain | None:
-        """The first direct motion that is proven; a glance along the lines tells which are worth the proof."""
-        worthwhile = self.ends[self.bounds_s <= near_optimum * self.bounds_s[0]]
-        for begin in range(0, len(worthwhile), _GOALS_AT_ONCE):
-            some = worthwhile[begin : begin + _GOALS_AT_ONCE]
-            for end in some[self.space.glance(np.broadcast_to(self.start, some.shape), some)]:
-                direct = self.shaper.direct(self.start, end)
-                if direct is not None:
-                    return direct
+    def direct(self, goals: Floats, upto_s: float) -> Chain | None:
+        """Adds goals (n, 7); the first direct motion to one that is proven, of those that may be that short."""
+        reached = goals[self.chart.covers(goals)]
+        ends, bounds_s = self.chart.coordinates(reached), self.task.bounds_s(reached)
+        self.ends, self.bounds_s = np.concatenate([self.ends, ends]), np.concatenate([self.bounds_s, bounds_s])
+        worthwhile = ends[bounds_s <= upto_s]
+        looks_free = self.space.glance(np.broadcast_to(self.start, worthwhile.shape), worthwhile)
+        for end in worthwhile[looks_free][:_DIRECT_PROOFS]:
+            direct = self.shaper.direct(self.start, end)
+            if direct is not None:
+                return direct
         return None
 
     def near(self, effort: Effort, known: Chain | None, rng: np.random.Generator, good_s: float) -> Chain | None:
         """Something quicker than what is known; or that, or None."""
         if self.rates is None:
             return _quickest([known, self.detours(effort, known, rng)])
-        return self.staggered(effort, known, rng, good_s)
+        return self.staggered(effort.staggered, known, rng, good_s)
 
-    def staggered(self, effort: Effort, known: Chain | None, rng: np.random.Generator, good_s: float) -> Chain | None:
+    def staggered(self, rounds: int, known: Chain | None, rng: np.random.Generator, good_s: float) -> Chain | None:
         """The quickest motion found in which every joint moves in its own time; or what is known."""
         if self.rates is None:
             return known
@@ -144,8 +167,7 @@ class _Search:
             self.space, self.shaper, self.rates, self.start, self.ends[:_NEAREST], self.bounds_s[:_NEAREST]
         )
         # A load's proof costs several times as much, and via points are tried for it too.
-        rounds = effort.staggered // 2 if self.loaded else effort.staggered
-        return scheduler.search(known, rng, rounds, good_s)
+        return scheduler.search(known, rng, rounds // 2 if self.loaded else rounds, good_s)
 
     def detours(self, effort: Effort, known: Chain | None, rng: np.random.Generator) -> Chain | None:
         """The best chain begun with one via point, to goals that promise to be quicker than what is known."""
@@ -170,5 +192,5 @@ class _Search:
         if path is None:
             return None
         chain = self.shaper.first(shortened(self.space, path, rng, _SHORTCUTS))
-        rounds = effort.rounds_each + effort.rounds_best
+        rounds = effort.rounds_each // 3 + effort.rounds_best
         return None if chain is None else self.shaper.improved(chain, goals, rng, rounds)
