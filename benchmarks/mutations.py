@@ -364,20 +364,33 @@ def main() -> None:
             for outcome in found:
                 if outcome.wrong:
                     print(f"{outcome.kind}, {outcome.how}: {'; '.join(outcome.wrong)}", file=sys.stderr, flush=True)
-    counts = Counter((outcome.kind, outcome.end) for outcome in outcomes)
-    kinds, ends = sorted({kind for kind, _ in counts}), sorted({end for _, end in counts})
-    table = Table("what came of it", *kinds, "all", show_edge=False)
-    for end in ends:
-        numbers = [counts[kind, end] for kind in kinds]
+            if given.json is not None:
+                _keep(outcomes, given.json)
+    _show(outcomes)
+
+
+def _counts(outcomes: list[Outcome]) -> dict[str, Counter[str]]:
+    """How often each kind of mutant ended how."""
+    kinds = sorted({outcome.kind for outcome in outcomes})
+    return {kind: Counter(outcome.end for outcome in outcomes if outcome.kind == kind) for kind in kinds}
+
+
+def _show(outcomes: list[Outcome]) -> None:
+    counts = _counts(outcomes)
+    table = Table("what came of it", *counts, "all", show_edge=False)
+    for end in sorted({outcome.end for outcome in outcomes}):
+        numbers = [count[end] for count in counts.values()]
         table.add_row(end, *map(str, numbers), str(sum(numbers)))
     console = Console(width=160)
     console.print(table)
-    findings = [outcome for outcome in outcomes if outcome.wrong]
-    console.print(f"{len(outcomes)} mutants, {len(findings)} findings.")
-    if given.json is not None:
-        summary = {kind: {end: counts[kind, end] for end in ends if counts[kind, end]} for kind in kinds}
-        values = {"mutants": len(outcomes), "ends": summary, "findings": [asdict(found) for found in findings]}
-        given.json.write_text(json.dumps(values, indent=1) + "\n")
+    console.print(f"{len(outcomes)} mutants, {sum(bool(outcome.wrong) for outcome in outcomes)} findings.")
+
+
+def _keep(outcomes: list[Outcome], path: Path) -> None:
+    """Written again after each chunk: what was found is there even if the rest never comes."""
+    findings = [asdict(outcome) for outcome in outcomes if outcome.wrong]
+    values = {"mutants": len(outcomes), "ends": _counts(outcomes), "findings": findings}
+    path.write_text(json.dumps(values, indent=1) + "\n")
 
 
 if __name__ == "__main__":
