@@ -28,6 +28,7 @@ from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run import session
 from scuhand_bt.run.batch import SampleResult
 from scuhand_bt.run.journal import Journal
+from scuhand_bt.run.reading import read
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, prepared_motion
 from scuhand_bt.sim.world import World
@@ -166,6 +167,11 @@ def durable(path: Path, **kwargs: Any) -> Journal:
     return Journal(path, durable=True)
 
 
+def virtual_s(journal: Path) -> float:
+    """How long the run would have taken on a real cell."""
+    return float(read(journal, "entry")[-1]["time_s"])
+
+
 def overhead(bench: Bench, runs: int) -> dict[str, float]:
     """Alternating runs with a journal and without, and what the stopwatch says of the former."""
     bench.run()
@@ -192,7 +198,9 @@ def overhead(bench: Bench, runs: int) -> dict[str, float]:
         "journal_percent_of_dry_run": 100 * median(inside) * run_s / (run_s + bench.planning_s),
         "world_file_percent_of_run": 100 * median(world),
         "durable_run_wall_s": durable_s,
+        "durable_journal_wall_s": stopwatch.spent_s["journal"],
         "durable_journal_percent_of_run": 100 * stopwatch.spent_s["journal"] / durable_s,
+        "virtual_run_s": virtual_s(bench.journal),
         "journal_kb": bench.journal.stat().st_size / 1024,
     }
 
