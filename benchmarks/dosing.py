@@ -168,11 +168,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 paper_s[cell[:3]] = figures["mean_s"]
             results[" | ".join(map(str, cell))] = figures
             print(line(cell, figures, paper_s.get(cell[:3])), flush=True)
-    if chosen.json is not None:
-        if chosen.json.exists():
-            results = json.loads(chosen.json.read_text(encoding="utf-8")) | results
-        chosen.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+            if chosen.json is not None:
+                keep(chosen.json, results)
     return 0
+
+
+def keep(path: Path, results: dict[str, dict[str, float]]) -> None:
+    """Add figures to those of a file, cell by cell: a benchmark that is stopped has kept what it finished."""
+    kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    path.write_text(json.dumps(kept | results, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

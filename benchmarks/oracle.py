@@ -12,7 +12,8 @@ from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.dose_loop import DoseRun
 from scuhand_bt.dosing import DoseRequest, Finish
 from scuhand_bt.dosing.adaptive import WATCH_LAGS
-from scuhand_bt.dosing.knowledge import SLACK_S, within
+from scuhand_bt.dosing.knowledge import SLACK_S
+from scuhand_bt.dosing.risk import within
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.sim.world import World
 
@@ -22,7 +23,12 @@ AHEAD_S = 0.35
 GUARD_MG = 0.3
 REMEMBERED_LUMPS = 5.0
 """Lumps are judged by the mass that last fell: so many of them."""
+RESERVED = 3.0
+DOUBT = 3.0
 QUIET_S = 0.8
+LEAST_SHARE = 0.3
+"""The flow's coefficient is never taken to be below this share of what is believed of the powder."""
+LEAST_SURGE_MG = 0.03
 
 
 class Oracle:
@@ -32,9 +38,10 @@ class Oracle:
         self.request = request
         self.shape = FlowShape(request.powder.threshold_mm, request.powder.exponent)
         self.coefficient = request.powder.coefficient
-        self.surge_mg = 3.0 * request.powder.surge_mg
+        self.surge_mg = DOUBT * request.powder.surge_mg
         self._mean = REMEMBERED_LUMPS * self.surge_mg
         self._odd = 2.0 * self.surge_mg * self._mean
+        self._fell, self._passed = self._mean, self._mean / self.coefficient
 
     def aim_mg(self) -> float:
         """Where it closes: inside the tolerance from below, where a lump has the most room."""
@@ -43,19 +50,23 @@ class Oracle:
     def opening_mm(self, remaining_mg: float, slowest: float) -> float:
         """As wide as the standard deviations of surges allow, `AHEAD_S` ahead."""
         surge_mg = self.surge_mg
-        flow = max(within(remaining_mg, surge_mg) / AHEAD_S, slowest)
+        flow = max(within(remaining_mg - RESERVED * surge_mg, surge_mg) / AHEAD_S, slowest)
         opening_mm = self.shape.opening_mm(flow / self.coefficient)
         return min(max(opening_mm, self.shape.threshold_mm + 0.05), self.request.max_opening_mm)
 
-    def learn_surge(self, gained_mg: float, expected_mg: float) -> None:
-        """Lumps of mean mass m make the variance of what falls 2 m times its mean.
+    def learn(self, gained_mg: float, phi_s: float) -> None:
+        """The flow's coefficient, lumps included; lumps of mean mass m make the variance 2 m times the mean.
 
         It forgets as powder passes, not as time does: a slow flow without a lump says nothing.
         """
+        expected_mg = self.coefficient * phi_s
         kept = math.exp(-expected_mg / (REMEMBERED_LUMPS * self.surge_mg))
         self._odd = kept * self._odd + (gained_mg - expected_mg) ** 2
         self._mean = kept * self._mean + expected_mg
-        self.surge_mg = self._odd / self._mean / 2.0
+        self.surge_mg = max(self._odd / self._mean / 2.0, LEAST_SURGE_MG)
+        self._fell = kept * self._fell + gained_mg
+        self._passed = kept * self._passed + phi_s
+        self.coefficient = max(self._fell / self._passed, LEAST_SHARE * self.request.powder.coefficient)
 
     def tail_mg(self, opening_mm: float) -> float:
         request = self.request
@@ -90,12 +101,9 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
             now_mg = left_mg()
             gained_mg, before_mg = now_mg - before_mg, now_mg
             phi = (phi + oracle.shape.value(hand.opening_mm)) / 2.0
-            oracle.learn_surge(gained_mg, oracle.coefficient * phi * LOOK_S)
+            oracle.learn(gained_mg, phi * LOOK_S)
             if gained_mg > 0.0:
                 quiet_s = 0.0
-                if phi > 0.0 and gained_mg < 3.0 * oracle.coefficient * phi * LOOK_S:
-                    oracle.coefficient += 0.15 * (gained_mg / (phi * LOOK_S) - oracle.coefficient)
-                    oracle.coefficient = max(oracle.coefficient, 0.3 * request.powder.coefficient)
             elif phi > 0.0:
                 quiet_s += LOOK_S
                 if quiet_s > QUIET_S:

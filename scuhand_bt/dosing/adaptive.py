@@ -62,18 +62,16 @@ class Adaptive:
         known.filter.restart(seen.net_mg, 2.0 * known.noise_mg, known.reference, known.unsure)
         for opening in range(MOST_OPENINGS):
             before_mg = known.filter.mass_mg
-            known.record.clear()
+            known.begin_opening()
             probing = opening == 0 and known.fits == 0
             ended = yield from Opening(known, probing).run()
             yield from self._watch_tail(WATCH_LAGS_PROBING if probing else WATCH_LAGS)
-            known.identify_lag()
+            known.learn(known.filter.mass_mg - before_mg)
             if probing and ended == "reached" and known.filter.mass_mg < known.stop_mg - LEFT_MG:
-                known.learn_flow(known.filter.mass_mg - before_mg)
                 continue
             seen = yield Settle()
             known.time_s = seen.time_s
-            known.learn_flow(seen.net_mg - before_mg)
-            known.filter.restart(seen.net_mg, max(seen.uncertainty_mg, 0.05), known.reference, known.belief.spread)
+            known.filter.restart(seen.net_mg, max(seen.uncertainty_mg, 0.05), known.reference, known.unsure)
             verdict = known.verdict(seen)
             if verdict is not None:
                 return known.finish(verdict, seen)

@@ -106,6 +106,27 @@ class DoseRequest:
         return "empty" if self.cone_mg - dispensed_mg < self.cone_doubt_mg else "no_flow"
 
 
+def stopped(request: DoseRequest, seen: Observation, steps: int, dry: bool, dispensed_mg: float) -> Finish | None:
+    """The paper's stopping rules, for controllers that go step by step; None while there is more to dose.
+
+    |error| < tolerance (strictly) ends it; so do what the listing leaves out: too much, a cone that gives nothing, and
+    the step limit. `dispensed_mg` is what this dose has taken from the cone.
+    """
+    error_mg = request.target_mg - seen.net_mg
+    reason: Reason
+    if abs(error_mg) < request.tolerance_mg - request.guard_mg:
+        reason = "reached"
+    elif error_mg < 0.0:
+        reason = "overshoot"
+    elif dry:
+        reason = request.given_up(dispensed_mg)
+    elif steps >= request.step_limit:
+        reason = "step_limit"
+    else:
+        return None
+    return Finish(reason, seen.net_mg, seen.uncertainty_mg)
+
+
 class Controller(Protocol):
     """Decides the next valve command from what has been measured."""
 

@@ -9,7 +9,7 @@ columns. It crawls at 20 mg, where u hardly opens the valve beyond the onset of 
 where what the sum has gathered on the way holds the valve wide open through the target.
 """
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse, Settle
+from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Settle, stopped
 from scuhand_bt.dosing.paper import WAIT_S
 
 KP_PER_MG = 3.9e-4
@@ -51,14 +51,9 @@ class DirectPid:
         self._dry = self._dry + 1 if self._full and seen.net_mg - self._net_mg < 0.5 else 0
         self._net_mg = seen.net_mg
         error_mg = request.target_mg - seen.net_mg
-        if abs(error_mg) < request.tolerance_mg - request.guard_mg:
-            return Finish("reached", seen.net_mg, seen.uncertainty_mg)
-        if error_mg < 0.0:
-            return Finish("overshoot", seen.net_mg, seen.uncertainty_mg)
-        if self._dry >= DRY_STEPS:
-            return Finish(request.given_up(seen.net_mg - self._start_mg), seen.net_mg, seen.uncertainty_mg)
-        if self._steps >= request.step_limit:
-            return Finish("step_limit", seen.net_mg, seen.uncertainty_mg)
+        end = stopped(request, seen, self._steps, self._dry >= DRY_STEPS, seen.net_mg - self._start_mg)
+        if end is not None:
+            return end
         self._sum_mg = KEPT * self._sum_mg + error_mg
         change_mg = 0.0 if self._before_mg is None else error_mg - self._before_mg
         self._before_mg = error_mg

@@ -1,46 +1,48 @@
 """What `adaptive` knows within a dose, how wide it dares to open, and what it keeps from the dose.
 
-    x + z sqrt(2 m x) = e,   q = x / (H (1 + s))            flow while e [mg] remains
-
-x [mg] is what may fall unseen when z standard deviations of its surges are allowed for, m [mg] the powder's
-surge scale, H [s] how long powder falls unseen (dead time, period, and as much of the balance's lag as the
-flow is not known well enough to see through), s the relative uncertainty of the flow.
+How wide follows from `risk`: as fast as what remains allows, and never slower than the flow whose unseen part the
+tolerance forgives. What may come at worst is the flow's coefficient by its readings plus `DEVIATIONS` of its standard
+deviation, though not more than a new opening may show: a bridge that breaks lets out the usual flow, not any.
 """
 
 import math
 from collections.abc import Generator
 
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Reason, Stream
-from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag
+from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_surge
+from scuhand_bt.dosing.risk import DEVIATIONS, fastest
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
 GUARD = 2.0
-DEVIATIONS = 2.5
-"""How many standard deviations of the surges that may fall unseen are allowed for."""
+FORGIVEN = 0.85
+"""Share of the tolerance that the unseen part of the slowest flow may be off by."""
+LUMPS_UNSEEN = 0.08
+"""A flow of less than so many lumps in the time that is not seen gains nothing."""
 SLACK_S = 0.15
 DOUBTED, UNKNOWN = 0.6, 1.0 / 3.0
 """The coefficient is never taken to be below this share of its reference: of a learnt one, of a guess."""
-SEEN_LATE = 0.5
-"""Share of the balance's lag that even a well-known flow is not seen through."""
 GENTLE, FULL = 0.4, 1.0
 LAG_MARGIN = 1.06
 """A lag believed too long costs a moment, one believed too short costs an overshoot."""
+LEAST_MG = 4.0
+"""An opening that brought less teaches nothing."""
+AIM_UNDER_MG = 0.3
+"""Besides the surge scale: too little can be mended, too much cannot."""
+MOST_SLIP_MM = 0.4
+"""How far a sheet that stuck may slip."""
+UNSURE = 0.6
+"""How unsure a new opening is at least: sheets stick and slip."""
+GUESSED_SPREAD = 0.3
+"""What doses are taken to differ by, at least, until a second one was seen."""
+GUESS_DOUBT, SURGE_DOUBT = 1.5, 0.4
+"""Standard deviation of the logarithm of a surge scale that was guessed, and that was learnt."""
 NOISES = 20
 """How many second differences the noise is the mean of."""
-LAG_FITS = 8
+LAG_FITS = 5
 """After this many openings that told it, the balance's lag is known."""
-
-
-def within(remaining_mg: float, surge_mg: float) -> float:
-    """The mean mass x that may fall so that `DEVIATIONS` of its surges stay within what remains.
-
-    Solves x + z sqrt(2 m x) = e, the variance of x in lumps of exponential mean mass m being 2 m x.
-    """
-    half = DEVIATIONS * math.sqrt(2.0 * surge_mg) / 2.0
-    return (math.sqrt(half * half + max(remaining_mg, 0.0)) - half) ** 2
 
 
 class Knowledge:
@@ -59,6 +61,7 @@ class Knowledge:
         self.filter = FlowFilter(0.0, self.reference, self.belief.spread, self.belief.surge_mg, self.lag_s)
         self.vibration = self.belief.vibration
         """The level it shakes at when nothing is amiss."""
+        self._usual = self.reference
         self.stalls = 0
         self.time_s = 0.0
         self.flow_s = self.shaken_s = 0.0
@@ -68,7 +71,12 @@ class Knowledge:
         self._known_s = 0.0 if self.belief.doses == 0 else 10.0
         self._recent_mg: list[float] = []
         self._noises = 0 if self.fits == 0 else NOISES
+        self._widened = 0.0
+        self._surge_mg = self.belief.surge_mg
+        self._log_flow = self._clear_flow = 0.0
+        """The coefficient's logarithm, summed by how clear it was, and how clear in all."""
         self._ratios: list[float] = []
+        """Openings' coefficients against the belief's, as logarithms."""
 
     def act(
         self, opening_mm: float, vibration: float, mobility: float = 1.0
@@ -81,7 +89,8 @@ class Knowledge:
         self.time_s = seen.time_s
         self._learn_noise(seen.net_mg, phi_s, dt_s, vibration)
         noise_mg = self.shaking_noise_mg if vibration > 0.0 else self.noise_mg
-        self.record.append(Row(dt_s, phi_s, seen.net_mg, noise_mg))
+        self.record.append(Row(dt_s, phi_s, seen.net_mg, noise_mg, self._widened))
+        self._widened = 0.0
         return dt_s, phi_s, self.filter.update(dt_s, phi_s, seen.net_mg, noise_mg, self.reference)
 
     # --- how wide ---
@@ -90,8 +99,18 @@ class Knowledge:
     def stop_mg(self) -> float:
         """The predicted final mass to close at: under the target by the surge scale, inside the tolerance."""
         request = self.request
-        guard_mg = GUARD * math.sqrt(2.0) * max(0.5 * self.noise_mg, request.readability_mg / math.sqrt(12.0))
-        return request.target_mg - min(self.filter.surge_mg + 0.1, max(0.0, request.tolerance_mg - guard_mg - 0.1))
+        return request.target_mg - min(
+            self.filter.surge_mg + AIM_UNDER_MG, max(0.0, request.tolerance_mg - self._guard_mg - 0.1)
+        )
+
+    @property
+    def _guard_mg(self) -> float:
+        return GUARD * math.sqrt(2.0) * max(0.5 * self.noise_mg, self.request.readability_mg / math.sqrt(12.0))
+
+    @property
+    def enough_mg(self) -> float:
+        """The mass that a stable mean would call in tolerance."""
+        return self.request.target_mg - self.request.tolerance_mg + self._guard_mg
 
     @property
     def flows_only_shaken(self) -> bool:
@@ -100,27 +119,29 @@ class Knowledge:
 
     @property
     def unsure(self) -> float:
-        """Relative uncertainty of a powder's flow that nothing was learnt of yet, or that is known."""
-        return max(self.belief.spread, 0.5) if self.belief.doses == 0 else self.belief.spread
+        """Relative uncertainty of a new opening's flow."""
+        return max(self.belief.spread, UNSURE)
 
     def opening_mm(self, remaining_mg: float) -> float:
         """The opening for what remains."""
         request, estimate = self.request, self.filter
         surge_mg = estimate.surge_mg
         reserve_mg = surge_mg if self.flows_only_shaken else 0.0
-        unseen_mg = within(remaining_mg - reserve_mg, surge_mg)
         doubted = DOUBTED if self._known_s > 3.0 else UNKNOWN
         coefficient = max(estimate.coefficient, doubted * self.reference)
-        unsure = min(1.0, estimate.coefficient_sd / coefficient)
+        worst = min(
+            estimate.coefficient + DEVIATIONS * estimate.coefficient_sd,
+            max(estimate.coefficient, self.reference) * (1.0 + DEVIATIONS * self.unsure),
+        )
+        unsure = (worst - estimate.coefficient) / (DEVIATIONS * coefficient)
         lag_s = 2.0 * self.lag_s
         late_s = request.valve_dead_time_s + request.balance_period_s + SLACK_S
-        flow = unseen_mg / (
-            (late_s + lag_s * min(1.0, SEEN_LATE + 2.0 * unsure + surge_mg / request.tolerance_mg)) * (1.0 + unsure)
-        )
-        slowest = 0.3 * request.tolerance_mg / (0.15 * lag_s + 0.1)
-        slowest = min(slowest, max(0.5 / surge_mg, 0.08 * surge_mg) / (late_s + lag_s))
-        opening_mm = self.shape.opening_mm(max(flow, slowest) / coefficient)
-        return min(max(opening_mm, self.shape.threshold_mm + 0.05), request.max_opening_mm)
+        unseen_s = late_s + lag_s
+        lumpy = min(1.0, surge_mg / request.tolerance_mg)
+        flow = fastest(remaining_mg - reserve_mg, late_s + lumpy * lag_s, unseen_s, unsure, surge_mg)
+        forgiven = fastest(FORGIVEN * request.tolerance_mg, 0.0, unseen_s, unsure, surge_mg)
+        opening_mm = self.shape.opening_mm(max(flow, forgiven, LUMPS_UNSEEN * surge_mg / unseen_s) / coefficient)
+        return min(max(opening_mm, self.belief.threshold_mm + 0.05), request.max_opening_mm)
 
     @property
     def likely_coefficient(self) -> float:
@@ -132,14 +153,44 @@ class Knowledge:
         from_gap_mm, to_gap_mm = (max(mm - self.shape.threshold_mm, 0.05) for mm in (from_mm, to_mm))
         change = self.shape.exponent * VALVE_ERROR_MM * abs(1.0 / from_gap_mm - 1.0 / to_gap_mm)
         if change > 0.0:
-            self.filter.widen(min(change, 0.5), self.filter.coefficient)
+            self._widened = min(change, 0.5)
+            self.filter.widen(self._widened, self.filter.coefficient)
+
+    def begin_opening(self) -> None:
+        """The valve is where it is told to be, until its flow says otherwise."""
+        self.record.clear()
+        self.shape = self.valve.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
+        self._usual = self.reference
+
+    def _has_slipped(self) -> bool:
+        """A flow far above what is known of the powder: the valve is wider than it was told, its sheet slipped."""
+        estimate, opening_mm = self.filter, self.valve.opening_mm
+        if self.belief.doses == 0 or self.flows_only_shaken or opening_mm <= self.shape.threshold_mm:
+            return False
+        if estimate.coefficient - 2.0 * estimate.coefficient_sd < (1.0 + 2.0 * self.belief.spread) * self._usual:
+            return False
+        ratio = estimate.coefficient / self._usual
+        slip_mm = self.shape.slip_mm(opening_mm, ratio)
+        if slip_mm > MOST_SLIP_MM:
+            return False
+        self.shape = self.valve.shape = FlowShape(self.shape.threshold_mm - slip_mm, self.shape.exponent)
+        estimate.rescale(ratio)
+        self.reference = self._usual
+        return True
 
     def follow_reference(self) -> None:
-        """Slowly, but at once where the flow is surely stronger."""
+        """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
+        if self._has_slipped():
+            return
         estimate = self.filter
         sure = estimate.coefficient - 1.5 * estimate.coefficient_sd > self.reference
         self.reference += (0.2 if sure else 0.04) * (estimate.coefficient - self.reference)
+        self.reference = min(self.reference, self.belief.coefficient * (1.0 + 4.0 * self.unsure))
         self._best = max(self._best, self.reference)
+        clear = (estimate.coefficient / max(estimate.coefficient_sd, 1e-9)) ** 2
+        if estimate.coefficient > 0.3 * self.reference:
+            self._log_flow += clear * math.log(estimate.coefficient)
+            self._clear_flow += clear
         self._known_s += self.request.balance_period_s
 
     def expect_best(self) -> None:
@@ -170,26 +221,45 @@ class Knowledge:
         else:
             self.noise_mg = after_mg
 
-    def identify_lag(self) -> None:
-        """The balance's lag, from this opening; the geometric mean of all that told one."""
+    def learn(self, gained_mg: float) -> None:
+        """From an opening and its tail: the balance's lag, the surge scale, the flow."""
+        rows = [row._replace(noise_mg=max(row.noise_mg, self.noise_mg)) for row in self.record]
+        phi_s = sum(row.phi_s for row in rows)
+        if phi_s <= 0.0 or gained_mg < LEAST_MG:
+            return
+        self._identify_lag(rows)
+        if self.flows_only_shaken:  # lumps are its flow, and the largest matter: the filter has followed them
+            self._surge_mg += max(0.2, 1.0 / (self.belief.doses + 1.0)) * (self.filter.surge_mg - self._surge_mg)
+        elif self.fits > 0:
+            self._learn_surges(rows, self.lag_s)
+        if self._clear_flow > 0.0:
+            self._ratios.append(self._log_flow / self._clear_flow - math.log(self.belief.coefficient))
+            self._log_flow = self._clear_flow = 0.0
+
+    def _identify_lag(self, rows: list[Row]) -> None:
+        """The balance's lag, the geometric mean of all that openings told."""
         if self.fits >= LAG_FITS:
             return
-        rows = [row._replace(noise_mg=max(row.noise_mg, self.noise_mg)) for row in self.record]
-        lag_s = fit_lag(rows, self.reference, self.filter.surge_mg)
+        lag_s = fit_lag(rows, self.reference, self._surge_mg)
+        if self.fits == 0 and not self.flows_only_shaken:
+            # What was guessed of the surges may hide the lag, and the other way round.
+            self._learn_surges(rows, lag_s or self.lag_s)
+            lag_s = fit_lag(rows, self.reference, self._surge_mg)
+            if lag_s is None:
+                self._surge_mg = self.belief.surge_mg
         if lag_s is None:
             return
         weight = 1.0 / (self.fits + 1)
         self.lag_s *= (LAG_MARGIN * lag_s / self.lag_s) ** weight
         self.fits += 1
         self.filter.lag_s = self.lag_s
-        last_mg = sum(row.reading_mg for row in self.record[-3:]) / 3.0
-        self.filter.restart(last_mg, 0.3, self.reference, self.belief.spread)
+        last_mg = sum(row.reading_mg for row in rows[-3:]) / 3.0
+        self.filter.restart(last_mg, 0.3, self.reference, self.unsure)
 
-    def learn_flow(self, gained_mg: float) -> None:
-        """The coefficient that this opening showed."""
-        phi_s = sum(row.phi_s for row in self.record)
-        if phi_s > 0.0 and gained_mg > 4.0:
-            self._ratios.append(math.log(max(gained_mg / phi_s, 1e-3) / self.belief.coefficient))
+    def _learn_surges(self, rows: list[Row], lag_s: float) -> None:
+        doubt = GUESS_DOUBT if self.belief.doses == 0 else SURGE_DOUBT
+        self._surge_mg = fit_surge(rows, self.reference, self._surge_mg, lag_s, doubt)
+        self.filter.surge_mg = self._surge_mg
 
     # --- what is kept ---
 
@@ -204,14 +274,18 @@ class Knowledge:
             return belief
         ratio = sum(self._ratios) / len(self._ratios)
         weight = max(0.2, 1.0 / (belief.doses + 1.0))
-        spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(ratio * ratio, 1.0))
+        # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
+        if belief.doses == 0:
+            spread = max(belief.spread, GUESSED_SPREAD)
+        else:
+            spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(ratio * ratio, 1.0))
         needs_shaking = self.shaken_s > 0.6 * self.flow_s > 0.0
         return PowderBelief(
             coefficient=belief.coefficient * math.exp(weight * ratio),
             threshold_mm=belief.threshold_mm,
             exponent=belief.exponent,
             spread=min(max(spread, 0.15), 1.0),
-            surge_mg=belief.surge_mg + weight * (self.filter.surge_mg - belief.surge_mg),
+            surge_mg=self._surge_mg,
             vibration=max(belief.vibration, GENTLE) if needs_shaking else belief.vibration,
             doses=belief.doses + 1,
         )

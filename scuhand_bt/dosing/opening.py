@@ -21,6 +21,8 @@ SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 QUIET_SHARE = 0.2
 """Less than this share of what the reference flow would have brought is no flow."""
+SURELY, SOON_S = 2.0, 1.0
+"""What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
 DRY_MG = 3.0
 LUMPY_MG = 0.7
 """Lumps of this mean mass are worth looking at one by one, where shaking alone brings them."""
@@ -47,7 +49,7 @@ class Opening:
             self._stop_mg = min(
                 self._stop_mg, mass_mg + max(6.0, min(PROBE_SHARE * (self._stop_mg - mass_mg), PROBE_MG))
             )
-        self._opening_mm = known.opening_mm(self._remaining_mg)
+        self._opening_mm = known.opening_mm(known.stop_mg - mass_mg)
         self._vibration = known.vibration
         self._surprises = 0
         self._quiet_s = self._flowing_s = self._barren_s = 0.0
@@ -99,7 +101,12 @@ class Opening:
         coming_mg = estimate.coefficient * (tail + known.shape.value(opening_mm) * request.balance_period_s / 2.0)
         # A lump that was only imagined costs another opening; one that is waited for costs a moment.
         doubt_mg = min(1.0, estimate.surge_mg) * estimate.mass_sd_mg
-        return estimate.mass_mg - doubt_mg + coming_mg >= self._stop_mg
+        predicted_mg = estimate.mass_mg + coming_mg
+        if predicted_mg - doubt_mg >= self._stop_mg:
+            return True
+        flow = estimate.coefficient * known.shape.value(opening_mm)
+        slow = self._stop_mg - predicted_mg > SOON_S * flow
+        return slow and predicted_mg - SURELY * estimate.mass_sd_mg >= known.enough_mg
 
     def _is_barren(self, dt_s: float) -> bool:
         estimate = self._known.filter
@@ -129,6 +136,8 @@ class Opening:
             self._flowing_s += dt_s
             known.follow_reference()
             return
+        if self._quiet_s == 0.0:
+            known.follow_reference()
         unseen_mg = known.reference * known.shape.value(known.valve.opening_mm) * (0.6 + 2.0 * known.lag_s)
         if self._expected_mg > 3.0 * estimate.surge_mg + unseen_mg:
             self._quiet_s, self._flowing_s = self._quiet_s + dt_s, 0.0

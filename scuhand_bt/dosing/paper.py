@@ -26,7 +26,7 @@ band inside the tolerance.
 
 from dataclasses import dataclass, field
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Pulse, Settle
+from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Settle, stopped
 from scuhand_bt.dosing.flow import EXPONENT, PulseModel, basis, fit_coefficient
 
 STORED_MG = 0.5
@@ -95,15 +95,9 @@ class Paper:
         else:
             self._learn(self._pulse, seen.net_mg - self._net_mg)
         self._net_mg = seen.net_mg
-        error_mg = request.target_mg - seen.net_mg
-        if abs(error_mg) < request.tolerance_mg - request.guard_mg:
-            return Finish("reached", seen.net_mg, seen.uncertainty_mg)
-        if error_mg < 0.0:
-            return Finish("overshoot", seen.net_mg, seen.uncertainty_mg)
-        if self._dry >= DRY_PULSES:
-            return Finish(request.given_up(seen.net_mg - self._start_mg), seen.net_mg, seen.uncertainty_mg)
-        if self._pulses >= request.step_limit:
-            return Finish("step_limit", seen.net_mg, seen.uncertainty_mg)
+        end = stopped(request, seen, self._pulses, self._dry >= DRY_PULSES, seen.net_mg - self._start_mg)
+        if end is not None:
+            return end
         self._pulse = self._aim(request.gain * (request.target_mg - self._net_mg))
         self._pulses += 1
         return self._pulse

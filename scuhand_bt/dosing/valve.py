@@ -23,7 +23,11 @@ class FlowShape:
     def value(self, opening_mm: float) -> float:
         """phi in mm^n."""
         gap_mm = opening_mm - self.threshold_mm
-        return float(gap_mm**self.exponent) if gap_mm > 0.0 else 0.0
+        return float(gap_mm**self.exponent) if gap_mm > 0.0 and opening_mm > 0.0 else 0.0
+
+    def slip_mm(self, opening_mm: float, ratio: float) -> float:
+        """How much wider than told the valve is if phi is `ratio` times what this opening should give."""
+        return max(opening_mm - self.threshold_mm, 0.0) * float(ratio ** (1.0 / self.exponent) - 1.0)
 
     def opening_mm(self, value: float) -> float:
         """The opening with this phi."""
@@ -44,7 +48,7 @@ class ValvePath:
     def __init__(self, shape: FlowShape, dead_time_s: float, speed_mm_per_s: float) -> None:
         self.opening_mm = 0.0
         self.target_mm = 0.0
-        self._shape = shape
+        self.shape = shape
         self._dead_time_s = dead_time_s
         self._speed_mm_per_s = speed_mm_per_s
         self._commands: deque[tuple[float, float]] = deque()
@@ -58,7 +62,7 @@ class ValvePath:
     def advance(self, from_s: float, to_s: float) -> float:
         """Move on; the integral of phi [mm^n s] over that time."""
         if not self._commands and self.opening_mm == self._going_to:
-            return self._shape.value(self.opening_mm) * (to_s - from_s)
+            return self.shape.value(self.opening_mm) * (to_s - from_s)
         pieces = max(1, round((to_s - from_s) / GRAIN_S))
         dt_s = (to_s - from_s) / pieces
         total = 0.0
@@ -70,7 +74,7 @@ class ValvePath:
             step_mm = self._speed_mm_per_s * dt_s
             before_mm = self.opening_mm
             self.opening_mm += min(max(way_mm, -step_mm), step_mm)
-            total += self._shape.value((before_mm + self.opening_mm) / 2.0) * dt_s
+            total += self.shape.value((before_mm + self.opening_mm) / 2.0) * dt_s
         return total
 
     _going_to = 0.0
