@@ -189,6 +189,25 @@ def test_a_valve_that_does_not_arrive_is_stuck_and_one_whose_servo_fails_is_said
     assert host.wait(0.02).report().faults == "st"
 
 
+def test_a_valve_that_is_stuck_is_found_while_commands_stream() -> None:
+    host = Host()
+    host.report("open 0.5")
+    host.wait(1.0)
+    host.twin.can_open = False
+    for step in range(30):
+        host.report(f"open {1.0 + 0.01 * step:g}")
+        host.wait(0.1)
+    assert host.report().faults == "t"
+
+
+def test_a_valve_that_follows_a_stream_of_commands_is_not_stuck() -> None:
+    host = Host()
+    for step in range(60):
+        host.report(f"open {0.03 * step:g}")
+        host.wait(0.1)
+    assert host.report().faults == ""
+
+
 def test_a_board_that_is_reset_with_the_valve_open_closes_it() -> None:
     host = Host()
     host.report("open 2.0")

@@ -90,7 +90,12 @@ void Controller::tick(uint32_t now_ms) {
   if (!hardware_.valve_is_healthy()) faults |= kServo;
   const bool is_safe = target_um_ == 0 && vibration_ == 0;
   if (!is_safe && now_ms - heard_ms_ >= kDeadManMs) faults |= kDeadMan;
-  if (!has_arrived() && now_ms - moving_since_ms_ >= kStuckMs) faults |= kStuck;
+  const int32_t moved_um = hardware_.valve_um() - still_um_;
+  if (has_arrived() || moved_um > kArrivedUm || moved_um < -kArrivedUm) {
+    still_um_ += moved_um;
+    still_since_ms_ = now_ms;
+  }
+  if (now_ms - still_since_ms_ >= kStuckMs) faults |= kStuck;
   if (faults != faults_) {
     faults_ = faults;
     make_safe(now_ms);
@@ -103,8 +108,8 @@ void Controller::tick(uint32_t now_ms) {
 }
 
 void Controller::go_to(int32_t opening_um, uint32_t now_ms) {
+  if (has_arrived()) still_since_ms_ = now_ms;  // a stream of commands does not give a valve that is stuck more time
   target_um_ = opening_um;
-  moving_since_ms_ = now_ms;
   hardware_.move_valve(opening_um);
 }
 

@@ -10,7 +10,7 @@ constexpr const char* kFirmware = "1.0";
 // Silence after which the valve closes and vibration stops. It must begin to move within 300 ms, and takes
 // 60 ms to begin; the host is heard every 30 ms.
 constexpr uint32_t kDeadManMs = 220;
-constexpr uint32_t kStuckMs = 2500;        // a valve that has not arrived by then is stuck
+constexpr uint32_t kStuckMs = 2500;        // a valve that stands still so long before it arrives is stuck
 constexpr int32_t kArrivedUm = 30;         // the valve counts as arrived this near
 constexpr int32_t kLongestDwellMs = 60000;
 
@@ -71,7 +71,8 @@ class Controller {
   int32_t target_um_ = 0;
   int32_t vibration_ = 0;
   uint32_t dwell_ms_ = 0;
-  uint32_t moving_since_ms_ = 0;
+  int32_t still_um_ = 0;
+  uint32_t still_since_ms_ = 0;
   uint32_t dwelling_since_ms_ = 0;
   uint32_t heard_ms_ = 0;
 };
