@@ -135,13 +135,20 @@ class MotionPlanner:
         begin, goals, name = self._request(start, goal)
         if spill_limit_deg is not None:
             empty = self._kept(begin, goals, name, None, effort)
-            factor = spill_stretch(empty, self._offset_m, spill_limit_deg)
-            if factor is not None and factor <= EMPTY_WILL_DO:
-                return empty.stretched(factor).keeping(spill_limit_deg)
-            if spill_limit_deg > LIMIT_STEP_DEG:
+            factor = spill_stretch(empty, self._offset_m, spill_limit_deg) or math.inf
+            if factor > EMPTY_WILL_DO:
                 # In steps, so that loads that differ a little share their plans.
-                spill_limit_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
-        return self._kept(begin, goals, name, spill_limit_deg, effort)
+                steps_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
+                try:
+                    loaded = self._kept(begin, goals, name, steps_deg or spill_limit_deg, effort)
+                except SkillFailed:
+                    if factor == math.inf:
+                        raise
+                else:
+                    if loaded.duration_s <= factor * empty.duration_s:
+                        return loaded
+            return empty.stretched(factor).keeping(spill_limit_deg)
+        return self._kept(begin, goals, name, None, effort)
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort

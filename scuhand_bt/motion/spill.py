@@ -127,7 +127,7 @@ def spill_stretch(motion: "JointTrajectory", apex_offset_m: float, limit_deg: fl
     slow, quick = 0.0, 1.0
     if worst_spill_deg(axes, slow * accelerations) > limit_deg:
         return None
-    for _ in range(16):
+    for _ in range(10):
         middle = (slow + quick) / 2
         if worst_spill_deg(axes, middle * accelerations) <= limit_deg:
             slow = middle

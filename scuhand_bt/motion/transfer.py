@@ -28,7 +28,7 @@ from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 _ITERATIONS = 4000
 _LOADED_ITERATIONS = 120
 """In each of the two charts, where an iteration costs several times as much."""
-_SHORTCUTS = 12
+_SHORTCUTS = 20
 _DIRECT_PROOFS = 4
 """Of the direct motions that look free, so many of each batch are tried."""
 GOALS_AT_ONCE = 24
@@ -98,7 +98,8 @@ class Task:
         level = LevelChart(self.rates, self.start)
         tilt_deg = _TILT_SHARE * self.spill_limit_deg
         leaning = JointChart(self.rates, self.start, level)
-        spaces: list[tuple[Chart, Space]] = [(level, Space(level, self.scene, self.spill_limit_deg))]
+        # Between two axes that lean little enough the level chart's straight line leans no more: it needs no look.
+        spaces: list[tuple[Chart, Space]] = [(level, Space(level, self.scene))]
         if tilt_deg > _LEAST_LEAN_DEG:
             spaces.append((leaning, Space(leaning, self.scene, tilt_deg)))
         return spaces
@@ -110,15 +111,17 @@ def plan(task: Task, effort: Effort, seed: int) -> Chain | None:
     bound_s = float(task.bounds_s(task.goals[:1])[0])
     near_s, good_s = effort.near_optimum * bound_s, effort.good_enough * bound_s
     best: Chain | None = None
-    for goals in task.free_goals(near_s):
-        best = _quickest([search.direct(goals, near_s) for search in searches])
+    # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
+    for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
+        best = _quickest([best, *(search.direct(goals, near_s) for search in searches)])
         if best is not None and best.duration_s <= near_s:
             return best
     rng = np.random.default_rng(seed)
     searches = [search for search in searches if len(search.ends)]
     best = _quickest([search.near(effort, best, rng, good_s) for search in searches])
     if best is None:
-        best = _quickest([search.roadmap(effort, rng) for search in searches])
+        ways = (search.roadmap(effort, rng) for search in searches)
+        best = next((way for way in ways if way is not None), None)
         rounds = (effort.staggered - GIVEN_UP) // 2
         best = _quickest([search.staggered(rounds, best, rng, good_s) for search in searches])
     return best
@@ -192,5 +195,5 @@ class _Search:
         if path is None:
             return None
         chain = self.shaper.first(shortened(self.space, path, rng, _SHORTCUTS))
-        rounds = effort.rounds_each // 3 + effort.rounds_best
+        rounds = (effort.rounds_each if self.loaded else effort.rounds_each // 3) + effort.rounds_best
         return None if chain is None else self.shaper.improved(chain, goals, rng, rounds)
