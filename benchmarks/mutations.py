@@ -171,7 +171,7 @@ class Judge:
             self._planners.popitem(last=False)
         planner = self._planners[key]
         planner.set_container(None)
-        planner.set_cone_diameter(lab.cell.hand.options.start_diameter_mm / 1000)
+        planner.set_cone_diameter(0.090)
         return planner
 
 

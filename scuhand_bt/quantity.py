@@ -175,6 +175,8 @@ def format_mass(mass_mg: float) -> str:
 
 def format_duration(duration_s: float) -> str:
     """A duration as people read it: "42 s", "3 min 05 s", "2 h 10 min"."""
+    if math.isinf(duration_s):
+        return "for ever"
     seconds = round(duration_s)
     if seconds < 60:
         return f"{seconds} s"

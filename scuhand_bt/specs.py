@@ -53,11 +53,11 @@ class PowderFlowSpec(Spec):
     """kd of the Beverloo law: below this opening nothing flows."""
     gravity: Annotated[Ratio, Field(ge=0, le=1)] = 1.0
     """Share of the flow that needs no vibration: 1 for a free-flowing powder, 0 for a cohesive one."""
-    load_variation: Annotated[Ratio, NotNegative] = 0.10
+    load_variation: Annotated[Ratio, Field(ge=0, le=3)] = 0.10
     """Spread of the flow from one cone load to the next."""
-    packing_variation: Annotated[Ratio, NotNegative] = 0.03
+    packing_variation: Annotated[Ratio, Field(ge=0, le=3)] = 0.03
     """Spread of the flow from one opening of the valve to the next."""
-    rate_variation: Annotated[Ratio, NotNegative] = 0.05
+    rate_variation: Annotated[Ratio, Field(ge=0, le=3)] = 0.05
     """Fluctuation of the flow within an opening."""
     arch_diameter_mm: Annotated[Millimetres, NotNegative] = 0.0
     """Da: the mass between arches grows as exp((D/Da)^3); 0 for a powder that never arches."""
@@ -65,7 +65,7 @@ class PowderFlowSpec(Spec):
     """Share of the flow that comes in lumps."""
     surge_mg: Annotated[Milligrams, NotNegative] = 0.0
     """Mean mass of a lump; at an opening of 1 mm if `surge_exponent` is not 0."""
-    surge_exponent: NonNegativeFloat = 0.0
+    surge_exponent: Annotated[float, Field(ge=0, le=10)] = 0.0
     """How a lump grows with the opening: 0 fixed, 3 with the gap's volume."""
     heel: Annotated[Ratio, Field(ge=0, lt=1)] = 0.02
     """Share of a cone load that stays on the wall until it is shaken."""
@@ -83,7 +83,7 @@ class PowderBelief(Spec):
 
     coefficient: PositiveFloat = 70.0
     threshold_mm: Annotated[Millimetres, NotNegative] = 0.1
-    exponent: PositiveFloat = 2.5
+    exponent: Annotated[float, Field(gt=0, le=10)] = 2.5
     spread: Annotated[Ratio, Field(gt=0, le=3)] = 0.5
     """Relative standard deviation of the flow about that law, from one opening to the next."""
     surge_mg: Annotated[Milligrams, NotNegative] = 0.3
@@ -250,7 +250,7 @@ class ArmSpec(Spec):
     port: str = ""
     options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
-    speed_ratio: Annotated[Ratio, Field(gt=0, le=1)] = 1.0
+    speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
 
 
 class ValveErrorSpec(Spec):
@@ -281,19 +281,26 @@ class HandSpec(Spec):
     driver: Literal["hand_controller"] = "hand_controller"
     port: str = ""
     options: HandOptions = HandOptions()
-    sheet_radius_mm: Annotated[Millimetres, Positive] = 50.0
+    sheet_radius_mm: Annotated[Millimetres, Field(gt=45, le=500)] = 50.0
+    """More than half of the cone that a mounted sheet begins as, 90 mm (paper, section V)."""
     roller_deg_per_mm: Annotated[float, Field(gt=0)] = 11.46
     """Roller angle per millimetre of sheet along the rim; calibrated (default: a 10 mm roller)."""
     morph_speed_mm_per_s: Annotated[MillimetresPerSecond, Positive] = 20.0
     """Speed of the sheet's edge along the rim while the cone changes its size; what the roller's servo can turn."""
     apex_offset_mm: Annotated[Millimetres, Positive] = 120.0
     """Flange to cone apex along the j7 axis."""
-    max_opening_mm: Annotated[Millimetres, Positive] = 2.4
-    valve_speed_mm_per_s: Annotated[MillimetresPerSecond, Positive] = 4.0
+    max_opening_mm: Annotated[Millimetres, Field(gt=0, le=20)] = 2.4
+    valve_speed_mm_per_s: Annotated[MillimetresPerSecond, Field(ge=0.1)] = 4.0
     valve_dead_time_s: Annotated[Seconds, NotNegative] = 0.06
     streaming: bool = True
     """False for a controller board that offers the step command only."""
     simulation: ValveErrorSpec = ValveErrorSpec()
+
+    @model_validator(mode="after")
+    def _sheet_makes_the_cone(self) -> Self:
+        if self.options.start_diameter_mm >= 2 * self.sheet_radius_mm:
+            raise ValueError(f"this sheet makes cones of less than {2 * self.sheet_radius_mm:g} mm")
+        return self
 
 
 class BalanceResponseSpec(Spec):

@@ -28,6 +28,29 @@ def test_a_workflow_put_together_at_random_is_a_clean_error_or_a_correct_run(jud
     assert any(not outcome.end.startswith("refused") for outcome in outcomes)
 
 
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("robot/cell.yaml", "port: /dev/ttyACM0", "sheet_radius: 40 mm"),
+        ("robot/cell.yaml", "port: /dev/ttyACM0", "options: {start_diameter: 1 m}"),
+        ("robot/cell.yaml", "port: /dev/ttyACM0", "max_opening: 1 km"),
+        ("robot/cell.yaml", "port: /dev/ttyACM0", "valve_speed: 1e-9 mm/s"),
+        ("robot/cell.yaml", "port: /dev/ttyUSB0", "speed: 1e-300 %"),
+        ("robot/powders.yaml", "packing_variation: 3 %", "packing_variation: 1e9 %"),
+        ("robot/powders.yaml", "spread: 15 %", "spread: 15 %, exponent: 1000"),
+        ("robot/powders.yaml", "residue: 2 mg", "surge_exponent: 1000"),
+        ("trees/fill.yaml", "attempts: 8", "attempts: " + "9" * 400),
+        ("trees/fill_xrd_holder.yaml", "- park:", "- repeat: {times: " + "9" * 400 + ", child: {park: }}"),
+    ],
+)
+def test_a_number_beyond_all_measure_is_refused(judge: Judge, file: str, old: str, new: str) -> None:
+    text = judge.originals[file]
+    assert old in text
+    changed = {file: text.replace(old, new, 1).encode()}
+    outcome = judge.judge(Mutant("words", "extreme", "recipes/small.yaml", changed))
+    assert (outcome.end, outcome.wrong) == ("refused", ())
+
+
 def test_the_judge_sees_an_error_that_is_not_clean(judge: Judge, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(path: Path, lab: Lab) -> Recipe:
         raise KeyError("unforeseen")

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pydantic import AllowInfNan, BaseModel, FiniteFloat, TypeAdapter, ValidationError
+from pydantic import AllowInfNan, BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from scuhand_bt import quantity
 from scuhand_bt.quantity import Unit, plain_name
@@ -78,10 +78,13 @@ _QUANTITIES = {
     "Ratio": quantity.RATIO,
 }
 
+LARGEST = 1_000_000
+"""Nothing is counted further: more would be a slip of the pen."""
+
 INPUT_TYPES: Mapping[str, WireType] = {
     **{name: WireType(name, typing.Annotated[float, unit]) for name, unit in _QUANTITIES.items()},
     "Number": WireType("Number", FiniteFloat),
-    "Integer": WireType("Integer", int),
+    "Integer": WireType("Integer", typing.Annotated[int, Field(ge=-LARGEST, le=LARGEST)]),
     "Text": WireType("Text", str),
     "Flag": WireType("Flag", bool),
     **{cls.__name__: WireType(cls.__name__, cls, is_class=True) for cls in (Source, Container, Powder, Dose)},
