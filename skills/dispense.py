@@ -14,6 +14,8 @@ ASIDE_MM = 2.0
 """The apex is taken to be over the container where it is no farther than this from its place."""
 GUARD = 2.0
 """In tolerance means so beyond this many standard uncertainties of the measurement."""
+WANDER_DIGITS = 30.0
+"""More than noise, and than a sound balance's zero wanders while the arm scoops."""
 SCOOP_DOUBT = 0.15
 """How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 EXPECTED_UNCERTAINTY_DIGITS = 1.0
@@ -45,17 +47,22 @@ class Dispense(Skill[Dose]):
         request, empty_mg = self._request(cell), cell.believed.pan_empty_mg
         if empty_mg is None:
             raise SkillFailed("container.missing", "no container was weighed empty: `tare` comes before `dispense`")
+        if cell.believed.dosing.is_unweighed:
+            yield from self.settle(cell)
+            request = self._request(cell)
         controller = new_controller(self.controller or cell.controller, request)
-        before_mg = self._gross_mg(cell, empty_mg)
-        cell.believed.dosing.target_mg = self.mass_mg
+        before_mg = (yield from cell.balance.next_reading()).value_mg  # no valve opens over a silent balance
+        self._require_zero_held(cell, before_mg)
+        cell.believed.dosing.target_mg, cell.believed.dosing.is_unweighed = self.mass_mg, True
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
         finally:
             cell.believed.dosing.target_mg = None
-            gross_mg = self._gross_mg(cell, empty_mg)
+            gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before_mg
             cell.believed.cone_mg = max(0.0, request.cone_mg - (gross_mg - before_mg))
             cell.believed.pan_gross_mg = gross_mg
         cell.believed.pan_gross_mg = empty_mg + run.finish.estimate_mg
+        cell.believed.dosing.is_unweighed = False
         self._learn(cell, run)
         dose = self._dose(cell, run, controller.name)
         cell.record.dose(dose)
@@ -75,11 +82,17 @@ class Dispense(Skill[Dose]):
         arrived_mg = mean.value_mg - believed.pan_gross_mg
         cell.record.event("reweighed", {**mean.values(), "arrived_mg": arrived_mg})
         believed.cone_mg = max(0.0, believed.cone_mg - arrived_mg)
-        believed.pan_gross_mg = mean.value_mg
+        believed.pan_gross_mg, believed.dosing.is_unweighed = mean.value_mg, False
 
     @staticmethod
-    def _gross_mg(cell: Cell, empty_mg: float) -> float:
-        return cell.balance.latest.value_mg if cell.balance.latest is not None else empty_mg
+    def _require_zero_held(cell: Cell, gross_mg: float) -> None:
+        """Nothing has come since the pan was weighed: what it shows otherwise would be taken for powder."""
+        before_mg, digit_mg = cell.believed.pan_gross_mg, cell.spec.balance.readability_mg
+        if before_mg is not None and abs(gross_mg - before_mg) > WANDER_DIGITS * digit_mg:
+            raise SkillFailed(
+                "balance.unstable",
+                f"the pan shows {gross_mg - before_mg:+.1f} mg against its last weighing, and nothing was dosed since",
+            )
 
     def _request(self, cell: Cell) -> DoseRequest:
         hand, balance, container = cell.spec.hand, cell.spec.balance, cell.believed.pan

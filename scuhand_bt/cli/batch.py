@@ -106,7 +106,7 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
         out.print(Text(f"Never came: {rule}"))
     for notice in session.notices:
         err.print(Text(notice))
-    if not result.is_complete:
+    if not result.is_complete and session.can_be_resumed:
         out.print(Text(f"`scuhand-bt resume {session.run_id}` goes on with it."))
     out.print(Text(f"Journal: {session.journal.path}"))
     out.print(Text(f"Head of its chain: {session.journal.head}"))

@@ -37,6 +37,8 @@ class DoseSoFar:
     vibration_s: float = 0.0
     target_mg: float | None = None
     """What is being dispensed towards now; None while nothing may flow into the container."""
+    is_unweighed: bool = False
+    """A dose broke off: what had left the cone then was not weighed by a stable mean yet."""
 
 
 @dataclass

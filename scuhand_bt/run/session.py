@@ -142,6 +142,11 @@ class Session:
         self.journal.event("resumed", {**values, "operator": user_name()})
 
     @property
+    def can_be_resumed(self) -> bool:
+        """A rehearsal's twins end with its program."""
+        return not isinstance(self._options.simulation, Rehearsal)
+
+    @property
     def title(self) -> str:
         """What is run, on what, in a line."""
         simulation = self._options.simulation

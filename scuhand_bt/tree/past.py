@@ -110,7 +110,7 @@ def rejoin(cell: Cell, past: Past, skill: Skill[Any], *, was_interrupted: bool) 
             cell.record.event("arm_moved", {"moved_rad": moved_rad})
             yield from cell.move_to(apex(np.array(there), cell.spec.hand.apex_offset_mm / 1000))
     gross_mg = cell.believed.pan_gross_mg
-    weighs_itself = was_interrupted and skill.interrupted == "reweigh"
+    weighs_itself = (was_interrupted and skill.interrupted == "reweigh") or cell.believed.dosing.is_unweighed
     if gross_mg is not None and not weighs_itself and "changer" not in skill.devices:
         yield from _compare_pan(cell, gross_mg)
 
