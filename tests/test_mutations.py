@@ -9,6 +9,7 @@ from benchmarks.mutants import Mutant, mutant, structures
 from benchmarks.mutations import Judge
 from scuhand_bt.lab import Lab
 from scuhand_bt.recipe import Recipe
+from scuhand_bt.sim.world import World
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +60,9 @@ def test_the_judge_sees_an_error_that_is_not_clean(judge: Judge, monkeypatch: py
     outcome = judge.judge(Mutant("bytes", "none", "recipes/small.yaml", {}))
     assert outcome.end == "broken"
     assert "KeyError at test_mutations.py" in outcome.wrong[0]
+
+
+def test_the_judge_sees_a_verdict_that_is_not_true(judge: Judge, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(World, "true_mass", lambda world, container: 10.0)
+    outcome = judge.judge(Mutant("bytes", "none", "recipes/small.yaml", {}))
+    assert outcome.wrong[0].startswith("'a' is called in tolerance")
