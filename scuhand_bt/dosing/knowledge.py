@@ -134,11 +134,10 @@ class Knowledge:
             max(estimate.coefficient, self.reference) * (1.0 + DEVIATIONS * self.unsure),
         )
         unsure = (worst - estimate.coefficient) / (DEVIATIONS * coefficient)
-        lag_s = 2.0 * self.lag_s
+        # Even a well-known flow is not trusted to be seen through the lag: no balance is just two poles.
         late_s = request.valve_dead_time_s + request.balance_period_s + SLACK_S
-        unseen_s = late_s + lag_s
-        lumpy = min(1.0, surge_mg / request.tolerance_mg)
-        flow = fastest(remaining_mg - reserve_mg, late_s + lumpy * lag_s, unseen_s, unsure, surge_mg)
+        unseen_s = late_s + 2.0 * self.lag_s
+        flow = fastest(remaining_mg - reserve_mg, unseen_s, unseen_s, unsure, surge_mg)
         forgiven = fastest(FORGIVEN * request.tolerance_mg, 0.0, unseen_s, unsure, surge_mg)
         opening_mm = self.shape.opening_mm(max(flow, forgiven, LUMPS_UNSEEN * surge_mg / unseen_s) / coefficient)
         return min(max(opening_mm, self.belief.threshold_mm + 0.05), request.max_opening_mm)
