@@ -96,8 +96,9 @@ def test_an_arm_that_reports_a_count_off_its_posture_gets_the_prepared_motion(pl
 
 
 def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner):
-    with pytest.raises(SkillFailed, match="nearest apex position") as failed:
-        planner.move(planner.home(), ApexPose(np.array([0.6, 0.0, 0.1])))
+    for far_m in (0.6, 3.0):
+        with pytest.raises(SkillFailed, match="nearest apex position") as failed:
+            planner.move(planner.home(), ApexPose(np.array([far_m, 0.0, 0.1])))
     assert failed.value.code == "arm.unreachable"
 
 
@@ -122,6 +123,25 @@ def test_a_start_beyond_a_joints_limit_and_one_that_is_no_number_are_refused(pla
         planner.move(start, "park")
     with pytest.raises(ValueError, match="finite"):
         planner.move(np.full(7, np.nan), "park")
+
+
+@pytest.mark.parametrize("limit_deg", [float("nan"), 0.0, -3.0])
+def test_a_spill_limit_that_is_no_angle_is_refused(planner, limit_deg):
+    with pytest.raises(ValueError, match="spill limit"):
+        planner.move(planner.home(), "balance", spill_limit_deg=limit_deg)
+
+
+def test_a_stop_at_no_moment_is_refused_and_one_outside_the_motion_is_at_its_ends(planner):
+    motion = planner.move(planner.home(), "balance")
+    with pytest.raises(ValueError, match="moment"):
+        planner.stop(motion, float("nan"))
+    assert planner.stop(motion, motion.duration_s + 1).duration_s == 0.0
+    assert planner.stop(motion, -1.0).sample(0.0) == pytest.approx(motion.start)
+
+
+def test_a_contact_path_without_waypoints_stays_where_it_is(planner):
+    home = planner.home()
+    assert planner.contact(home, [], 0.04).end == pytest.approx(home)
 
 
 def test_unknown_places_and_stations_are_named_with_what_there_is(planner):

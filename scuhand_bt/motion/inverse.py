@@ -38,6 +38,7 @@ from scuhand_bt.motion.kinematics import (
 SWIVELS = 72
 _SINGULAR = 1e-9
 _EDGE = 1e-9
+_FAR_M = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,8 +288,13 @@ def unreachable_reason(pose: ApexPose, apex_offset_m: float, limits: Floats = LI
 def nearest_reachable(pose: ApexPose, apex_offset_m: float) -> ApexPose | None:
     """A reachable pose of the same axis close to an unreachable one; None if there is none within 0.6 m.
 
-    Shells of growing radius (5 mm apart) around the position, 200 directions each, then bisection back.
+    Shells of growing radius around the position, 200 directions each, then bisection back. A position
+    far beyond the arm is first drawn towards the shoulder.
     """
+    shoulder_m = np.array([0.0, 0.0, SHOULDER_Z_M])
+    distance_m = float(np.linalg.norm(pose.position_m - shoulder_m))
+    if distance_m > _FAR_M:
+        pose = ApexPose(shoulder_m + (pose.position_m - shoulder_m) * (_FAR_M / distance_m), pose.axis)
     index = np.arange(200) + 0.5
     z, turn = 1 - 2 * index / 200, index * math.pi * (3 - math.sqrt(5))
     directions = np.stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z], axis=1)

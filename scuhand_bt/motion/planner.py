@@ -134,6 +134,8 @@ class MotionPlanner:
         """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
         begin, goals, name = self._request(start, goal)
         if spill_limit_deg is not None:
+            if not spill_limit_deg > 0:
+                raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
             empty = self._kept(begin, goals, name, None, effort)
             factor = spill_stretch(empty, self._offset_m, spill_limit_deg) or math.inf
             if factor > EMPTY_WILL_DO:
@@ -190,6 +192,8 @@ class MotionPlanner:
         begin = checked_joints(start)
         if touching is not None and touching not in self._mortars:
             raise KeyError(f"no mortar stands at {touching!r}; there is one at: {', '.join(self._mortars) or 'none'}")
+        if not waypoints:
+            return standing(begin)
         poses = [apex(begin, self._offset_m), *waypoints]
         times_s, positions_m, axes = contact_path.apex_path(poses, speed_m_per_s)
         if len(times_s) < 2:

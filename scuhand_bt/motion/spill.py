@@ -55,7 +55,7 @@ def spill_limit_deg(
     """The largest spill angle this load may see; ValueError if even a level cone would not keep it."""
     liquid_deg = liquid_spill_deg(half_angle_deg, rim_radius_mm, load_mm3)
     limit_deg = liquid_deg + min(repose_deg, wall_friction_deg) - margin_deg
-    if limit_deg <= 0:
+    if not limit_deg > 0:
         raise ValueError(f"this load spills within the margin of {margin_deg:g} deg of a level cone")
     return limit_deg
 

@@ -13,6 +13,7 @@ at all otherwise. Where nothing ends sooner than the motion itself, the motion i
 Joints [rad], times [s].
 """
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -82,7 +83,7 @@ class Rest:
 
     def __init__(self, motion: JointTrajectory, at_s: float) -> None:
         self._motion = motion
-        self._at_s = min(max(at_s, 0.0), motion.duration_s)
+        self._at_s = at_s
 
     @property
     def duration_s(self) -> float:
@@ -100,6 +101,9 @@ class Rest:
 
 def stop(motion: JointTrajectory, at_s: float, rates: RateLimits, apex_offset_m: float) -> Stop | Rest:
     """The soonest stop from `at_s` of a motion, along its path and within its limits."""
+    if not math.isfinite(at_s):
+        raise ValueError(f"a stop begins at a moment of the motion, not at {at_s!r} s")
+    at_s = min(max(at_s, 0.0), motion.duration_s)
     left_s = motion.duration_s - at_s
     delays_s, brakings_s = (grid.ravel() for grid in np.meshgrid(_DELAYS_S, _BRAKING_S))
     ends_s = delays_s + brakings_s
