@@ -306,10 +306,10 @@ def refusal(error: Any) -> str:
 
 _WHY = {
     "missing": "it is missing",
-    "greater_than": "more than {gt:g}",
-    "greater_than_equal": "at least {ge:g}",
-    "less_than": "less than {lt:g}",
-    "less_than_equal": "at most {le:g}",
+    "greater_than": "more than {gt:.12g}",
+    "greater_than_equal": "at least {ge:.12g}",
+    "less_than": "less than {lt:.12g}",
+    "less_than_equal": "at most {le:.12g}",
     **dict.fromkeys(("int_parsing", "int_type", "int_from_float", "int_parsing_size"), "a whole number, such as 3"),
     **dict.fromkeys(("float_parsing", "float_type", "finite_number"), "a plain number, such as 0.5"),
     **dict.fromkeys(("bool_parsing", "bool_type"), "yes or no"),

@@ -78,7 +78,7 @@ _QUANTITIES = {
     "Ratio": quantity.RATIO,
 }
 
-LARGEST = 1_000_000
+LARGEST = 1_000_000_000
 """Nothing is counted further: more would be a slip of the pen."""
 
 INPUT_TYPES: Mapping[str, WireType] = {
