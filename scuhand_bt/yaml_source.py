@@ -25,6 +25,7 @@ MAX_BYTES = 2_000_000
 """A recipe of 10 000 samples is below 1 MB; beyond this a file is not what it is taken for."""
 MAX_NODES = 400_000
 MAX_DEPTH = 60
+LONGEST_MESSAGE = 500
 LONGEST_NAME = 80
 """Nothing longer is anyone's misspelling of a name."""
 
@@ -70,7 +71,7 @@ class Problems:
 
     def add(self, mark: Mark, what: str, allowed: str = "", unknown: str = "", known: Iterable[str] = ()) -> None:
         """Note a problem: what is wrong; what is allowed; and, for an `unknown` name, the nearest known."""
-        parts = [what]
+        parts = [shorten(what, LONGEST_MESSAGE)]
         known = sorted(known)
         if allowed or known:
             parts.append(allowed or "known: " + (", ".join(known[:30]) + (", …" if len(known) > 30 else "")))
@@ -369,11 +370,11 @@ class _Reader:
             self._sizes[id(closed)] = 1 + sum(self._sizes.get(id(child), 1) for child in children)
             self._heights[id(closed)] = 1 + max((self._heights.get(id(child), 0) for child in children), default=0)
         elif isinstance(event, yaml.AliasEvent):
-            target = self._anchors.get(event.anchor or "")
+            target, name = self._anchors.get(event.anchor or ""), shorten(event.anchor or "")
             if target is None:
-                self._refuse(mark, f"the alias *{event.anchor} has no anchor &{event.anchor} before it")
+                self._refuse(mark, f"the alias *{name} has no anchor &{name} before it")
             if any(target is node for node in self._open):
-                self._refuse(mark, f"the alias *{event.anchor} stands inside its own anchor")
+                self._refuse(mark, f"the alias *{name} stands inside its own anchor")
             self._place(target, None)
         elif isinstance(event, yaml.DocumentStartEvent) and self.root is not None:
             self._refuse(mark, "a second document begins here; one file holds one document")
