@@ -230,6 +230,27 @@ def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> Non
     assert next(sample for sample in ended.samples if sample.id == "b").target_mg == 90.0
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "what"),
+    [
+        ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, and this plan has it no more"),
+        ("  - {id: b,", "  - {id: new, mass: 50 mg}\n  - {id: b,", "'b' had begun, and in this plan 'new' comes before"),
+    ],
+)
+def test_nothing_may_come_before_what_was_under_way(run: Run, before: str, after: str, what: str) -> None:
+    """It would find another container on the pan, and powder in the cone that nobody knows of."""
+
+    class InB(Watch):
+        def sample_ended(self, result: Any) -> None:
+            if result.id == "a":
+                self._wish, self._at = "stop_now", self.ticks + 30
+
+    assert run.go(InB()).samples[1].verdict == "interrupted"
+    run.recipe.write_text(run.recipe.read_text().replace(before, after), encoding="utf-8")
+    with pytest.raises(SourceError, match=what):
+        run.go(Watch(), resumes=True, accept_changes=True)
+
+
 def test_an_altered_journal_is_not_resumed(run: Run) -> None:
     run.go(Watch("stop_now", 60))
     with closing(sqlite3.connect(run.journal)) as database, database:

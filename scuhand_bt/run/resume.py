@@ -66,7 +66,12 @@ def checked_history(path: Path) -> History:
 
 
 def resumable(path: Path, history: History, plan: Plan, lab: Lab, *, accept_changes: bool) -> Resumable:
-    """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError."""
+    """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError.
+
+    No acceptance lets another job come before what has begun: it would take the pan and the cone from under it.
+    """
+    if overtaken := tuple(_overtaken(history, plan)):
+        raise SourceError([Problem(Mark(str(path)), what) for what in overtaken])
     changes = tuple(_changes(history, plan, lab))
     if changes and not accept_changes:
         hint = "--accept-changes resumes with what is there now, and notes it"
@@ -83,6 +88,18 @@ def lab_files(lab: Lab) -> dict[str, str]:
                 name = path.relative_to(lab.folder).as_posix()
                 files[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return files
+
+
+def _overtaken(history: History, plan: Plan) -> Iterator[str]:
+    """What had begun, and is no longer the next thing to do in this plan."""
+    begun, names = {name for name, _ in history.jobs}, [job.name for job in plan.jobs]
+    if (unfinished := history.unfinished()) is not None:
+        name = unfinished[1].removeprefix("after ")  # its recovery is no job of the plan's
+        if name not in names:
+            yield f"'{name}' was under way, and this plan has it no more; put it back, to skip it use `on_failure`"
+    new = next((number for number, name in enumerate(names) if name not in begun), len(names))
+    if (later := next((name for name in names[new:] if name in begun), None)) is not None:
+        yield f"'{later}' had begun, and in this plan '{names[new]}' comes before it; put what is new behind it"
 
 
 def _changes(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
