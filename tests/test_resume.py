@@ -234,7 +234,11 @@ def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> Non
     ("before", "after", "what"),
     [
         ("  - {id: b, mass: 80 mg}\n", "", "'b' was under way, and this plan has it no more"),
-        ("  - {id: b,", "  - {id: new, mass: 50 mg}\n  - {id: b,", "'b' had begun, and in this plan 'new' comes before"),
+        (
+            "  - {id: b,",
+            "  - {id: new, mass: 50 mg}\n  - {id: b,",
+            "'b' had begun, and in this plan 'new' comes before",
+        ),
     ],
 )
 def test_nothing_may_come_before_what_was_under_way(run: Run, before: str, after: str, what: str) -> None:
@@ -449,7 +453,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
         session.run(watch)
     finally:
         session.close()
-    with pytest.raises(SourceError, match="Unkept cannot be pickled.*anew"):
+    with pytest.raises(SourceError, match=r"Unkept cannot be pickled.*anew"):
         checked_history(run.journal)
 
 
