@@ -1,5 +1,6 @@
 """A run that was interrupted goes on: nothing twice, nothing lost, and never unnoticed on other ground."""
 
+import fcntl
 import random
 import sqlite3
 from contextlib import closing
@@ -15,7 +16,7 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.control import Control
+from scuhand_bt.run.control import Control, is_held, take_wish
 from scuhand_bt.run.reading import read
 from scuhand_bt.run.resume import checked_history, find_run, resumable
 from scuhand_bt.run.session import Options, Session
@@ -473,3 +474,15 @@ def test_a_full_disk_ends_the_run_safe_and_says_so(run: Run) -> None:
     assert all(watch.session.cell.device(name).is_stopped for name in ("arm", "hand", "balance", "changer"))
     assert watch.session.cell.hand.opening_mm == 0.0
     assert run.go(Watch(), resumes=True).exit_code == 0
+
+
+def test_a_wish_that_is_none_is_taken_away_and_a_run_that_is_looked_at_is_not_held(tmp_path: Path) -> None:
+    journal = tmp_path / "a.sqlite"
+    wish = journal.with_suffix(".wish")
+    for text in ("{", '"dance"', "[1]", "\x00"):
+        wish.write_text(text, encoding="utf-8")
+        assert take_wish(wish) is None
+        assert not wish.exists()
+    with journal.with_suffix(".lock").open("w+") as looking:
+        fcntl.flock(looking, fcntl.LOCK_SH)  # as another who looks whether the run is held
+        assert not is_held(journal)

@@ -9,7 +9,7 @@ import json
 import os
 import threading
 from pathlib import Path
-from typing import Literal, TextIO
+from typing import Literal, TextIO, get_args
 
 from scuhand_bt.clock import Signal
 
@@ -101,7 +101,7 @@ def is_held(journal: Path) -> bool:
     """Whether a process runs this run now."""
     try:
         with journal.with_suffix(".lock").open("r+") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: who only looks is not taken for who runs it
     except FileNotFoundError:
         return False
     except OSError:
@@ -118,10 +118,12 @@ def leave_wish(journal: Path, wish: Wish) -> None:
 
 
 def take_wish(path: Path) -> Wish | None:
-    """The wish that was left, if there is one; it is taken away."""
+    """The wish that was left, if there is one; it is taken away. What is no wish is none, and goes away as well."""
     try:
-        wish: Wish = json.loads(path.read_text(encoding="utf-8"))
+        wish = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
+    except ValueError:  # not ours: it must not end the ear of a run
+        wish = None
     path.unlink(missing_ok=True)
-    return wish
+    return wish if wish in get_args(Wish) else None
