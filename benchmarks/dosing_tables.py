@@ -97,7 +97,10 @@ def main(arguments: Sequence[str]) -> int:
     source = Path(arguments[0]) if arguments else here / "dosing_results.json"
     page = Path(arguments[1]) if len(arguments) > 1 else here.parent / "docs" / "dosing.md"
     results = read(source)
-    blocks = [calibrated(results), redo(results), robust(results)]
+    blocks = [calibrated(results)]
+    rows = {key[0] for key in results}
+    blocks += [redo(results)] if REDO in rows else []
+    blocks += [robust(results)] if rows - {CALIBRATED, REDO} else []
     text = page.read_text(encoding="utf-8").split(MARK)[0]
     page.write_text(text + MARK + "\n" + "\n\n".join("\n".join(block).rstrip() for block in blocks) + "\n", "utf-8")
     return 0
