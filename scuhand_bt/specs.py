@@ -251,6 +251,8 @@ class ArmSpec(Spec):
     options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
     speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
+    gentle_deg: Annotated[Degrees, Field(gt=0, le=90)] = 90.0
+    """The largest spill angle a loaded cone is carried at; its powder's own limit where that is smaller."""
 
 
 class ValveErrorSpec(Spec):

@@ -327,9 +327,10 @@ def test_a_skill_with_a_bug_ends_the_run_safe_with_code_3(
 
 def test_a_motion_a_dose_and_the_reach_can_be_drawn(scuhand_bt: Call, recipe: Path, tmp_path: Path) -> None:
     page, picture, reach = tmp_path / "move.html", tmp_path / "dose.svg", tmp_path / "reach.html"
-    assert scuhand_bt("show-move", "mortar_bay", "balance", "-o", page).returncode == 0
+    load = ("--load", "3 g", "--powder", "glass_beads", "--gentle", "20 deg")
+    assert scuhand_bt("show-move", "mortar_bay", "balance", "-o", page, *load).returncode == 0
     assert scuhand_bt("reach", "-o", reach).returncode == 0
-    assert "<html" in page.read_text(encoding="utf-8")
+    assert "3 g of glass_beads, spill angle up to 20°" in page.read_text(encoding="utf-8")
     assert "mortar_bay" in reach.read_text(encoding="utf-8")
     ran = scuhand_bt("run", recipe, "--dry-run")
     journal = ran.stdout.split("Journal:")[1].split()[0]
@@ -338,6 +339,7 @@ def test_a_motion_a_dose_and_the_reach_can_be_drawn(scuhand_bt: Call, recipe: Pa
 
 
 def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(scuhand_bt: Call) -> None:
+    assert "belong together" in scuhand_bt("show-move", "mortar_bay", "balance", "--load", "3 g").stderr
     ended = scuhand_bt("show-move", "mortarbay", "balance")
     assert ended.returncode == 2
     assert "did you mean 'mortar_bay'?" in ended.stderr

@@ -31,6 +31,9 @@ def show_move(
     goal: Annotated[str, typer.Argument(help="Another one.", show_default=False)],
     output: OutputOption = None,
     container: Annotated[str | None, typer.Option(help="What stands on the pan; default: nothing.")] = None,
+    load: Annotated[str | None, typer.Option(help='What the cone carries, e.g. "3 g"; default: nothing.')] = None,
+    powder: Annotated[str | None, typer.Option(help="Of which powder.")] = None,
+    gentle: Annotated[str | None, typer.Option(help='The largest spill angle, e.g. "10 deg".')] = None,
     lab: LabOption = None,
 ) -> None:
     """Draw the arm's motion between two stations: an animated 3D page, or a PNG with plots."""
@@ -46,8 +49,12 @@ def show_move(
     planner = _planner(loaded, container)
     offset_m = loaded.cell.hand.apex_offset_mm / 1000
     there = planner.move(planner.home(), start)
-    motion = planner.move(there.sample(there.duration_s), goal)
+    limit_deg = _carrying_deg(loaded, load, powder, gentle)
+    motion = planner.move(there.end, goal, spill_limit_deg=limit_deg)
     title = f"{start} to {goal}"
+    if limit_deg is not None:
+        carried = f"{load} of {powder}" if load else "a load"
+        title += f" with {carried}, spill angle up to {motion.spill_limit_deg:.0f}°"
     path = output or Path(f"{start}-{goal}.html")
     if path.suffix.lower() == ".png":
         move_png(motion, planner.scene(), offset_m, title, path)
@@ -82,6 +89,36 @@ def plot(
     points = [point for curve in curves for point in curve]
     plot_dose(points, doses[-1]["target_mg"], doses[-1]["tolerance_mg"], path, f"{sample}, {doses[-1]['controller']}")
     out.print(Text(f"Written: {path}"))
+
+
+def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str | None) -> float | None:
+    """The spill angle that a load of a powder may see, and no more than `gentle`; None for an empty cone."""
+    from scuhand_bt.dosing.cone import Cone
+    from scuhand_bt.motion import spill_limit_deg
+    from scuhand_bt.motion.planner import CONE_DIAMETER_M
+    from scuhand_bt.quantity import ANGLE, MASS, parse
+
+    if (load is None) != (powder is None):
+        raise typer.BadParameter("--load and --powder belong together: how much, and of what")
+    limits_deg = []
+    try:
+        if gentle is not None:
+            limits_deg.append(parse(gentle, ANGLE))
+        if load is not None and powder is not None:
+            if powder not in lab.library.powders:
+                raise unknown("powder", powder, lab.library.powders)
+            kind, cone = lab.library.powders[powder], Cone(CONE_DIAMETER_M * 1000, lab.cell.hand.sheet_radius_mm)
+            load_mm3 = parse(load, MASS) / kind.bulk_density_mg_per_mm3
+            limits_deg.append(
+                spill_limit_deg(
+                    cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, kind.repose_deg, kind.wall_friction_deg
+                )
+            )
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+    if limits_deg and min(limits_deg) <= 0:
+        raise typer.BadParameter("--gentle is an angle above zero")
+    return min(limits_deg, default=None)
 
 
 def _planner(lab: "Lab", container: str | None) -> "MotionPlanner":

@@ -146,6 +146,7 @@ class Cell:
         load_mm3 = min(self.believed.cone_mg / powder.bulk_density_mg_per_mm3, 0.9 * cone.volume_mm3)
         # In steps of load, so that the same few limits come again and their plans are known already.
         load_mm3 = math.ceil(load_mm3 / LOAD_STEP_MM3) * LOAD_STEP_MM3
-        return spill_limit_deg(
+        limit_deg = spill_limit_deg(
             cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
         )
+        return min(limit_deg, self.spec.arm.gentle_deg)
