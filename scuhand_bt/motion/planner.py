@@ -92,6 +92,7 @@ class MotionPlanner:
         self._places: dict[str, ApexPose] = {}
         self._postures: dict[tuple[str, Geometry], Floats] = {}
         self._plans: dict[Request, JointTrajectory] = {}
+        self._carries: dict[Request, JointTrajectory] = {}
 
     # What the cell looks like now -------------------------------------------------------------------
 
@@ -133,24 +134,33 @@ class MotionPlanner:
     ) -> JointTrajectory:
         """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
         begin, goals, name = self._request(start, goal)
-        if spill_limit_deg is not None:
-            if not spill_limit_deg > 0:
-                raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
-            empty = self._kept(begin, goals, name, None, effort)
-            factor = spill_stretch(empty, self._offset_m, spill_limit_deg) or math.inf
-            if factor > EMPTY_WILL_DO:
-                # In steps, so that loads that differ a little share their plans.
-                steps_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
-                try:
-                    loaded = self._kept(begin, goals, name, steps_deg or spill_limit_deg, effort)
-                except SkillFailed:
-                    if factor == math.inf:
-                        raise
-                else:
-                    if loaded.duration_s <= factor * empty.duration_s:
-                        return loaded
-            return empty.stretched(factor).keeping(spill_limit_deg)
-        return self._kept(begin, goals, name, None, effort)
+        if spill_limit_deg is None:
+            return self._kept(begin, goals, name, None, effort)
+        if not spill_limit_deg > 0:
+            raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
+        key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
+        if key not in self._carries:
+            self._carries[key] = self._carried(begin, goals, name, spill_limit_deg, effort)
+        return self._carries[key]
+
+    def _carried(
+        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
+    ) -> JointTrajectory:
+        """The empty cone's motion, slowed until it keeps the load; or one of the load's own, if that is quicker."""
+        empty = self._kept(begin, goals, name, None, effort)
+        factor = spill_stretch(empty, self._offset_m, spill_limit_deg) or math.inf
+        if factor > EMPTY_WILL_DO:
+            # In steps, so that loads that differ a little share their plans.
+            steps_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
+            try:
+                loaded = self._kept(begin, goals, name, steps_deg or spill_limit_deg, effort)
+            except SkillFailed:
+                if factor == math.inf:
+                    raise
+            else:
+                if loaded.duration_s <= factor * empty.duration_s:
+                    return loaded
+        return empty.stretched(factor).keeping(spill_limit_deg)
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
