@@ -9,6 +9,10 @@ from typing import Any, Protocol
 from scuhand_bt.specs import Dose
 
 
+class RecordLost(Exception):  # noqa: N818 - it says what happened
+    """What happens cannot be written down any more; the run must end, safely."""
+
+
 class Record(Protocol):
     """Where devices and skills write what they did and saw; times are the run's, in seconds."""
 

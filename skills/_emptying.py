@@ -3,7 +3,10 @@
 from scuhand_bt.skill import Cell, Steps
 
 SHAKE_S = 3.0
-SPARE = 1.5
+SPARE = 2.0
+"""Times as long as the flow that was learnt would need: it differs from load to load."""
+DOUBT = 0.2
+"""The cone may hold more than believed, by this share of the load limit: scoops vary."""
 LONGEST_S = 300.0
 
 
@@ -13,7 +16,8 @@ def empty_cone(cell: Cell) -> Steps[None]:
     belief = cell.powder_beliefs.get(source.sheet_key, source.powder.belief)
     opening_mm = cell.spec.hand.max_opening_mm
     flow_mg_per_s = belief.coefficient * max(opening_mm - belief.threshold_mm, 0.1) ** belief.exponent
-    duration_s = min(LONGEST_S, SHAKE_S + SPARE * cell.believed.cone_mg / flow_mg_per_s)
+    most_mg = cell.believed.cone_mg + DOUBT * source.powder.load_limit_mg
+    duration_s = min(LONGEST_S, SHAKE_S + SPARE * most_mg / flow_mg_per_s)
     yield from cell.hand.pulse(opening_mm, duration_s, vibration=1.0)
     cell.believed.cone_mg = 0.0
     cell.believed.cone_source = None

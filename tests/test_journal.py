@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from benchmarks.mutated_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.record import RecordLost
 from scuhand_bt.run.chain import COLUMNS
 from scuhand_bt.run.export import canonical
 from scuhand_bt.run.history import read_history
-from scuhand_bt.run.journal import SCHEMA_VERSION, Journal, JournalLost
+from scuhand_bt.run.journal import SCHEMA_VERSION, Journal
 from scuhand_bt.run.reading import open_contents, open_journal, read
 from scuhand_bt.run.resume import checked_history
 from scuhand_bt.specs import Dose
@@ -241,7 +242,7 @@ def test_reading_changes_nothing(run: Path) -> None:
 def test_a_lost_journal_says_so_once(tmp_path: Path) -> None:
     journal = write_run(tmp_path / "r.sqlite")
     journal._db.execute("PRAGMA query_only=ON")  # as a full disk
-    with pytest.raises(JournalLost, match="cannot be written any more"):
+    with pytest.raises(RecordLost, match="cannot be written any more"):
         journal.event("asked", {})
     journal.event("asked", {})
     journal.close()

@@ -486,3 +486,19 @@ def test_a_wish_that_is_none_is_taken_away_and_a_run_that_is_looked_at_is_not_he
     with journal.with_suffix(".lock").open("w+") as looking:
         fcntl.flock(looking, fcntl.LOCK_SH)  # as another who looks whether the run is held
         assert not is_held(journal)
+
+
+@pytest.mark.parametrize("pause", ["pause", "pause_now"])
+def test_a_paused_run_that_is_stopped_moves_nothing_more_and_can_be_resumed(run: Run, pause: str) -> None:
+    class Stopping(Watch):
+        def ticked(self, root: Any) -> None:
+            super().ticked(root)
+            if self.ticks == 40:
+                self.session.control.wish(pause)
+                self.session.control.wish("stop")
+
+    stopped = run.go(Stopping())
+    assert stopped.exit_code == 130
+    kinds = [event["kind"] for event in read(run.journal, "event")]
+    assert kinds.count("paused") <= 1
+    assert run.go(Watch(), resumes=True).exit_code == 0

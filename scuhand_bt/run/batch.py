@@ -10,10 +10,11 @@ from py_trees.behaviour import Behaviour
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.cell import Cell, DoseSoFar
 from scuhand_bt.plan import AFTER_FAILURE, Job, Plan
+from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.history import STOPPED, History, read_history
-from scuhand_bt.run.journal import Journal, JournalLost
+from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.sample import Sample
 from scuhand_bt.sim.plant import PlantError
@@ -127,7 +128,7 @@ class Batch:
         ending = _Ending(EXIT_CELL_FAULT, "broken")
         try:
             ending = self._run_jobs()
-        except (SkillBug, PlantError, JournalLost, SkillFailed) as error:
+        except (SkillBug, PlantError, RecordLost, SkillFailed) as error:
             ending = _Ending(EXIT_CELL_FAULT, str(error))
         except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
             ending = _Ending(EXIT_CELL_FAULT, f"{type(error).__name__}: {error}")
@@ -150,7 +151,7 @@ class Batch:
     def _is_safe(self) -> bool:
         try:
             return self._runner.make_safe()
-        except JournalLost:
+        except RecordLost:
             return self._runner.make_safe()
         except Exception:  # a simulated world that breaks at every step cannot come to rest
             self._journal.event("broken", {"traceback": traceback.format_exc()})

@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.cell import Believed, Cell
@@ -60,7 +61,9 @@ def recall(cell: Cell, stock: Stock) -> None:
         if known is not None and known.lot_key == source.sheet_key:
             believed.sources_mg[name] = known.mass_mg or 0.0
     cone = stock.get(("cone", ""))
-    if cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG:
+    if cone is not None and (cone.mass_mg or 0.0) < EMPTY_MG:
+        believed.cone_source, believed.cone_mg = None, 0.0
+    elif cone is not None:
         same = [name for name, source in cell.sources.items() if source.sheet_key == cone.lot_key]
         if same:
             believed.cone_source, believed.cone_mg = same[0], cone.mass_mg or 0.0
@@ -68,7 +71,18 @@ def recall(cell: Cell, stock: Stock) -> None:
         believed.sheet, believed.sheets_used = sheet.lot_key or None, sheet.used or 1
     if (changer := stock.get(("changer", ""))) is not None:
         believed.slots_used = changer.used or 0
-    believed.containers_used = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
+    containers = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
+    believed.containers_used = containers or believed.containers_used
+
+
+def corrections(stock: Stock, since: str) -> Stock:
+    """What an operator has entered after a moment (ISO 8601)."""
+    moment = datetime.fromisoformat(since)
+    return {
+        key: entry
+        for key, entry in stock.items()
+        if entry.operator is not None and datetime.fromisoformat(entry.at) > moment
+    }
 
 
 def settle(cell: Cell, found: Sequence[Doubt]) -> Steps[None]:

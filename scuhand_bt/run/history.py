@@ -29,7 +29,7 @@ class JobHistory:
     dose: Dose | None = None
     actions: dict[Key, Recorded] = field(default_factory=dict)
     decisions: dict[Key, Decision] = field(default_factory=dict)
-    _last_failed: tuple[dict[Key, Any], Key] | None = None
+    _last_failed: tuple[dict[Key, Any], Key, SkillFailed] | None = None
 
     @property
     def is_over(self) -> bool:
@@ -39,8 +39,10 @@ class JobHistory:
         """What is to be replayed when the job is taken up again."""
         actions, decisions = dict(self.actions), dict(self.decisions)
         if self.outcome == STOPPED and self._last_failed is not None:
-            where, key = self._last_failed
-            if where is self.decisions:
+            where, key, failure = self._last_failed
+            if str(failure) != str(self.failure):
+                pass  # what failed last is not why the job did (an `invert`): it is over, and is not done again
+            elif where is self.decisions:
                 del decisions[key]
             else:
                 actions[key] = Recorded(actions[key].skill, actions[key].inputs, "interrupted")
@@ -143,8 +145,9 @@ def _note(
         before = job.actions[key]
         job.actions[key] = Recorded(before.skill, before.inputs, values["outcome"], values["code"], values["result"])
         if values["outcome"] == "failed":
-            job._last_failed = job.actions, key
+            job._last_failed = job.actions, key, SkillFailed(values["code"], values["result"]["detail"])
     elif kind == "decided":
         key = values["path"], values["visit"]
-        job.decisions[key] = Decision(SkillFailed(values["code"], values["detail"]), values["had_begun"])
-        job._last_failed = job.decisions, key
+        failure = SkillFailed(values["code"], values["detail"])
+        job.decisions[key] = Decision(failure, values["had_begun"])
+        job._last_failed = job.decisions, key, failure

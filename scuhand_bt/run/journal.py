@@ -21,6 +21,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.record import RecordLost
 from scuhand_bt.run.chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.specs import Container, Dose, Powder, Source
 
@@ -64,10 +65,6 @@ CREATE VIEW event AS SELECT seq AS id, action, time_s, kind, payload FROM entry
 _INSERT = f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})"
 
 
-class JournalLost(Exception):  # noqa: N818 - it says what happened
-    """The journal cannot be written any more (a full disk); the run must end, safely."""
-
-
 def plain_value(value: Any) -> Any:
     """A value as JSON can keep it; things of the lab by their name."""
     if isinstance(value, Container):
@@ -108,7 +105,7 @@ def _named_infinities(value: Any) -> Any:
 class Journal:
     """Writes one run, new or continued. Every call is on disk (committed) when it returns.
 
-    `durable` is full fsync, for real runs; a dry run goes without. Every call may raise JournalLost, once: what
+    `durable` is full fsync, for real runs; a dry run goes without. Every call may raise RecordLost, once: what
     is told to a lost journal after that is dropped, so that the cell can still be made safe.
     """
 
@@ -229,7 +226,7 @@ class Journal:
             self._db.execute(_INSERT, (*entry, head))
         except sqlite3.Error as error:
             self._lost = True
-            raise JournalLost(f"the journal {self.path} cannot be written any more: {error}") from error
+            raise RecordLost(f"the journal {self.path} cannot be written any more: {error}") from error
         self._seq, self._head = seq, head
         return seq
 

@@ -155,6 +155,8 @@ class Runner:
                 raise SkillBug(f"{_running(root)} is ticked again and again without letting time pass")
             if shared.is_pausing and not shared.acting:
                 self.hold()
+                if control.is_stopping:  # what was paused is not set in motion again to be stopped
+                    return Outcome(interrupted="stopped")
                 shared.paused_s += clock.now_s - now_s
                 shared.going_on.fire()
                 continue

@@ -20,7 +20,7 @@ from scuhand_bt.plan import Plan, check_unattended
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, Held, Presence
-from scuhand_bt.run.doubts import doubts, recall, require_settled, settle
+from scuhand_bt.run.doubts import corrections, doubts, recall, require_settled, settle
 from scuhand_bt.run.history import History
 from scuhand_bt.run.inventory import Inventory
 from scuhand_bt.run.journal import Journal
@@ -87,9 +87,9 @@ class Session:
         self._state = LabState(path.parent.parent)
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
         self._notifier = Notifier(lab.cell.notify)
-        stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
+        self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
-        self._doubts = [] if has_begun else doubts(plan, lab.cell, stock)
+        self._doubts = [] if has_begun else doubts(plan, lab.cell, self._stock)
         require_settled(self._doubts, unattended=options.unattended)
         self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
@@ -97,7 +97,7 @@ class Session:
             self._make_cell(motion, opened)
             if not self.cell.simulated:
                 self._state.recall(self.cell)
-                recall(self.cell, stock)
+                recall(self.cell, self._stock)
             self._begin(resumes)
             opened.pop_all()
 
@@ -138,6 +138,7 @@ class Session:
             self.journal.describe_run(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
             return
         take_up(self.cell, resumes.history.state)
+        recall(self.cell, corrections(self._stock, since=resumes.history.at))
         values = {"last_at": resumes.history.at, "changes": list(resumes.changes), "version": scuhand_bt.__version__}
         self.journal.event("resumed", {**values, "operator": user_name()})
 

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.failures import CATALOGUE
+from scuhand_bt.record import RecordLost
 from scuhand_bt.skill import Condition, Skill, SkillFailed
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.past import ENDED, REJOINING, Decision, Past, Recorded, rejoin, settle
@@ -155,6 +156,8 @@ class SkillLeaf(Behaviour):
             self.failure = failure
             self._end("failed", failure)
             return Status.FAILURE
+        except RecordLost:
+            raise
         except Exception as error:
             self._end("broken", None)
             raise _bug(self.name, error) from error

@@ -7,6 +7,7 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
+import threading
 from functools import cache
 from pathlib import Path
 
@@ -65,6 +66,8 @@ class HandTwin:
         self.emergency_stop = False
         self.temperature_c = 30
         self._brain = build_brain(firmware)
+        self._awake = threading.Lock()
+        """Held while the firmware runs: it is not taken away under itself."""
         self._self = self._brain.hand_new()
         self._speed_mm_per_s = valve_speed_mm_per_s
         self._dead_time_s = valve_dead_time_s
@@ -79,8 +82,9 @@ class HandTwin:
 
     def reboot(self) -> None:
         """The board's reset button: the firmware begins anew, the valve stays where it is."""
-        self._brain.hand_delete(self._self)
-        self._self = self._brain.hand_new()
+        with self._awake:
+            self._brain.hand_delete(self._self)
+            self._self = self._brain.hand_new()
 
     @property
     def vibration(self) -> float:
@@ -88,6 +92,10 @@ class HandTwin:
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
         """Let the valve move, and the firmware hear and act."""
+        with self._awake:
+            return self._hear(data, now_s)
+
+    def _hear(self, data: bytes, now_s: float) -> list[bytes]:
         self._move_valve(now_s)
         self._brain.hand_sense(
             self._self, round(self.opening_mm * 1000), self.temperature_c, self.healthy, self.emergency_stop
