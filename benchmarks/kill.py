@@ -35,6 +35,7 @@ from scuhand_bt.run.reading import read
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, prepared_motion
+from scuhand_bt.yaml_source import SourceError
 
 BROKEN = 70
 """Exit code of a child that ended by an exception."""
@@ -156,7 +157,7 @@ def _has_begun(path: Path) -> bool:
     """A run that was killed before its first word is none."""
     try:
         return bool(read(path, "run"))
-    except sqlite3.Error:
+    except SourceError:
         return False
 
 
