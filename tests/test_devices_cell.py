@@ -33,12 +33,12 @@ def test_every_dialect_can_be_named_and_has_a_twin() -> None:
     ("written", "wrong", "problem"),
     [
         ("driver: dynamixel", "driver: abacus", "cell.yaml:3:15: 'driver': 'abacus' is not accepted"),
-        (BALANCE, "driver: scales", "cell.yaml:5:19: 'driver': 'scales' is not accepted; input should be 'and', "),
+        (BALANCE, "driver: scales", "cell.yaml:5:19: 'driver': 'scales' is not accepted; write 'and', "),
         (BALANCE, BALANCE + ", options: {buad: 9600}", "unknown key 'buad'; known: baud, bits, unit; did you mean"),
         (BALANCE, BALANCE + ", options: {bits: 9X9}", "'bits': '9X9' is not accepted"),
         (BALANCE, BALANCE + ", options: {baud: fast}", "'baud': 'fast' is not accepted"),
         ("driver: dynamixel", "driver: dynamixel, options: {directions: [1, 2, 1, 1, 1, 1, 1]}", "'2' is not accepted"),
-        ("driver: dynamixel", "driver: dynamixel, options: {home_counts: [2048]}", "at least 7 items"),
+        ("driver: dynamixel", "driver: dynamixel, options: {home_counts: [2048]}", "a list of at least 7"),
         ("driver: hand_controller", "driver: hand_controller, options: {start_diameter: 90}", "'90' has no unit"),
     ],
 )
