@@ -11,7 +11,7 @@ from conftest import REPOSITORY, Bench, LabFolder
 from scuhand_bt import cli
 from scuhand_bt.failures import CATALOGUE
 from scuhand_bt.skill import Cell, Condition, Failure, Skill, SkillFailed, Steps, Wake
-from scuhand_bt.tree.nodes import SkillBug
+from scuhand_bt.tree.leaf import SkillBug
 
 Explain = Callable[..., tuple[int, str, str]]
 

@@ -21,7 +21,7 @@ from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.nodes import SkillBug
+from scuhand_bt.tree.leaf import SkillBug
 from scuhand_bt.tree.past import Past
 
 Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interrupted", "not run"]

@@ -18,8 +18,9 @@ from scuhand_bt.run.journal import FLUSH_S, Journal, to_json
 from scuhand_bt.skill import DEVICES, SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
+from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.nodes import SkillBug, SkillLeaf, Ticking, failure_of
+from scuhand_bt.tree.nodes import failure_of
 from scuhand_bt.tree.past import Decision, Past
 
 SAFE_TIMEOUT_S = 20.0

@@ -11,18 +11,8 @@ from py_trees.decorators import FailureIsSuccess, Inverter
 from scuhand_bt.skill import Condition
 from scuhand_bt.tree.check import Library, Percent, literal, resolve_percent
 from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
-from scuhand_bt.tree.nodes import (
-    Arguments,
-    Guard,
-    Repeat,
-    Retry,
-    SkillLeaf,
-    Ticking,
-    Timeout,
-    Values,
-    While,
-    WorkflowCall,
-)
+from scuhand_bt.tree.leaf import Arguments, SkillLeaf, Ticking, Values
+from scuhand_bt.tree.nodes import Guard, Repeat, Retry, Timeout, While, WorkflowCall
 from scuhand_bt.tree.wires import WireType, read_attribute
 
 

@@ -1,270 +1,22 @@
-"""The py_trees nodes that a workflow is built into: the skill's leaf, and decorators on the run's clock.
+"""The py_trees nodes that a workflow is built into, beside the skills' leaves (`tree/leaf.py`).
 
-`sequence`, `fallback`, `parallel`, `invert` and `optional` are py_trees' own. Ours are the leaf, which
-drives a skill's generator, and what needs the run's clock or a failure's code: `retry`, `timeout`,
-`repeat`, `while`, and the call of a workflow.
+`sequence`, `fallback`, `parallel`, `invert` and `optional` are py_trees' own. Ours are those that need the
+run's clock or a failure's code: `retry`, `timeout`, `repeat`, `while`, and the call of a workflow.
 """
 
-from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import Any, ClassVar, Protocol, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Composite, Selector
 from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
-from pydantic import ValidationError
 
-from scuhand_bt.clock import Signal, Steps, Wake
-from scuhand_bt.devices.cell import Cell
-from scuhand_bt.failures import CATALOGUE
-from scuhand_bt.record import RecordLost
-from scuhand_bt.skill import Condition, Skill, SkillFailed
-from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.past import ENDED, REJOINING, Decision, Past, Recorded, rejoin, settle
-from scuhand_bt.tree.wires import in_words
-
-LEASE_TIMEOUT_S = 10.0
-
-S = TypeVar("S", bound=Skill[Any])
-Values = dict[str, Any]
-Arguments = Callable[[], Values]
-"""Evaluates a call's parameters when it begins."""
-
-
-class SkillBug(Exception):  # noqa: N818 - it names what it is, for the user
-    """A skill broke the rules of skills (or Python's); not a failure of the cell."""
-
-
-class Listener(Protocol):
-    """Who is told of every action before it starts and after it has ended: the journal."""
-
-    def started(self, leaf: "SkillLeaf", inputs: Values) -> None: ...
-
-    def acting(self, leaf: "SkillLeaf") -> None:
-        """The leaf is about to do its next step; what is recorded now is its doing."""
-        ...
-
-    def ended(self, leaf: "SkillLeaf", outcome: str, result: Any) -> None: ...
-
-    def in_words(self, inputs: Values) -> str:
-        """The inputs of an action as the record keeps them."""
-        ...
-
-    def decided(self, path: str, visit: int, decision: Decision) -> None:
-        """A node that is no action has failed on its own account."""
-        ...
-
-
-class Ticking:
-    """What the nodes of one job's tree share: the cell, its leases, the listener, and who waits for what."""
-
-    def __init__(self, cell: Cell, leases: Leases, listener: Listener, past: Past) -> None:
-        self.cell = cell
-        self.leases = leases
-        self.listener = listener
-        self.past = past
-        self.acting: set[SkillLeaf] = set()
-        """The leaves whose skill is at work."""
-        self.is_pausing = False
-        """No action may begin."""
-        self.going_on = Signal()
-        """Fires when actions may begin again."""
-        self.paused_s = 0.0
-        """How long the job has been paused in all: timeouts do not count it."""
-        self.is_interrupted = False
-        """The run, not the tree, halts the job."""
-        self.bugs: list[SkillBug] = []
-        """What broke while it was halted: it must not keep the rest of the tree from being halted too."""
-        self._waiting: dict[Behaviour, Sequence[Wake]] = {}
-
-    def wait(self, node: Behaviour, *wakes: Wake) -> None:
-        """Note when `node` wants the next tick; replaces what it asked for before."""
-        self._waiting[node] = wakes
-
-    def done(self, node: Behaviour) -> None:
-        self._waiting.pop(node, None)
-
-    def wakes(self) -> list[Wake]:
-        """All that the tree waits for now."""
-        return [wake for wakes in self._waiting.values() for wake in wakes]
-
-
-class SkillLeaf(Behaviour):
-    """Runs one skill: makes it from its arguments, leases its devices, and drives its generator."""
-
-    def __init__(
-        self,
-        name: str,
-        path: str,
-        skill: type[Skill[Any]],
-        arguments: Arguments,
-        keep: Callable[[Any], None],
-        shared: Ticking,
-    ) -> None:
-        super().__init__(name)
-        self.path = path
-        self.skill = skill
-        self.visits = 0
-        self.failure: SkillFailed | None = None
-        self._arguments = arguments
-        self._keep = keep
-        self._shared = shared
-        self._steps: Steps[Any] | None = None
-        self._wake: Wake | None = None
-        self._lease_deadline_s = 0.0
-        self._is_recorded = False
-        self._recorded: Recorded | None = None
-
-    def initialise(self) -> None:
-        self.visits += 1
-        self.failure = None
-        self._steps = self._wake = None
-        self._is_recorded = False
-        self._recorded = self._shared.past.recorded(self.path, self.visits)
-        self._lease_deadline_s = self._shared.cell.clock.now_s + LEASE_TIMEOUT_S
-
-    @property
-    def is_stuck(self) -> bool:
-        """It is being replayed, and waits to be halted as it was then."""
-        past = self._shared.past
-        return past.is_replaying and self._recorded is not None and self._recorded.outcome == "halted"
-
-    def update(self) -> Status:
-        try:
-            if self.is_stuck:
-                return Status.RUNNING
-            if self._steps is None and self._is_replayed():
-                return Status.SUCCESS
-            if self._steps is None and not self._begin():
-                return Status.RUNNING
-            if self._wake is not None and not self._is_due(self._wake):
-                return Status.RUNNING
-            assert self._steps is not None
-            self._shared.listener.acting(self)
-            self._wake = next(self._steps)
-            if not isinstance(self._wake, Wake):
-                raise TypeError(f"it yields {self._wake!r}; a skill yields `Wake`s")
-        except StopIteration as stop:
-            self._keep(stop.value)
-            self._end("done", stop.value)
-            return Status.SUCCESS
-        except SkillFailed as failure:
-            if not _is_explained(self.skill, failure):
-                self._end("broken", None)
-                raise _unexplained(self.name, failure) from failure
-            self.failure = failure
-            self._end("failed", failure)
-            return Status.FAILURE
-        except RecordLost:
-            raise
-        except Exception as error:
-            self._end("broken", None)
-            raise _bug(self.name, error) from error
-        self._shared.wait(self, self._wake)
-        return Status.RUNNING
-
-    def terminate(self, new_status: Status) -> None:
-        """Halted while running: close the generator, whose `finally` sends the safe commands."""
-        if new_status is not Status.INVALID or self.status is not Status.RUNNING:
-            return
-        outcome = "interrupted" if self._shared.is_interrupted else "halted"
-        try:
-            if self._steps is not None:
-                self._steps.close()
-        except Exception as error:
-            outcome = "broken"
-            self._shared.bugs.append(_bug(self.name, error))
-        self._end(outcome, None)
-
-    def _is_replayed(self) -> bool:
-        """End as recorded, if this action ended before the run was interrupted; raises a recorded failure."""
-        recorded, shared = self._recorded, self._shared
-        if recorded is None or recorded.outcome not in ENDED:
-            return False
-        inputs = shared.listener.in_words(self._arguments())
-        if not shared.past.can_replay(recorded, self.name, self.skill, inputs):
-            return False
-        self._keep(shared.past.replay(recorded, self.skill))
-        shared.done(self)
-        return True
-
-    def _begin(self) -> bool:
-        """Take the leases and make the skill; False while it must wait for others, or the run pauses."""
-        shared, past = self._shared, self._shared.past
-        if past.is_replaying:
-            return False
-        now_s = shared.cell.clock.now_s
-        if shared.is_pausing:
-            self._lease_deadline_s = now_s + LEASE_TIMEOUT_S
-            shared.wait(self, Wake.on(shared.going_on))
-            return False
-        own = self.skill.devices
-        devices = sorted({*own, *REJOINING}) if past.is_to_rejoin else own
-        if not shared.leases.take(devices, self):
-            if now_s >= self._lease_deadline_s:
-                names = ", ".join(devices)
-                raise SkillFailed("device.busy", f"{names} not free after {LEASE_TIMEOUT_S:g} s")
-            shared.wait(self, *shared.leases.wakes(devices, self._lease_deadline_s))
-            return False
-        inputs = self._arguments()
-        skill = _made(self.name, self.skill, inputs)
-        shared.listener.started(self, inputs)
-        self._is_recorded = True
-        shared.acting.add(self)
-        self._steps = skill.run(shared.cell)
-        if not isinstance(self._steps, Generator):
-            raise TypeError("its run is no generator; it must `yield` somewhere")
-        if past.is_to_rejoin or self._recorded is not None:
-            self._steps = self._resume(skill, self._steps, shared.listener.in_words(inputs))
-        return True
-
-    def _resume(self, skill: Skill[Any], steps: Steps[Any], inputs: str) -> Steps[Any]:
-        """The skill's steps, after what an interruption has left to settle."""
-        shared, recorded = self._shared, self._recorded
-        if shared.past.is_to_rejoin:
-            shared.past.is_to_rejoin = False
-            yield from rejoin(shared.cell, shared.past, skill, was_interrupted=recorded is not None)
-        if recorded is not None:
-            same = recorded.skill == self.name and recorded.inputs == inputs
-            answer = yield from settle(shared.cell, skill, self.name, None if same else recorded)
-            if answer == "done":
-                return None
-        shared.leases.give_back(self, keep=self.skill.devices)
-        return (yield from steps)
-
-    def _is_due(self, wake: Wake) -> bool:
-        return wake.has_fired or self._shared.cell.clock.now_s >= wake.until_s
-
-    def _end(self, outcome: str, result: Any) -> None:
-        self._steps = None
-        self._shared.done(self)
-        self._shared.acting.discard(self)
-        self._shared.leases.give_back(self)
-        if self._is_recorded:
-            self._is_recorded = False
-            self._shared.listener.ended(self, outcome, result)
-
-
-def _bug(name: str, error: Exception) -> SkillBug:
-    return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}")
-
-
-def _is_explained(skill: type[Skill[Any]], failure: SkillFailed) -> bool:
-    """Whether recipes and workflows can name this failure: the catalogue has it, or the skill itself."""
-    return failure.code in CATALOGUE or failure.code in skill.failures
-
-
-def _unexplained(name: str, failure: SkillFailed) -> SkillBug:
-    return SkillBug(f"the skill {name} broke: it fails with a code that nobody has explained: {failure}")
-
-
-def _made(name: str, skill: type[S], inputs: Values) -> S:
-    """The skill with its parameters; SkillFailed workflow.bad_value for values that it does not accept."""
-    try:
-        return skill.model_validate(inputs, by_alias=True, by_name=False)
-    except ValidationError as error:
-        raise SkillFailed("workflow.bad_value", f"{name}: {in_words(error)}") from None
+from scuhand_bt.clock import Wake
+from scuhand_bt.skill import Condition, SkillFailed
+from scuhand_bt.tree.leaf import Arguments, Ticking, bug_of, is_explained, is_stuck, made, unexplained
+from scuhand_bt.tree.past import Decision
 
 
 class Guard(Behaviour):
@@ -280,14 +32,14 @@ class Guard(Behaviour):
     def update(self) -> Status:
         self.failure = None
         try:
-            _made(self.name, self.condition, self._arguments()).check(self._cell)
+            made(self.name, self.condition, self._arguments()).check(self._cell)
         except SkillFailed as failure:
-            if not _is_explained(self.condition, failure):
-                raise _unexplained(self.name, failure) from failure
+            if not is_explained(self.condition, failure):
+                raise unexplained(self.name, failure) from failure
             self.failure = failure
             return Status.FAILURE
         except Exception as error:
-            raise _bug(self.name, error) from error
+            raise bug_of(self.name, error) from error
         return Status.SUCCESS
 
 
@@ -466,13 +218,6 @@ class WorkflowCall(Decorator):
         if self.decorated.status is Status.SUCCESS:
             self._keep_result()
         return self.decorated.status
-
-
-def is_stuck(node: Behaviour) -> bool:
-    """Whether a part of a tree that is being replayed waits to be halted as it was then."""
-    return any(
-        isinstance(leaf, SkillLeaf) and leaf.status is Status.RUNNING and leaf.is_stuck for leaf in node.iterate()
-    )
 
 
 def failure_of(node: Behaviour) -> SkillFailed:
