@@ -37,7 +37,10 @@ class CheckWeight(Skill[Milligrams]):
         cell.weight_on_pan(0.0)
         error_mg = loaded.value_mg - bare.value_mg - self.weight_mg
         weighed = {"weight_mg": self.weight_mg, "error_mg": error_mg, "tolerance_mg": self.tolerance_mg}
-        cell.record.event("check_weight", {**weighed, "bare": bare.values(), "loaded": loaded.values()})
+        cell.record.event(
+            "check_weight",
+            {**weighed, "balance": cell.balance.identity, "bare": bare.values(), "loaded": loaded.values()},
+        )
         if abs(error_mg) > self.tolerance_mg:
             raise SkillFailed(
                 "balance.inaccurate",

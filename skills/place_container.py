@@ -46,7 +46,9 @@ class PlaceContainer(Skill[None]):
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
         weighed = {"container": container.id, "kind": container.name, "mass_mg": mass_mg}
-        cell.record.event("container", {**weighed, "bare": bare.values(), "loaded": loaded.values()})
+        cell.record.event(
+            "container", {**weighed, "balance": cell.balance.identity, "bare": bare.values(), "loaded": loaded.values()}
+        )
         if mass_mg < container.empty_mass_mg / 10:
             raise SkillFailed(
                 "container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {container.name} stands on it"

@@ -66,9 +66,10 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
         elif kind == "job_started":
             tare = loaded = {}
         elif kind == "tare":
-            tare, identity = values, values.get("balance", "")
+            tare = values
         elif kind == "pulse":
             loaded = values
+        identity = values.get("balance", identity)
         if (weighed := _weighed(kind, values, tare, loaded, believed)) is None:
             continue
         pan = believed.get("pan") or {}
