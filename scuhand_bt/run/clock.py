@@ -40,17 +40,18 @@ class VirtualClock:
         self.now_s = now_s
         self._began = time.monotonic() - now_s / (self._speed or 1.0)
 
-    def wait(self, wakes: Sequence[Wake]) -> None:
+    def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
         """Go on to the earliest of `wakes`, letting the process take its steps on the way.
 
-        The process is saved first: the program never knows of it what a killed program's process would not have.
+        The process is saved first, unless it only goes on with what it was told before: the program never knows of
+        it what a killed program's process would not have.
         Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
         """
         limit_s = min((wake.until_s for wake in wakes), default=math.inf)
         signals = [(wake.signal, wake.seen) for wake in wakes if wake.signal is not None]
         if math.isinf(limit_s) and (self.process is None or not signals):
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
-        if self.process is not None:
+        if self.process is not None and not again:
             self.process.save()
         while self.now_s < limit_s and all(signal.count == seen for signal, seen in signals):
             self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
@@ -85,7 +86,7 @@ class WallClock:
     def now_s(self) -> float:
         return time.monotonic() - self._began
 
-    def wait(self, wakes: Sequence[Wake]) -> None:
+    def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
         """Sleep until the earliest of `wakes` is due or one of their signals has fired."""
         limit_s = min((wake.until_s for wake in wakes), default=math.inf)
         for wake in wakes:

@@ -171,8 +171,10 @@ class Runner:
         wakes = [*shared.wakes(), self._wish()]
         silence = Wake(clock.now_s + MAX_SILENCE_S)
         nothing_timed = all(math.isinf(wake.until_s) for wake in wakes)
+        again = False
         while True:
-            clock.wait([*wakes, silence, *guards.wakes()])
+            clock.wait([*wakes, silence, *guards.wakes()], again=again)
+            again = True
             self._journal.flush(FLUSH_S)
             if (fault := guards.look()) is not None:
                 return fault
