@@ -3,6 +3,7 @@
 import fcntl
 import random
 import sqlite3
+import threading
 from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,6 +18,7 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.control import Control, is_held, take_wish
+from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.reading import read
 from scuhand_bt.run.resume import checked_history, find_run, resumable
 from scuhand_bt.run.session import Options, Session
@@ -501,4 +503,36 @@ def test_a_paused_run_that_is_stopped_moves_nothing_more_and_can_be_resumed(run:
     assert stopped.exit_code == 130
     kinds = [event["kind"] for event in read(run.journal, "event")]
     assert kinds.count("paused") <= 1
+    assert run.go(Watch(), resumes=True).exit_code == 0
+
+
+@pytest.mark.parametrize("pause", ["pause", "pause_now"])
+def test_a_guard_that_trips_in_a_pause_ends_the_run_and_the_sample_is_interrupted(
+    run: Run, pause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    look = Guards.look
+    pressed: list[SkillFailed] = []
+    monkeypatch.setattr(Guards, "look", lambda guards: pressed[0] if pressed else look(guards))
+
+    class Pressing(Watch):
+        def ticked(self, root: Any) -> None:
+            super().ticked(root)
+            if self.ticks == 40:
+                control = self.session.control
+                control.wish(pause)
+
+                def press() -> None:
+                    pressed.append(SkillFailed("device.emergency_stop", "pressed"))
+                    control.news.fire()
+
+                heard = self.session.journal.heard
+                self.session.journal.heard = lambda kind, values: (
+                    threading.Timer(0.2, press).start() if kind == "paused" else heard(kind, values)
+                )
+
+    result = run.go(Pressing())
+    assert result.exit_code == 3
+    assert "emergency_stop" in result.reason
+    assert result.samples[0].verdict == "interrupted"
+    pressed.clear()
     assert run.go(Watch(), resumes=True).exit_code == 0

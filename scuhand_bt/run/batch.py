@@ -257,7 +257,8 @@ class Batch:
             if outcome.interrupted != "paused":
                 return outcome
             self._runner.make_safe()
-            self._runner.hold()
+            if (fault := self._runner.hold()) is not None:
+                return Outcome(fault, "tripped")
             if self._control.is_stopping:
                 return Outcome(interrupted="stopped")
             history = read_history(journal.path)

@@ -122,14 +122,15 @@ class Runner:
         steps.close()
         return None
 
-    def hold(self) -> None:
-        """Stand still until a person continues or stops the run."""
+    def hold(self) -> SkillFailed | None:
+        """Stand still until a person continues or stops the run; what a guard found meanwhile, if one tripped."""
         self._journal.event("paused", {})
         while self._control.is_pausing and not self._control.is_stopping:
             self._cell.clock.hold([self._wish(), *self._guards.wakes()])
             if (fault := self._guards.look()) is not None:
-                raise fault
+                return fault
         self._journal.event("continued", {})
+        return None
 
     def _wish(self) -> Wake:
         return Wake.on(self._control.news)
@@ -155,7 +156,8 @@ class Runner:
             if ticks_now > MAX_TICKS_AT_ONE_TIME:
                 raise SkillBug(f"{_running(root)} is ticked again and again without letting time pass")
             if shared.is_pausing and not shared.acting:
-                self.hold()
+                if (fault := self.hold()) is not None:
+                    return Outcome(fault, "tripped")
                 if control.is_stopping:  # what was paused is not set in motion again to be stopped
                     return Outcome(interrupted="stopped")
                 shared.paused_s += clock.now_s - now_s
