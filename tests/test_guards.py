@@ -52,8 +52,7 @@ class Guarded:
 
     def drop(self, mass_mg: float) -> None:
         """Let powder fall from the cone all at once, through a valve that is shut."""
-        self.rig.world.transfer("cone", "flight", mass_mg)
-        self.rig.world._flying.append((self.clock.now_s + 0.13, mass_mg, "balance"))
+        self.rig.world.load.drop(self.clock.now_s, mass_mg)
 
 
 @pytest.fixture

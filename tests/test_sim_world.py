@@ -37,7 +37,7 @@ def let_pass(rig: Bench, duration_s: float) -> None:
 
 
 def everything_is_there(rig: Bench) -> None:
-    assert rig.world.total_mg == pytest.approx(10_000.0, abs=1e-6)
+    assert rig.world.matter.total_mg == pytest.approx(10_000.0, abs=1e-6)
     assert all(mass_mg >= 0.0 for mass_mg in rig.world.masses_mg.values())
 
 
@@ -82,9 +82,9 @@ def test_mass_is_conserved_whatever_is_done(todo: list[tuple[str, float]], powde
             rig.cell.hand.stop()
         elif action == "vibrate":
             rig.cell.hand.set_vibration(min(1.0, value))
-        elif action == "remove" and rig.world.pan is not None:
+        elif action == "remove" and rig.world.pan.container_id is not None:
             rig.world.remove()
-        elif action == "place" and rig.world.pan is None:
+        elif action == "place" and rig.world.pan.container_id is None:
             rig.world.place(DISH)
         elif action == "swap":
             rig.world.swap_sheet()
@@ -96,7 +96,7 @@ def test_moving_more_than_there_is_or_nan_is_refused() -> None:
     world = bench().world
     for mass_mg in (1e9, -1.0, math.nan):
         with pytest.raises(ValueError, match="cannot move"):
-            world.transfer("cone", "waste", mass_mg)
+            world.matter.transfer("cone", "waste", mass_mg)
 
 
 def test_the_same_seed_gives_the_same_dose_and_another_gives_another() -> None:

@@ -166,7 +166,7 @@ def _be_killed(path: Path, writer: int) -> NoReturn:
 
 
 def is_sound(world: World) -> None:
-    assert world.total_mg == pytest.approx(ALL_MG, rel=1e-9)
+    assert world.matter.total_mg == pytest.approx(ALL_MG, rel=1e-9)
     assert min(world.masses_mg.values()) >= 0.0
 
 
@@ -266,12 +266,12 @@ def test_the_carousel_ends_its_swing(tmp_path: Path) -> None:
 
     restored = Bench.taken_up(path)
 
-    assert restored.world.pan == DISH.id
+    assert restored.world.pan.container_id == DISH.id
     before_s = restored.clock.now_s
     restored.drive(restored.cell.changer.bring(DISH))  # again: it is there
     assert restored.clock.now_s == before_s
     restored.drive(restored.cell.changer.take_away())
-    assert restored.world.pan is None
+    assert restored.world.pan.container_id is None
 
 
 def test_containers_come_back_with_what_they_hold_and_cost_a_save_nothing(tmp_path: Path) -> None:

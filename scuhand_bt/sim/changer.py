@@ -22,29 +22,31 @@ class SimulatedChanger:
 
     @property
     def is_stopped(self) -> bool:
-        return not self._world.is_swinging
+        return not self._world.pan.is_swinging
 
     def stop(self) -> None:
         """It ends the swing it is in: a container is never left hanging."""
 
     def bring(self, container: Container) -> Steps[None]:
         yield from self._rest()
-        if self._world.pan == container.id:
+        if self._world.pan.container_id == container.id:
             return  # the swing that was to bring it went on to its end when nobody waited for it any more
-        if self._world.pan is not None:
-            raise SkillFailed("container.missing", f"the pan is not free: '{self._world.pan}' stands on it")
+        if self._world.pan.container_id is not None:
+            raise SkillFailed(
+                "container.missing", f"the pan is not free: '{self._world.pan.container_id}' stands on it"
+            )
         self._world.swing(self._clock.now_s + BRING_S, container)
         yield from self._rest()
 
     def take_away(self) -> Steps[None]:
         yield from self._rest()
-        if self._world.pan is not None:
+        if self._world.pan.container_id is not None:
             self._world.swing(self._clock.now_s + TAKE_S, None)
             yield from self._rest()
 
     def _rest(self) -> Steps[None]:
-        if not self._world.is_swinging:
+        if not self._world.pan.is_swinging:
             return
-        while self._world.is_swinging:
-            yield Wake(max(self._world.swing_ends_s, self._clock.now_s + STEP_S))
+        while self._world.pan.is_swinging:
+            yield Wake(max(self._world.pan.swing_ends_s, self._clock.now_s + STEP_S))
         self.news.fire()

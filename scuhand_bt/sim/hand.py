@@ -164,6 +164,11 @@ class SimulatedHand:
         return self._real_mm
 
     @property
+    def felt_vibration(self) -> float:
+        """How much the motor shakes, 0..1, whatever it was told."""
+        return 0.0 if "vibration.dead" in self.faults.active else self.vibration
+
+    @property
     def is_closing(self) -> bool:
         """The cone is getting smaller."""
         return self._morph is not None and self._morph[3] < self._morph[2]

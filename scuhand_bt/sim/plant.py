@@ -13,7 +13,7 @@ from numpy.random import Generator
 
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
-from scuhand_bt.sim.scoop import OurScoopYield
+from scuhand_bt.sim.scoop import OurScoopYield, Stroke
 from scuhand_bt.specs import BalanceSpec, Mortar, Powder
 
 
@@ -33,29 +33,10 @@ class BalanceResponse(Protocol):
         ...
 
 
-class ScoopingCone(Protocol):
-    """The cone's stroke through the powder."""
-
-    @property
-    def diameter_mm(self) -> float:
-        """Rim diameter on contact with the wall."""
-        ...
-
-    @property
-    def closed_diameter_mm(self) -> float:
-        """Rim diameter at the end of the stroke."""
-        ...
-
-    @property
-    def overtravel_mm(self) -> float:
-        """How far the sheet was pressed onto the wall."""
-        ...
-
-
 class ScoopYield(Protocol):
     """What one scoop collects."""
 
-    def collect(self, cone: ScoopingCone, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
+    def collect(self, stroke: Stroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
         """The mass [mg] that ends in the cone."""
         ...
 
@@ -98,7 +79,8 @@ class Plant:
                 self.leaving(flow.step(0.02, opening_mm, vibration, 1000.0, rng), 1000.0)
                 self.reading(balance.step(0.02, 1000.0, 0.1, vibration, rng))
             if mortar is not None:
-                self.collected(scoop.collect(_Probe(), mortar, 1000.0, rng), 1000.0)
+                full = Stroke(diameter_mm=88.0, closed_diameter_mm=60.0, overtravel_mm=2.0)
+                self.collected(scoop.collect(full, mortar, 1000.0, rng), 1000.0)
         except PlantError:
             raise
         except Exception as error:
@@ -125,14 +107,6 @@ class Plant:
     def _check(self, made: object, method: str, call: str) -> None:
         if not callable(getattr(made, method, None)):
             raise PlantError(f"{self.name}: {call} gave {made!r}, which has no method '{method}'")
-
-
-class _Probe:
-    """A full stroke, for the probe."""
-
-    diameter_mm = 88.0
-    closed_diameter_mm = 60.0
-    overtravel_mm = 2.0
 
 
 def load_plant(name: str | None) -> Plant:

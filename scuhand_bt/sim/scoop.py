@@ -5,7 +5,7 @@
 m [mg] is in the mortar, n is normal, V [mm^3] the closed cone's volume and rho [mg/mm^3] the bulk density.
 """
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 from numpy.random import Generator
 
@@ -13,10 +13,19 @@ from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.scooping import bed_diameter_mm, collected_share
 from scuhand_bt.specs import Mortar, Powder
 
-if TYPE_CHECKING:
-    from scuhand_bt.sim.plant import ScoopingCone
-
 SPREAD = 0.05
+
+
+@dataclass
+class Stroke:
+    """One closing of the cone in contact with a mortar's bowl."""
+
+    diameter_mm: float
+    """Of the rim, on contact with the wall."""
+    closed_diameter_mm: float
+    """Of the rim, at the end of the stroke."""
+    overtravel_mm: float
+    """How far the sheet was pressed onto the wall."""
 
 
 class OurScoopYield:
@@ -25,10 +34,10 @@ class OurScoopYield:
     def __init__(self, powder: Powder) -> None:
         self._density = powder.bulk_density_mg_per_mm3
 
-    def collect(self, cone: "ScoopingCone", mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
+    def collect(self, stroke: Stroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
         """The mass [mg] that ends in the cone."""
         bed_mm = bed_diameter_mm(mortar, in_mortar_mg, self._density)
-        share = collected_share(cone.diameter_mm, cone.closed_diameter_mm, cone.overtravel_mm, bed_mm)
+        share = collected_share(stroke.diameter_mm, stroke.closed_diameter_mm, stroke.overtravel_mm, bed_mm)
         share *= 1.0 + SPREAD * rng.standard_normal()
-        holds_mg = Cone(cone.closed_diameter_mm).volume_mm3 * self._density
+        holds_mg = Cone(stroke.closed_diameter_mm).volume_mm3 * self._density
         return min(max(0.0, share) * in_mortar_mg, in_mortar_mg, holds_mg)

@@ -1,0 +1,204 @@
+"""The powder in the cone: how a scoop takes it in, and every way it leaves, until it has landed.
+
+The cone scoops when it closes while its sheet is pressed onto a mortar's bowl. Powder leaves the apex when the valve
+is open, or leaks; it pours over the rim when the cone is tipped beyond what the wall's friction holds; it lands, a
+fall later, on what stands below.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import ClassVar
+
+from numpy.random import Generator
+
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.sim.arm import SimulatedArm
+from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.hand import SimulatedHand
+from scuhand_bt.sim.matter import Matter
+from scuhand_bt.sim.pan import Pan
+from scuhand_bt.sim.plant import Plant, PowderFlow
+from scuhand_bt.sim.scoop import Stroke
+from scuhand_bt.sim.surroundings import Surroundings
+from scuhand_bt.specs import Source
+
+POUR_TIME_S = 0.15
+"""Time constant of powder sliding out of a tipped cone."""
+STICKING_SHARE = 0.02
+"""Share of a scoop that touches bare sheet and sticks, until the sheet holds its residue."""
+CLOG_SHAKE_S = 3.0
+"""A clog at the apex is broken by so much vibration at full level."""
+LEAK_MG_PER_S = 2.0
+"""What a leaking cone loses while its valve is shut."""
+
+
+class ConeLoad:
+    """What the cone holds of one source, and what has fallen from it and is in the air."""
+
+    STATE: ClassVar[tuple[str, ...]] = (
+        "source",
+        "_flow",
+        "_flying",
+        "_was_open",
+        "_stroke",
+        "_stroke_in",
+        "_flow_rng",
+        "_scoop_rng",
+        "_shaken_s",
+    )
+    """What the world's file keeps of it, beside the masses."""
+
+    def __init__(
+        self,
+        matter: Matter,
+        pan: Pan,
+        around: Surroundings,
+        sources: Mapping[str, Source],
+        plant: Plant,
+        arm: SimulatedArm,
+        hand: SimulatedHand,
+        faults: Faults,
+    ) -> None:
+        self.source: str | None = None
+        """Whose powder it is; None while the cone has held none since its sheet was new."""
+        self._matter, self._masses_mg, self._pan, self._around = matter, matter.masses_mg, pan, around
+        self._sources, self._plant = sources, plant
+        self._arm, self._hand, self._faults = arm, hand, faults
+        self._flow: PowderFlow | None = None
+        self._flying: deque[tuple[float, float, str]] = deque()  # (time of landing, mg, compartment)
+        self._below: tuple[str | None, str, float] | None = None  # container on the pan, compartment, fall time [s]
+        self._was_open = False
+        self._stroke: Stroke | None = None
+        self._stroke_in = ""  # the source whose mortar it is in
+        self._shaken_s = 0.0
+        self._flow_rng: Generator
+        self._scoop_rng: Generator
+
+    def use_randomness(self, flow: Generator, scoop: Generator) -> None:
+        """Draw from these from now on."""
+        self._flow_rng, self._scoop_rng = flow, scoop
+
+    @property
+    def is_falling(self) -> bool:
+        """Powder is in the air, or may fall in the next step."""
+        return bool(self._flying) or self._was_open or "cone.leak" in self._faults.active
+
+    @property
+    def is_in_the_air(self) -> bool:
+        return bool(self._flying)
+
+    def begin(self, source: str) -> None:
+        """The cone holds this source's powder from now on."""
+        self.source, self._below = source, None
+        self._flow = self._plant.flow(self._sources[source].powder)
+
+    def throw_away(self) -> None:
+        """The cone's sheet goes, with what stuck to it and what it still held."""
+        for place in ("cone", "sheet"):
+            self._matter.transfer(place, "waste", self._masses_mg[place])
+        self._flow = self.source = None
+
+    def advance(self, end_s: float, dt_s: float, opening_mm: float) -> float:
+        """Go on by a step at this mean opening; the mass [mg] that landed on the balance."""
+        if opening_mm > 0.0 or self._was_open:
+            self._leave(end_s, dt_s, opening_mm)
+        elif "cone.leak" in self._faults.active:
+            self.drop(end_s, min(LEAK_MG_PER_S * dt_s, self._masses_mg["cone"]))
+        if self._arm.is_active:
+            self._below = None
+            self._pour(end_s, dt_s)
+        if self._stroke is not None or self._hand.is_closing:
+            self._scoop(end_s)
+        return self._land(end_s) if self._flying else 0.0
+
+    def drop(self, now_s: float, mass_mg: float) -> None:
+        """Let so much fall from the cone."""
+        if mass_mg <= 0.0:
+            return
+        if self._below is None or self._arm.is_active or self._below[0] != self._pan.container_id:
+            below = self._around.below(self._arm.pose(now_s), self._pan.mouth_mm, self.source)
+            self._below = (self._pan.container_id, *below)
+        _, place, fall_s = self._below
+        self._matter.transfer("cone", "flight", mass_mg)
+        self._flying.append((now_s + fall_s, mass_mg, place))
+
+    def _leave(self, end_s: float, dt_s: float, opening_mm: float) -> None:
+        """Powder leaves the apex."""
+        in_cone_mg = self._masses_mg["cone"]
+        self._was_open = opening_mm > 0.0
+        if in_cone_mg <= 0.0 or self._flow is None or self._is_clogged(end_s, dt_s):
+            return
+        leaving_mg = self._flow.step(dt_s, opening_mm, self._hand.felt_vibration, in_cone_mg, self._flow_rng)
+        self.drop(end_s, self._plant.leaving(leaving_mg, in_cone_mg))
+
+    def _is_clogged(self, now_s: float, dt_s: float) -> bool:
+        if "powder.clog" not in self._faults.active:
+            return False
+        self._shaken_s += self._hand.felt_vibration * dt_s
+        if self._shaken_s >= CLOG_SHAKE_S:
+            self._shaken_s = 0.0
+            self._faults.end("powder.clog", now_s)
+        return True
+
+    def _pour(self, end_s: float, dt_s: float) -> None:
+        """Powder slides over the rim of a cone that is tipped too far, unless the cone lies in a mortar."""
+        in_cone_mg = self._masses_mg["cone"]
+        if in_cone_mg <= 0.0 or self.source is None:
+            return
+        pose = self._arm.pose(end_s)
+        cone = Cone(self._hand.cone_diameter_mm, self._hand.spec.sheet_radius_mm)
+        held_deg = cone.wall_deg + self._sources[self.source].powder.wall_friction_deg
+        if pose.axis[2] >= math.cos(math.radians(min(held_deg, 179.0))) or self._around.mortar(pose) is not None:
+            return
+        self.drop(end_s, in_cone_mg if in_cone_mg < 0.1 else in_cone_mg * min(1.0, dt_s / POUR_TIME_S))
+
+    def _land(self, now_s: float) -> float:
+        """Let what has fallen land; the mass [mg] that landed on the balance."""
+        landed_mg = 0.0
+        flying = self._flying
+        while flying and flying[0][0] <= now_s:
+            _, mass_mg, place = flying.popleft()
+            mass_mg = min(mass_mg, self._masses_mg["flight"])
+            if place in ("balance", "pan"):
+                landed_mg += mass_mg
+            if place == "balance":
+                density = self._sources[self.source].powder.bulk_density_mg_per_mm3 if self.source is not None else 0.0
+                self._pan.land(mass_mg, density)
+            else:
+                self._matter.transfer("flight", place, mass_mg)
+        if not flying:  # the dust of adding and subtracting
+            self._matter.transfer("flight", "waste", self._masses_mg["flight"])
+        return landed_mg
+
+    def _scoop(self, now_s: float) -> None:
+        """Follow a closing cone in a mortar; at the stroke's end the plant says what it has collected."""
+        diameter_mm = self._hand.cone_diameter_mm
+        if self._hand.is_closing:
+            pose = self._arm.pose(now_s)
+            source = self._around.mortar(pose)
+            cone = Cone(diameter_mm, self._hand.spec.sheet_radius_mm)
+            overtravel_mm = self._around.overtravel_mm(pose, cone, source) if source is not None else 0.0
+            if source is not None and overtravel_mm > 0.0:
+                if self._stroke is None:
+                    self._stroke, self._stroke_in = Stroke(diameter_mm, diameter_mm, overtravel_mm), source
+                self._stroke.closed_diameter_mm = diameter_mm
+                self._stroke.overtravel_mm = max(self._stroke.overtravel_mm, overtravel_mm)
+            return
+        stroke, self._stroke = self._stroke, None
+        assert stroke is not None
+        if self._faults.befalls("scoop.nothing", now_s):
+            return
+        stroke.closed_diameter_mm = diameter_mm
+        self._collect(stroke, self._stroke_in)
+
+    def _collect(self, stroke: Stroke, source: str) -> None:
+        mortar, powder = self._sources[source].mortar, self._sources[source].powder
+        place = f"source:{source}"
+        in_mortar_mg = self._masses_mg[place]
+        yields = self._plant.scoop(powder)
+        taken_mg = self._plant.collected(yields.collect(stroke, mortar, in_mortar_mg, self._scoop_rng), in_mortar_mg)
+        self._matter.transfer(place, "cone", taken_mg)
+        room_mg = max(0.0, powder.simulation.residue_mg - self._masses_mg["sheet"])
+        self._matter.transfer("cone", "sheet", min(room_mg, STICKING_SHARE * taken_mg))
+        self.begin(source)

@@ -1,0 +1,140 @@
+"""What stands on the balance: one container at a time, put there by hand or by the carousel's swing.
+
+A container that stood there before comes back with what it holds, and with an empty mass of its own.
+"""
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+
+from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.matter import Matter
+from scuhand_bt.sim.randomness import substream
+from scuhand_bt.specs import Container
+
+EMPTY_SPREAD = 0.2
+"""Standard deviation of single containers' empty mass, as a share of their kind's tolerance."""
+WRONG_MASS = 0.2
+"""How much heavier a wrong container is, as a share; at least three tolerances."""
+
+Known = tuple[Container, float, float]
+"""A container, its empty mass [mg] and what it holds [mg]."""
+
+
+class Pan:
+    """The pan, and every container that has stood on it or is about to."""
+
+    STATE: ClassVar[tuple[str, ...]] = ("container_id", "_swing")
+    """What the world's file keeps of it, beside the masses, and the containers in the file's log."""
+
+    def __init__(self, matter: Matter, seed: int, faults: Faults) -> None:
+        self.container_id: str | None = None
+        self.log: Callable[[Known], None] = lambda known: None
+        """Told of a container that comes, and again of what it holds when it goes: meanwhile only it can change."""
+        self._matter, self._seed, self._faults = matter, seed, faults
+        self._containers: dict[str, tuple[Container, float]] = {}
+        self._empty_mg = 0.0
+        self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
+
+    def place(self, container: Container, now_s: float) -> None:
+        """Put a container on the pan."""
+        if self.container_id is not None:
+            raise ValueError(f"'{self.container_id}' stands on the pan")
+        self._know(container, now_s)
+        self._put(container.id)
+
+    def remove(self) -> None:
+        """Take the container, and what it holds, off the pan."""
+        if self.container_id is not None:
+            self.log(self._known(self.container_id))
+        self._put(None)
+
+    def swing(self, now_s: float, until_s: float, container: Container | None) -> None:
+        """The carousel swings; at its end this container stands on the pan, or what stood there is gone."""
+        if container is not None:
+            self._know(container, now_s)
+        self._swing = (until_s, container.id if container is not None else None)
+
+    @property
+    def is_swinging(self) -> bool:
+        return self._swing is not None
+
+    @property
+    def swing_ends_s(self) -> float:
+        """When the carousel's swing ends; long ago if it stands still."""
+        return self._swing[0] if self._swing is not None else 0.0
+
+    def advance(self, end_s: float) -> None:
+        """End a swing that is over."""
+        if self._swing is None or end_s < self._swing[0]:
+            return
+        (_, container_id), self._swing = self._swing, None
+        if container_id is None:
+            self.remove()
+        else:
+            self.place(self._containers[container_id][0], end_s)
+
+    # --- what the balance and the falling powder meet ---
+
+    def gross_mg(self, landing_mg: float) -> float:
+        """What the balance carries without `landing_mg` of it [mg]."""
+        masses_mg = self._matter.masses_mg
+        on_pan_mg = self._empty_mg + masses_mg["pan"] - landing_mg
+        return on_pan_mg if self.container_id is None else on_pan_mg + masses_mg[f"container:{self.container_id}"]
+
+    @property
+    def mouth_mm(self) -> float:
+        """The diameter of the container's mouth, 0 without one."""
+        return self._containers[self.container_id][0].mouth_mm if self.container_id is not None else 0.0
+
+    def land(self, mass_mg: float, density_mg_per_mm3: float) -> None:
+        """Let powder from the air fall into the container's mouth; what it has no room for lies beside it."""
+        if self.container_id is not None:
+            into = f"container:{self.container_id}"
+            capacity_mg = self._containers[self.container_id][0].capacity_mm3 * density_mg_per_mm3
+            into_mg = min(mass_mg, max(0.0, capacity_mg - self._matter.masses_mg[into]))
+            self._matter.transfer("flight", into, into_mg)
+            mass_mg -= into_mg
+        self._matter.transfer("flight", "pan", mass_mg)
+
+    # --- for the world's file ---
+
+    @property
+    def held_mg(self) -> float:
+        """What is in the container, 0 without one [mg]."""
+        return self._matter.masses_mg[f"container:{self.container_id}"] if self.container_id is not None else 0.0
+
+    def log_all(self) -> None:
+        """Tell of every container again."""
+        for container_id in self._containers:
+            self.log(self._known(container_id))
+
+    def recall(self, containers: list[Known], held_mg: float) -> None:
+        """Know these containers; the one on the pan by now holds `held_mg`."""
+        for container, empty_mg, mass_mg in containers:
+            self._containers[container.id] = (container, empty_mg)
+            self._matter.masses_mg[f"container:{container.id}"] = mass_mg
+        if self.container_id is not None:
+            self._matter.masses_mg[f"container:{self.container_id}"] = held_mg
+        self._put(self.container_id)
+
+    def _known(self, container_id: str) -> Known:
+        return (*self._containers[container_id], self._matter.masses_mg[f"container:{container_id}"])
+
+    def _know(self, container: Container, now_s: float) -> None:
+        if container.id in self._containers:
+            return
+        rng = substream(self._seed, "container", container.id)
+        wrong_mg = 0.0
+        if self._faults.befalls("container.wrong", now_s):
+            wrong_mg = max(WRONG_MASS * container.empty_mass_mg, 3.0 * container.empty_mass_tolerance_mg)
+        spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
+        empty_mg = container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0))
+        self._containers[container.id] = (container, max(1.0, empty_mg) + wrong_mg)
+        self._matter.masses_mg[f"container:{container.id}"] = 0.0
+        self.log(self._known(container.id))
+
+    def _put(self, container_id: str | None) -> None:
+        self.container_id = container_id
+        self._empty_mg = self._containers[container_id][1] if container_id is not None else 0.0
