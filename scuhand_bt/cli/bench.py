@@ -44,6 +44,7 @@ def twins(
     wrong = read_faults(faults) if faults is not None else None
     bench = _bench(_lab_of_cell(cell, lab), seed, wrong)
     stop, clock = Signal(), WallClock(bench.check)
+    stopped = Wake.on(stop)  # seen however early it comes
     with on_signals(stop.fire), bench:
         table = Table("device", "driver", "port", show_edge=False)
         for device in ("arm", "hand", "balance"):
@@ -52,7 +53,7 @@ def twins(
         out.print(Text(f"Twins of the cell '{bench.spec.cell}', SIMULATED (seed {seed}); Ctrl-C ends them."))
         out.print(table)
         sys.stdout.flush()
-        clock.wait([Wake.on(stop)])
+        clock.wait([stopped])
 
 
 @app.command()
