@@ -27,6 +27,7 @@ from typing import Any
 from scuhand_bt.lab import Lab, find_lab, load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import SampleResult
 from scuhand_bt.run.chain import verify
@@ -35,7 +36,6 @@ from scuhand_bt.run.reading import read
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, prepared_motion
-from scuhand_bt.yaml_source import SourceError
 
 BROKEN = 70
 """Exit code of a child that ended by an exception."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+from scuhand_bt.problems import SourceError
 from scuhand_bt.report.run_story import chain_line, header_lines, told
 from scuhand_bt.report.weighing_record import weighing_record
 from scuhand_bt.run.archive import story, summary
@@ -16,7 +17,6 @@ from scuhand_bt.run.export import canonical_of
 from scuhand_bt.run.journal import SCHEMA, SCHEMA_VERSION
 from scuhand_bt.run.reading import Contents, open_contents
 from scuhand_bt.run.resume import checked_history
-from scuhand_bt.yaml_source import SourceError
 
 
 def mutated(whole: bytes, rng: random.Random) -> tuple[str, bytes]:

@@ -35,6 +35,7 @@ from benchmarks.mutants import Mutant, mutant, originals, structures
 from scuhand_bt.lab import Lab, load_lab, starter_lab, without_driver
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import SampleResult, Verdict
 from scuhand_bt.run.doubts import doubts
@@ -44,7 +45,6 @@ from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, places_of, prepared_motion
 from scuhand_bt.sim.fault_rules import FaultFile, read_faults
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.yaml_source import SourceError
 
 CHUNK = 40
 """Mutants made and judged in a go; every fourth chunk is of whole workflows and recipes."""

@@ -16,23 +16,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from scuhand_bt.failures import CATALOGUE, Failure, SkillFailed
+from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.skill import DEVICES, Condition, Skill
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Powder, Spec, Station
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import KEYWORDS, Call, Workflow, read_workflow, walk
-from scuhand_bt.yaml_source import (
-    Entries,
-    Mark,
-    Node,
-    Problem,
-    Problems,
-    SourceError,
-    describe,
-    load,
-    read_text,
-    shorten,
-    validate,
-)
+from scuhand_bt.validation import validate
+from scuhand_bt.yaml_source import Entries, Node, describe, load, read_text
 
 S = TypeVar("S", bound=Spec)
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
+from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe import Recipe
 from scuhand_bt.sample import Sample, demand_mg
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs
 from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent
 from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
-from scuhand_bt.yaml_source import Mark, Problem, Problems, SourceError, shorten
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""

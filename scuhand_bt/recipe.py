@@ -11,25 +11,15 @@ from typing import Annotated, Any, Literal
 
 from scuhand_bt.expansion import MAX_SAMPLES, expand
 from scuhand_bt.lab import Lab
+from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.sample import Sample, check_demand, check_reach, check_sample, check_source
 from scuhand_bt.specs import Container, Positive, Source, Spec
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
 from scuhand_bt.tree.grammar import RECIPE_WORDS, Input, Workflow
-from scuhand_bt.yaml_source import (
-    Entries,
-    Items,
-    Mark,
-    Node,
-    Problems,
-    Scalar,
-    describe,
-    parse,
-    read_text,
-    shorten,
-    validate,
-)
+from scuhand_bt.validation import validate
+from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse, read_text
 
 Action = Literal["flag", "skip_sample", "redo", "ask", "stop"]
 ACTIONS: Mapping[str, str] = {

@@ -9,9 +9,10 @@ import numpy as np
 
 from scuhand_bt.devices import places
 from scuhand_bt.motion import ApexPose, unreachable_reason
+from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.specs import BalanceSpec, CellSpec, Container, Source
-from scuhand_bt.yaml_source import Mark, Node, Problems
+from scuhand_bt.yaml_source import Node
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from scuhand_bt.yaml_source import Entries, Mark, Problems, Scalar, SourceError, read_text, shorten
+from scuhand_bt.problems import Mark, Problems, SourceError, shorten
+from scuhand_bt.yaml_source import Entries, Scalar, read_text
 
 _HEADER = re.compile(r"([A-Za-z_]\w*)\s*(?:[\[(]([^\])]+)[\])])?")
 _NUMBER = re.compile(r"[+-]?[\d.]+(?:[eE][+-]?\d+)?")

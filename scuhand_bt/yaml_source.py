@@ -1,20 +1,17 @@
 """YAML whose every value knows file, line and column, and errors that say where and what to do.
 
 A file becomes a tree of `Node`s. Scalars stay text: the *field* a value is for decides what it means,
-never its spelling (`id: 007` is "007", `on:` is a key, `no` is a word). `Problems` collects everything
-that is wrong, so that a user sees all of it at once.
+never its spelling (`id: 007` is "007", `on:` is a key, `no` is a word).
 """
 
-import difflib
-import typing
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import yaml
-from pydantic import BaseModel, ValidationError
+
+from scuhand_bt.problems import Mark, Problem, SourceError, shorten
 
 try:
     from yaml import CSafeLoader as _Loader
@@ -25,77 +22,6 @@ MAX_BYTES = 2_000_000
 """A recipe of 10 000 samples is below 1 MB; beyond this a file is not what it is taken for."""
 MAX_NODES = 400_000
 MAX_DEPTH = 60
-LONGEST_MESSAGE = 500
-LONGEST_NAME = 80
-"""Nothing longer is anyone's misspelling of a name."""
-
-M = TypeVar("M", bound=BaseModel)
-
-
-@dataclass(frozen=True, slots=True)
-class Mark:
-    """A place in a file; line and column count from 1. Line 0 is no file: an option of the command line."""
-
-    file: str
-    line: int = 1
-    column: int = 1
-
-    def __str__(self) -> str:
-        return f"{self.file}:{self.line}:{self.column}" if self.line else self.file
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One thing that is wrong, where, and what would be right."""
-
-    mark: Mark
-    message: str
-
-    def __str__(self) -> str:
-        return f"{self.mark}: {self.message}"
-
-
-class SourceError(Exception):
-    """Bad input: all problems found, in the order of the files."""
-
-    def __init__(self, problems: Sequence[Problem]) -> None:
-        self.problems = sorted(dict.fromkeys(problems), key=lambda p: (p.mark.file, p.mark.line, p.mark.column))
-        super().__init__("\n".join(map(str, self.problems)))
-
-
-@dataclass
-class Problems:
-    """Collects problems; `raise_any` ends a stage that found some."""
-
-    found: list[Problem] = field(default_factory=list)
-
-    def add(self, mark: Mark, what: str, allowed: str = "", unknown: str = "", known: Iterable[str] = ()) -> None:
-        """Note a problem: what is wrong; what is allowed; and, for an `unknown` name, the nearest known."""
-        parts = [shorten(what, LONGEST_MESSAGE)]
-        known = sorted(known)
-        if allowed or known:
-            parts.append(allowed or "known: " + (", ".join(known[:30]) + (", …" if len(known) > 30 else "")))
-        if nearest := _nearest(unknown, tuple(known)):
-            parts.append(f"did you mean '{nearest}'?")
-        self.found.append(Problem(mark, _one_line("; ".join(parts))))
-
-    def raise_any(self) -> None:
-        if self.found:
-            raise SourceError(self.found)
-
-
-@cache
-def _nearest(unknown: str, known: tuple[str, ...]) -> str | None:
-    """The known name that was probably meant; whoever writes `Mass` or `pellet-die` meant `mass`, `pellet_die`."""
-    if not 0 < len(unknown) <= LONGEST_NAME:
-        return None
-    plain = {_plain_spelling(name): name for name in reversed(known) if len(name) <= LONGEST_NAME}
-    found = difflib.get_close_matches(_plain_spelling(unknown), plain, 1, 0.6)
-    return plain[found[0]] if found else None
-
-
-def _plain_spelling(name: str) -> str:
-    return name.lower().replace("-", "_").replace(" ", "_")
 
 
 @dataclass(slots=True, eq=False)
@@ -149,15 +75,6 @@ def describe(node: Node) -> str:
         return "a mapping (key: value)" if node.values else "an empty mapping"
     assert isinstance(node, Scalar)
     return "nothing" if node.text is None else f"'{shorten(node.text)}'"
-
-
-def shorten(text: str, length: int = 40) -> str:
-    """Text on one line, cut for a message."""
-    return _one_line(text if len(text) <= length else text[: length - 1] + "…")
-
-
-def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else " " if c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def plain(node: Node) -> Any:
@@ -249,91 +166,6 @@ _YAML_PROBLEMS = {
 def _line(text: str, number: int) -> str:
     lines = text.splitlines()
     return lines[number - 1] if 0 < number <= len(lines) else ""
-
-
-def validate(model: type[M], node: Node, problems: Problems, known: str = "", **extra: Any) -> M | None:
-    """Make a model of a node; every error of the model becomes a located problem, and the result None.
-
-    `extra` are fields that do not stand in the file (such as a name that is the entry's key).
-    """
-    if not isinstance(node, Entries):
-        problems.add(node.mark, f"{describe(node)} stands where {known or 'a mapping (key: value)'} should be")
-        return None
-    found_before = len(problems.found)
-    for key in extra:
-        if key in node.keys:
-            problems.add(node.keys[key], f"unknown key '{key}'", known=set(_keys_at(model, ())).difference(extra))
-    try:
-        made = model.model_validate({**plain(node), **extra}, by_alias=True, by_name=False)
-        return made if len(problems.found) == found_before else None
-    except ValidationError as error:
-        for item in error.errors(include_url=False):
-            _explain(model, node, item, problems)
-        return None
-
-
-def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems) -> None:
-    mark, owner = node.mark, node
-    for i, step in enumerate(error["loc"], start=1):
-        if isinstance(owner, Entries) and step in owner.values:
-            is_key_wrong = error["type"] == "extra_forbidden" and i == len(error["loc"])
-            mark = owner.keys[step] if is_key_wrong else owner.values[step].mark
-            if not is_key_wrong:
-                owner = owner.values[step]
-        elif isinstance(owner, Items) and isinstance(step, int) and step < len(owner.items):
-            owner = owner.items[step]
-            mark = owner.mark
-    name = next((step for step in reversed(error["loc"]) if isinstance(step, str)), "")
-    if error["type"] == "extra_forbidden":
-        known = _keys_at(model, error["loc"][:-1])
-        problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known)
-    elif error["type"] == "missing":
-        problems.add(mark, f"'{name}' is missing")
-    else:
-        problems.add(mark, (f"'{shorten(name)}': " if name else "") + refusal(error))
-
-
-def refusal(error: Any) -> str:
-    """What pydantic has against a value (one of `ValidationError.errors()`), in a user's words."""
-    if error["type"] == "quantity":
-        return str(error["msg"])
-    given, context = error["input"], error.get("ctx", {})
-    shown = (
-        f"'{shorten(str(given))}'" if isinstance(given, str | int | float) else "nothing" if given is None else "this"
-    )
-    why = _WHY.get(error["type"], "").format(**context) or error["msg"].removeprefix("Value error, ")
-    return f"{shown} is not accepted; {why[:1].lower() + why[1:]}"
-
-
-_WHY = {
-    "missing": "it is missing",
-    "greater_than": "more than {gt:.12g}",
-    "greater_than_equal": "at least {ge:.12g}",
-    "less_than": "less than {lt:.12g}",
-    "less_than_equal": "at most {le:.12g}",
-    **dict.fromkeys(("int_parsing", "int_type", "int_from_float", "int_parsing_size"), "a whole number, such as 3"),
-    **dict.fromkeys(("float_parsing", "float_type", "finite_number"), "a plain number, such as 0.5"),
-    **dict.fromkeys(("bool_parsing", "bool_type"), "yes or no"),
-    "string_type": "a text",
-    "string_pattern_mismatch": "text of the form {pattern}",
-    "literal_error": "write {expected}",
-    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
-    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping (key: value)"),
-    "too_short": "a list of at least {min_length}",
-    "too_long": "a list of at most {max_length}",
-}
-"""What would be accepted, by pydantic's types of errors."""
-
-
-def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
-    """The keys that a model, or the model nested in it at `path`, accepts."""
-    for step in path:
-        for name, info in model.model_fields.items():
-            if step in (name, info.alias):
-                nested = (info.annotation, *typing.get_args(info.annotation))
-                model = next((t for t in nested if isinstance(t, type) and issubclass(t, BaseModel)), model)
-                break
-    return [info.alias or name for name, info in model.model_fields.items()]
 
 
 class _Reader:

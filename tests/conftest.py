@@ -14,6 +14,7 @@ from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.devices.cell import Believed
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.plan import Job
+from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe import Recipe, load_recipe
 from scuhand_bt.record import NoRecord
 from scuhand_bt.run.clock import VirtualClock
@@ -26,7 +27,7 @@ from scuhand_bt.skill import DEVICES, Skill
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.past import Past
-from scuhand_bt.yaml_source import Problems, SourceError, parse
+from scuhand_bt.yaml_source import parse
 
 REPOSITORY = Path(__file__).parent.parent
 LATE_MS = 20.0

@@ -8,11 +8,11 @@ from conftest import LabFolder
 from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.lab import without_driver
 from scuhand_bt.plan import make_plan
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.wire.balances import TWINS
 from scuhand_bt.specs import BalanceSpec
-from scuhand_bt.yaml_source import SourceError
 
 CHANGER = "changer: {driver: carousel, slots: 24}"
 BALANCE = "driver: shimadzu"

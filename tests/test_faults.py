@@ -16,6 +16,7 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.plan import make_plan
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.export import canonical
@@ -26,7 +27,6 @@ from scuhand_bt.run.setup import bench_of
 from scuhand_bt.sim.fault_rules import KINDS, parse_faults
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.yaml_source import SourceError
 
 BATCH = """
 recipe: two

@@ -20,6 +20,7 @@ from scuhand_bt.devices.cell import Cell
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.plan import Plan, make_plan
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.batch import BatchResult
 from scuhand_bt.run.doubts import doubts, recall, require_settled, settle
@@ -28,7 +29,6 @@ from scuhand_bt.run.lab_db import MIGRATIONS, lab_db
 from scuhand_bt.run.learnt import LabState
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, Setup, set_up
-from scuhand_bt.yaml_source import SourceError
 
 RECIPE = """\
 recipe: one

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from benchmarks.mutated_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.chain import COLUMNS
 from scuhand_bt.run.export import canonical
@@ -20,7 +21,6 @@ from scuhand_bt.run.journal import SCHEMA_VERSION, Journal
 from scuhand_bt.run.reading import open_contents, open_journal, read
 from scuhand_bt.run.resume import checked_history
 from scuhand_bt.specs import Dose
-from scuhand_bt.yaml_source import SourceError
 
 STARTED = "2026-05-04T08:00:00+02:00"
 HEADER = {

@@ -7,9 +7,9 @@ from conftest import Bench, wait_until
 
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.problems import SourceError
 from scuhand_bt.run.runner import SkillBug
 from scuhand_bt.skill import Condition, Seconds, Skill, Steps
-from scuhand_bt.yaml_source import SourceError
 
 
 class Work(Skill[str]):

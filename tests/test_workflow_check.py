@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from scuhand_bt.lab import Lab
+from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.skill import (
     Condition,
     Container,
@@ -24,7 +25,7 @@ from scuhand_bt.skill import (
 )
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
-from scuhand_bt.yaml_source import Problems, SourceError, parse
+from scuhand_bt.yaml_source import parse
 
 
 class Base(Skill[None]):

@@ -7,8 +7,9 @@ from conftest import REPOSITORY, problems_of
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.tree.grammar import Branch, Call, Decorator, Workflow, read_workflow, walk
-from scuhand_bt.yaml_source import Problems, SourceError, parse
+from scuhand_bt.yaml_source import parse
 
 
 def read(text: str, stem: str = "w") -> tuple[Workflow | None, list[str]]:

@@ -20,6 +20,7 @@ from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.interfaces import Joints, Operator
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
+from scuhand_bt.problems import SourceError
 from scuhand_bt.record import NoRecord
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim import cell as cell_module
@@ -28,7 +29,6 @@ from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.world import DEAD_MAN_S, OUTAGE_S, SERVO_WATCHDOG_S, World
 from scuhand_bt.sim.world_file import WorldFile
 from scuhand_bt.specs import CellSpec, Container, Powder, Source
-from scuhand_bt.yaml_source import SourceError
 
 BEADS = shipped_powders()["glass_beads"]
 ALL_MG = 10_000.0

@@ -25,8 +25,8 @@ from scuhand_bt.cli.shared import (
     out,
     the_lab,
 )
+from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
-from scuhand_bt.yaml_source import SourceError
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab

@@ -43,8 +43,8 @@ def skills(name: NameArgument = None, lab: LabOption = None) -> None:
 @app.command()
 def trees(name: NameArgument = None, lab: LabOption = None) -> None:
     """List the lab's workflows, or show one; all of them are checked."""
+    from scuhand_bt.problems import Problems
     from scuhand_bt.tree.check import check_workflows
-    from scuhand_bt.yaml_source import Problems
 
     loaded = the_lab(lab)
     problems = Problems()

@@ -5,7 +5,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from difflib import get_close_matches
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -16,7 +15,7 @@ from rich.text import Text
 
 import scuhand_bt
 from scuhand_bt.failures import CATALOGUE, SkillFailed
-from scuhand_bt.yaml_source import SourceError
+from scuhand_bt.problems import SourceError, nearest
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
@@ -116,6 +115,6 @@ def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
     """The error for a name that is not known, with the nearest that is."""
     known = sorted(known)
-    nearest = get_close_matches(name, known, 1, 0.6)
-    hint = f"; did you mean '{nearest[0]}'?" if nearest else ""
+    meant = nearest(name, tuple(known))
+    hint = f"; did you mean '{meant}'?" if meant else ""
     return typer.BadParameter(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}")

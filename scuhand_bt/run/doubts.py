@@ -10,11 +10,11 @@ from datetime import datetime
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.cell import Believed, Cell
 from scuhand_bt.plan import Plan
+from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.run.inventory import Entry, Stock
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import CellSpec, Source
-from scuhand_bt.yaml_source import Mark, Problem, SourceError
 
 PLAUSIBLE_SHARE = 0.05
 """A recipe's amount and the inventory's that differ by less are the same: of the larger, or what two scoops lose."""

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Literal
 
 from scuhand_bt.devices.cell import Cell
+from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.run.lab_db import lab_db
 from scuhand_bt.run.operator import user_name
-from scuhand_bt.yaml_source import SourceError
 
 Kind = Literal["station", "cone", "sheet", "changer", "container"]
 KINDS: tuple[Kind, ...] = ("station", "cone", "sheet", "changer", "container")

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from scuhand_bt.yaml_source import Mark, Problem, SourceError
+from scuhand_bt.problems import Mark, Problem, SourceError
 
 MIGRATIONS = (
     """

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from scuhand_bt.devices.cell import Cell
+from scuhand_bt.problems import SourceError
 from scuhand_bt.run.lab_db import lab_db
 from scuhand_bt.specs import BalanceBelief, PowderBelief
-from scuhand_bt.yaml_source import SourceError
 
 B = TypeVar("B", PowderBelief, BalanceBelief)
 

@@ -17,6 +17,7 @@ from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.plan import Plan, check_unattended
+from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, Held, Presence
@@ -31,7 +32,6 @@ from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.run.setup import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.state import state_of, take_up
 from scuhand_bt.sim.fault_rules import parse_faults
-from scuhand_bt.yaml_source import Mark, Problem, SourceError
 
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
 

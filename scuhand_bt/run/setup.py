@@ -18,6 +18,7 @@ from scuhand_bt.devices.places import Position, all_places
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.plan import Plan
+from scuhand_bt.problems import SourceError
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import Nobody, OperatorChanger, SimulatedOperator, TerminalOperator
@@ -28,7 +29,6 @@ from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container
-from scuhand_bt.yaml_source import SourceError
 
 MATTERLESS = {
     "powder.clog": "no powder is behind twins alone",

@@ -16,23 +16,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.quantity import Seconds
 from scuhand_bt.specs import Spec
-from scuhand_bt.yaml_source import (
-    Entries,
-    Items,
-    Mark,
-    Node,
-    Problem,
-    Problems,
-    Scalar,
-    SourceError,
-    describe,
-    parse,
-    read_text,
-    shorten,
-    validate,
-)
+from scuhand_bt.validation import validate
+from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse, read_text
 
 Opportunity = Literal["opening", "motion", "scoop", "container", "question"]
 OPPORTUNITIES: Mapping[Opportunity, str] = {

@@ -17,7 +17,7 @@ import struct
 from pathlib import Path
 from zlib import crc32
 
-from scuhand_bt.yaml_source import Mark, Problem, SourceError
+from scuhand_bt.problems import Mark, Problem, SourceError
 
 MAGIC = b"scuhand_bt world 1\n"
 HEAD = struct.Struct("<19sII")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from scuhand_bt.failures import CATALOGUE, Failure
+from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import RATIO, parse
 from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.specs import ContainerKind, Mortar, Powder
@@ -21,7 +22,7 @@ from scuhand_bt.tree.grammar import (
     walk,
 )
 from scuhand_bt.tree.wires import NOTHING, WireType, of_field
-from scuhand_bt.yaml_source import Mark, Node, Problems, Scalar, describe, plain, shorten
+from scuhand_bt.yaml_source import Node, Scalar, describe, plain
 
 MAX_TREE_NODES = 5000
 

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
+from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.tree.wires import INPUT_TYPES, WireType
-from scuhand_bt.yaml_source import Entries, Items, Mark, Node, Problems, Scalar, describe, shorten
+from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
 COMPOSITES = ("sequence", "fallback", "parallel")
 DECORATOR_KEYS: dict[str, tuple[str, ...]] = {

@@ -16,7 +16,7 @@ from pydantic import AllowInfNan, BaseModel, Field, FiniteFloat, TypeAdapter, Va
 from scuhand_bt import quantity
 from scuhand_bt.quantity import Unit, plain_name
 from scuhand_bt.specs import Container, Dose, Powder, Source
-from scuhand_bt.yaml_source import refusal
+from scuhand_bt.validation import refusal
 
 
 @dataclass(frozen=True)

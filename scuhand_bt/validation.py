@@ -1,0 +1,97 @@
+"""Models from nodes: every error of a model becomes a located problem in a user's words."""
+
+import typing
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from scuhand_bt.problems import Problems, shorten
+from scuhand_bt.yaml_source import Entries, Items, Node, describe, plain
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def validate(model: type[M], node: Node, problems: Problems, known: str = "", **extra: Any) -> M | None:
+    """Make a model of a node; every error of the model becomes a located problem, and the result None.
+
+    `extra` are fields that do not stand in the file (such as a name that is the entry's key).
+    """
+    if not isinstance(node, Entries):
+        problems.add(node.mark, f"{describe(node)} stands where {known or 'a mapping (key: value)'} should be")
+        return None
+    found_before = len(problems.found)
+    for key in extra:
+        if key in node.keys:
+            problems.add(node.keys[key], f"unknown key '{key}'", known=set(_keys_at(model, ())).difference(extra))
+    try:
+        made = model.model_validate({**plain(node), **extra}, by_alias=True, by_name=False)
+        return made if len(problems.found) == found_before else None
+    except ValidationError as error:
+        for item in error.errors(include_url=False):
+            _explain(model, node, item, problems)
+        return None
+
+
+def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems) -> None:
+    mark, owner = node.mark, node
+    for i, step in enumerate(error["loc"], start=1):
+        if isinstance(owner, Entries) and step in owner.values:
+            is_key_wrong = error["type"] == "extra_forbidden" and i == len(error["loc"])
+            mark = owner.keys[step] if is_key_wrong else owner.values[step].mark
+            if not is_key_wrong:
+                owner = owner.values[step]
+        elif isinstance(owner, Items) and isinstance(step, int) and step < len(owner.items):
+            owner = owner.items[step]
+            mark = owner.mark
+    name = next((step for step in reversed(error["loc"]) if isinstance(step, str)), "")
+    if error["type"] == "extra_forbidden":
+        known = _keys_at(model, error["loc"][:-1])
+        problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known)
+    elif error["type"] == "missing":
+        problems.add(mark, f"'{name}' is missing")
+    else:
+        problems.add(mark, (f"'{shorten(name)}': " if name else "") + refusal(error))
+
+
+def refusal(error: Any) -> str:
+    """What pydantic has against a value (one of `ValidationError.errors()`), in a user's words."""
+    if error["type"] == "quantity":
+        return str(error["msg"])
+    given, context = error["input"], error.get("ctx", {})
+    shown = (
+        f"'{shorten(str(given))}'" if isinstance(given, str | int | float) else "nothing" if given is None else "this"
+    )
+    why = _WHY.get(error["type"], "").format(**context) or error["msg"].removeprefix("Value error, ")
+    return f"{shown} is not accepted; {why[:1].lower() + why[1:]}"
+
+
+_WHY = {
+    "missing": "it is missing",
+    "greater_than": "more than {gt:.12g}",
+    "greater_than_equal": "at least {ge:.12g}",
+    "less_than": "less than {lt:.12g}",
+    "less_than_equal": "at most {le:.12g}",
+    **dict.fromkeys(("int_parsing", "int_type", "int_from_float", "int_parsing_size"), "a whole number, such as 3"),
+    **dict.fromkeys(("float_parsing", "float_type", "finite_number"), "a plain number, such as 0.5"),
+    **dict.fromkeys(("bool_parsing", "bool_type"), "yes or no"),
+    "string_type": "a text",
+    "string_pattern_mismatch": "text of the form {pattern}",
+    "literal_error": "write {expected}",
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "a mapping (key: value)"),
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+}
+"""What would be accepted, by pydantic's types of errors."""
+
+
+def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
+    """The keys that a model, or the model nested in it at `path`, accepts."""
+    for step in path:
+        for name, info in model.model_fields.items():
+            if step in (name, info.alias):
+                nested = (info.annotation, *typing.get_args(info.annotation))
+                model = next((t for t in nested if isinstance(t, type) and issubclass(t, BaseModel)), model)
+                break
+    return [info.alias or name for name, info in model.model_fields.items()]
