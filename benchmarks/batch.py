@@ -5,7 +5,6 @@ dry, its memory, and whether a tick at its end costs what a tick at its beginnin
 """
 
 import argparse
-import json
 import os
 import resource
 import subprocess
@@ -18,13 +17,12 @@ from pathlib import Path
 from statistics import quantiles
 
 from py_trees.behaviour import Behaviour
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.figures import show
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.plan import Job, make_plan
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.batch import SampleResult
+from scuhand_bt.run.batch import BatchObserver, SampleResult
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, prepared_motion
 
@@ -56,16 +54,13 @@ def command(*arguments: str) -> tuple[float, int]:
     return time.perf_counter() - began, done.returncode
 
 
-class TickTimes:
+class TickTimes(BatchObserver):
     """Measures every tick of a run, by job."""
 
     def __init__(self) -> None:
         self.ticks_us: dict[int, list[float]] = defaultdict(list)
         self.job = 0
         self.verdicts: dict[str, int] = defaultdict(int)
-
-    def ticked(self, root: Behaviour) -> None:
-        pass
 
     def job_started(self, job: Job, number: int) -> None:
         self.job = number
@@ -159,12 +154,7 @@ def main() -> None:
         "tick_ratio": "0.9 to 1.1",
         "seeds_worst_imbalance_mg": "< 1e-6",
     }
-    table = Table("figure", "measured", "goal", title=f"Batches ({options.samples} generated samples)")
-    for key, value in figures.items():
-        table.add_row(key, f"{value:.3g}" if value < 1000 else f"{value:.0f}", limits.get(key, ""))
-    Console().print(table)
-    if options.json is not None:
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+    show(f"Batches ({options.samples} generated samples)", figures, limits, options.json)
 
 
 if __name__ == "__main__":

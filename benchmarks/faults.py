@@ -15,11 +15,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.verdicts import is_untrue
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.batch import SampleResult
+from scuhand_bt.run.batch import BatchObserver, SampleResult
 from scuhand_bt.run.reading import open_contents
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, prepared_motion
@@ -64,8 +65,6 @@ CODES: Mapping[str, set[str]] = {
 }
 """What a fault may come to: codes, or recovery."""
 CANNOT_CLOSE = "valve.stuck_open"
-SPREAD = 3.0
-"""A true mass is this many standard uncertainties from the recorded one, at the most."""
 
 
 @dataclass(frozen=True)
@@ -79,19 +78,6 @@ class Outcome:
     code: str
     detail: str
     wrong: tuple[str, ...]
-
-
-class _Quiet:
-    """Watches nothing."""
-
-    def ticked(self, root: object) -> None:
-        pass
-
-    def job_started(self, job: Job, number: int) -> None:
-        pass
-
-    def sample_ended(self, result: SampleResult) -> None:
-        pass
 
 
 class Matrix:
@@ -109,7 +95,7 @@ class Matrix:
         """When the moments are in a run in which nothing goes wrong [s]."""
         session = self._session(seed, None)
         try:
-            assert session.run(_Quiet()).exit_code == 0
+            assert session.run(BatchObserver()).exit_code == 0
         finally:
             session.close()
         with open_contents(session.journal.path) as contents:
@@ -124,7 +110,7 @@ class Matrix:
         """One run with this fault at this time."""
         session = self._session(seed, f"faults: [{{fault: {fault}, at: {at_s:.3f} s}}]")
         try:
-            result = session.run(_Quiet())
+            result = session.run(BatchObserver())
         finally:
             session.close()
         failed = next((sample for sample in result.samples if sample.code is not None), None)
@@ -173,15 +159,7 @@ def _unsafe(session: Session, fault: str) -> Iterator[str]:
 def _untrue(samples: tuple[SampleResult, ...]) -> Iterator[str]:
     """Verdicts that the true mass contradicts, beyond the measurement's own uncertainty."""
     for sample in samples:
-        if sample.true_mg is None or sample.target_mg is None or sample.tolerance_mg is None:
-            continue
-        error_mg, doubt_mg = sample.true_mg - sample.target_mg, SPREAD * (sample.uncertainty_mg or 0.0)
-        is_wrong = {
-            "in tolerance": abs(error_mg) > sample.tolerance_mg + doubt_mg,
-            "over": error_mg < -doubt_mg,
-            "under": error_mg > doubt_mg,
-        }.get(sample.verdict, False)
-        if is_wrong:
+        if is_untrue(sample):
             yield f"'{sample.id}' is called {sample.verdict}, and holds {sample.true_mg:.1f} mg of {sample.target_mg:g}"
 
 

@@ -6,7 +6,6 @@ Last, it damages many copies of a journal, and sees that nothing takes one for w
 """
 
 import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -16,17 +15,14 @@ from statistics import median
 from typing import Any
 from unittest.mock import patch
 
-from py_trees.behaviour import Behaviour
-from rich.console import Console
-from rich.table import Table
-
+from benchmarks.figures import show
 from benchmarks.mutated_journals import mutations
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run import session
-from scuhand_bt.run.batch import SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.reading import read
 from scuhand_bt.run.session import Options, Session
@@ -40,19 +36,6 @@ _WRITING = (
     *("describe_run", "job_started", "job_ended", "action_started", "action_ended"),
     *("flush", "pulse", "dose", "event"),
 )
-
-
-class Silent:
-    """Watches nothing."""
-
-    def ticked(self, root: Behaviour) -> None:
-        pass
-
-    def job_started(self, job: Job, number: int) -> None:
-        pass
-
-    def sample_ended(self, result: SampleResult) -> None:
-        pass
 
 
 class NoJournal(Journal):
@@ -157,7 +140,7 @@ class Bench:
         """Seconds of one dry run, without the planning before it."""
         began_s = clock()
         run = Session(self._plan, self._lab, Options(DryRun(), None, self._folder), self._motion)
-        run.run(Silent())
+        run.run(BatchObserver())
         run.close()
         self.journal = run.journal.path
         return clock() - began_s
@@ -221,12 +204,7 @@ def main() -> None:
         "mutations_broken": "0",
         "mutations_unnoticed": "0",
     }
-    table = Table("figure", "measured", "goal", title="The journal")
-    for key, value in figures.items():
-        table.add_row(key, f"{value:.3g}" if value < 1000 else f"{value:.0f}", goals.get(key, ""))
-    Console().print(table)
-    if options.json is not None:
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+    show("The journal", figures, goals, options.json)
 
 
 if __name__ == "__main__":

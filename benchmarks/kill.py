@@ -26,10 +26,10 @@ from typing import Any
 
 from scuhand_bt.lab import Lab, find_lab, load_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.batch import SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.chain import verify
 from scuhand_bt.run.history import read_history
 from scuhand_bt.run.reading import read
@@ -75,8 +75,8 @@ class Tally:
     problems: list[str] = field(default_factory=list)
 
 
-class Silent:
-    """An observer that shows nothing, and ends its own process at a tick."""
+class Deadly(BatchObserver):
+    """Shows nothing, and ends its own process at a tick."""
 
     def __init__(self, last_tick: int | None) -> None:
         self._left = last_tick
@@ -86,12 +86,6 @@ class Silent:
             self._left -= 1
             if self._left <= 0:
                 os.kill(os.getpid(), signal.SIGKILL)
-
-    def job_started(self, job: Job, number: int) -> None:
-        pass
-
-    def sample_ended(self, result: SampleResult) -> None:
-        pass
 
 
 def make_batch(recipe: Path, folder: Path, seed: int, motion: MotionPlanner | None = None) -> Batch:
@@ -190,7 +184,7 @@ def _run(batch: Batch, begun: Path | None, last_tick: int | None) -> int:
         found = resumable(begun, checked_history(begun), batch.plan, batch.lab, accept_changes=False)
     session = Session(batch.plan, batch.lab, options, batch.motion, resumes=found)
     try:
-        return session.run(Silent(last_tick)).exit_code
+        return session.run(Deadly(last_tick)).exit_code
     finally:
         session.close()
 

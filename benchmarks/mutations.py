@@ -32,12 +32,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.mutants import Mutant, mutant, originals, structures
+from benchmarks.verdicts import is_untrue
 from scuhand_bt.lab import Lab, load_lab, starter_lab, without_driver
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.batch import SampleResult, Verdict
+from scuhand_bt.run.batch import BatchObserver, SampleResult, Verdict
 from scuhand_bt.run.doubts import doubts
 from scuhand_bt.run.export import canonical
 from scuhand_bt.run.reading import open_contents
@@ -55,8 +56,6 @@ HANG_CPU_S = 5.0
 """Nothing may keep the processor for so long without an end: not reading, and not a run that is to stop."""
 PLANNERS = 12
 MEMORY_BYTES = 6_000_000_000
-SPREAD = 3.0
-"""A true mass is this many standard uncertainties from the recorded one, at the most."""
 LOST_SHARE = 1e-9
 RAW = (
     "Input should",
@@ -175,7 +174,7 @@ class Judge:
         return planner
 
 
-class _Watch:
+class _Watch(BatchObserver):
     """Ends a run that goes on too long."""
 
     def __init__(self, session: Session) -> None:
@@ -190,12 +189,6 @@ class _Watch:
         self._ticks += 1
         if self._ticks == TICKS:
             self.stop()
-
-    def job_started(self, job: Job, number: int) -> None:
-        pass
-
-    def sample_ended(self, result: SampleResult) -> None:
-        pass
 
 
 def _raise_hang() -> None:
@@ -268,17 +261,8 @@ def _unjust(session: Session, samples: tuple[SampleResult, ...], lab: Lab, plan:
             yield f"'{sample.id}' has the verdict {sample.verdict}"
         if sample.code is not None and sample.code not in codes:
             yield f"'{sample.id}' failed with {sample.code}"
-        if sample.true_mg is None or sample.target_mg is None or sample.tolerance_mg is None:
-            continue
-        if not _is_weighed_once(session.journal.path, sample.id):
-            continue  # what its last dose says is not what its container holds
-        error_mg, doubt_mg = sample.true_mg - sample.target_mg, SPREAD * (sample.uncertainty_mg or 0.0)
-        is_wrong = {
-            "in tolerance": abs(error_mg) > sample.tolerance_mg + doubt_mg,
-            "over": error_mg < -doubt_mg,
-            "under": error_mg > doubt_mg,
-        }.get(sample.verdict, False)
-        if is_wrong:
+        # Of a container that was weighed twice, what its last dose says is not what it holds.
+        if is_untrue(sample) and _is_weighed_once(session.journal.path, sample.id):
             held = f"{sample.true_mg:.2f} mg of {sample.target_mg:g} ± {sample.tolerance_mg:g} mg"
             yield f"'{sample.id}' is called {sample.verdict} with {sample.dispensed_mg} mg, and holds {held}"
 

@@ -17,7 +17,7 @@ from rich.text import Text
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.plan import Job, Plan
 from scuhand_bt.quantity import format_duration, format_mass
-from scuhand_bt.run.batch import BatchResult, SampleResult
+from scuhand_bt.run.batch import BatchObserver, BatchResult, SampleResult
 from scuhand_bt.run.control import Control
 
 REFRESH_S = 0.1
@@ -33,16 +33,13 @@ _STATUS = {
 }
 
 
-class PlainLines:
+class PlainLines(BatchObserver):
     """The batch as plain lines, for a log: one for every sample that has ended."""
 
     def __init__(self, write: Callable[[str], None], total: int) -> None:
         self._write = write
         self._total = total
         self._ended: set[str] = set()
-
-    def ticked(self, root: Behaviour) -> None:
-        pass
 
     def job_started(self, job: Job, number: int) -> None:
         if job.sample is None:
@@ -55,7 +52,7 @@ class PlainLines:
         self._write(f"[{len(self._ended)}/{self._total}] {result.id}: {_in_words(result)}")
 
 
-class LiveView:
+class LiveView(BatchObserver):
     """The current job's tree, progress and time left, the balance, and the finished doses; on a terminal."""
 
     def __init__(self, console: Console, cell: Cell, plan: Plan, control: Control) -> None:

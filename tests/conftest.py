@@ -1,15 +1,17 @@
-"""Shared by the tests of recipes, workflows, labs and trees: labs that can be changed, and a bench for trees."""
+"""Shared by the tests: commands in this process, labs that can be changed, and a bench for trees."""
 
 import os
 import shutil
+import sys
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from wire_helpers import Metronome
 
+from scuhand_bt import cli
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.devices.cell import Believed
 from scuhand_bt.lab import Lab, load_lab
@@ -58,6 +60,36 @@ def problems_of(action: Callable[[], object]) -> list[str]:
     except SourceError as error:
         return [f"{p.mark.line}:{p.mark.column}: {p.message}" for p in error.problems]
     return []
+
+
+class Ended(NamedTuple):
+    """What a command came to."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Call = Callable[..., Ended]
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
+    """The command in this process, as the entry point runs it."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(REPOSITORY)
+
+    def call(*arguments: object) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["scuhand-bt", *map(str, arguments)])
+        capsys.readouterr()
+        try:
+            cli.main()
+            code = 0
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        return Ended(code, *capsys.readouterr())
+
+    return call
 
 
 @dataclass

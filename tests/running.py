@@ -9,9 +9,9 @@ from typing import Any
 
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Job, Plan, make_plan
+from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.batch import BatchResult, SampleResult
+from scuhand_bt.run.batch import BatchObserver, BatchResult, SampleResult
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.run.setup import DryRun, places_of, prepared_motion
 from scuhand_bt.sim.fault_rules import parse_faults
@@ -47,7 +47,7 @@ def make_lab(folder: Path, **files: str) -> Path:
 
 
 @dataclass
-class Watching:
+class Watching(BatchObserver):
     """An observer that counts ticks, and may stop the run at one of them."""
 
     session: Session | None = None
@@ -61,9 +61,6 @@ class Watching:
         self.at_tick(root)
         if self.ticks == self.stop_at and self.session is not None:
             self.session.control.wish("stop_now")
-
-    def job_started(self, job: Job, number: int) -> None:
-        pass
 
     def sample_ended(self, result: SampleResult) -> None:
         self.results.append(result)

@@ -4,16 +4,14 @@ import csv
 import io
 import json
 import sqlite3
-import sys
-from collections.abc import Callable
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import Call
 
-from scuhand_bt.cli import main
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_record
 from scuhand_bt.run.archive import summaries
 from scuhand_bt.run.control import Control, Presence
@@ -22,7 +20,6 @@ from scuhand_bt.run.reading import open_contents, read
 from tests.running import Ran, dry_run, make_lab
 from tests.test_journal import HEADER, tamper, write_run, write_version_1
 
-Command = Callable[..., tuple[int, str, str]]
 DOSES = """
 recipe: two
 workflow: fill_xrd_holder
@@ -31,20 +28,6 @@ samples:
   - {id: a, mass: 30 mg}
   - {id: b, mass: 40 mg}
 """
-
-
-@pytest.fixture
-def command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
-    """A command in this process: its exit code, standard output and standard error."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["scuhand-bt", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        done = capsys.readouterr()
-        return int(ended.value.code or 0), done.out, done.err
-
-    return run
 
 
 @pytest.fixture
@@ -64,7 +47,7 @@ def record(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(io.StringIO(weighing_record(contents))))
 
 
-def test_runs_are_listed_newest_first_with_their_states(tmp_path: Path, command: Command) -> None:
+def test_runs_are_listed_newest_first_with_their_states(tmp_path: Path, command: Call) -> None:
     lab = make_lab(tmp_path / "lab")
     folder = lab / ".scuhand" / "runs"
     write_run(folder / "complete.sqlite").close()
@@ -100,7 +83,7 @@ def test_runs_are_listed_newest_first_with_their_states(tmp_path: Path, command:
     assert next(one for one in found if one["id"] == "cut")["total"] == 2
 
 
-def test_a_folder_without_runs_has_none(tmp_path: Path, command: Command) -> None:
+def test_a_folder_without_runs_has_none(tmp_path: Path, command: Call) -> None:
     assert summaries(tmp_path) == []
     lab = make_lab(tmp_path / "lab")
     assert "There are no runs" in command("runs", "--lab", lab)[1]
@@ -108,7 +91,7 @@ def test_a_folder_without_runs_has_none(tmp_path: Path, command: Command) -> Non
     assert (code, "there is no run 'last'" in err) == (2, True)
 
 
-def test_show_tells_what_happened(run: Path, command: Command) -> None:
+def test_show_tells_what_happened(run: Path, command: Call) -> None:
     code, out, _ = command("show", run)
     assert code == 0
     assert "r: SIMULATED, no powder was moved" in out
@@ -119,7 +102,7 @@ def test_show_tells_what_happened(run: Path, command: Command) -> None:
     assert "entries, whole; head " in out
 
 
-def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command: Command) -> None:
+def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command: Call) -> None:
     journal = write_run(tmp_path / "r.sqlite")
     journal.event(
         "resumed", {"last_at": "then", "changes": ["the recipe has changed"], "version": "", "operator": "eve"}
@@ -136,7 +119,7 @@ def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command:
     assert "State: interrupted" in out
 
 
-def test_show_as_json_has_all_of_it(ran: Ran, command: Command) -> None:
+def test_show_as_json_has_all_of_it(ran: Ran, command: Call) -> None:
     code, out, _ = command("show", ran.journal, "--json")
     story: dict[str, Any] = json.loads(out)
     assert code == 0
@@ -148,7 +131,7 @@ def test_show_as_json_has_all_of_it(ran: Ran, command: Command) -> None:
     assert story["header"]["samples"][0]["id"] == "a"
 
 
-def test_the_balances_own_lines_of_a_dose_are_kept(ran: Ran, command: Command) -> None:
+def test_the_balances_own_lines_of_a_dose_are_kept(ran: Ran, command: Call) -> None:
     lines = json.loads(command("show", ran.journal, "--frames", "a", "--json")[1])
     assert len(lines) > 20
     assert all(line["raw"].endswith("\r\n") for line in lines)
@@ -161,7 +144,7 @@ def test_the_balances_own_lines_of_a_dose_are_kept(ran: Ran, command: Command) -
     assert "the samples are a, b" in err
 
 
-def test_verify_says_whole_altered_or_cut_off(run: Path, command: Command) -> None:
+def test_verify_says_whole_altered_or_cut_off(run: Path, command: Call) -> None:
     with open_contents(run) as contents:
         head = contents.verified.head
     code, out, _ = command("verify", run)
@@ -190,7 +173,7 @@ def test_verify_says_whole_altered_or_cut_off(run: Path, command: Command) -> No
     assert "entry 3 (action_started," in err
 
 
-def test_an_altered_journal_is_shown_up_to_there_and_not_exported(run: Path, command: Command) -> None:
+def test_an_altered_journal_is_shown_up_to_there_and_not_exported(run: Path, command: Call) -> None:
     tamper(run, "UPDATE entry SET payload = '{}' WHERE kind = 'dose'")
     code, out, err = command("show", run)
     assert code == 3
@@ -205,7 +188,7 @@ def test_an_altered_journal_is_shown_up_to_there_and_not_exported(run: Path, com
 
 
 @pytest.mark.parametrize("form", [("show",), ("verify",), ("export", "--csv"), ("plot", "a")])
-def test_what_is_no_journal_is_refused_cleanly(tmp_path: Path, command: Command, form: tuple[str, ...]) -> None:
+def test_what_is_no_journal_is_refused_cleanly(tmp_path: Path, command: Call, form: tuple[str, ...]) -> None:
     broken = tmp_path / "broken.sqlite"
     broken.write_bytes(b"SQLite format 3\0" + bytes(range(256)) * 40)
     for path in (broken, tmp_path / "gone.sqlite"):
@@ -260,7 +243,7 @@ def test_a_text_that_would_be_a_formula_is_none(tmp_path: Path) -> None:
     assert row["gross_mg"] == "-5.0000"  # a number is a number
 
 
-def test_export_writes_files_that_spreadsheets_and_programs_read(run: Path, tmp_path: Path, command: Command) -> None:
+def test_export_writes_files_that_spreadsheets_and_programs_read(run: Path, tmp_path: Path, command: Call) -> None:
     table, text = tmp_path / "record.csv", tmp_path / "export.json"
     assert command("export", run, "--csv", "-o", table)[0] == 0
     assert table.read_bytes().startswith(b"\xef\xbb\xbfrun,simulated,")
@@ -273,7 +256,7 @@ def test_export_writes_files_that_spreadsheets_and_programs_read(run: Path, tmp_
     assert command("export", run, "--csv", "-o", tmp_path)[0] == 2
 
 
-def test_a_journal_of_version_1_is_listed_shown_exported_and_drawn(tmp_path: Path, command: Command) -> None:
+def test_a_journal_of_version_1_is_listed_shown_exported_and_drawn(tmp_path: Path, command: Call) -> None:
     path = tmp_path / "old.sqlite"
     write_version_1(path)
     (found,) = summaries(tmp_path)

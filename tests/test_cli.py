@@ -6,15 +6,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 import serial
-from conftest import REPOSITORY, LabFolder
+from conftest import REPOSITORY, Call, LabFolder
 
-from scuhand_bt import cli
 from scuhand_bt.sim.wire.hand import NoCompiler
 
 SMALL = """\
@@ -26,36 +24,6 @@ defaults: {source: beads, container: xrd_holder, tolerance: 5 mg}
 samples:
   - {id: a, mass: 50 mg}
 """
-
-
-@dataclass(frozen=True)
-class Ended:
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-Call = Callable[..., Ended]
-
-
-@pytest.fixture
-def scuhand_bt(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Call:
-    """The command in this process, as the entry point runs it."""
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.chdir(REPOSITORY)
-
-    def call(*arguments: object) -> Ended:
-        monkeypatch.setattr(sys, "argv", ["scuhand-bt", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = end.code if isinstance(end.code, int) else int(end.code is not None)
-        written = capsys.readouterr()
-        return Ended(code, written.out, written.err)
-
-    return call
 
 
 def in_a_process(*arguments: object, environment: Mapping[str, str] = {}) -> subprocess.CompletedProcess[str]:
@@ -80,13 +48,13 @@ def wrong(lab_folder: LabFolder) -> Path:
     return lab_folder.write("recipes/wrong.yaml", SMALL.replace("50 mg", "50").replace("5 g}", "5 mm}"))
 
 
-def test_help_and_version_are_quick_and_name_every_command(scuhand_bt: Call) -> None:
-    shown = scuhand_bt("--help")
+def test_help_and_version_are_quick_and_name_every_command(command: Call) -> None:
+    shown = command("--help")
     assert shown.returncode == 0
     assert all(command in shown.stdout for command in ("run", "check", "plan", "skills", "trees", "init", "130"))
-    version = scuhand_bt("--version")
+    version = command("--version")
     assert version.stdout.startswith("scuhand-bt ")
-    assert scuhand_bt().returncode == 2
+    assert command().returncode == 2
 
 
 def test_looking_needs_no_robot_library() -> None:
@@ -109,15 +77,15 @@ print("heavy:", [name for name in ("pinocchio", "coal", "ruckig", "dynamixel_sdk
 # --- check
 
 
-def test_check_says_that_a_recipe_is_good(scuhand_bt: Call, recipe: Path) -> None:
-    ended = scuhand_bt("check", recipe)
+def test_check_says_that_a_recipe_is_good(command: Call, recipe: Path) -> None:
+    ended = command("check", recipe)
     assert (ended.returncode, ended.stdout) == (0, f"{recipe}: 1 samples, no problem found.\n")
-    found = json.loads(scuhand_bt("check", recipe, "--json").stdout)
+    found = json.loads(command("check", recipe, "--json").stdout)
     assert {key: found[key] for key in ("ok", "samples", "problems")} == {"ok": True, "samples": 1, "problems": []}
 
 
-def test_check_lists_every_problem_with_its_place_on_standard_error(scuhand_bt: Call, wrong: Path) -> None:
-    ended = scuhand_bt("check", wrong)
+def test_check_lists_every_problem_with_its_place_on_standard_error(command: Call, wrong: Path) -> None:
+    ended = command("check", wrong)
     assert ended.returncode == 2
     assert ended.stdout == ""
     first, second, last = ended.stderr.splitlines()
@@ -126,15 +94,15 @@ def test_check_lists_every_problem_with_its_place_on_standard_error(scuhand_bt: 
     assert last == "2 problems; nothing was moved."
 
 
-def test_check_gives_its_problems_as_json(scuhand_bt: Call, wrong: Path) -> None:
-    ended = scuhand_bt("check", wrong, "--json")
+def test_check_gives_its_problems_as_json(command: Call, wrong: Path) -> None:
+    ended = command("check", wrong, "--json")
     assert ended.returncode == 2
     found = json.loads(ended.stdout)
     assert found["ok"] is False
     assert [(p["line"], p["column"]) for p in found["problems"]] == [(4, 86), (7, 19)]
 
 
-def test_a_file_that_is_no_recipe_is_one_line_and_code_2(scuhand_bt: Call, tmp_path: Path) -> None:
+def test_a_file_that_is_no_recipe_is_one_line_and_code_2(command: Call, tmp_path: Path) -> None:
     bomb = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]\n" for i in range(1, 40))
     contents = {
         "empty.yaml": b"",
@@ -149,7 +117,7 @@ def test_a_file_that_is_no_recipe_is_one_line_and_code_2(scuhand_bt: Call, tmp_p
         (tmp_path / name).write_bytes(content)
     began = time.monotonic()
     for name in (*contents, "missing.yaml", "."):
-        ended = scuhand_bt("check", tmp_path / name)
+        ended = command("check", tmp_path / name)
         assert ended.returncode == 2, name
         assert len(ended.stderr.splitlines()) == 1, ended.stderr
         assert "Traceback" not in ended.stderr
@@ -167,8 +135,8 @@ def test_a_terminal_without_unicode_breaks_nothing(lab_folder: LabFolder) -> Non
 # --- plan, skills, trees, init
 
 
-def test_plan_shows_jobs_powder_swaps_and_persons(scuhand_bt: Call) -> None:
-    shown = scuhand_bt("plan", "recipes/synthesis_batch.yaml")
+def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
+    shown = command("plan", "recipes/synthesis_batch.yaml")
     assert shown.returncode == 0
     assert "change powder to monosodium_glutamate" in shown.stdout
     assert "Sheet swaps: 1. Estimated duration: " in shown.stdout
@@ -176,37 +144,37 @@ def test_plan_shows_jobs_powder_swaps_and_persons(scuhand_bt: Call) -> None:
     assert f"A person is needed at '{change}': swap the sheet (two screws)." in shown.stdout
 
 
-def test_plan_as_json_has_every_job(scuhand_bt: Call) -> None:
-    found = json.loads(scuhand_bt("plan", "recipes/synthesis_batch.yaml", "--json").stdout)
+def test_plan_as_json_has_every_job(command: Call) -> None:
+    found = json.loads(command("plan", "recipes/synthesis_batch.yaml", "--json").stdout)
     assert len([job for job in found["jobs"] if job["sample"]]) == 24
     assert found["swaps"] == 1
     assert {source["name"] for source in found["sources"]} == {"beads", "msg"}
 
 
-def test_skills_and_trees_list_and_show_one(scuhand_bt: Call) -> None:
-    listed = scuhand_bt("skills").stdout
+def test_skills_and_trees_list_and_show_one(command: Call) -> None:
+    listed = command("skills").stdout
     assert "dispense" in listed
-    shown = scuhand_bt("skills", "dispense").stdout
+    shown = command("skills", "dispense").stdout
     assert "commands: hand, balance; gives: Dose" in shown
     assert any("tolerance" in line and "Mass" in line and "2.0 mg" in line for line in shown.splitlines())
-    assert "fill_crucible" in scuhand_bt("trees").stdout
-    assert scuhand_bt("trees", "fill").stdout.startswith("workflow: fill\n")
+    assert "fill_crucible" in command("trees").stdout
+    assert command("trees", "fill").stdout.startswith("workflow: fill\n")
 
 
-@pytest.mark.parametrize("command", ["skills", "trees"])
-def test_an_unknown_name_is_code_2_with_the_known_ones(scuhand_bt: Call, command: str) -> None:
-    ended = scuhand_bt(command, "nosuch")
+@pytest.mark.parametrize("listing", ["skills", "trees"])
+def test_an_unknown_name_is_code_2_with_the_known_ones(command: Call, listing: str) -> None:
+    ended = command(listing, "nosuch")
     assert ended.returncode == 2
     assert "nosuch" in ended.stderr
     assert "known:" in ended.stderr
 
 
-def test_init_makes_a_lab_that_checks_and_never_overwrites(scuhand_bt: Call, tmp_path: Path) -> None:
-    made = scuhand_bt("init", tmp_path / "my-lab")
+def test_init_makes_a_lab_that_checks_and_never_overwrites(command: Call, tmp_path: Path) -> None:
+    made = command("init", tmp_path / "my-lab")
     assert made.returncode == 0
     for path in (tmp_path / "my-lab" / "recipes").glob("*.yaml"):
-        assert scuhand_bt("check", path).returncode == 0
-    again = scuhand_bt("init", tmp_path / "my-lab")
+        assert command("check", path).returncode == 0
+    again = command("init", tmp_path / "my-lab")
     assert again.returncode == 2
     assert "is not empty" in again.stderr.replace("\n", " ")
 
@@ -214,10 +182,8 @@ def test_init_makes_a_lab_that_checks_and_never_overwrites(scuhand_bt: Call, tmp
 # --- run
 
 
-def test_a_dry_run_says_that_it_is_simulated_and_ends_with_a_table(
-    scuhand_bt: Call, recipe: Path, tmp_path: Path
-) -> None:
-    ended = scuhand_bt("run", recipe, "--dry-run", "--seed", 3, "--json", tmp_path / "out.json")
+def test_a_dry_run_says_that_it_is_simulated_and_ends_with_a_table(command: Call, recipe: Path, tmp_path: Path) -> None:
+    ended = command("run", recipe, "--dry-run", "--seed", 3, "--json", tmp_path / "out.json")
     assert ended.returncode in (0, 1), ended.stderr
     assert ended.stdout.splitlines()[0].startswith("small: 1 samples on the cell 'starter', SIMULATED (seed 3)")
     assert "[1/1] a: " in ended.stdout
@@ -226,15 +192,15 @@ def test_a_dry_run_says_that_it_is_simulated_and_ends_with_a_table(
     json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
 
 
-def test_the_same_seed_gives_the_same_export(scuhand_bt: Call, recipe: Path, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_export(command: Call, recipe: Path, tmp_path: Path) -> None:
     for name in ("one.json", "two.json"):
-        scuhand_bt("run", recipe, "--dry-run", "--seed", 5, "--json", tmp_path / name)
+        command("run", recipe, "--dry-run", "--seed", 5, "--json", tmp_path / name)
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
 
 
 @pytest.mark.parametrize("controller", ["paper", "direct_pid"])
-def test_a_controller_is_chosen_by_name(scuhand_bt: Call, recipe: Path, controller: str) -> None:
-    ended = scuhand_bt("run", recipe, "--dry-run", "--controller", controller)
+def test_a_controller_is_chosen_by_name(command: Call, recipe: Path, controller: str) -> None:
+    ended = command("run", recipe, "--dry-run", "--controller", controller)
     assert ended.returncode in (0, 1), ended.stderr
     assert controller in ended.stdout
 
@@ -257,41 +223,39 @@ def test_a_controller_is_chosen_by_name(scuhand_bt: Call, recipe: Path, controll
         (["--nonsense"], "--nonsense"),
     ],
 )
-def test_a_wrong_option_is_code_2_and_no_traceback(
-    scuhand_bt: Call, recipe: Path, options: list[str], said: str
-) -> None:
-    ended = scuhand_bt("run", recipe, *options)
+def test_a_wrong_option_is_code_2_and_no_traceback(command: Call, recipe: Path, options: list[str], said: str) -> None:
+    ended = command("run", recipe, *options)
     assert ended.returncode == 2
     assert said in ended.stderr
     assert "Traceback" not in ended.stderr
 
 
-def test_a_wrong_recipe_moves_nothing(scuhand_bt: Call, wrong: Path, lab_folder: LabFolder) -> None:
-    assert scuhand_bt("run", wrong, "--dry-run").returncode == 2
+def test_a_wrong_recipe_moves_nothing(command: Call, wrong: Path, lab_folder: LabFolder) -> None:
+    assert command("run", wrong, "--dry-run").returncode == 2
     assert not (lab_folder.folder / ".scuhand").exists()
 
 
-def test_a_cell_whose_devices_do_not_answer_is_code_3(scuhand_bt: Call, recipe: Path, lab_folder: LabFolder) -> None:
+def test_a_cell_whose_devices_do_not_answer_is_code_3(command: Call, recipe: Path, lab_folder: LabFolder) -> None:
     lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
-    ended = scuhand_bt("run", recipe)
+    ended = command("run", recipe)
     assert ended.returncode == 3
     assert "Traceback" not in ended.stderr
     assert "SIMULATED" not in ended.stdout
 
 
 def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_real_run(
-    scuhand_bt: Call, recipe: Path
+    command: Call, recipe: Path
 ) -> None:
-    for command in ("check", "plan"):
-        ended = scuhand_bt(command, recipe)
+    for name in ("check", "plan"):
+        ended = command(name, recipe)
         assert (ended.returncode, ended.stderr[:6]) == (0, "Note: ")
         assert "robot/cell.yaml:6:19: the changer 'carousel' has no driver" in ended.stderr
-        ended = scuhand_bt(command, recipe, "--json")
+        ended = command(name, recipe, "--json")
         assert (json.loads(ended.stdout)["notes"][0].split(": ", 1)[1][:22], ended.stderr) == (
             "the changer 'carousel'",
             "",
         )
-    ended = scuhand_bt("run", recipe)
+    ended = command("run", recipe)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert "robot/cell.yaml:6:19: the changer 'carousel' has no driver" in ended.stderr
 
@@ -311,36 +275,34 @@ def test_ctrl_c_while_running_ends_safe_with_code_130(recipe: Path) -> None:
     assert "Traceback" not in err
 
 
-def test_a_skill_with_a_bug_ends_the_run_safe_with_code_3(
-    scuhand_bt: Call, lab_folder: LabFolder, recipe: Path
-) -> None:
+def test_a_skill_with_a_bug_ends_the_run_safe_with_code_3(command: Call, lab_folder: LabFolder, recipe: Path) -> None:
     lab_folder.replace(
         "skills/tare.py",
         "        if cell.believed.pan is None:",
         "        1 / 0\n        if cell.believed.pan is None:",
     )
-    ended = scuhand_bt("run", recipe, "--dry-run")
+    ended = command("run", recipe, "--dry-run")
     assert ended.returncode == 3
     assert "broke: ZeroDivisionError: division by zero" in ended.stdout
     assert "Traceback" not in ended.stderr
 
 
-def test_a_motion_a_dose_and_the_reach_can_be_drawn(scuhand_bt: Call, recipe: Path, tmp_path: Path) -> None:
+def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path, tmp_path: Path) -> None:
     page, picture, reach = tmp_path / "move.html", tmp_path / "dose.svg", tmp_path / "reach.html"
     load = ("--load", "3 g", "--powder", "glass_beads", "--gentle", "20 deg")
-    assert scuhand_bt("show-move", "mortar_bay", "balance", "-o", page, *load).returncode == 0
-    assert scuhand_bt("reach", "-o", reach).returncode == 0
+    assert command("show-move", "mortar_bay", "balance", "-o", page, *load).returncode == 0
+    assert command("reach", "-o", reach).returncode == 0
     assert "3 g of glass_beads, spill angle up to 20°" in page.read_text(encoding="utf-8")
     assert "mortar_bay" in reach.read_text(encoding="utf-8")
-    ran = scuhand_bt("run", recipe, "--dry-run")
+    ran = command("run", recipe, "--dry-run")
     journal = ran.stdout.split("Journal:")[1].split()[0]
-    assert scuhand_bt("plot", journal, "a", "-o", picture).returncode == 0
+    assert command("plot", journal, "a", "-o", picture).returncode == 0
     assert "<svg" in picture.read_text(encoding="utf-8")
 
 
-def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(scuhand_bt: Call) -> None:
-    assert "belong together" in scuhand_bt("show-move", "mortar_bay", "balance", "--load", "3 g").stderr
-    ended = scuhand_bt("show-move", "mortarbay", "balance")
+def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(command: Call) -> None:
+    assert "belong together" in command("show-move", "mortar_bay", "balance", "--load", "3 g").stderr
+    ended = command("show-move", "mortarbay", "balance")
     assert ended.returncode == 2
     assert "did you mean 'mortar_bay'?" in ended.stderr
 
@@ -364,14 +326,14 @@ def test_a_rehearsal_says_what_it_is_and_is_interrupted_safely(recipe: Path) -> 
 
 
 def test_without_a_compiler_a_rehearsal_is_code_2_in_words(
-    scuhand_bt: Call, recipe: Path, monkeypatch: pytest.MonkeyPatch
+    command: Call, recipe: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_compiler(firmware: Path) -> None:
         raise NoCompiler("install g++")
 
     monkeypatch.setattr("scuhand_bt.sim.wire.hand.build_brain", no_compiler)
-    for command in (["run", recipe, "--rehearse"], ["twins"], ["doctor", "--twins"]):
-        ended = scuhand_bt(*command)
+    for words in (["run", recipe, "--rehearse"], ["twins"], ["doctor", "--twins"]):
+        ended = command(*words)
         assert (ended.returncode, ended.stderr) == (2, "install g++\n")
 
 
@@ -396,19 +358,19 @@ def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(scuhand_bt: Call) -> None:
-    healthy = json.loads(scuhand_bt("doctor", "--twins", "--yes", "--json").stdout)
+def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(command: Call) -> None:
+    healthy = json.loads(command("doctor", "--twins", "--yes", "--json").stdout)
     assert [f for f in healthy["findings"] if f["verdict"] == "FAIL"] == []
     assert healthy["ok"]
     assert healthy["simulated"]
-    nothing = scuhand_bt("doctor")
+    nothing = command("doctor")
     assert nothing.returncode == 3
     assert "real devices" in nothing.stdout
     assert "/dev/ttyUSB0 is not there" in nothing.stdout
 
 
-def test_the_start_of_day_needs_no_powder_and_is_good_in_a_dry_run(scuhand_bt: Call) -> None:
-    assert "put a check weight on the pan" in scuhand_bt("plan", "recipes/start_of_day.yaml").stdout
-    ended = scuhand_bt("run", "recipes/start_of_day.yaml", "--dry-run")
+def test_the_start_of_day_needs_no_powder_and_is_good_in_a_dry_run(command: Call) -> None:
+    assert "put a check weight on the pan" in command("plan", "recipes/start_of_day.yaml").stdout
+    ended = command("run", "recipes/start_of_day.yaml", "--dry-run")
     assert ended.returncode == 0, ended.stdout
     assert "1 of 1 samples good" in ended.stdout

@@ -1,40 +1,23 @@
 """Failure codes are explained, and a skill can raise none that nobody has explained."""
 
+import functools
 import json
-import sys
-from collections.abc import Callable
 from typing import ClassVar
 
 import pytest
-from conftest import REPOSITORY, Bench, LabFolder
+from conftest import Bench, Call, LabFolder
 
-from scuhand_bt import cli
 from scuhand_bt.failures import CATALOGUE
 from scuhand_bt.skill import Cell, Condition, Failure, Skill, SkillFailed, Steps, Wake
 from scuhand_bt.tree.leaf import SkillBug
 
-Explain = Callable[..., tuple[int, str, str]]
-
 
 @pytest.fixture
-def explain(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Explain:
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.chdir(REPOSITORY)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["scuhand-bt", "explain", *map(str, arguments)])
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = int(end.code or 0)
-        written = capsys.readouterr()
-        return code, written.out, written.err
-
-    return call
+def explain(command: Call) -> Call:
+    return functools.partial(command, "explain")
 
 
-def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Explain) -> None:
+def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Call) -> None:
     code, said, _ = explain("hand.cone_empty")
     assert code == 0
     assert said.splitlines()[:4] == [
@@ -47,17 +30,17 @@ def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Explain)
     assert "  stop         stop the batch  (the default)" in said
 
 
-def test_what_devices_raise_is_said_to_come_from_any_skill(explain: Explain) -> None:
+def test_what_devices_raise_is_said_to_come_from_any_skill(explain: Call) -> None:
     said = explain("balance.unstable")[1]
     assert "Raised by: the skill dispense; the skill watch_balance; scuhand_bt/devices, within any skill" in said
 
 
-def test_a_labs_own_code_says_which_skill_defines_it(explain: Explain) -> None:
+def test_a_labs_own_code_says_which_skill_defines_it(explain: Call) -> None:
     said = explain("hand.valve_zero")[1]
     assert "Defined by this lab's skill check_valve." in said
 
 
-def test_without_a_code_all_are_listed(explain: Explain) -> None:
+def test_without_a_code_all_are_listed(explain: Call) -> None:
     listed = explain()[1]
     assert all(code in listed for code in CATALOGUE)
     explained = json.loads(explain("--json")[1])
@@ -66,7 +49,7 @@ def test_without_a_code_all_are_listed(explain: Explain) -> None:
     assert explained["dose.overshoot"]["raised_by"] == ["dispense"]
 
 
-def test_an_unknown_code_is_code_2_with_the_nearest(explain: Explain) -> None:
+def test_an_unknown_code_is_code_2_with_the_nearest(explain: Call) -> None:
     code, said, error = explain("dose.overshot")
     assert (code, said) == (2, "")
     assert "did you mean 'dose.overshoot'?" in " ".join(error.replace("│", " ").split())

@@ -2,19 +2,17 @@
 
 import json
 import sqlite3
-import sys
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import Desk, LabFolder, problems_of
+from conftest import Call, Desk, Ended, LabFolder, problems_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from running import Watching, dry_run, shared_planner
 
-from scuhand_bt import cli
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.failures import SkillFailed
@@ -38,7 +36,6 @@ sources:
 defaults: {source: beads, container: xrd_holder, tolerance: 5 mg}
 samples: [{id: a, mass: 50 mg}, {id: b, mass: 60 mg}]
 """
-Call = Callable[..., tuple[int, str, str]]
 AMOUNT, SOURCE = "4:86", "4:3"
 
 
@@ -378,21 +375,13 @@ def test_a_real_run_settles_its_doubts_before_anything_moves(
 
 
 @pytest.fixture
-def inventory(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, lab_folder: LabFolder) -> Call:
-    monkeypatch.setenv("COLUMNS", "200")
+def inventory(command: Call, lab_folder: LabFolder) -> Call:
+    """A command about this lab."""
 
-    def call(*arguments: str) -> tuple[int, str, str]:
+    def call(*arguments: object) -> Ended:
         at = 2 if "set" in arguments else 1
-        monkeypatch.setattr(
-            sys, "argv", ["scuhand-bt", *arguments[:at], "--lab", str(lab_folder.folder), *arguments[at:]]
-        )
-        try:
-            cli.main()
-            code = 0
-        except SystemExit as end:
-            code = int(end.code or 0)
-        written = capsys.readouterr()
-        return code, written.out, " ".join(written.err.replace("│", " ").split())
+        ended = command(*arguments[:at], "--lab", lab_folder.folder, *arguments[at:])
+        return ended._replace(stderr=" ".join(ended.stderr.replace("│", " ").split()))
 
     return call
 
@@ -458,10 +447,6 @@ def test_check_notes_what_a_real_run_would_ask_and_dry_runs_do_not_mind(inventor
     assert "the lab's database is damaged" in inventory("check", path)[2]
 
 
-def test_the_lab_may_be_named_before_the_subcommand(
-    inventory: Call, lab_folder: LabFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["scuhand-bt", "inventory", "--lab", str(lab_folder.folder), "set", "cone", "0 g"])
-    with pytest.raises(SystemExit):
-        cli.main()
+def test_the_lab_may_be_named_before_the_subcommand(command: Call, lab_folder: LabFolder) -> None:
+    command("inventory", "--lab", lab_folder.folder, "set", "cone", "0 g")
     assert (lab_folder.folder / ".scuhand" / "lab.db").exists()

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import LabFolder
+from conftest import Call, Ended, LabFolder
 from running import dry_run, make_lab
 
-from scuhand_bt import cli
 from scuhand_bt.run import notify as hook
 from scuhand_bt.run.notify import Notice, Notifier, notify
 from scuhand_bt.specs import NotifySpec
@@ -213,19 +212,15 @@ def test_a_run_tells_how_it_ended_with_the_head_of_its_journal(tmp_path: Path) -
     assert told["head"] == ran.session.journal.head
 
 
-def test_the_hook_can_be_tried(
-    lab_folder: LabFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], server: Any
-) -> None:
-    def tried(notify: str) -> int:
+def test_the_hook_can_be_tried(lab_folder: LabFolder, command: Call, server: Any) -> None:
+    def tried(notify: str) -> Ended:
         lab_folder.write("robot/cell.yaml", f"{cell}notify: {notify}\n" if notify else cell)
-        monkeypatch.setattr(sys, "argv", ["scuhand-bt", "notify", "--lab", str(lab_folder.folder)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return int(end.value.code or 0)
+        return command("notify", "--lab", lab_folder.folder)
 
     cell = (lab_folder.folder / "robot" / "cell.yaml").read_text()
-    assert tried("") == 2
-    assert tried(f"{{webhook: '{server.url}'}}") == 0
+    assert tried("").returncode == 2
+    assert tried(f"{{webhook: '{server.url}'}}").returncode == 0
     assert json.loads(server.received[0][2])["reason"] == "scuhand-bt notify: a trial"
-    assert tried("{command: [/no/such/program]}") == 1
-    assert "cannot be started" in capsys.readouterr().err
+    failed = tried("{command: [/no/such/program]}")
+    assert failed.returncode == 1
+    assert "cannot be started" in failed.stderr

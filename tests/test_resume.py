@@ -18,6 +18,7 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control, is_held, take_wish
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.reading import read
@@ -37,7 +38,7 @@ samples:
 """
 
 
-class Watch:
+class Watch(BatchObserver):
     """Wishes something of the run at a tick, and waits for no one."""
 
     def __init__(self, wish: str | None = None, at_tick: int = 10**9) -> None:
@@ -48,12 +49,6 @@ class Watch:
         self.ticks += 1
         if self.ticks == self._at:
             self.session.control.wish(self._wish)
-
-    def job_started(self, job: Any, number: int) -> None:
-        pass
-
-    def sample_ended(self, result: Any) -> None:
-        pass
 
 
 class Run:

@@ -3,7 +3,7 @@
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from py_trees.behaviour import Behaviour
 
@@ -80,14 +80,17 @@ class _Ending:
     is_complete: bool = False
 
 
-class BatchObserver(Protocol):
-    """Is told how the batch goes on: the live view, or plain lines."""
+class BatchObserver:
+    """Is told how the batch goes on, and shows nothing of it; the live view and plain lines do."""
 
-    def ticked(self, root: Behaviour) -> None: ...
+    def ticked(self, root: Behaviour) -> None:
+        """The tree after a tick; must be quick."""
 
-    def job_started(self, job: Job, number: int) -> None: ...
+    def job_started(self, job: Job, number: int) -> None:
+        """A job of the plan begins, its number counted from 1."""
 
-    def sample_ended(self, result: SampleResult) -> None: ...
+    def sample_ended(self, result: SampleResult) -> None:
+        """A sample has its result, or is known from before a resumed run."""
 
 
 class Batch:
