@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scuhand_bt.motion.charts import JointChart
-from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
 from scuhand_bt.motion.roadmap import Space
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
@@ -33,6 +33,7 @@ _FASTEST = 0.98
 _DETOURS = 64
 _DETOUR_SPREAD = 0.5
 _GRID_S = 0.01
+_EDGE_RAD = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +75,20 @@ class Shaper:
     def direct(self, start: Floats, end: Floats) -> Chain | None:
         """The optimum from rest to rest along the line, if it is proven."""
         line = np.array([start, end])
-        if isinstance(self._space.chart, JointChart) and self._spill_deg is None:
-            # It follows the line exactly, so the line's proof is its own.
-            motion = self._law.straight(line) if self._space.free(start, end) else None
-        else:
-            motion = self.proof(self._law.straight(line))
-        return None if motion is None else Chain(line, np.zeros_like(line), motion, line)
+        if self._follows_lines and not self._space.free(start, end):
+            return None
+        return self._along(line)
+
+    @property
+    def _follows_lines(self) -> bool:
+        """Whether a motion along the chart's straight lines is proven as soon as they are."""
+        return isinstance(self._space.chart, JointChart) and self._spill_deg is None
+
+    def _along(self, free_lines: Floats) -> Chain | None:
+        """At rest in every vertex, exactly along lines that have been proven as such."""
+        course = self._law.straight(free_lines)
+        motion = course if self._follows_lines else self.proof(course)
+        return None if motion is None else Chain(free_lines, np.zeros_like(free_lines), motion, free_lines)
 
     def proof(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
         """A motion in the chart's coordinates as a proven one of the joints, as slow as it must be."""
@@ -95,6 +104,9 @@ class Shaper:
             motion = motion.stretched(factor).keeping(self._spill_deg)
         if motion.duration_s >= quicker_than_s:
             return None
+        low, high = motion.span()
+        if (low < LIMITS_RAD[0] - _EDGE_RAD).any() or (high > LIMITS_RAD[1] + _EDGE_RAD).any():
+            return None
         free = self._space.scene.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
         return motion if free else None
 
@@ -104,9 +116,7 @@ class Shaper:
             chain = self.proven(path, self._passing(path, scale), path)
             if chain is not None:
                 return chain
-        # Each edge was proven as a line, so following the lines is free, whatever else is not.
-        motion = self.proof(self._law.straight(path))
-        return None if motion is None else Chain(path, np.zeros_like(path), motion, path)
+        return self._along(path)
 
     def detour(self, start: Floats, goals: Floats, rng: np.random.Generator, quicker_than_s: float) -> Chain | None:
         """The quickest chain found through one random via point near a line to one of the goals (n, 7).

@@ -35,10 +35,16 @@ SHAPES = 10
 SMALLEST_MARGIN_M = 1e-4
 SHEET_M = 0.002
 """Sheet, clamps and their play, added to the cone's radius."""
-_FIRST_SAMPLES = 24
-_FIRST_SHARE = 1.0
+_FIRST_SAMPLES = 16
+_FOREMOST = ("clamps", "fore_0")
+"""The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
+_MANY = 16
+"""A first look at no more than these pays from so many configurations on."""
+_WIDE = 4.0
+"""Times the margin: where a motion keeps that much from everything, so many times fewer samples prove it."""
 
 
+Pool: TypeAlias = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager
 CurveAt: TypeAlias = Callable[[Floats], Floats]
 """A motion: times (n,) to configurations (n, 7)."""
 
@@ -59,6 +65,12 @@ class Solid:
         if self.cylinder_m is not None:
             return coal.Cylinder(self.cylinder_m[0] / 2, self.cylinder_m[1])
         raise ValueError(f"{self.name} is neither a box nor a cylinder")
+
+    @property
+    def top_m(self) -> float:
+        """How high it stands."""
+        height_m = self.box_m[2] if self.box_m is not None else self.cylinder_m[1] if self.cylinder_m else 0.0
+        return self.centre_m[2] + height_m / 2
 
     def placement(self) -> pin.SE3:
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
@@ -174,29 +186,44 @@ class Scene:
         for first, second in _pairs(self.shapes, moving, touchable):
             self.shapes.addCollisionPair(pin.CollisionPair(first, second))
         # From here on the models are complete; only now may data be made of them.
-        self._pool = pin.BroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, self.shapes, threads)
-        for data in self._pool.getGeometryDatas():
-            for request in data.collisionRequests:
-                request.security_margin = margin_m
+        self._pool, self._wide_pool = self._pooled(self.shapes, margin_m), self._pooled(self.shapes, _WIDE * margin_m)
+        self._first_pool = self._pooled(_foremost(shapes, solids), margin_m)
         self._data = self.model.createData()
         self._shape_data = pin.GeometryData(self.shapes)
 
-    def hits(self, q: Floats) -> np.ndarray:
+    def _pooled(self, shapes: pin.GeometryModel, margin_m: float) -> Pool:
+        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, shapes, self.threads)
+        for data in pool.getGeometryDatas():
+            for request in data.collisionRequests:
+                request.security_margin = margin_m
+        return pool
+
+    def hits(self, q: Floats) -> NDArray[np.bool_]:
         """Which of the configurations (n, 7) come nearer than the margin to anything: (n,) bool."""
         # Beyond the joints' limits nothing is free.
-        outside = ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any(axis=1)
-        threads = self.threads if len(q) >= 8 else 1
-        touching = pin.computeCollisionsInParallel(threads, self._pool, np.ascontiguousarray(q.T), True, False)
-        hit: np.ndarray = np.asarray(touching, dtype=bool) | outside
+        hit = _outside(q) if len(q) < _MANY else self.first_hits(q) | _outside(q)
+        left = ~hit
+        if left.any():
+            hit[left] = self._nearer(self._pool, q[left])
         return hit
+
+    def first_hits(self, q: Floats) -> NDArray[np.bool_]:
+        """Of the configurations (n, 7) that are hit, most: cone and fore arm against the tallest solids, (n,) bool.
+
+        Costs a sixth of `hits`: most of that goes into keeping track of shapes, few of which matter.
+        """
+        return self._nearer(self._first_pool, q)
 
     def any_hit(self, q: Floats) -> bool:
         """Whether any configuration of a path (n, 7) is hit; looked at ever finer, up to the first that is."""
-        if ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any():
+        if _outside(q).any():
             return True
+        return bool(self._nearer(self._pool, q[_coarse_to_fine(len(q))], until_first=True).any())
+
+    def _nearer(self, pool: Pool, q: Floats, until_first: bool = False) -> NDArray[np.bool_]:
         threads = self.threads if len(q) >= 8 else 1
-        in_order = np.ascontiguousarray(q[_coarse_to_fine(len(q))].T)
-        return bool(pin.computeCollisionsInParallel(threads, self._pool, in_order, True, True).any())
+        columns = np.ascontiguousarray(q.T)
+        return np.asarray(pin.computeCollisionsInParallel(threads, pool, columns, True, until_first), dtype=bool)
 
     def clearance_m(self, q: Floats) -> tuple[float, str]:
         """Exact distance of the closest pair at one configuration, negative inside, and the two names."""
@@ -211,34 +238,67 @@ class Scene:
         """Shares (n,) of the straight joint path and joints (n, 7) there, close enough together to prove it."""
         return self.proving_samples(lambda shares: q0 + shares[:, None] * (q1 - q0), 1.0, 0 * q0)
 
-    def curve_free(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> bool:
-        """Whether a curve over time is proven free; `acceleration` (7,) bounds its joints'."""
-        return not self.any_hit(self.proving_samples(positions_at, duration_s, acceleration)[1])
+    def line_free(self, q0: Floats, q1: Floats) -> bool:
+        """Whether the straight joint path between two configurations is proven free."""
+        return self.curve_free(lambda shares: q0 + shares[:, None] * (q1 - q0), 1.0, 0 * q0)
 
-    def proving_samples(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> tuple[Floats, Floats]:
-        """Times (n,) and configurations (n, 7) whose freedom proves the whole curve free.
+    def curve_free(self, positions_at: CurveAt, duration_s: float, acceleration: Floats) -> bool:
+        """Whether a curve over time is proven to touch nothing; `acceleration` (7,) bounds its joints'.
+
+        First with a wide margin, which needs few samples; closely only where that is not kept.
+        """
+        wide_m = _WIDE * self.margin_m
+        times_s, q = self.proving_samples(positions_at, duration_s, acceleration, wide_m)
+        near = self._nearer(self._wide_pool, q)
+        if not near.any():
+            return True
+        if self.any_hit(q[near]):
+            return False
+        allowed_m = np.where(near[:-1] | near[1:], self.margin_m, wide_m)
+        between_s, q = self._closer(positions_at, times_s, q, acceleration, allowed_m)
+        return not self.any_hit(q[~np.isin(between_s, times_s)])
+
+    def proving_samples(
+        self, positions_at: CurveAt, duration_s: float, acceleration: Floats, margin_m: float | None = None
+    ) -> tuple[Floats, Floats]:
+        """Times (n,) and configurations (n, 7) whose freedom, by the margin, proves the whole curve free.
 
         A few samples tell how the bound is spread over the curve, and are laid anew, evenly in it;
         where that is not yet enough, more are laid between.
         """
-        bulge = float(acceleration @ self.bound.reach_m) / 8
+        margin_m = margin_m or self.margin_m
         times_s = np.linspace(0.0, duration_s, _FIRST_SAMPLES)
-        for attempt in range(20):
-            q = positions_at(times_s)
-            steps_s = times_s[1:] - times_s[:-1]
-            shares = (self.bound.passed_m(q) + bulge * steps_s * steps_s) / self.margin_m
+        q = positions_at(times_s)
+        course = np.concatenate([[0.0], np.cumsum(self._passed_m(times_s, q, acceleration) / margin_m)])
+        times_s = np.interp(np.linspace(0.0, course[-1], math.ceil(course[-1]) + 1), course, times_s)
+        return self._closer(
+            positions_at, times_s, positions_at(times_s), acceleration, np.full(len(times_s) - 1, margin_m)
+        )
+
+    def _passed_m(self, times_s: Floats, q: Floats, acceleration: Floats) -> Floats:
+        """Within what distance every point of the arm passes the nearer of two neighbouring samples: (n - 1,)."""
+        steps_s = times_s[1:] - times_s[:-1]
+        return self.bound.passed_m(q) + float(acceleration @ self.bound.reach_m) / 8 * steps_s * steps_s
+
+    def _closer(
+        self, positions_at: CurveAt, times_s: Floats, q: Floats, acceleration: Floats, allowed_m: Floats
+    ) -> tuple[Floats, Floats]:
+        """The samples, and so many more between them that none passes its neighbours by more than is allowed."""
+        for _ in range(20):
+            shares = self._passed_m(times_s, q, acceleration) / allowed_m
             if shares.max() <= 1:
                 return times_s, q
-            if attempt == 0:
-                course = np.concatenate([[0.0], np.cumsum(shares)])
-                even = np.linspace(0.0, course[-1], math.ceil(course[-1] * _FIRST_SHARE) + 1)
-                times_s = np.interp(even, course, times_s)
-            else:
-                cuts = np.ceil(shares / 0.98).astype(int)
-                starts, widths = np.repeat(times_s[:-1], cuts), np.repeat(steps_s / cuts, cuts)
-                within = np.arange(len(starts)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
-                times_s = np.append(starts + within * widths, duration_s)
+            cuts = np.maximum(np.ceil(shares / 0.98), 1).astype(int)
+            starts, widths = np.repeat(times_s[:-1], cuts), np.repeat((times_s[1:] - times_s[:-1]) / cuts, cuts)
+            within = np.arange(len(starts)) - np.repeat(np.cumsum(cuts) - cuts, cuts)
+            times_s, allowed_m = np.append(starts + within * widths, times_s[-1]), np.repeat(allowed_m, cuts)
+            q = positions_at(times_s)
         raise ValueError("the curve jumps: no sampling proves it")
+
+
+def _outside(q: Floats) -> NDArray[np.bool_]:
+    outside: NDArray[np.bool_] = ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any(axis=1)
+    return outside
 
 
 @cache
@@ -247,6 +307,22 @@ def _coarse_to_fine(count: int) -> NDArray[np.intp]:
     strides = [16, 16, 8, 4, 2]
     begins = [0, 8, 4, 2, 1]
     return np.concatenate([np.arange(b, count, s) for b, s in zip(begins, strides, strict=True)])
+
+
+def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:
+    """The foremost shapes against the tallest solids alone: the walls around the balance."""
+    few = pin.GeometryModel()
+    for thing in shapes.geometryObjects:
+        if thing.name in _FOREMOST:
+            few.addGeometryObject(pin.GeometryObject(thing))
+    moving, tallest_m = few.ngeoms, max((solid.top_m for solid in solids), default=0.0)
+    for solid in solids:
+        if solid.top_m > tallest_m / 2:
+            few.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
+    for first in range(moving):
+        for second in range(moving, few.ngeoms):
+            few.addCollisionPair(pin.CollisionPair(first, second))
+    return few
 
 
 def _pairs(shapes: pin.GeometryModel, moving: int, touchable: set[str]) -> Iterable[tuple[int, int]]:

@@ -256,7 +256,8 @@ class MotionPlanner:
     def _chain(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> Chain | None:
-        ranked = goals[np.argsort(rest_to_rest_s(goals - begin, self.rates), kind="stable")]
+        nearest = np.argsort(rest_to_rest_s(goals - begin, self.rates), kind="stable")
+        ranked = goals[np.concatenate([nearest[k :: transfer.STRIDE] for k in range(transfer.STRIDE)])]
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
             scene = self.scene(margin_m)
             start_free = not scene.hits(begin[None, :])[0]

@@ -30,9 +30,11 @@ from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 _PROPOSALS = 160
 _LOOKS = tuple(
     (tuple((2 * k + 1) / 2 ** (level + 1) for k in range(2**level)), kept)
-    for level, kept in enumerate((64, 24, 10, 5, 3))
+    for level, kept in enumerate((80, 40, 16, 6, 3))
 )
 """When schedules are looked at, as shares of their durations, ever finer, and how many are kept from look to look."""
+_FIRST_LOOKS = 4
+"""Of these looks, how many are first looks."""
 _NEAR_PART = 0.7
 """Share of the proposals that change the best schedule instead of being drawn anew."""
 _NEAR_SPAN = 0.6
@@ -44,7 +46,7 @@ _LIFT_RAD = np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
 """And by how much it lies beside it: the elbow's towards the stretched arm."""
 _FIRST_UPTO = 2.0
 """Times the least bound, what the first round looks at; a half more in every round that finds nothing."""
-GIVEN_UP = 4
+GIVEN_UP = 6
 """Rounds without any, after which another way has to be found first."""
 _QUICKER = 0.985
 _LEAST_S = 1e-9
@@ -182,10 +184,10 @@ class Scheduler:
     def _look_free(self, durations_s: Floats, times_s: Floats, steps: Floats) -> np.ndarray:
         """The first few schedules that look free: those that are hit drop out look by look."""
         left = np.arange(len(durations_s))
-        for shares, kept in _LOOKS:
+        for level, (shares, kept) in enumerate(_LOOKS):
             q = positions(self._start, times_s[left], steps[left], durations_s[left, None] * np.array(shares))
-            blocked = self._space.blocked(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).any(axis=1)
-            left = left[~blocked][:kept]
+            look = self._space.first_look if level < _FIRST_LOOKS else self._space.blocked
+            left = left[~look(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).any(axis=1)][:kept]
             if not len(left):
                 break
         return left

@@ -83,6 +83,18 @@ class JointTrajectory:
         speed = np.where(inside, np.maximum(speed, np.abs(c1 - c2 * c2 / np.where(c3 == 0, 1.0, 3 * c3))), speed)
         return speed.max(axis=0), acceleration.max(axis=0), np.abs(jerk).max(axis=0)
 
+    def span(self) -> tuple[Floats, Floats]:
+        """The lowest and the highest position of each joint anywhere in the motion: (n,) each."""
+        h = np.diff(self.knots_s)[:, None]
+        c0, c1, c2, c3 = self.coefficients
+        # The two moments without speed; where there are none, any moment within the piece does no harm.
+        root = -(c2 + np.copysign(np.sqrt(np.maximum(c2 * c2 - 3 * c1 * c3, 0.0)), c2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = np.clip(np.nan_to_num(np.stack([root / (3 * c3), c1 / root])), 0.0, h)
+        turns = (((c3 * u + c2) * u + c1) * u + c0).reshape(-1, c0.shape[1])
+        all_ends = np.vstack([c0, self.end, turns])
+        return all_ends.min(axis=0), all_ends.max(axis=0)
+
     def stretched(self, factor: float) -> "JointTrajectory":
         """The same path, `factor` times as long."""
         scale = (1 / factor) ** np.arange(4)

@@ -31,12 +31,14 @@ _LOADED_ITERATIONS = 120
 _SHORTCUTS = 20
 _DIRECT_PROOFS = 4
 """Of the direct motions that look free, so many of each batch are tried."""
-GOALS_AT_ONCE = 24
-"""Of the goal's configurations the nearest are looked at, so many at once."""
+STRIDE = 4
+"""Neighbours on the elbow's circle are much alike: of the goal's configurations every fourth is looked at first."""
+GOALS_AT_ONCE = 16
+"""So many of them at once, from the nearest on."""
 _QUICKER = 0.8
 """A goal is worth a search if its bound is below this share of the direct motion's duration."""
 _ROOTS = 32
-_NEAREST = 16
+_NEAREST = 24
 _LEAST_LEAN_DEG = 4.0
 """Below this much tilt, planning in the joints finds nothing that the level chart does not."""
 _TILT_SHARE = 0.8
@@ -66,8 +68,7 @@ POLISHED = Effort(36, chains=2, detours=6, rounds_each=15, rounds_best=30, near_
 class Task:
     """What is to be planned: where from, where to, in which scene, how fast, with what in the cone.
 
-    `goals` are free and come in the order of their bounds, as do those in `more`, which lie farther and
-    have not been looked at yet.
+    `goals` are free and come in the order of their bounds; those in `more` have not been looked at yet.
     """
 
     start: Floats
@@ -144,10 +145,15 @@ class _Search:
         self.iterations = _LOADED_ITERATIONS if self.loaded else _ITERATIONS
 
     def direct(self, goals: Floats, upto_s: float) -> Chain | None:
-        """Adds goals (n, 7); the first direct motion to one that is proven, of those that may be that short."""
+        """Adds goals (n, 7), in the order of their bounds; the first direct motion to one of them that is proven.
+
+        Only those that may be as short as `upto_s` are tried.
+        """
         reached = goals[self.chart.covers(goals)]
         ends, bounds_s = self.chart.coordinates(reached), self.task.bounds_s(reached)
-        self.ends, self.bounds_s = np.concatenate([self.ends, ends]), np.concatenate([self.bounds_s, bounds_s])
+        self.bounds_s = np.concatenate([self.bounds_s, bounds_s])
+        order = np.argsort(self.bounds_s, kind="stable")
+        self.ends, self.bounds_s = np.concatenate([self.ends, ends])[order], self.bounds_s[order]
         worthwhile = ends[bounds_s <= upto_s]
         looks_free = self.space.glance(np.broadcast_to(self.start, worthwhile.shape), worthwhile)
         for end in worthwhile[looks_free][:_DIRECT_PROOFS]:
