@@ -1,5 +1,18 @@
-"""`python -m scuhand_bt` is the command line."""
+"""The entry point. It imports nothing of the rest before a Ctrl-C is answered in words: that takes half a second."""
 
-from scuhand_bt.cli import main
+import sys
 
-main()
+
+def main() -> None:
+    """The command line; the exit code says how it went."""
+    try:
+        from scuhand_bt import cli
+
+        cli.main()
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -7,12 +7,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 import pytest
 import serial
 from conftest import REPOSITORY, Call, LabFolder
 
+import scuhand_bt
+from scuhand_bt import __main__ as entry_point
 from scuhand_bt.sim.wire.hand import NoCompiler
 
 SMALL = """\
@@ -36,6 +39,24 @@ def in_a_process(*arguments: object, environment: Mapping[str, str] = {}) -> sub
         timeout=60,
         check=False,
     )
+
+
+def test_ctrl_c_while_the_program_is_still_loading_is_a_line_and_code_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Impatient(MetaPathFinder):
+        """Somebody who presses Ctrl-C as soon as the command line is looked for."""
+
+        def find_spec(self, name: str, path: object, target: object = None) -> None:
+            if name == "scuhand_bt.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys, "meta_path", [Impatient(), *sys.meta_path])
+    monkeypatch.delitem(sys.modules, "scuhand_bt.cli")
+    monkeypatch.delattr(scuhand_bt, "cli")
+    with pytest.raises(SystemExit) as ended:
+        entry_point.main()
+    assert (ended.value.code, capsys.readouterr().err) == (130, "Interrupted.\n")
 
 
 @pytest.fixture

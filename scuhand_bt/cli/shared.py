@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 EXIT_BAD_INPUT = 2
 EXIT_CELL_FAULT = 3
-EXIT_INTERRUPTED = 130
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -52,7 +51,7 @@ JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standa
 
 
 def main() -> None:
-    """Entry point: runs a command and turns bad input into located lines and an exit code."""
+    """Runs a command, and turns bad input into located lines and an exit code."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot show '±' is no reason to break
@@ -70,8 +69,6 @@ def main() -> None:
         err.print(Text(f"{error}. {remedy}".rstrip()))
         # No way, or nobody to ask, is found before anything moves; a device that does not answer is the cell's fault.
         sys.exit(EXIT_BAD_INPUT if error.code.startswith(("arm.", "operator.")) else EXIT_CELL_FAULT)
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
 
 
 def _version(wanted: bool) -> None:
