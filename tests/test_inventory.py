@@ -417,6 +417,7 @@ def test_an_operator_says_what_is_there(inventory: Call) -> None:
         (("cone", "1 g"), "nothing is known of the powder yet"),
         (("sheet", "new"), "'new' is nothing a sheet can be; fresh or touched"),
         (("changer", "full"), "'full' is no number of what is used"),
+        (("changer", "25"), "'25' is more than the changer's 24 slots; write 0 to 24"),
         (("changer", "2", "--powder", "glass_beads"), "it holds no powder"),
     ],
 )

@@ -73,6 +73,10 @@ def set_entry(
         raise unknown("thing", what, ["cone", "sheet", "changer", *stations, *loaded.library.containers])
     kept = _inventory(loaded)
     entry = _entry(kind, name, value, powder, lot, kept.stock(simulated=False))
+    changer = loaded.cell.changer
+    if kind == "changer" and changer.driver != "operator" and (entry.used or 0) > changer.slots:
+        what = f"'{value}' is more than the changer's {changer.slots} slots; write 0 to {changer.slots}"
+        raise typer.BadParameter(what, param_hint="VALUE")
     kept.enter(entry)
     out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
 
