@@ -215,7 +215,7 @@ def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran
     first = doses["a"]
     assert first["simulated"] == "yes"
     assert first["stable"] == "yes"
-    assert first["unit"] == "g"
+    assert first["lines_unit"] == "g"
     assert first["readability_mg"] == "0.1000"
     assert first["balance_identity"] == "simulated"
     assert (first["source"], first["powder"], first["sheet"]) == ("beads", "glass_beads", "1")

@@ -17,8 +17,8 @@ CONVENTION = (
 )
 COLUMNS = (
     "run", "simulated", "mode", "recipe", "recipe_hash", "operator", "at", "run_time_s", "sample", "attempt",
-    "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "unit",
-    "tare_mg", "gross_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "target_mg",
+    "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "tare_mg",
+    "gross_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "lines_unit", "target_mg",
     "tolerance_mg", "tolerance_convention", "verdict", "failure_code", "source", "powder", "lot", "sheet",
     "sheet_powder", "controller", "software", "entry", "entry_hash",
 )  # fmt: skip
@@ -26,7 +26,7 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def weighing_record(contents: Contents) -> str:
-    """The record as CSV. Masses are in mg; `unit` and the lines are the balance's own, as they came."""
+    """The record as CSV. Masses are in mg; the lines are the balance's own, as they came, in `lines_unit`."""
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, restval="")
     table.writeheader()
@@ -152,9 +152,9 @@ def _gross(weighed: Mapping[str, Any]) -> dict[str, object]:
     readings = weighed.get("readings", [])
     return {
         "gross_mg": weighed.get("gross_mg"),
-        "unit": readings[0]["unit"] if readings else None,
         "stable": _all_stable(readings),
         "gross_lines": _lines(readings),
+        "lines_unit": readings[0]["unit"] if readings else None,
     }
 
 
