@@ -229,6 +229,14 @@ def test_a_skill_that_would_hang_ends_the_run(tmp_path: Path, skill: str, words:
     assert words in ran.result.reason
 
 
+def test_a_stop_that_comes_while_the_tree_is_ticked_is_heard_at_once(tmp_path: Path) -> None:
+    waiting = "workflow: waiting\ninputs: {container: Container}\ntree: {sequence: [{wait: {duration: 60 s}}]}\n"
+    recipe = "recipe: r\nworkflow: waiting\nsamples: [{id: a, container: xrd_holder}]\n"
+    ran = dry_run(tmp_path, recipe, lab=make_lab(tmp_path / "lab", trees__waiting=waiting), stop_at=1)
+    assert ran.result.exit_code == EXIT_INTERRUPTED
+    assert ran.session.cell.clock.now_s < 5.0
+
+
 @pytest.mark.parametrize("stop_at", [1, 7, 20, 33, 60])
 def test_a_stop_at_any_tick_ends_safe_with_a_verdict_for_every_sample(tmp_path: Path, stop_at: int) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("flag", "flag"), stop_at=stop_at)

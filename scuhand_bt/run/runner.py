@@ -113,8 +113,11 @@ class Runner:
         The guards go on: what trips one is raised.
         """
         try:
-            while not self._control.stops_now:
-                self._cell.clock.wait([next(steps), self._wish(), *self._guards.wakes()])
+            while True:
+                wish = self._wish()
+                if self._control.stops_now:
+                    break
+                self._cell.clock.wait([next(steps), wish, *self._guards.wakes()])
                 if (fault := self._guards.look()) is not None:
                     raise fault
         except StopIteration as answer:
@@ -125,21 +128,28 @@ class Runner:
     def hold(self) -> SkillFailed | None:
         """Stand still until a person continues or stops the run; what a guard found meanwhile, if one tripped."""
         self._journal.event("paused", {})
-        while self._control.is_pausing and not self._control.is_stopping:
-            self._cell.clock.hold([self._wish(), *self._guards.wakes()])
+        while True:
+            wish = self._wish()
+            if not self._control.is_pausing or self._control.is_stopping:
+                break
+            self._cell.clock.hold([wish, *self._guards.wakes()])
             if (fault := self._guards.look()) is not None:
                 return fault
         self._journal.event("continued", {})
         return None
 
     def _wish(self) -> Wake:
+        """The next wish; made before looking at what is wished, so that none falls between."""
         return Wake.on(self._control.news)
 
     def _tick_to_end(self, root: Behaviour, shared: Ticking) -> Outcome | None:
         """Tick until the root has ended (None), or the job is interrupted."""
         clock, control, guards = self._cell.clock, self._control, self._guards
         ticks_now, last_s = 0, -1.0
-        while not control.halts:
+        while True:
+            wish = self._wish()
+            if control.halts:
+                return Outcome(interrupted="stopped" if control.stops_now else "paused")
             if (fault := guards.look()) is not None:
                 return Outcome(fault, "tripped")
             shared.is_pausing = control.is_pausing
@@ -163,14 +173,13 @@ class Runner:
                 shared.paused_s += clock.now_s - now_s
                 shared.going_on.fire()
                 continue
-            if (fault := self._wait(root, shared)) is not None:
+            if (fault := self._wait(root, shared, wish)) is not None:
                 return Outcome(fault, "tripped")
-        return Outcome(interrupted="stopped" if control.stops_now else "paused")
 
-    def _wait(self, root: Behaviour, shared: Ticking) -> SkillFailed | None:
+    def _wait(self, root: Behaviour, shared: Ticking, wish: Wake) -> SkillFailed | None:
         """Wait for the next tick; what a guard found in the meantime, if one tripped."""
         clock, control, guards = self._cell.clock, self._control, self._guards
-        wakes = [*shared.wakes(), self._wish()]
+        wakes = [*shared.wakes(), wish]
         silence = Wake(clock.now_s + MAX_SILENCE_S)
         nothing_timed = all(math.isinf(wake.until_s) for wake in wakes)
         again = False
