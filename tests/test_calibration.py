@@ -1,0 +1,32 @@
+import pytest
+
+from benchmarks.calibration import TABLES, Result, agrees, count
+from benchmarks.rig import Trial
+
+BEADS = TABLES[0]
+MSG_20 = next(cell for cell in TABLES if cell.misprint == "time")
+
+
+@pytest.mark.parametrize(
+    ("successes", "rate", "expected"),
+    [(10, 1.0, True), (9, 1.0, False), (8, 0.65, True), (4, 0.67, True), (3, 0.67, False), (10, 0.67, False)],
+)
+def test_a_count_agrees_within_the_two_sided_binomial_region(successes: int, rate: float, expected: bool) -> None:
+    assert agrees(BEADS._replace(successes=successes), rate) is expected
+
+
+def test_a_cell_is_shown_beside_the_papers_and_what_is_far_is_named() -> None:
+    near = Result.of(BEADS, [Trial(0.5, -1.0, True, 8, 60.0, "reached")] * 9 + [Trial(5, 4, False, 8, 60.0, "over")])
+    assert near.row() == "| glass beads | 20 mg | 9.0 (9) | yes | 19.5 ± 1.50 (20 ± 1.3) | 8.0 (8) | 60.0 (59) |"
+    slow = near._replace(time_s=100.0, rate=0.5)
+    assert "**no**" in slow.row()
+    assert "**100.0** (59)" in slow.row()
+    assert count([near, slow]) == (
+        "1 of 2 cells agree in success; steps and times farther than 30% from the paper's: glass beads 20 mg (time)."
+    )
+
+
+def test_a_misprinted_figure_is_marked_and_not_held_against_the_simulation() -> None:
+    result = Result.of(MSG_20, [Trial(0.0, 0.0, True, 14, 100.0, "reached")])
+    assert result.far == []
+    assert "100.0 (49†)" in result.row()
