@@ -1,5 +1,6 @@
 """Commands that draw: the arm's reach, one of its motions, one dose."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ from scuhand_bt.cli.shared import LabOption, app, out, the_lab, unknown
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
     from scuhand_bt.motion import MotionPlanner
+    from scuhand_bt.motion.kinematics import Floats
 
 OutputOption = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.", show_default=False)]
 
@@ -22,7 +24,8 @@ def reach(output: OutputOption = None, lab: LabOption = None) -> None:
     from scuhand_bt.report.reach import reach_page
 
     loaded = the_lab(lab)
-    _write_text(output or Path("reach.html"), reach_page(loaded.cell))
+    path = output or Path("reach.html")
+    _write(path, lambda: path.write_text(reach_page(loaded.cell), encoding="utf-8"))
 
 
 @app.command("show-move")
@@ -36,9 +39,15 @@ def show_move(
     gentle: Annotated[str | None, typer.Option(help='The largest spill angle, e.g. "10 deg".')] = None,
     lab: LabOption = None,
 ) -> None:
-    """Draw the arm's motion between two stations: an animated 3D page, or a PNG with plots."""
-    from scuhand_bt.report.show_move import move_page, move_png
+    """Draw the arm's motion between two stations: an animated 3D page with plots, and a PNG beside it.
 
+    With -o FILE.png the PNG alone.
+    """
+    from scuhand_bt.report.show_move import ShownMove, move_page, move_png
+
+    path = output or Path(f"{start}-{goal}.html")
+    if path.suffix.lower() not in (".html", ".htm", ".png"):
+        raise typer.BadParameter(f"'{path}' is to be a page (.html) or a picture (.png)")
     loaded = the_lab(lab)
     kinds = loaded.library.containers
     if container is not None and container not in kinds:
@@ -46,8 +55,7 @@ def show_move(
     for name in (start, goal):
         if name not in loaded.cell.stations:
             raise unknown("station", name, loaded.cell.stations)
-    planner = _planner(loaded, container)
-    offset_m = loaded.cell.hand.apex_offset_mm / 1000
+    planner, places_m = _planner(loaded, container)
     there = planner.move(planner.home(), start)
     limit_deg = _carrying_deg(loaded, load, powder, gentle)
     motion = planner.move(there.end, goal, spill_limit_deg=limit_deg)
@@ -55,12 +63,12 @@ def show_move(
     if limit_deg is not None:
         carried = f"{load} of {powder}" if load else "a load"
         title += f" with {carried}, spill angle up to {motion.spill_limit_deg:.0f}°"
-    path = output or Path(f"{start}-{goal}.html")
-    if path.suffix.lower() == ".png":
-        move_png(motion, planner.scene(), offset_m, title, path)
-        out.print(Text(f"Written: {path}"))
-    else:
-        _write_text(path, move_page(motion, planner.scene(), offset_m, title))
+    offset_m = loaded.cell.hand.apex_offset_mm / 1000
+    move = ShownMove(title, motion, planner.scene(), planner.rates, offset_m, places_m)
+    if path.suffix.lower() != ".png":
+        _write(path, lambda: path.write_text(move_page(move), encoding="utf-8"))
+    picture = path.with_suffix(".png")
+    _write(picture, lambda: move_png(move, picture))
 
 
 @app.command()
@@ -87,8 +95,8 @@ def plot(
         raise unknown("sample with a dose", sample, {s for s in jobs.values() if s})
     path = output or Path(f"{sample}.png")
     points = [point for curve in curves for point in curve]
-    plot_dose(points, doses[-1]["target_mg"], doses[-1]["tolerance_mg"], path, f"{sample}, {doses[-1]['controller']}")
-    out.print(Text(f"Written: {path}"))
+    dose, title = doses[-1], f"{sample}, {doses[-1]['controller']}"
+    _write(path, lambda: plot_dose(points, dose["target_mg"], dose["tolerance_mg"], path, title))
 
 
 def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str | None) -> float | None:
@@ -121,8 +129,8 @@ def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str 
     return min(limits_deg, default=None)
 
 
-def _planner(lab: "Lab", container: str | None) -> "MotionPlanner":
-    """The lab's cell with a mortar at every mortar station, and a place at every station."""
+def _planner(lab: "Lab", container: str | None) -> "tuple[MotionPlanner, dict[str, Floats]]":
+    """The lab's cell with a mortar at every mortar station; and the apex positions [m] (3,) of all stations."""
     import numpy as np
 
     from scuhand_bt.devices.places import at_station, over_balance, over_mortar
@@ -133,6 +141,7 @@ def _planner(lab: "Lab", container: str | None) -> "MotionPlanner":
     stations = lab.cell.stations.values()
     planner = MotionPlanner(lab.urdf, lab.cell, {s.name: largest for s in stations if s.kind == "mortar"})
     planner.set_container(kind)
+    places_m: dict[str, Floats] = {}
     for station in stations:
         if station.kind == "mortar":
             position_mm = over_mortar(station, largest)
@@ -141,13 +150,16 @@ def _planner(lab: "Lab", container: str | None) -> "MotionPlanner":
             position_mm = over_balance(lab.cell, kind or shortest)[1]
         else:
             position_mm = at_station(station)
-        planner.add_place(station.name, ApexPose(np.array(position_mm) / 1000))
-    return planner
+        places_m[station.name] = np.array(position_mm) / 1000
+        planner.add_place(station.name, ApexPose(places_m[station.name]))
+    return planner, places_m
 
 
-def _write_text(path: Path, text: str) -> None:
+def _write(path: Path, write: Callable[[], object]) -> None:
     try:
-        path.write_text(text, encoding="utf-8")
+        write()
     except OSError as error:
         raise typer.BadParameter(f"'{path}' cannot be written: {error.strerror}") from None
+    except ModuleNotFoundError as error:
+        raise typer.BadParameter(f"'{path}' needs {error.name}: pip install 'scuhand-bt[plot]'") from None
     out.print(Text(f"Written: {path}"))
