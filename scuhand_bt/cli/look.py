@@ -1,6 +1,7 @@
 """Commands that draw: the arm's reach, one of its motions, one dose."""
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -67,6 +68,9 @@ def show_move(
     move = ShownMove(title, motion, planner.scene(), planner.rates, offset_m, places_m)
     if path.suffix.lower() != ".png":
         _write(path, lambda: path.write_text(move_page(move), encoding="utf-8"))
+        if find_spec("matplotlib") is None:
+            out.print("No picture beside it: that needs `pip install 'scuhand-bt[plot]'`.", markup=False)
+            return
     picture = path.with_suffix(".png")
     _write(picture, lambda: move_png(move, picture))
 

@@ -7,8 +7,8 @@ painted from the farthest to the nearest; what the arm could touch is translucen
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width"><title>%TITLE%</title>
 <style>body{font:15px system-ui,sans-serif;margin:20px auto;padding:0 16px;color:#222;background:#fff;max-width:1120px}
-canvas{width:100%;height:min(560px,70vw);background:linear-gradient(#eef3f8,#fff);border:1px solid #ddd;border-radius:6px;
-cursor:grab;touch-action:none}
+canvas{width:100%;height:min(560px,70vw);background:linear-gradient(#eef3f8,#fff);border:1px solid #ddd;
+border-radius:6px;cursor:grab;touch-action:none}
 .bar{display:flex;gap:12px;align-items:center}.bar input{flex:1}button{min-width:5em}
 .plots{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(440px,100%),1fr));gap:8px;margin-top:12px}
 svg text{font-size:11px}svg .name{font-size:13px;font-weight:600}.end{text-anchor:end}.mid{text-anchor:middle}
