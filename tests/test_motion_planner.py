@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 
@@ -6,6 +8,7 @@ from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, apex
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
+from scuhand_bt.motion.timelaw import rest_to_rest_s
 
 LAB = load_lab(starter_lab())
 MORTAR = LAB.library.mortars["agate_mortar"]
@@ -71,6 +74,26 @@ def test_two_planners_answer_the_same_request_with_the_same_motion(planner):
             p.move(posture(p, "mortar_bay_2"), "balance", spill_limit_deg=spill_limit_deg) for p in (planner, other)
         )
         assert one.coefficients.tobytes() == two.coefficients.tobytes()
+
+
+def test_what_stands_on_the_pan_changes_no_motion_that_is_free_of_it():
+    planner = new_planner()
+    planner.set_container(None)
+    bare = planner.move(posture(planner, "mortar_bay"), "waste")
+    planner.set_container(LAB.library.containers["alumina_crucible"])
+    past = planner.move(posture(planner, "mortar_bay"), "waste")
+    assert past.coefficients.tobytes() == bare.coefficients.tobytes()
+    past = planner.move(posture(planner, "mortar_bay"), "balance")
+    assert nearest_m(planner, past) > 0.003
+
+
+def test_between_places_motions_are_polished(planner):
+    ratios = []
+    for first, second in itertools.combinations(ABOVE_MM, 2):
+        begin, goal = posture(planner, first), posture(planner, second)
+        least_s = rest_to_rest_s(goal - begin, planner.rates)
+        ratios.append(planner.move(begin, second).duration_s / least_s)
+    assert np.mean(ratios) < 1.06 and max(ratios) < 1.3
 
 
 @pytest.mark.parametrize("limit_deg", [30.0, 10.0])

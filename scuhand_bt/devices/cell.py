@@ -17,7 +17,7 @@ from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.record import Record
-from scuhand_bt.specs import BalanceBelief, CellSpec, Container, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, CellSpec, Container, Powder, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
@@ -142,11 +142,16 @@ class Cell:
         source = self.sources.get(self.believed.cone_source or "")
         if source is None or self.believed.cone_mg <= 0:
             return None
-        powder, cone = source.powder, Cone(self.hand.cone_diameter_mm, self.spec.hand.sheet_radius_mm)
-        load_mm3 = min(self.believed.cone_mg / powder.bulk_density_mg_per_mm3, 0.9 * cone.volume_mm3)
-        # In steps of load, so that the same few limits come again and their plans are known already.
-        load_mm3 = math.ceil(load_mm3 / LOAD_STEP_MM3) * LOAD_STEP_MM3
-        limit_deg = spill_limit_deg(
-            cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
-        )
-        return min(limit_deg, self.spec.arm.gentle_deg)
+        return carrying_limit_deg(self.spec, source.powder, self.believed.cone_mg, self.hand.cone_diameter_mm)
+
+
+def carrying_limit_deg(spec: CellSpec, powder: Powder, load_mg: float, cone_diameter_mm: float) -> float:
+    """The spill angle within which a cone of this rim carries a load of a powder in this cell."""
+    cone = Cone(cone_diameter_mm, spec.hand.sheet_radius_mm)
+    load_mm3 = min(load_mg / powder.bulk_density_mg_per_mm3, 0.9 * cone.volume_mm3)
+    # In steps of load, so that the same few limits come again and their plans are known already.
+    load_mm3 = math.ceil(load_mm3 / LOAD_STEP_MM3) * LOAD_STEP_MM3
+    limit_deg = spill_limit_deg(
+        cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
+    )
+    return min(limit_deg, spec.arm.gentle_deg)

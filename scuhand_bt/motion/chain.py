@@ -107,8 +107,7 @@ class Shaper:
         low, high = motion.span()
         if (low < LIMITS_RAD[0] - _EDGE_RAD).any() or (high > LIMITS_RAD[1] + _EDGE_RAD).any():
             return None
-        free = self._space.scene.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
-        return motion if free else None
+        return motion if self._space.scene.proves(motion) else None
 
     def first(self, path: Floats) -> Chain | None:
         """A proven chain through a free polyline's vertices, as quick as a few guesses of its speeds find."""

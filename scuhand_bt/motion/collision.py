@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from scuhand_bt.motion.bound import MotionBound
 from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, apex
 from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.trajectory import JointTrajectory
 
 SHAPES = 10
 """Collision shapes in our URDF, without the sheet's two."""
@@ -258,6 +259,10 @@ class Scene:
         between_s, q = self._closer(positions_at, times_s, q, acceleration, allowed_m)
         return not self.any_hit(q[~np.isin(between_s, times_s)])
 
+    def proves(self, motion: JointTrajectory) -> bool:
+        """Whether a motion is proven to touch nothing."""
+        return self.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
+
     def proving_samples(
         self, positions_at: CurveAt, duration_s: float, acceleration: Floats, margin_m: float | None = None
     ) -> tuple[Floats, Floats]:
@@ -270,7 +275,7 @@ class Scene:
         times_s = np.linspace(0.0, duration_s, _FIRST_SAMPLES)
         q = positions_at(times_s)
         course = np.concatenate([[0.0], np.cumsum(self._passed_m(times_s, q, acceleration) / margin_m)])
-        times_s = np.interp(np.linspace(0.0, course[-1], math.ceil(course[-1]) + 1), course, times_s)
+        times_s = np.interp(np.linspace(0.0, course[-1], max(math.ceil(course[-1]), 1) + 1), course, times_s)
         return self._closer(
             positions_at, times_s, positions_at(times_s), acceleration, np.full(len(times_s) - 1, margin_m)
         )

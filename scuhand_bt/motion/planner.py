@@ -3,15 +3,19 @@
 A request is (start, goal, geometry, constraint); its answer is planned once and kept. Geometry is the
 cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
 built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
-request gets the same motion on every run, on every machine of the same versions.
+request gets the same motion on every run, on every machine of the same versions. Between two places,
+where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan, the
+motion over the bare pan is taken where it is proven free there too.
 
 Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillFailed` with the codes
 arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
 """
 
 import hashlib
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -28,7 +32,7 @@ from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import Rest, Stop, stop
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
-from scuhand_bt.motion.transfer import LIVE, Effort
+from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Station
 
 CONE_DIAMETER_M = 0.090
@@ -119,15 +123,20 @@ class MotionPlanner:
             self.add_place(name, ApexPose(np.array([x, y, z]) / 1e3))
         return self._posture(name).copy()
 
-    def prepare(self, effort: Effort = LIVE) -> None:
-        """Plan all pairs of places for the present geometry, so that 'no path' is found before anything moves.
+    def prepare(self, containers: Iterable[ContainerKind] = (), carries: Iterable[tuple[str, str, float]] = ()) -> None:
+        """Plan all pairs of places, with a bare pan and with each container on it, and polish them.
 
-        With `POLISHED` effort a pair takes some tenths of a second, and the motions are a fifth shorter.
+        So 'no path' is found before anything moves. `carries`: places from and to, and spill limits [deg] of
+        loaded motions that are to be polished too; others are planned when they are asked for.
         """
-        names = list(self._places)
-        for k, first in enumerate(names):
-            for second in names[k + 1 :]:
-                self.move(self._posture(first), second, effort=effort)
+        names, present, carried = list(self._places), self._geometry, list(carries)
+        for kind in (None, *containers):
+            self.set_container(kind)
+            for first, second in itertools.combinations(names, 2):
+                self.move(self._posture(first), second)
+            for first, second, limit_deg in carried:
+                self.move(self._posture(first), second, spill_limit_deg=limit_deg, effort=POLISHED)
+        self._geometry = present
 
     def move(
         self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None, effort: Effort = LIVE
@@ -173,9 +182,34 @@ class MotionPlanner:
                 there = self._kept(goals[0], begin[None, :], "its start", spill_limit_deg, effort)
                 self._plans[key] = there.reversed()
             else:
-                chain = self._chain(begin, goals, name, spill_limit_deg, effort)
-                self._plans[key] = standing(begin) if chain is None else chain.motion
+                self._plans[key] = self._planned(begin, goals, name, spill_limit_deg, effort)
         return self._plans[key]
+
+    def _planned(
+        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
+    ) -> JointTrajectory:
+        if self._is_posture(begin) and len(goals) == 1 and self._is_posture(goals[0]):
+            if spill_limit_deg is None:
+                effort = POLISHED
+            if self._geometry.container is not None:
+                with self._bare_pan():
+                    over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
+                if self.scene().proves(over_bare_pan):
+                    return over_bare_pan
+        chain = self._chain(begin, goals, name, spill_limit_deg, effort)
+        return standing(begin) if chain is None else chain.motion
+
+    @contextmanager
+    def _bare_pan(self) -> Iterator[None]:
+        present = self._geometry
+        self.set_container(None)
+        try:
+            yield
+        finally:
+            self._geometry = present
+
+    def _is_posture(self, q: Floats) -> bool:
+        return any(posture is q or np.array_equal(posture, q) for posture in self._postures.values())
 
     def chain(
         self,
@@ -221,11 +255,12 @@ class MotionPlanner:
             course[0] = begin
             motion = through(times_s, course)
             motion = motion.stretched(max(1.0, self.rates.stretch_for(motion)))
+            if scene.proves(motion):
+                return motion
             _, samples = scene.proving_samples(motion.at, motion.duration_s, motion.extremes()[1])
             hits = scene.hits(samples)
-            if not hits.any():
-                return motion
-            why = self._touching(scene, samples[int(np.argmax(hits))])
+            if hits.any():
+                why = self._touching(scene, samples[int(np.argmax(hits))])
         raise SkillFailed("arm.no_path", f"no way through the waypoints: {why}")
 
     def stop(self, trajectory: JointTrajectory, at_s: float) -> Stop | Rest:

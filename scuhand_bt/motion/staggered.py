@@ -46,8 +46,6 @@ _LIFT_RAD = np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
 """And by how much it lies beside it: the elbow's towards the stretched arm."""
 _FIRST_UPTO = 2.0
 """Times the least bound, what the first round looks at; a half more in every round that finds nothing."""
-GIVEN_UP = 6
-"""Rounds without any, after which another way has to be found first."""
 _QUICKER = 0.985
 _LEAST_S = 1e-9
 
@@ -114,12 +112,17 @@ class Scheduler:
         self._space, self._shaper, self._limits = space, shaper, limits
         self._start, self._goals, self._bounds_s = start, goals, bounds_s
 
-    def search(self, known: Chain | None, rng: np.random.Generator, rounds: int, good_s: float) -> Chain | None:
-        """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`."""
+    def search(
+        self, known: Chain | None, rng: np.random.Generator, rounds: int, given_up: int, good_s: float
+    ) -> Chain | None:
+        """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`.
+
+        `given_up`: rounds without any, after which another way has to be found first.
+        """
         best, parent = known, None
         least_s = float(self._bounds_s[0])
         for k in range(rounds):
-            if (best is None and k == GIVEN_UP) or (best is not None and best.duration_s <= good_s):
+            if (best is None and k == given_up) or (best is not None and best.duration_s <= good_s):
                 break
             most_s = (_FIRST_UPTO + k / 2) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)

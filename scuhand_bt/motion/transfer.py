@@ -6,8 +6,8 @@
 3. Else along a free polyline (`roadmap`), as a chain of optimal pieces that is then shortened (`chain`).
 
 An empty cone is planned in the joints alone. For a load all of it is done in the joints, where tilting
-is allowed up to the spill limit, and, with via points instead of 2, in the level chart, where it does
-not happen; the quicker one is kept. How long the search goes on is an `Effort`, counted in iterations.
+is allowed up to the spill limit, and, where that finds nothing, with via points instead of 2, in the
+level chart, where it does not happen. How long the search goes on is an `Effort`, counted in iterations.
 
 Joints [rad] (7,), goals (n, 7), durations [s].
 """
@@ -22,9 +22,13 @@ from scuhand_bt.motion.charts import Chart, JointChart, LevelChart
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.roadmap import Space, connect, shortened
-from scuhand_bt.motion.staggered import GIVEN_UP, Scheduler
+from scuhand_bt.motion.staggered import Scheduler
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 
+_GIVEN_UP = 6
+"""Rounds of staggered motions that find none, after which an empty cone's way is looked for otherwise."""
+_LOADED_ROUNDS = 2
+"""Times as many rounds for a load: more schedules tilt it too far, which is soon seen, and other ways are slower."""
 _ITERATIONS = 4000
 _LOADED_ITERATIONS = 120
 """In each of the two charts, where an iteration costs several times as much."""
@@ -39,7 +43,7 @@ _QUICKER = 0.8
 """A goal is worth a search if its bound is below this share of the direct motion's duration."""
 _ROOTS = 32
 _NEAREST = 24
-_LEAST_LEAN_DEG = 4.0
+_LEAST_LEAN_DEG = 12.0
 """Below this much tilt, planning in the joints finds nothing that the level chart does not."""
 _TILT_SHARE = 0.8
 """Of the spill limit, what a polyline may use for tilt; the rest is for acceleration."""
@@ -60,7 +64,7 @@ class Effort:
     """Nor is any motion within this."""
 
 
-LIVE = Effort(10, chains=1, detours=2, rounds_each=6, rounds_best=0, near_optimum=1.66, good_enough=1.07)
+LIVE = Effort(10, chains=1, detours=20, rounds_each=6, rounds_best=0, near_optimum=1.66, good_enough=1.07)
 POLISHED = Effort(36, chains=2, detours=6, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
 
 
@@ -92,17 +96,17 @@ class Task:
             yield some[~self.scene.hits(some)]
 
     def charts(self) -> list[tuple[Chart, Space]]:
-        """The charts to plan in, each with its space."""
+        """The charts to plan in, each with its space; the one whose motions are quicker first."""
         if self.spill_limit_deg is None:
             joints = JointChart(self.rates, self.start)
             return [(joints, Space(joints, self.scene))]
         level = LevelChart(self.rates, self.start)
         tilt_deg = _TILT_SHARE * self.spill_limit_deg
-        leaning = JointChart(self.rates, self.start, level)
         # Between two axes that lean little enough the level chart's straight line leans no more: it needs no look.
         spaces: list[tuple[Chart, Space]] = [(level, Space(level, self.scene))]
         if tilt_deg > _LEAST_LEAN_DEG:
-            spaces.append((leaning, Space(leaning, self.scene, tilt_deg)))
+            leaning = JointChart(self.rates, self.start, level)
+            spaces.insert(0, (leaning, Space(leaning, self.scene, tilt_deg)))
         return spaces
 
 
@@ -119,11 +123,15 @@ def plan(task: Task, effort: Effort, seed: int) -> Chain | None:
             return best
     rng = np.random.default_rng(seed)
     searches = [search for search in searches if len(search.ends)]
-    best = _quickest([search.near(effort, best, rng, good_s) for search in searches])
+    known = best
+    for search in searches:
+        best = search.near(effort, known, rng, good_s)
+        if best is not known:
+            break
     if best is None:
-        ways = (search.roadmap(effort, rng) for search in searches)
+        ways = (search.roadmap(effort, rng) for search in reversed(searches))
         best = next((way for way in ways if way is not None), None)
-        rounds = (effort.staggered - GIVEN_UP) // 2
+        rounds = (effort.staggered - _GIVEN_UP) // 2
         best = _quickest([search.staggered(rounds, best, rng, good_s) for search in searches])
     return best
 
@@ -166,17 +174,20 @@ class _Search:
         """Something quicker than what is known; or that, or None."""
         if self.rates is None:
             return _quickest([known, self.detours(effort, known, rng)])
-        return self.staggered(effort.staggered, known, rng, good_s)
+        if self.loaded:
+            return self.staggered(_LOADED_ROUNDS * effort.staggered, known, rng, good_s)
+        return self.staggered(effort.staggered, known, rng, good_s, _GIVEN_UP)
 
-    def staggered(self, rounds: int, known: Chain | None, rng: np.random.Generator, good_s: float) -> Chain | None:
+    def staggered(
+        self, rounds: int, known: Chain | None, rng: np.random.Generator, good_s: float, given_up: int = -1
+    ) -> Chain | None:
         """The quickest motion found in which every joint moves in its own time; or what is known."""
         if self.rates is None:
             return known
         scheduler = Scheduler(
             self.space, self.shaper, self.rates, self.start, self.ends[:_NEAREST], self.bounds_s[:_NEAREST]
         )
-        # A load's proof costs several times as much, and via points are tried for it too.
-        return scheduler.search(known, rng, rounds // 2 if self.loaded else rounds, good_s)
+        return scheduler.search(known, rng, rounds, given_up, good_s)
 
     def detours(self, effort: Effort, known: Chain | None, rng: np.random.Generator) -> Chain | None:
         """The best chain begun with one via point, to goals that promise to be quicker than what is known."""
@@ -187,8 +198,7 @@ class _Search:
         for _ in range(effort.chains if len(worthwhile) else 0):
             begun: Chain | None = None
             for _ in range(effort.detours):
-                limit_s = np.inf if begun is None else begun.duration_s
-                begun = self.shaper.detour(self.start, worthwhile, rng, limit_s) or begun
+                begun = begun or self.shaper.detour(self.start, worthwhile, rng, np.inf)
             if begun is not None:
                 chains.append(self.shaper.improved(begun, worthwhile, rng, effort.rounds_each))
         best = _quickest(chains)

@@ -10,13 +10,14 @@ from typing import ClassVar
 import numpy as np
 
 from scuhand_bt.clock import Clock
-from scuhand_bt.devices.cell import Cell
+from scuhand_bt.devices.cell import Cell, carrying_limit_deg
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
-from scuhand_bt.devices.places import Position, all_places
+from scuhand_bt.devices.places import Position, all_places, over_balance
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion.planner import CONE_DIAMETER_M
 from scuhand_bt.plan import Plan
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import Record
@@ -28,7 +29,7 @@ from scuhand_bt.sim.fault_rules import FaultFile
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import Container
+from scuhand_bt.specs import Container, ContainerKind
 
 MATTERLESS = {
     "powder.clog": "no powder is behind twins alone",
@@ -106,7 +107,9 @@ def set_up(
     """
     if simulation is None and (problems := without_driver(lab)):
         raise SourceError(problems)
-    motion = motion or prepared_motion(plan, lab, all_ways=resumed_at_s is None)
+    if motion is None and resumed_at_s is None:
+        motion = prepared_motion(plan, lab, for_real=simulation is None)
+    motion = motion or motion_of(plan, lab)
     match simulation:
         case DryRun():
             setup = _dry_run(plan, lab, simulation, record, motion, world_path, resumed_at_s is not None)
@@ -294,19 +297,40 @@ def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBe
     return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong)
 
 
-def prepared_motion(plan: Plan, lab: Lab, *, all_ways: bool = True) -> MotionPlanner:
-    """The motion planner with every place of the plan, and all ways between them planned, or none yet."""
+def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:
+    """The motion planner with all ways between the plan's places planned and polished.
+
+    `for_real`: also those past each container, and from the mortars to the balance with a full cone. A dry run
+    plans them when they are needed.
+    """
+    motion = motion_of(plan, lab)
+    kinds = _container_kinds(plan) if for_real else []
+    balance = sorted({over_balance(lab.cell, kind)[0] for kind in kinds})
+    carries = []
+    for source in plan.recipe.sources.values():
+        powder = source.powder
+        limit_deg = carrying_limit_deg(lab.cell, powder, powder.load_limit_mg, 1000 * CONE_DIAMETER_M)
+        carries += [(source.station, place, limit_deg) for place in balance]
+    motion.prepare(kinds, carries)
+    return motion
+
+
+def motion_of(plan: Plan, lab: Lab) -> MotionPlanner:
+    """The motion planner with every place of the plan, and no way planned yet."""
     mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
     # One thread: beside other work on the machine, a second one costs more in waiting than it gains.
     motion = MotionPlanner(lab.urdf, lab.cell, mortars, threads=1)
     for name, position_mm in places_of(plan, lab).items():
         motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
-    if all_ways:
-        motion.prepare()
     return motion
 
 
 def places_of(plan: Plan, lab: Lab) -> dict[str, Position]:
     """Every named place of the plan."""
-    kinds = {sample.container.name: sample.container for sample in plan.recipe.samples if sample.container is not None}
-    return all_places(lab.cell, plan.recipe.sources, kinds.values())
+    return all_places(lab.cell, plan.recipe.sources, _container_kinds(plan))
+
+
+def _container_kinds(plan: Plan) -> list[ContainerKind]:
+    """Every kind of container that the plan doses into."""
+    kinds = [sample.container for sample in plan.recipe.samples if sample.container is not None]
+    return list({kind.name: kind for kind in kinds}.values())
