@@ -24,3 +24,14 @@ def test_a_dose_without_a_curve_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(ValueError, match="no curve"):
         plot_dose([], 50.0, 2.0, tmp_path / "dose.png")
+
+
+def test_pulses_are_in_the_curve_with_their_opening() -> None:
+    powder = shipped_powders()["glass_beads"]
+    _, run = Bench(powder, 50.0, 3, 0, Setting()).dose("paper", powder.belief, BalanceBelief())
+    assert run is not None
+    openings_mm = [point.opening_mm for point in run.curve]
+    opened = [index for index, opening_mm in enumerate(openings_mm) if opening_mm > 0.0]
+    assert len(opened) == run.pulses > 3
+    assert all(openings_mm[index + 1] == 0.0 for index in opened)
+    assert [point.time_s for point in run.curve] == sorted(point.time_s for point in run.curve)

@@ -76,6 +76,13 @@ def run_dose(
     curve: list[CurvePoint] = []
     pulses, vibration_s = 0, 0.0
     streaming = False
+
+    def note(opening_mm: float, vibration: float) -> None:
+        """A moment of a pulse; what the hand does in it is known from the command."""
+        if balance.latest is not None:
+            net_mg = balance.latest.value_mg - empty_mg
+            curve.append(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
+
     try:
         command = controller.decide(None)
         while not isinstance(command, Finish):
@@ -107,7 +114,9 @@ def run_dose(
                 streaming = False
                 if isinstance(command, Pulse):
                     pulses += 1
+                    note(command.opening_mm, command.vibration)
                     yield from hand.pulse(command.opening_mm, command.dwell_s, command.vibration)
+                    note(0.0, 0.0)
                     vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
                 else:
                     hand.stop()

@@ -18,9 +18,9 @@ def plot_dose(points: Sequence[Point], target_mg: float, tolerance_mg: float, pa
     from matplotlib.figure import Figure
 
     times_s = [point[0] - points[0][0] for point in points]
-    figure = Figure(figsize=(8.0, 5.6), layout="constrained")
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
     FigureCanvasAgg(figure)
-    mass, near, valve = figure.subplots(3, 1, sharex=True, height_ratios=[3.0, 2.0, 1.4])
+    mass, near, valve = figure.subplots(3, 1, sharex=True, height_ratios=[3.0, 2.0, 1.7])
     readings_mg = [point[1] for point in points]
     stable = [index for index, point in enumerate(points) if point[4]]
     for axes in (mass, near):
@@ -37,15 +37,20 @@ def plot_dose(points: Sequence[Point], target_mg: float, tolerance_mg: float, pa
         )
     near.set_ylim(target_mg - 5.0 * tolerance_mg, target_mg + 3.0 * tolerance_mg)
     mass.set_ylabel("mass [mg]")
-    near.set_ylabel("near the target [mg]")
+    near.set_ylabel("near the\ntarget [mg]")
     mass.legend(loc="lower right", frameon=False)
     mass.set_title(title or f"dose of {target_mg:g} mg", loc="left")
     valve.step(times_s, [point[2] for point in points], where="post", color="#444444", label="opening")
     valve.set_ylabel("opening [mm]")
-    valve.set_ylim(bottom=0.0)
+    valve.set_ylim(0.0, 1.1 * max(0.1, *(point[2] for point in points)))
     valve.set_xlabel("time [s]")
     shaking = valve.twinx()
-    shaking.fill_between(times_s, [point[3] for point in points], step="post", alpha=0.25, color="#d68910")
-    shaking.set_ylim(0.0, 1.0)
-    shaking.set_ylabel("vibration")
+    shaking.fill_between(
+        times_s, [100.0 * point[3] for point in points], step="post", color="#7d3c98", alpha=0.25, linewidth=0.0
+    )
+    shaking.set_ylim(0.0, 110.0)
+    shaking.set_ylabel("vibration [%]", color="#7d3c98")
+    valve.set_zorder(shaking.get_zorder() + 1)  # the line before the areas
+    valve.patch.set_visible(False)
+    figure.align_ylabels([mass, near, valve])
     figure.savefig(path, dpi=130)
