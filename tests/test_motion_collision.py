@@ -108,6 +108,34 @@ def test_samples_that_prove_a_curve_are_as_close_as_the_margin_asks(arm):
     assert (space.bound.passed_m(q) + chord_m).max() <= space.margin_m
 
 
+def test_a_first_look_calls_most_of_what_is_hit_and_nothing_else(arm):
+    space = scene(arm)
+    q = configurations(2000)
+    first, hits = space.first_hits(q), space.hits(q)
+    assert not (first & ~hits).any()
+    against_walls = np.array([space.clearance_m(one)[1].endswith(("wall", "post")) for one in q[hits][:300]])
+    assert first[hits][:300][against_walls].mean() > 0.5
+
+
+def test_a_curve_is_proven_free_exactly_where_close_samples_find_nothing(arm):
+    space = scene(arm)
+    rng = np.random.default_rng(4)
+    free = configurations(3000, seed=6)
+    free = free[~space.hits(free)]
+    verdicts = []
+    for q0, q1 in zip(free[:150], free[150:300], strict=True):
+        goal = q0 + rng.uniform(0.05, 0.6) * (q1 - q0)
+        proven = space.line_free(q0, goal)
+        dense = q0 + np.linspace(0.0, 1.0, 800)[:, None] * (goal - q0)
+        clearances_m = [space.clearance_m(q)[0] for q in dense[::20]]
+        # Between samples that keep the margin no point is nearer than what it moves there: never a touch.
+        assert not proven or min(clearances_m) > 0.0
+        # And a line that keeps the margin everywhere is never turned down.
+        assert proven or space.hits(dense).any()
+        verdicts.append(proven)
+    assert 0.1 < np.mean(verdicts) < 0.9
+
+
 def test_beyond_a_joints_limit_nothing_is_free(arm):
     q = np.array([[0.0, 0.0, 0.0, 0.2, 0.0, 0.0, 0.0]])
     assert scene(arm).hits(q).all()
@@ -126,7 +154,7 @@ def test_what_may_be_touched_is_not_a_hit(arm):
     q = np.array([[0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0]])
     shapes = arm.with_sheet(0.12, 0.05, 0.09)
     assert Scene(arm, shapes, [pad], 0.001, 1).hits(q).all()
-    assert not Scene(arm, shapes, [pad], 0.001, 1, may_touch=["pad"]).hits(q).any()
+    assert not Scene(arm, shapes, [pad], 0.001, 1, may_touch=["pad"]).hits(np.repeat(q, 40, axis=0)).any()
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,8 @@ def test_between_places_motions_are_polished(planner):
         begin, goal = posture(planner, first), posture(planner, second)
         least_s = rest_to_rest_s(goal - begin, planner.rates)
         ratios.append(planner.move(begin, second).duration_s / least_s)
-    assert np.mean(ratios) < 1.06 and max(ratios) < 1.3
+    assert np.mean(ratios) < 1.06
+    assert max(ratios) < 1.35
 
 
 @pytest.mark.parametrize("limit_deg", [30.0, 10.0])

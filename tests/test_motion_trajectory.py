@@ -49,6 +49,18 @@ def test_a_chain_passes_its_via_point_with_its_speed_without_a_jump():
         assert motion.sample(time_s) == pytest.approx(np.array(pieces[0].at_time(time_s)[0]), abs=1e-7)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_motions_span_is_exactly_what_it_passes(seed):
+    rng = np.random.default_rng(seed)
+    motion = through(np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 1.0, 6))]), rng.normal(size=(7, 7)))
+    low, high = motion.span()
+    q = motion.at(np.linspace(0.0, motion.duration_s, 5000))
+    assert (low <= q.min(axis=0) + 1e-12).all()
+    assert (high >= q.max(axis=0) - 1e-12).all()
+    assert low == pytest.approx(q.min(axis=0), abs=1e-3)
+    assert high == pytest.approx(q.max(axis=0), abs=1e-3)
+
+
 def test_extremes_are_no_less_than_any_sample():
     motion = direct(*ends(3))
     times_s = np.linspace(0, motion.duration_s, 4000)

@@ -188,7 +188,7 @@ class Scene:
             self.shapes.addCollisionPair(pin.CollisionPair(first, second))
         # From here on the models are complete; only now may data be made of them.
         self._pool, self._wide_pool = self._pooled(self.shapes, margin_m), self._pooled(self.shapes, _WIDE * margin_m)
-        self._first_pool = self._pooled(_foremost(shapes, solids), margin_m)
+        self._first_pool = self._pooled(_foremost(shapes, [s for s in solids if s.name not in touchable]), margin_m)
         self._data = self.model.createData()
         self._shape_data = pin.GeometryData(self.shapes)
 
