@@ -2,9 +2,10 @@
 
     python -m benchmarks.mutations [--count 10000] [--first 0] [--processes 2] [--json FILE]
 
-Every mutant (benchmarks/mutants.py) is read and planned as `check` does it. What is accepted is run dry, and the
-record is judged: every sample has a verdict that the world's true mass bears out, no powder is lost, the cell ends
-safe, no exception, and an exit code with a reason. What lasts too long is stopped as Ctrl-C does it, and judged, too.
+Every mutant (benchmarks/mutants.py, benchmarks/structures.py) is read and planned as `check` does it. What is accepted
+is run dry, and the record is judged: every sample has a verdict that the world's true mass bears out, no powder is lost,
+the cell ends safe, no exception, and an exit code with a reason. What lasts too long is stopped as Ctrl-C does it, and
+judged, too.
 """
 
 import argparse
@@ -31,7 +32,8 @@ from typing import Any, get_args
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.mutants import Mutant, mutant, originals, structures
+from benchmarks.mutants import Mutant, mutant, originals
+from benchmarks.structures import structures
 from benchmarks.verdicts import is_untrue
 from scuhand_bt.lab import Lab, load_lab, starter_lab, without_driver
 from scuhand_bt.motion import MotionPlanner

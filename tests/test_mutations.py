@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 import benchmarks.mutations
-from benchmarks.mutants import Mutant, mutant, structures
+from benchmarks.mutants import Mutant, mutant
 from benchmarks.mutations import Judge
+from benchmarks.structures import structures
 from scuhand_bt.lab import Lab
 from scuhand_bt.recipe import Recipe
 from scuhand_bt.sim.world import World
