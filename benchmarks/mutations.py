@@ -3,9 +3,9 @@
     python -m benchmarks.mutations [--count 10000] [--first 0] [--processes 2] [--json FILE]
 
 Every mutant (benchmarks/mutants.py, benchmarks/structures.py) is read and planned as `check` does it. What is accepted
-is run dry, and the record is judged: every sample has a verdict that the world's true mass bears out, no powder is lost,
-the cell ends safe, no exception, and an exit code with a reason. What lasts too long is stopped as Ctrl-C does it, and
-judged, too.
+is run dry, and the record is judged: every sample has a verdict that the world's true mass bears out, no powder is
+lost, the cell ends safe, no exception, and an exit code with a reason. What lasts too long is stopped as Ctrl-C does
+it, and judged, too.
 """
 
 import argparse
