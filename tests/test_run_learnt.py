@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from conftest import LabFolder
 from running import dry_run
 
 from scuhand_bt.run.learnt import LabState
@@ -50,3 +51,20 @@ def test_a_real_cell_recalls_what_was_learnt_on_real_devices_only(tmp_path: Path
     state.recall(fresh)
     assert set(fresh.powder_beliefs) == {"glass_beads/L7"}
     assert fresh.balance_belief == cell.balance_belief
+
+
+def test_a_belief_that_no_dose_has_taught_anything_is_not_written(tmp_path: Path) -> None:
+    state = LabState(tmp_path)
+    cell = dry_run(tmp_path, CHARACTERISE, controller="paper").session.cell
+    state.keep(replace(cell, powder_beliefs={"glass_beads/L7": cell.sources["beads"].powder.belief}), "guessed")
+    assert state.powders(simulated=True) == {}
+
+
+def test_a_new_powder_with_a_poor_first_guess_is_measured_in_minutes(tmp_path: Path, lab_folder: LabFolder) -> None:
+    guess = "belief: {coefficient: 35, threshold: 0.08 mm, spread: 15 %, surge: 0.1 mg}"
+    lab_folder.replace("robot/powders.yaml", guess, guess.replace("35", "250"))
+    recipe = CHARACTERISE.replace("glass_beads", "monosodium_glutamate")
+    ran = dry_run(tmp_path, recipe, lab=lab_folder.folder, controller="adaptive")
+    belief = LabState(tmp_path).powders(simulated=True)["monosodium_glutamate/L7"].belief
+    assert 30.0 < belief.coefficient < 75.0, "the powder's own is 42"
+    assert ran.session.cell.clock.now_s < 300.0

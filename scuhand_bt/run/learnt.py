@@ -57,7 +57,7 @@ class LabState:
             cell.balance_belief = balance.belief
 
     def keep(self, cell: Cell, run: str) -> str | None:
-        """Write what a cell believes now, where it differs from what was written last; what went wrong, or None."""
+        """Write what doses have taught a cell, where it differs from what was written last; what went wrong, or None."""
         try:
             self._keep(cell, run)
         except SourceError as error:
@@ -69,7 +69,7 @@ class LabState:
         news: list[tuple[str, str, PowderBelief | BalanceBelief]] = [
             ("powder", name, belief)
             for name, belief in cell.powder_beliefs.items()
-            if name not in powders or powders[name].belief != belief
+            if belief.doses and (name not in powders or powders[name].belief != belief)
         ]
         name, belief = cell.spec.cell, cell.balance_belief
         if belief.fits and (name not in balances or balances[name].belief != belief):
