@@ -57,7 +57,7 @@ class LabState:
             cell.balance_belief = balance.belief
 
     def keep(self, cell: Cell, run: str) -> str | None:
-        """Write what doses have taught a cell, where it differs from what was written last; what went wrong, or None."""
+        """Write what doses have taught a cell, where it is news; what went wrong, or None."""
         try:
             self._keep(cell, run)
         except SourceError as error:
