@@ -319,6 +319,9 @@ def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path,
     journal = ran.stdout.split("Journal:")[1].split()[0]
     assert command("plot", journal, "a", "-o", picture).returncode == 0
     assert "<svg" in picture.read_text(encoding="utf-8")
+    ended = command("plot", journal, "a", "-o", tmp_path / "dose.docx")
+    assert ended.returncode == 2
+    assert ".png or .svg" in " ".join(ended.stderr.split())
 
 
 def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(command: Call) -> None:

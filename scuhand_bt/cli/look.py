@@ -82,24 +82,30 @@ def plot(
     output: OutputOption = None,
     lab: LabOption = None,
 ) -> None:
-    """Draw one dose: reading, estimate, opening and vibration against time (PNG or SVG; needs the extra `plot`)."""
+    """Draw one dose: reading, estimate, opening and vibration against time (PNG or SVG; needs the extra `plot`).
+
+    Of a sample that was dosed again, the last container's.
+    """
     from scuhand_bt.report.dose_plot import plot_dose
     from scuhand_bt.run.reading import open_contents
 
-    with open_contents(find_journal(run, lab)) as contents:
-        jobs = {row["id"]: row["sample"] for row in contents.rows("job")}
-        samples = {row["id"]: jobs[row["job"]] for row in contents.rows("action")}
-        curves = [
-            event["payload"]["points"]
-            for event in contents.rows("event")
-            if event["kind"] == "dose_curve" and samples.get(event["action"]) == sample
-        ]
-        doses = [row["payload"] for row in contents.rows("dose") if jobs[row["job"]] == sample]
-    if not curves or not doses:
-        raise unknown("sample with a dose", sample, {s for s in jobs.values() if s})
     path = output or Path(f"{sample}.png")
+    if path.suffix.lower() not in (".png", ".svg"):
+        raise typer.BadParameter(f"'{path}' is to be a picture: .png or .svg")
+    with open_contents(find_journal(run, lab)) as contents:
+        jobs = {row["id"]: (row["sample"], row["attempt"]) for row in contents.rows("job")}
+        actions = {row["id"]: jobs[row["job"]] for row in contents.rows("action")}
+        events = [row for row in contents.rows("event") if row["kind"] == "dose_curve" and row["action"] in actions]
+        doses = [(jobs[row["job"]], row["payload"]) for row in contents.rows("dose")]
+    of_sample = [(attempt, dose) for (name, attempt), dose in doses if name == sample]
+    if not of_sample:
+        raise unknown("sample with a dose", sample, {name for (name, _), _ in doses if name})
+    attempt, dose = of_sample[-1]
+    curves = [event["payload"]["points"] for event in events if actions[event["action"]] == (sample, attempt)]
     points = [point for curve in curves for point in curve]
-    dose, title = doses[-1], f"{sample}, {doses[-1]['controller']}"
+    if not points:
+        raise typer.BadParameter(f"the run ended before the curve of '{sample}' was written")
+    title = f"{sample}: {dose['dispensed_mg']:.1f} mg of {dose['target_mg']:g} mg, {dose['controller']}"
     _write(path, lambda: plot_dose(points, dose["target_mg"], dose["tolerance_mg"], path, title))
 
 
