@@ -419,6 +419,8 @@ def main() -> None:
         ("live", transfer.LIVE, tasks),
         ("polished", transfer.POLISHED, tasks[: given.polished]),
     ):
+        if not some:
+            continue
         results[f"transfers, {name}"] = transfers(bench, some, effort, audit, given.peers)
         show(f"transfers, {name}", results[f"transfers, {name}"])
         for load, limit_deg in (("5 g of glass beads", own_deg), ("gentle", GENTLE_DEG)):

@@ -36,7 +36,7 @@ SHAPES = 10
 SMALLEST_MARGIN_M = 1e-4
 SHEET_M = 0.002
 """Sheet, clamps and their play, added to the cone's radius."""
-_FIRST_SAMPLES = 16
+_FIRST_SAMPLES = 12
 _FOREMOST = ("clamps", "fore_0")
 """The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
 _MANY = 16

@@ -74,7 +74,7 @@ class Space:
         for look in _GLANCES:
             shares = np.array(look)[:, None, None]
             lines = first[left] + shares * (last[left] - first[left])
-            blocked = self.blocked(self.chart.joints(lines.reshape(-1, lines.shape[2])))
+            blocked = self.first_look(self.chart.joints(lines.reshape(-1, lines.shape[2])))
             left = left[~blocked.reshape(len(look), -1).any(axis=0)]
             if not len(left):
                 break
