@@ -13,7 +13,7 @@ import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from scuhand_bt.failures import CATALOGUE, Failure, SkillFailed
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
@@ -23,6 +23,9 @@ from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import KEYWORDS, Call, Workflow, read_workflow, walk
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Node, describe, load, read_text
+
+if TYPE_CHECKING:
+    from scuhand_bt.motion import MotionPlanner
 
 S = TypeVar("S", bound=Spec)
 
@@ -41,7 +44,20 @@ class Lab:
     @property
     def urdf(self) -> str:
         """The text of the arm's URDF; SourceError if the file is missing."""
-        return read_text(self.folder / "robot" / self.cell.arm.urdf, "the arm's URDF")
+        return read_text(self._urdf_path, "the arm's URDF")
+
+    @property
+    def _urdf_path(self) -> Path:
+        return self.folder / "robot" / self.cell.arm.urdf
+
+    def motion_planner(self, mortars: Mapping[str, Mortar], *, threads: int = 2) -> "MotionPlanner":
+        """A motion planner of this cell; SourceError where the URDF or the geometry is not this arm's."""
+        from scuhand_bt.motion import MotionPlanner
+
+        try:
+            return MotionPlanner(self.urdf, self.cell, mortars, threads=threads)
+        except ValueError as error:
+            raise SourceError([Problem(Mark(str(self._urdf_path)), str(error))]) from None
 
 
 def starter_lab() -> Path:

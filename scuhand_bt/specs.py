@@ -209,13 +209,16 @@ class Station(Spec):
     position_mm: Point
 
 
+Size = Annotated[Millimetres, Field(gt=0)]
+
+
 class Obstacle(Spec):
     """A box or a cylinder (axis along z) the arm must not touch, by the centre of its shape."""
 
     name: str
     at_mm: Point
-    box_mm: tuple[Millimetres, Millimetres, Millimetres] | None = None
-    cylinder_mm: tuple[Millimetres, Millimetres] | None = None
+    box_mm: tuple[Size, Size, Size] | None = None
+    cylinder_mm: tuple[Size, Size] | None = None
     """Diameter and length."""
 
     @model_validator(mode="after")

@@ -61,6 +61,7 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
         ("powders", "repose: 25 deg", "repose: 25 %", "'%' is a unit of ratio, not of angle"),
         ("powders", "repose: 25 deg", "name: x", "unknown key 'name'"),
         ("powders", "gain: 0.33", "gain: .nan", "'gain': '.nan' is not accepted"),
+        ("cell", "box: [6 mm,", "box: [-6 mm,", "'box': '-6 mm' is not accepted; more than 0"),
         (
             "powders",
             "coefficient: 50",
@@ -80,6 +81,12 @@ def test_what_is_wrong_in_the_robot_folder_is_said_in_its_place(
     problems = lab_folder.problems()
     assert any(said in problem for problem in problems), problems
     assert all(problem.startswith(f"robot/{file}.yaml:") for problem in problems)
+
+
+def test_a_urdf_without_one_of_its_shapes_is_said_in_one_line(lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/crane_x7_scuhand_sv.urdf", 'version="1.1"', 'version="1.0"')
+    (problem,) = problems_of(lambda: lab_folder.load().motion_planner({}))
+    assert "1:1: Pinocchio loaded 4 of the URDF's 10 collision shapes" in problem
 
 
 def test_problems_of_all_files_are_said_at_once(lab_folder: LabFolder) -> None:

@@ -166,9 +166,10 @@ def test_what_may_be_touched_is_not_a_hit(arm):
         (URDF.replace('acceleration="4.4" jerk="44"', "", 1), "j1 needs a limit"),
         (URDF.replace('jerk="44"', 'jerk="0"', 1), "above zero"),
         (URDF.replace('lower="-1.57', 'lower="-1.27', 1), "limits of joint 2"),
+        (URDF.replace('radius="0.0395"', 'radius="-0.0395"'), "fore_0 has no size"),
         ("<robot", "not XML"),
     ],
-    ids=["old version", "missing shape", "longer arm", "no acceleration", "no jerk", "other limits", "no XML"],
+    ids=["old version", "missing shape", "longer arm", "no acceleration", "no jerk", "other limits", "flat", "no XML"],
 )
 def test_a_urdf_that_is_not_this_arm_is_refused_with_its_reason(broken, message):
     with pytest.raises(ValueError, match=message):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.motion.inverse import finest, nearest_reachable, solutions, unreachable_reason
+from scuhand_bt.motion.inverse import finest, solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, apex, apex_positions_m, checked_joints
+from scuhand_bt.motion.nearest import nearest_reachable
 
 OFFSET_M = 0.12
 HEIGHTS_M = (0.041, 0.064, 0.065, 0.185, 0.121, 0.129, 0.019)
@@ -99,6 +100,16 @@ def test_a_pose_too_far_says_by_how_much_and_a_reachable_one_near_is_found():
     near = nearest_reachable(pose, OFFSET_M)
     assert unreachable_reason(near, OFFSET_M) is None
     assert np.linalg.norm(near.position_m - pose.position_m) < 0.3
+
+
+def test_no_reachable_pose_is_much_nearer_than_the_one_that_is_told():
+    rng = np.random.default_rng(3)
+    for position_m in ([0.9, 0.0, 0.1], [0.05, 0.0, 0.15], [0.33, 0.0, 0.35], [0.2, 0.2, 0.3]):
+        pose = ApexPose(np.array(position_m))
+        told_m = np.linalg.norm(nearest_reachable(pose, OFFSET_M).position_m - pose.position_m)
+        strewn = rng.normal(size=(600, 3))
+        strewn *= (told_m - 0.01) * rng.uniform(size=(600, 1)) ** (1 / 3) / np.linalg.norm(strewn, axis=1)[:, None]
+        assert all(unreachable_reason(ApexPose(pose.position_m + off), OFFSET_M) for off in strewn)
 
 
 def test_a_pose_beyond_a_joints_limit_names_the_joint():

@@ -5,7 +5,7 @@ import pytest
 
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import ApexPose, MotionPlanner, apex
+from scuhand_bt.motion import ApexPose, MotionPlanner, apex, solutions
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import rest_to_rest_s
@@ -117,6 +117,23 @@ def test_a_goal_may_be_any_pose(planner):
 def test_an_arm_that_reports_a_count_off_its_posture_gets_the_prepared_motion(planner):
     home = planner.home()
     assert planner.move(home + 0.001, "balance") is planner.move(home, "balance")
+
+
+def test_a_place_that_is_named_again_is_where_it_is_now():
+    planner = new_planner()
+    planner.move(planner.home(), "waste")
+    moved = ApexPose(np.array([0.1, 0.3, 0.18]))
+    planner.add_place("waste", moved)
+    end = planner.move(planner.home(), "waste").end
+    assert apex(end, OFFSET_M).position_m == pytest.approx(moved.position_m, abs=1e-9)
+
+
+def test_a_contact_path_does_not_begin_inside_something(planner):
+    x, y, _ = above("mortar_bay", 0).position_m
+    inside = solutions(ApexPose(np.array([x, y, 0.0])), OFFSET_M)[0]
+    with pytest.raises(SkillFailed) as failed:
+        planner.contact(inside, [above("mortar_bay", 90)], 0.04)
+    assert failed.value.code == "arm.start_in_collision"
 
 
 def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner):

@@ -144,12 +144,12 @@ def _planner(lab: "Lab", container: str | None) -> "tuple[MotionPlanner, dict[st
     import numpy as np
 
     from scuhand_bt.devices.places import at_station, over_balance, over_mortar
-    from scuhand_bt.motion import ApexPose, MotionPlanner
+    from scuhand_bt.motion import ApexPose
 
     kind = lab.library.containers.get(container or "")
     largest = max(lab.library.mortars.values(), key=lambda mortar: mortar.outer_diameter_mm)
     stations = lab.cell.stations.values()
-    planner = MotionPlanner(lab.urdf, lab.cell, {s.name: largest for s in stations if s.kind == "mortar"})
+    planner = lab.motion_planner({s.name: largest for s in stations if s.kind == "mortar"})
     planner.set_container(kind)
     places_m: dict[str, Floats] = {}
     for station in stations:

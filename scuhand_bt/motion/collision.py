@@ -104,6 +104,12 @@ class Arm:
                 f"Pinocchio loaded {self.shapes.ngeoms} of the URDF's {written} collision shapes; this arm has "
                 f"{SHAPES} (a <capsule> needs version 1.1)"
             )
+        for thing in self.shapes.geometryObjects:
+            thing.geometry.computeLocalAABB()
+            if not (thing.geometry.aabb_local.max_ - thing.geometry.aabb_local.min_ > 0).all():
+                raise ValueError(f"the URDF's collision shape {thing.name} has no size")
+        if not isinstance(self.shapes.geometryObjects[SHAPES - 1].geometry, coal.Cylinder):
+            raise ValueError("the URDF's last collision shape is to be the cylinder of the hand's ring")
         self._check_closed_form()
 
     def _check_closed_form(self) -> None:

@@ -38,7 +38,6 @@ from scuhand_bt.motion.kinematics import (
 SWIVELS = 72
 _SINGULAR = 1e-9
 _EDGE = 1e-9
-_FAR_M = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,32 +282,6 @@ def unreachable_reason(pose: ApexPose, apex_offset_m: float, limits: Floats = LI
         f"no swivel of the elbow keeps all joints within their limits: joint {joint + 1} would be at "
         f"{math.degrees(q[nearest, joint]):.1f} deg, {math.degrees(excess[nearest, joint]):.1f} deg beyond"
     )
-
-
-def nearest_reachable(pose: ApexPose, apex_offset_m: float) -> ApexPose | None:
-    """A reachable pose of the same axis close to an unreachable one; None if there is none within 0.6 m.
-
-    Shells of growing radius around the position, 200 directions each, then bisection back. A position
-    far beyond the arm is first drawn towards the shoulder.
-    """
-    shoulder_m = np.array([0.0, 0.0, SHOULDER_Z_M])
-    distance_m = float(np.linalg.norm(pose.position_m - shoulder_m))
-    if distance_m > _FAR_M:
-        pose = ApexPose(shoulder_m + (pose.position_m - shoulder_m) * (_FAR_M / distance_m), pose.axis)
-    index = np.arange(200) + 0.5
-    z, turn = 1 - 2 * index / 200, index * math.pi * (3 - math.sqrt(5))
-    directions = np.stack([np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z], axis=1)
-    for radius_m in np.geomspace(0.002, 0.6, 40):
-        for direction in directions:
-            if unreachable_reason(ApexPose(pose.position_m + radius_m * direction, pose.axis), apex_offset_m) is None:
-                low_m, high_m = 0.0, float(radius_m)
-                for _ in range(12):
-                    middle_m = (low_m + high_m) / 2
-                    tried = ApexPose(pose.position_m + middle_m * direction, pose.axis)
-                    reached = unreachable_reason(tried, apex_offset_m) is None
-                    low_m, high_m = (low_m, middle_m) if reached else (middle_m, high_m)
-                return ApexPose(pose.position_m + high_m * direction, pose.axis)
-    return None
 
 
 def swivel_of(q: Floats, apex_offset_m: float) -> float:

@@ -26,8 +26,9 @@ from scuhand_bt.motion import contact as contact_path
 from scuhand_bt.motion import surroundings, transfer
 from scuhand_bt.motion.chain import Chain
 from scuhand_bt.motion.collision import Arm, Scene, Solid
-from scuhand_bt.motion.inverse import along, finest, nearest_reachable, solutions, swivel_of, unreachable_reason
+from scuhand_bt.motion.inverse import along, finest, solutions, swivel_of, unreachable_reason
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, apex, checked_joints
+from scuhand_bt.motion.nearest import nearest_reachable
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import Rest, Stop, stop
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
@@ -112,6 +113,8 @@ class MotionPlanner:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
         self._require_reachable(pose, name)
         self._places[name] = pose
+        # Where it was before, if it had been named already, is forgotten.
+        self._postures = {key: q for key, q in self._postures.items() if key[0] != name}
 
     # Motions ----------------------------------------------------------------------------------------
 
@@ -245,6 +248,8 @@ class MotionPlanner:
         for pose in waypoints:
             self._require_reachable(pose, "a waypoint")
         scene = self.scene(CLOSE_MARGIN_M, touching)
+        if scene.hits(begin[None, :])[0]:
+            raise SkillFailed("arm.start_in_collision", self._touching(scene, begin))
         phi = swivel_of(begin, self._offset_m)
         why = "the elbow would have to jump"
         for turn in contact_path.TURNS_OF_SWIVEL_RAD:

@@ -1,0 +1,54 @@
+"""The reachable pose nearest to one that is out of reach: what an `arm.unreachable` proposes."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from scuhand_bt.motion.inverse import unreachable_reason
+from scuhand_bt.motion.kinematics import LINK_M, SHOULDER_Z_M, WRIST_TO_FLANGE_M, ApexPose, Floats
+
+
+def nearest_reachable(pose: ApexPose, apex_offset_m: float) -> ApexPose | None:
+    """The reachable pose of the same axis nearest to an unreachable one, to some mm; None if none is within 0.6 m.
+
+    Shells of growing radius around the position (around where the arm, stretched towards it, ends, if that is
+    nearer) until one is met; from there steps that come nearer, ever smaller, until none of 0.2 mm does.
+    """
+
+    def reached(position_m: Floats) -> bool:
+        return unreachable_reason(ApexPose(position_m, pose.axis), apex_offset_m) is None
+
+    wanted_m = pose.position_m
+    to_wrist_m = wanted_m + (WRIST_TO_FLANGE_M + apex_offset_m) * pose.axis - (0.0, 0.0, SHOULDER_Z_M)
+    too_far = max(0.0, 1 - 2 * LINK_M / float(np.linalg.norm(to_wrist_m)))
+    around_m = wanted_m - to_wrist_m * too_far
+    shells = (around_m + radius_m * _directions(60) for radius_m in np.geomspace(0.002, 0.6, 20))
+    met = next((best for shell in shells if (best := _first_reached(shell, wanted_m, reached)) is not None), None)
+    if met is None:
+        return None
+    distance_m = float(np.linalg.norm(met - wanted_m))
+    step_m = distance_m
+    while step_m > 2e-4:
+        nearer = met + step_m * np.vstack([_directions(24), (wanted_m - met) / distance_m])
+        nearer = nearer[np.linalg.norm(nearer - wanted_m, axis=1) < distance_m - 1e-6]
+        best = _first_reached(nearer, wanted_m, reached)
+        if best is None:
+            step_m /= 2
+        else:
+            met, distance_m = best, float(np.linalg.norm(best - wanted_m))
+    return ApexPose(met, pose.axis)
+
+
+def _first_reached(positions_m: Floats, wanted_m: Floats, reached: Callable[[Floats], bool]) -> Floats | None:
+    """Of positions (n, 3) the nearest to the one wanted that is reached."""
+    order = np.argsort(np.linalg.norm(positions_m - wanted_m, axis=1), kind="stable")
+    return next((positions_m[k] for k in order if reached(positions_m[k])), None)
+
+
+def _directions(count: int) -> Floats:
+    """Unit vectors (n, 3) spread evenly over the sphere."""
+    index = np.arange(count) + 0.5
+    z, turn = 1 - 2 * index / count, index * math.pi * (3 - math.sqrt(5))
+    level = np.sqrt(1 - z * z)
+    return np.stack([np.cos(turn) * level, np.sin(turn) * level, z], axis=1)
