@@ -1,17 +1,27 @@
 """The cone's apex over a container's mouth."""
 
+from typing import Annotated
+
+from pydantic import Field
+
 from scuhand_bt.devices.places import over_balance
-from scuhand_bt.skill import Cell, Container, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Container, Millimetres, Skill, SkillFailed, Steps
+
+LOWERING_MM_PER_S = 60.0
 
 
 class MoveOver(Skill[None]):
-    """Carry the cone over the container on the pan, axis upright, apex at the dispensing height."""
+    """Carry the cone over the container on the pan, axis upright, apex at the dispensing height.
+
+    The last `from_above` of the way is straight down: what trickles from the valve there falls into a narrow mouth.
+    """
 
     devices = ("arm",)
     typical_s = 4.0
     interrupted = "repeat"
 
     container: Container
+    from_above_mm: Annotated[Millimetres, Field(ge=0, le=100)] = 0.0
 
     def run(self, cell: Cell) -> Steps[None]:
         pan = cell.believed.pan
@@ -19,4 +29,7 @@ class MoveOver(Skill[None]):
             there = f"'{pan.id}'" if pan is not None else "nothing"
             raise SkillFailed("container.missing", f"'{self.container.id}' is not on the pan; there is {there}")
         place, _ = over_balance(cell.spec, self.container)
-        yield from cell.move_to(place)
+        if self.from_above_mm > 0:
+            yield from cell.lower_to(place, self.from_above_mm, LOWERING_MM_PER_S)
+        else:
+            yield from cell.move_to(place)

@@ -128,6 +128,17 @@ def test_a_place_that_is_named_again_is_where_it_is_now():
     assert apex(end, OFFSET_M).position_m == pytest.approx(moved.position_m, abs=1e-9)
 
 
+def test_a_load_comes_straight_down_over_a_mouth_within_its_spill_limit(planner):
+    begin = planner.move(posture(planner, "mortar_bay"), above("balance", 110)).end
+    motion = planner.contact(begin, [above("balance", 80)], 0.06, spill_limit_deg=5.0)
+    q = motion.at(times(motion))
+    positions_m = np.array([apex(one, OFFSET_M).position_m for one in q])
+    assert positions_m[-1] == pytest.approx(above("balance", 80).position_m, abs=1e-9)
+    assert np.abs(positions_m[:, :2] - positions_m[0, :2]).max() < 2e-5
+    angles = spill_angles_deg(*apex_motion(q, motion.at(times(motion), 1), motion.at(times(motion), 2), OFFSET_M))
+    assert angles.max() <= 5.0 == motion.spill_limit_deg
+
+
 def test_a_contact_path_does_not_begin_inside_something(planner):
     x, y, _ = above("mortar_bay", 0).position_m
     inside = solutions(ApexPose(np.array([x, y, 0.0])), OFFSET_M)[0]

@@ -123,6 +123,18 @@ class Cell:
         trajectory = self.motion.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
         yield from self._follow(trajectory)
 
+    def lower_to(self, place: str, from_above_mm: float, speed_mm_per_s: float) -> Steps[None]:
+        """Move above a named place, and from there straight down to it; a load is kept in the cone all the way.
+
+        SkillFailed as `move_to`.
+        """
+        down = self.place(place)
+        yield from self.move_to(ApexPose(down.position_m + np.array([0.0, 0.0, from_above_mm / 1000]), down.axis))
+        trajectory = self.motion.contact(
+            self.arm.positions, [down], speed_mm_per_s / 1000, spill_limit_deg=self._spill_limit_deg()
+        )
+        yield from self._follow(trajectory)
+
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
         """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else."""
         yield from self._follow(self.contact(waypoints, speed_mm_per_s, station))

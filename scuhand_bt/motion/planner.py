@@ -231,10 +231,12 @@ class MotionPlanner:
         waypoints: Sequence[ApexPose],
         speed_m_per_s: float,
         touching: str | None = None,
+        spill_limit_deg: float | None = None,
     ) -> JointTrajectory:
         """A slow motion of the apex in straight lines from `start` through the waypoints, rest to rest.
 
         The sheet may touch the mortar at the station `touching`; nothing else may.
+        A load is kept within `spill_limit_deg`.
         """
         begin = checked_joints(start)
         if touching is not None and touching not in self._mortars:
@@ -260,6 +262,12 @@ class MotionPlanner:
             course[0] = begin
             motion = through(times_s, course)
             motion = motion.stretched(max(1.0, self.rates.stretch_for(motion)))
+            if spill_limit_deg is not None:
+                factor = spill_stretch(motion, self._offset_m, spill_limit_deg)
+                if factor is None:
+                    why = f"the cone would have to lean more than {spill_limit_deg:.1f} deg"
+                    continue
+                motion = motion.stretched(factor).keeping(spill_limit_deg)
             if scene.proves(motion):
                 return motion
             _, samples = scene.proving_samples(motion.at, motion.duration_s, motion.extremes()[1])

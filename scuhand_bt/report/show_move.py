@@ -100,7 +100,9 @@ def _draw_arm(view: Any, move: ShownMove) -> None:
         corners = solid.get("corners")
         if corners is None:
             low, high = (_rim(solid, k) for k in (0, 1))
-            faces([*np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1), high], "#a98f6c", 0.25, -1)
+            # Apart: matplotlib pads polygons of different lengths with whatever memory holds.
+            faces([*np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)], "#a98f6c", 0.25, -1)
+            faces([high], "#a98f6c", 0.25, -1)
         else:
             sides = [np.array([corners[k] for k in side]) for side in _SIDES_OF_BOX]
             faces(sides, "#5b7db1" if solid["arm"] else "#9fb2c4", 0.9 if solid["arm"] else 0.18, -1)
