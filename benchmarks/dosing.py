@@ -11,7 +11,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -135,6 +135,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     problems += [f"no powder is called '{name}'" for name in picked if name not in powders]
     problems += [f"no row is called '{row}'; there are {', '.join(rows)}" for row in wanted if row not in rows]
     problems += ["trials: at least one"] if chosen.trials < 1 else []
+    if chosen.json is not None and not chosen.json.resolve().parent.is_dir():
+        problems.append(f"there is no folder {chosen.json.parent} to write to")
     try:
         plant = load_plant(chosen.plant)
         for name in picked if not problems else ():
@@ -156,21 +158,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for row, name, target_mg, controller in cells
         for run, count in enumerate(doses)
     ]
-    results: dict[str, dict[str, float]] = {}
-    paper_s: dict[tuple[str, str, float], float] = {}
     print(HEAD)
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
         outcome = pool.map(work, jobs, chunksize=1)
-        for cell in cells:
-            trials = [trial for _ in doses for trial in next(outcome)]
-            figures = summary(trials)
-            if cell[3] == "paper":
-                paper_s[cell[:3]] = figures["mean_s"]
-            results[" | ".join(map(str, cell))] = figures
-            print(line(cell, figures, paper_s.get(cell[:3])), flush=True)
-            if chosen.json is not None:
-                keep(chosen.json, results)
+        try:
+            report(cells, ([trial for _ in doses for trial in next(outcome)] for _ in cells), chosen.json)
+        except PlantError as error:
+            pool.shutdown(cancel_futures=True)
+            print(error, file=sys.stderr)
+            return 2
     return 0
+
+
+def report(cells: Sequence[tuple[str, str, float, str]], trials: Iterable[list[Trial]], path: Path | None) -> None:
+    """Prints and keeps each cell as soon as its doses are done."""
+    results: dict[str, dict[str, float]] = {}
+    paper_s: dict[tuple[str, str, float], float] = {}
+    for cell, of_cell in zip(cells, trials, strict=True):
+        figures = summary(of_cell)
+        if cell[3] == "paper":
+            paper_s[cell[:3]] = figures["mean_s"]
+        results[" | ".join(map(str, cell))] = figures
+        print(line(cell, figures, paper_s.get(cell[:3])), flush=True)
+        if path is not None:
+            keep(path, results)
 
 
 def keep(path: Path, results: dict[str, dict[str, float]]) -> None:

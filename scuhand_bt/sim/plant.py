@@ -118,8 +118,9 @@ def load_plant(name: str | None) -> Plant:
         raise PlantError(f"plant '{name}': write it as module:Class, such as my_lab.plants:DampPowder")
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise PlantError(f"plant '{name}': module '{module_name}' cannot be imported: {error}") from error
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        raise PlantError(f"plant '{name}': module '{module_name}' cannot be imported: {why}") from error
     made = getattr(module, class_name, None)
     if not isinstance(made, type):
         known = ", ".join(key for key, value in vars(module).items() if isinstance(value, type)) or "no class"
