@@ -98,11 +98,15 @@ class BalanceBelief(Spec):
     """What controllers believe of a balance: pessimistic until learnt from a run's first good dose."""
 
     lag_s: Annotated[Seconds, Field(gt=0, le=5)] = 0.6
-    """Time constant of each of the two equal poles that the reading follows the mass with."""
+    """Half the time that the reading of a steadily growing mass is behind it."""
+    poles: Annotated[int, Field(ge=1, le=20)] = 2
+    """How many equal poles, which share that time, the reading follows the mass with."""
+    misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.1
+    """The largest share of a sudden mass that this model of the balance was off by, noise apart."""
     noise_mg: Annotated[Milligrams, NotNegative] = 0.1
     """Standard deviation of a single reading on a quiet pan."""
     fits: Annotated[int, Field(ge=0)] = 0
-    """How many doses the lag was learnt from; 0 while it is only assumed."""
+    """How many openings the lag was learnt from; 0 while it is only assumed."""
 
 
 class Powder(Spec):

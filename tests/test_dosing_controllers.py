@@ -1,5 +1,7 @@
 import math
+from collections import deque
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -8,7 +10,7 @@ from benchmarks.rig import Bench, Setting, run_of_doses, shipped_powders
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.dose_loop import run_dose
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Settle, Stream, new_controller
-from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_surge
+from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.record import NoRecord
@@ -152,6 +154,32 @@ def test_a_lag_that_nothing_tells_is_refused() -> None:
     assert fit_lag(rows[:5], 15.0, 0.1) is None
 
 
+@pytest.mark.parametrize("lag_s", [0.15, 0.3, 0.6])
+def test_a_probe_tells_the_lag_and_how_well_poles_follow(lag_s: float) -> None:
+    fit = fit_step(readings_of_a_pulse(lag_s), 0.05)
+    assert fit is not None
+    assert fit.lag_s == pytest.approx(lag_s, rel=0.1)
+    assert fit.misfit < 0.05
+
+
+def test_a_probe_tells_the_delay_of_a_balance_that_is_no_poles_at_all() -> None:
+    fell_mg = [20.0 * min(max(index - 3, 0), 10) / 10.0 for index in range(60)]
+    means_mg = [sum(fell_mg[max(0, index - 7) : index + 1]) / 8.0 for index in range(60)]
+    rows = [Row(0.1, 0.1 if 3 < index <= 13 else 0.0, mean_mg, 0.1) for index, mean_mg in enumerate(means_mg)]
+    fit = fit_step(rows, 0.05)
+    assert fit is not None
+    assert fit.lag_s == pytest.approx(0.35 / 2.0, rel=0.1), "the mean of eight readings is 0.35 s behind"
+    flow_that_stopped = [row._replace(phi_s=0.1 if 3 < index <= 33 else 0.0) for index, row in enumerate(rows)]
+    stopped = fit_step(flow_that_stopped, 0.05)
+    assert stopped is None or stopped.misfit > 0.1
+
+
+def test_a_probe_that_brought_nothing_tells_nothing() -> None:
+    rows = [Row(0.1, 0.1, 0.05 * math.sin(7.0 * index), 0.1) for index in range(60)]
+    assert fit_step(rows, 0.1) is None
+    assert fit_step(readings_of_a_pulse(0.3)[:8], 0.1) is None
+
+
 def test_a_steady_flow_shows_no_lumps_and_a_lumpy_one_does() -> None:
     steady = readings_of_a_pulse(0.3)
     lumpy = [row._replace(reading_mg=row.reading_mg + (4.0 if index > 8 else 0.0)) for index, row in enumerate(steady)]
@@ -184,6 +212,34 @@ def test_a_valve_that_slips_open_is_seen_before_much_has_fallen(target_mg: float
         assert run is not None
         belief, balance = run.finish.powder or belief, run.finish.balance or balance
     assert trial.true_error_mg <= 6.0
+
+
+class MovingMean:
+    """A balance that gives the mean of the last 1.2 s, and feels no momentum: nothing that controllers know of."""
+
+    def balance(self, spec: BalanceSpec) -> "MovingMean":
+        self._on_pan: deque[tuple[float, float]] = deque()
+        return self
+
+    def step(
+        self, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float, rng: np.random.Generator
+    ) -> float:
+        self._on_pan.append((dt_s, on_pan_mg + landing_mg))
+        while sum(taken_s for taken_s, _ in self._on_pan) > 1.2:
+            self._on_pan.popleft()
+        mean_mg = sum(taken_s * mg for taken_s, mg in self._on_pan) / sum(taken_s for taken_s, _ in self._on_pan)
+        return mean_mg + 0.06 * float(rng.standard_normal())
+
+
+def test_a_balance_of_another_filter_is_not_overshot() -> None:
+    belief, balance = BEADS.belief, BalanceBelief()
+    for dose in range(4):
+        bench = Bench(BEADS, 500.0, 5, dose, Setting(plant=f"{__name__}:MovingMean"))
+        trial, run = bench.dose("adaptive", belief, balance)
+        assert trial.true_error_mg <= 2.0
+        assert run is not None
+        belief, balance = run.finish.powder or belief, run.finish.balance or balance
+    assert balance.lag_s == pytest.approx((0.6 + 0.128) / 2.0, rel=0.15), "half the window, and the fall"
 
 
 def test_the_filter_sees_through_the_lag() -> None:
@@ -266,6 +322,8 @@ def test_beliefs_survive_being_written_and_read() -> None:
     belief = PowderBelief(coefficient=41.5, surge_mg=1.25, doses=7)
     assert PowderBelief.model_validate(belief.model_dump(mode="json")) == belief
     assert BalanceBelief.model_validate(BalanceBelief(fits=2).model_dump(mode="json")).fits == 2
+    of_old = BalanceBelief.model_validate({"lag_s": 0.3, "noise_mg": 0.1, "fits": 5})
+    assert of_old.misfit == BalanceBelief().misfit, "how well its model fits was never told: it is probed again"
 
 
 @pytest.mark.parametrize("streams", [True, False])

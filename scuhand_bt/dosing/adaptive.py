@@ -13,6 +13,7 @@ open again. In tolerance, beyond two standard uncertainties of the mean: done. W
 * A hand that takes step commands only gets pulses limited by the same risk rule (`pulses`).
 """
 
+import math
 from collections.abc import Generator
 
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Settle, Stream
@@ -20,8 +21,10 @@ from scuhand_bt.dosing.knowledge import SLACK_S, Knowledge
 from scuhand_bt.dosing.opening import Opening
 from scuhand_bt.dosing.pulses import pulses
 
-WATCH_LAGS, WATCH_LAGS_PROBING = 2.0, 3.5
+WATCH_LAGS = 2.0
 """How many lags of the balance the tail is watched for, before a stable mean is asked."""
+RESTING, LONGEST_REST = 8, 200
+"""A probe's tail is watched until so many readings rise no more, if they ever do."""
 LISTENED = 12
 """Readings that tell an unknown balance's noise."""
 MOST_OPENINGS = 25
@@ -57,15 +60,17 @@ class Adaptive:
         known = self._known
         seen = yield Stream(0.0)
         known.time_s, start_mg = seen.time_s, seen.net_mg
-        if known.fits == 0:
+        if not known.knows_balance:
             yield from self._listen()
         known.filter.restart(seen.net_mg, 2.0 * known.noise_mg, known.reference, known.unsure)
         for opening in range(MOST_OPENINGS):
             before_mg = known.filter.mass_mg
             known.begin_opening()
-            probing = opening == 0 and known.fits == 0
+            probing = opening == 0 and not known.knows_balance
             ended = yield from Opening(known, probing).run()
-            yield from self._watch_tail(WATCH_LAGS_PROBING if probing else WATCH_LAGS)
+            yield from self._watch_tail()
+            if probing:
+                yield from self._watch_rest()
             known.learn(known.filter.mass_mg - before_mg)
             if probing and ended == "reached" and known.filter.mass_mg < known.stop_mg - LEFT_MG:
                 continue
@@ -84,11 +89,21 @@ class Adaptive:
         for _ in range(LISTENED):
             yield from self._known.act(0.0, 0.0)
 
-    def _watch_tail(self, lags: float) -> Generator[Command, Observation, None]:
+    def _watch_rest(self) -> Generator[Command, Observation, None]:
+        """Valve shut: readings until they rise no more than their noise."""
+        known, half = self._known, RESTING // 2
+        for _ in range(LONGEST_REST):
+            recent = [row.reading_mg for row in known.record[-RESTING:]]
+            rise_mg = (sum(recent[half:]) - sum(recent[:half])) / half
+            if len(recent) == RESTING and rise_mg < 2.0 * known.noise_mg * math.sqrt(2.0 / half):
+                return
+            yield from known.act(0.0, 0.0)
+
+    def _watch_tail(self) -> Generator[Command, Observation, None]:
         """Valve shut: readings until the balance has all but followed."""
         known, request = self._known, self._known.request
         shut_s = request.valve_dead_time_s + known.valve.opening_mm / request.valve_speed_mm_per_s
-        wait_s = shut_s + SLACK_S + lags * known.lag_s
+        wait_s = shut_s + SLACK_S + WATCH_LAGS * known.lag_s
         while wait_s > 0.0:
             dt_s, _, _ = yield from known.act(0.0, 0.0)
             wait_s -= dt_s

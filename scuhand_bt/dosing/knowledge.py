@@ -9,28 +9,30 @@ import math
 from collections.abc import Generator
 
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Reason, Stream
-from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_surge
+from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
+EXPONENT_ERROR = 1.0
+"""What a powder's exponent may be off by: its coefficient changes with the opening."""
 GUARD = 2.0
 FORGIVEN = 0.85
-"""Share of the tolerance that the unseen part of the slowest flow may be off by."""
+"""Share of the room above the aim, inside the tolerance, that the unseen part of the slowest flow may be off by."""
 LUMPS_UNSEEN = 0.08
 """A flow of less than so many lumps in the time that is not seen gains nothing."""
 SLACK_S = 0.15
 DOUBTED, UNKNOWN = 0.6, 1.0 / 3.0
 """The coefficient is never taken to be below this share of its reference: of a learnt one, of a guess."""
 GENTLE, FULL = 0.4, 1.0
-LAG_MARGIN = 1.06
+LAG_MARGIN = 1.03
 """A lag believed too long costs a moment, one believed too short costs an overshoot."""
 LEAST_MG = 4.0
 """An opening that brought less teaches nothing."""
-AIM_UNDER_MG = 0.3
-"""Besides the surge scale: too little can be mended, too much cannot."""
+AIM_UNDER_MG = 0.7
+"""Besides the surge scale: too little can be mended, too much cannot, and the last of a dose flows slowest."""
 MOST_SLIP_MM = 0.4
 """How far a sheet that stuck may slip."""
 UNSURE = 0.6
@@ -41,8 +43,14 @@ GUESS_DOUBT, SURGE_DOUBT = 1.5, 0.4
 """Standard deviation of the logarithm of a surge scale that was guessed, and that was learnt."""
 NOISES = 20
 """How many second differences the noise is the mean of."""
+WORST_MISFIT = 0.08
+"""A probe that is followed no better tells nothing; the less its model is off, the more the balance is trusted."""
+LONGEST_PROBE_S, LONGEST_PROBE_LAGS = 2.0, 3.0
+"""Over a longer time than both the flow changes, and its changes pass for the balance's."""
 LAG_FITS = 5
-"""After this many openings that told it, the balance's lag is known."""
+"""After this many openings that told it, the lag that lumps were seen through is known."""
+NEEDS_SHAKING = 0.3
+"""A powder that was shaken for this share of the time it was open for is shaken from the start."""
 
 
 class Knowledge:
@@ -53,12 +61,15 @@ class Knowledge:
         self.belief = request.powder
         self.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
         self.valve = ValvePath(self.shape, request.valve_dead_time_s, request.valve_speed_mm_per_s)
-        self.lag_s, self.fits = request.balance.lag_s, request.balance.fits
-        self.noise_mg = max(request.balance.noise_mg, request.readability_mg / math.sqrt(12.0))
+        balance = request.balance
+        self.lag_s, self.poles, self.misfit, self.fits = balance.lag_s, balance.poles, balance.misfit, balance.fits
+        self.noise_mg = max(balance.noise_mg, request.readability_mg / math.sqrt(12.0))
         self.shaking_noise_mg = max(self.noise_mg, 0.3)
         self.reference = self.belief.coefficient
         """The flow's coefficient when nothing is in its way."""
         self.filter = FlowFilter(0.0, self.reference, self.belief.spread, self.belief.surge_mg, self.lag_s)
+        self.filter.set_balance(self.lag_s, self.poles, self._filter_misfit)
+        self.filter.restart(0.0, self.noise_mg, self.reference, self.belief.spread)
         self.vibration = self.belief.vibration
         """The level it shakes at when nothing is amiss."""
         self._usual = self.reference
@@ -100,7 +111,7 @@ class Knowledge:
         """The predicted final mass to close at: under the target by the surge scale, inside the tolerance."""
         request = self.request
         return request.target_mg - min(
-            self.filter.surge_mg + AIM_UNDER_MG, max(0.0, request.tolerance_mg - self._guard_mg - 0.1)
+            float(self.filter.surge_mg) + AIM_UNDER_MG, max(0.0, request.tolerance_mg - self._guard_mg - 0.1)
         )
 
     @property
@@ -116,6 +127,23 @@ class Knowledge:
     def flows_only_shaken(self) -> bool:
         """Shaken not because it stalls now and then, but to flow at all: it pauses when shaking does."""
         return self.belief.vibration > GENTLE
+
+    @property
+    def knows_balance(self) -> bool:
+        """A balance that was seen through lumps only is not known well enough for a powder that flows steadily."""
+        return self.fits > 0 if self.flows_only_shaken else self.misfit < WORST_MISFIT
+
+    @property
+    def _filter_misfit(self) -> float:
+        """In lumps what the balance's model leaves unexplained would hide them."""
+        return 0.0 if self.flows_only_shaken else self.misfit
+
+    @property
+    def _doubt(self) -> float:
+        """The share of the balance's lag that is not trusted to be seen through."""
+        if self.flows_only_shaken:
+            return 1.0
+        return min(1.0, max(float(self.filter.surge_mg) / self.request.tolerance_mg, self.misfit / WORST_MISFIT))
 
     @property
     def unsure(self) -> float:
@@ -134,11 +162,11 @@ class Knowledge:
             max(estimate.coefficient, self.reference) * (1.0 + DEVIATIONS * self.unsure),
         )
         unsure = (worst - estimate.coefficient) / (DEVIATIONS * coefficient)
-        # Even a well-known flow is not trusted to be seen through the lag: no balance is just two poles.
         late_s = request.valve_dead_time_s + request.balance_period_s + SLACK_S
         unseen_s = late_s + 2.0 * self.lag_s
-        flow = fastest(remaining_mg - reserve_mg, unseen_s, unseen_s, unsure, surge_mg)
-        forgiven = fastest(FORGIVEN * request.tolerance_mg, 0.0, unseen_s, unsure, surge_mg)
+        flow = fastest(remaining_mg - reserve_mg, late_s + self._doubt * 2.0 * self.lag_s, unseen_s, unsure, surge_mg)
+        room_mg = request.target_mg - self.stop_mg + request.tolerance_mg - self._guard_mg
+        forgiven = fastest(FORGIVEN * room_mg, 0.0, unseen_s, unsure, surge_mg)
         opening_mm = self.shape.opening_mm(max(flow, forgiven, LUMPS_UNSEEN * surge_mg / unseen_s) / coefficient)
         return min(max(opening_mm, self.belief.threshold_mm + 0.05), request.max_opening_mm)
 
@@ -148,9 +176,10 @@ class Knowledge:
         return max(self.filter.coefficient, DOUBTED * self.reference)
 
     def note_change(self, from_mm: float, to_mm: float) -> None:
-        """Another opening: the valve's error weighs differently in the flow."""
+        """Another opening: the valve's error weighs differently in the flow, and so does the exponent's."""
         from_gap_mm, to_gap_mm = (max(mm - self.shape.threshold_mm, 0.05) for mm in (from_mm, to_mm))
         change = self.shape.exponent * VALVE_ERROR_MM * abs(1.0 / from_gap_mm - 1.0 / to_gap_mm)
+        change += EXPONENT_ERROR * abs(math.log(to_gap_mm / from_gap_mm))
         if change > 0.0:
             self._widened = min(change, 0.5)
             self.filter.widen(self._widened, self.filter.coefficient)
@@ -226,45 +255,59 @@ class Knowledge:
         phi_s = sum(row.phi_s for row in rows)
         if phi_s <= 0.0 or gained_mg < LEAST_MG:
             return
-        self._identify_lag(rows)
-        if self.flows_only_shaken:  # lumps are its flow, and the largest matter: the filter has followed them
+        if self.flows_only_shaken:
+            self._identify_lag(rows)
+            # Lumps are its flow, and the largest matter: the filter has followed them.
             self._surge_mg += max(0.2, 1.0 / (self.belief.doses + 1.0)) * (self.filter.surge_mg - self._surge_mg)
-        elif self.fits > 0:
-            self._learn_surges(rows, self.lag_s)
+        else:
+            if not self.knows_balance:
+                self._identify_balance(rows, gained_mg)
+            if self.knows_balance:
+                self._learn_surges(rows)
         if self._clear_flow > 0.0:
             self._ratios.append(self._log_flow / self._clear_flow - math.log(self.belief.coefficient))
             self._log_flow = self._clear_flow = 0.0
 
-    def _identify_lag(self, rows: list[Row]) -> None:
-        """The balance's lag, the geometric mean of all that openings told."""
-        if self.fits >= LAG_FITS:
+    def _identify_balance(self, rows: list[Row], gained_mg: float) -> None:
+        """The balance's filter, and with it the flow; a probe that is long or fits badly tells neither."""
+        fit = fit_step(rows, self.noise_mg)
+        open_s = sum(row.dt_s for row in rows if row.phi_s > 0.0)
+        if fit is None or fit.misfit > WORST_MISFIT or open_s > max(LONGEST_PROBE_S, LONGEST_PROBE_LAGS * fit.lag_s):
             return
-        lag_s = fit_lag(rows, self.reference, self._surge_mg)
-        if self.fits == 0 and not self.flows_only_shaken:
-            # What was guessed of the surges may hide the lag, and the other way round.
-            self._learn_surges(rows, lag_s or self.lag_s)
-            lag_s = fit_lag(rows, self.reference, self._surge_mg)
-            if lag_s is None:
-                self._surge_mg = self.belief.surge_mg
+        self.lag_s, self.poles, self.misfit = LAG_MARGIN * fit.lag_s, fit.poles, fit.misfit
+        self.fits += 1
+        found = gained_mg / sum(row.phi_s for row in rows)
+        # It may have been bridged for a part of the time: what is faster than believed is believed at once.
+        self.reference = max(found, math.sqrt(found * self.reference))
+        self._use_balance(rows)
+
+    def _identify_lag(self, rows: list[Row]) -> None:
+        """In lumps a probe has no shape; the lag is the geometric mean of what is likeliest for each opening."""
+        lag_s = fit_lag(rows, self.reference, self._surge_mg, self.poles) if self.fits < LAG_FITS else None
         if lag_s is None:
             return
-        weight = 1.0 / (self.fits + 1)
-        self.lag_s *= (LAG_MARGIN * lag_s / self.lag_s) ** weight
+        self.lag_s *= (LAG_MARGIN * lag_s / self.lag_s) ** (1.0 / (self.fits + 1))
         self.fits += 1
-        self.filter.lag_s = self.lag_s
+        self._use_balance(rows)
+
+    def _use_balance(self, rows: list[Row]) -> None:
+        """From now on; the tail is over, and what it ended at is known."""
+        self.filter.set_balance(self.lag_s, self.poles, self._filter_misfit)
         last_mg = sum(row.reading_mg for row in rows[-3:]) / 3.0
         self.filter.restart(last_mg, 0.3, self.reference, self.unsure)
 
-    def _learn_surges(self, rows: list[Row], lag_s: float) -> None:
+    def _learn_surges(self, rows: list[Row]) -> None:
         doubt = GUESS_DOUBT if self.belief.doses == 0 else SURGE_DOUBT
-        self._surge_mg = fit_surge(rows, self.reference, self._surge_mg, lag_s, doubt)
+        self._surge_mg = fit_surge(rows, self.reference, self._surge_mg, self.lag_s, doubt, self.poles)
         self.filter.surge_mg = self._surge_mg
 
     # --- what is kept ---
 
     def finish(self, reason: Reason, seen: Observation) -> Finish:
         """The dose's last word, with what was learnt."""
-        balance = BalanceBelief(lag_s=self.lag_s, noise_mg=self.noise_mg, fits=self.fits)
+        balance = BalanceBelief(
+            lag_s=self.lag_s, poles=self.poles, misfit=self.misfit, noise_mg=self.noise_mg, fits=self.fits
+        )
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance)
 
     def _powder(self) -> PowderBelief:
@@ -278,7 +321,7 @@ class Knowledge:
             spread = max(belief.spread, GUESSED_SPREAD)
         else:
             spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(ratio * ratio, 1.0))
-        needs_shaking = self.shaken_s > 0.6 * self.flow_s > 0.0
+        needs_shaking = self.shaken_s > NEEDS_SHAKING * self.flow_s > 0.0
         return PowderBelief(
             coefficient=belief.coefficient * math.exp(weight * ratio),
             threshold_mm=belief.threshold_mm,

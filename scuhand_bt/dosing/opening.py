@@ -33,8 +33,8 @@ PAUSED = 0.1
 """Share of the flow that is allowed for while such a powder is not shaken."""
 LONGEST_BARREN_S = 120.0
 """Open and shaken for so long without a gain that can be told from noise: dry, whatever was expected."""
-MOST_STALLS = 3
-"""A powder that stalls this often in a dose is shaken from then on."""
+MOST_STALLS = 1
+"""A powder that stalls this often in a dose is shaken from then on: what bridged once bridges again."""
 
 
 class Opening:
