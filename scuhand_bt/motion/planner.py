@@ -74,12 +74,13 @@ def _seed(request: Request) -> int:
 class MotionPlanner:
     """Plans the arm's motions in one cell, and keeps what it has planned.
 
-    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name.
+    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name. More than one of
+    `threads` gains something only where cores are idle.
     ValueError for a URDF or a cell that does not describe this arm, KeyError for an unknown station.
     """
 
     def __init__(
-        self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None, *, threads: int = 2
+        self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None, *, threads: int = 1
     ) -> None:
         self.urdf = urdf
         self._arm = Arm(urdf)

@@ -292,7 +292,7 @@ def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBe
     """
     if faults is not None:
         faults.refuse(MATTERLESS, of_samples="twins alone know of no sample")
-    parked = lab.motion_planner({}, threads=1).home()
+    parked = lab.motion_planner({}).home()
     wrong = Faults(faults.rules if faults is not None else (), seed)
     return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong)
 
@@ -318,8 +318,7 @@ def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPl
 def motion_of(plan: Plan, lab: Lab) -> MotionPlanner:
     """The motion planner with every place of the plan, and no way planned yet."""
     mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
-    # One thread: beside other work on the machine, a second one costs more in waiting than it gains.
-    motion = lab.motion_planner(mortars, threads=1)
+    motion = lab.motion_planner(mortars)
     for name, position_mm in places_of(plan, lab).items():
         motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
     return motion
