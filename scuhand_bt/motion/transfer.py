@@ -65,7 +65,7 @@ class Effort:
 
 
 LIVE = Effort(10, chains=1, detours=20, rounds_each=10, rounds_best=0, near_optimum=1.66, good_enough=1.07)
-POLISHED = Effort(36, chains=2, detours=20, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
+POLISHED = Effort(28, chains=2, detours=20, rounds_each=15, rounds_best=30, near_optimum=1.02, good_enough=1.02)
 
 
 @dataclass(frozen=True, slots=True)
