@@ -1,9 +1,10 @@
 """A benchmark's figures as a table beside their goals, and as JSON."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -16,3 +17,11 @@ def show(title: str, figures: Mapping[str, float], goals: Mapping[str, str], fil
     Console().print(table)
     if file is not None:
         file.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+def spread(values: Sequence[float], unit: str) -> str:
+    """Median, 95th percentile, worst and mean, in words."""
+    if not values:
+        return "none"
+    median, p95 = np.percentile(values, [50, 95])
+    return f"median {median:.3g}, p95 {p95:.3g}, worst {max(values):.3g}, mean {np.mean(values):.3g} {unit}"

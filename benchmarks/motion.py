@@ -23,19 +23,19 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks import motion_mplib, motion_peers
+from benchmarks.figures import spread
+from benchmarks.motion_inverse import OFFSET_M, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, roadmap, spill_limit_deg, transfer
 from scuhand_bt.motion.charts import JointChart
-from scuhand_bt.motion.inverse import finest, solutions, unreachable_reason
-from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, Floats, apex, apex_positions_m
+from scuhand_bt.motion.inverse import solutions, unreachable_reason
+from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Floats, apex
 from scuhand_bt.motion.planner import RELAXED_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory
 
-SEED = 20260
-OFFSET_M = 0.120
 GENTLE_DEG = 10.0
 AUDIT_M = 0.001
 PEER_TASKS = 150
@@ -220,13 +220,6 @@ def _box_corners(thing: pin.GeometryObject) -> Floats:
     return placed
 
 
-def spread(values: list[float], unit: str) -> str:
-    if not values:
-        return "none"
-    median, p95 = np.percentile(values, [50, 95])
-    return f"median {median:.3g}, p95 {p95:.3g}, worst {max(values):.3g}, mean {np.mean(values):.3g} {unit}"
-
-
 def excess(motion: JointTrajectory, rates: Any) -> float:
     """By how much the worst sample of a motion is beyond a limit, as a share of it; negative inside."""
     times_s = np.linspace(0.0, motion.duration_s, 2000)
@@ -306,94 +299,6 @@ def carrying(bench: Bench, tasks: list[Task], limit_deg: float, effort: transfer
         "slowdown": spread(slowdowns, ""),
         "worst spill_deg": worst_deg,
     }
-
-
-def inverse_kinematics() -> dict[str, Any]:
-    """500 reachable poses, 10 000 poses against a dense search, and what whole servo counts cost."""
-    rng = np.random.default_rng(SEED)
-    error_m, times_ms, missed, none_ms = 0.0, [], 0, []
-    rounded_mm: list[float] = []
-    finest_mm: list[float] = []
-    found = 0
-    while found < 500:
-        pose = ApexPose(rng.uniform([0.15, -0.28, 0.03], [0.42, 0.28, 0.35]))
-        if not _dense_search_reaches(pose):
-            continue
-        found += 1
-        begin_s = time.process_time()
-        q = solutions(pose, OFFSET_M)
-        times_ms.append((time.process_time() - begin_s) * 1e3)
-        missed += len(q) == 0
-        if not len(q):
-            continue
-        positions_m, axes = apex_positions_m(q, OFFSET_M)
-        error_m = max(
-            error_m, float(np.abs(positions_m - pose.position_m).max()), float(np.abs(axes - pose.axis).max())
-        )
-        for store, chosen in ((rounded_mm, q[len(q) // 2]), (finest_mm, finest(pose, q[len(q) // 2], OFFSET_M))):
-            counted = apex(np.round(chosen / COUNT_RAD) * COUNT_RAD, OFFSET_M).position_m
-            store.append(float(np.linalg.norm(counted - pose.position_m)) * 1e3)
-    wrong = 0
-    for _ in range(10_000):
-        axis = rng.normal(size=3)
-        pose = ApexPose(rng.uniform([-0.3, -0.5, 0.0], [0.6, 0.5, 0.6]), axis / np.linalg.norm(axis))
-        begin_s = time.process_time()
-        reason = unreachable_reason(pose, OFFSET_M)
-        if reason is not None:
-            none_ms.append((time.process_time() - begin_s) * 1e3)
-            wrong += _dense_search_reaches(pose)
-        else:
-            wrong += len(solutions(pose, OFFSET_M)) == 0
-    return {
-        "poses": found,
-        "missed": missed,
-        "error": error_m,
-        "ik_ms, CPU": spread(times_ms, "ms"),
-        "none_ms, CPU": spread(none_ms, "ms"),
-        "none, of 10000": len(none_ms),
-        "wrongly none": wrong,
-        "apex error rounded to counts_mm": spread(rounded_mm, "mm"),
-        "apex error, finest_mm": spread(finest_mm, "mm"),
-    }
-
-
-def _dense_search_reaches(pose: ApexPose) -> bool:
-    """Whether any of 3600 elbow positions gives joints within limits: vectors and angles only, no intervals."""
-    wrist = pose.position_m + (0.019 + OFFSET_M) * pose.axis - (0.0, 0.0, 0.105)
-    distance_m = float(np.linalg.norm(wrist))
-    if distance_m > 0.5 or distance_m < 1e-6:
-        return False
-    q4 = -2 * np.arccos(distance_m / 0.5)
-    if q4 < LIMITS_RAD[0, 3]:
-        return False
-    towards = wrist / distance_m
-    side = np.cross(towards, [1.0, 0.0, 0.0] if abs(towards[0]) < 0.9 else [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side)
-    phi = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)[:, None]
-    sine = np.sqrt(1 - (distance_m / 0.5) ** 2)
-    e = towards * distance_m / 0.5 + sine * (np.cos(phi) * side + np.sin(phi) * np.cross(towards, side))
-    f = wrist / 0.25 - e
-    h = np.broadcast_to(-pose.axis, e.shape)
-    for shoulder in (1.0, -1.0):
-        q2 = shoulder * np.arccos(np.clip(e[:, 2], -1, 1))
-        q1 = np.arctan2(-shoulder * e[:, 1], -shoulder * e[:, 0])
-        f2 = _into_frame(f, q1, q2)
-        q3 = np.arctan2(f2[:, 1], f2[:, 0])
-        h4 = _into_frame(_into_frame(h, q1, q2), q3, np.full(len(q1), q4))
-        for wrist_side in (1.0, -1.0):
-            q6 = wrist_side * np.arccos(np.clip(h4[:, 2], -1, 1))
-            q5 = np.arctan2(-wrist_side * h4[:, 1], -wrist_side * h4[:, 0])
-            q = np.stack([q1, q2, q3, np.full(len(q1), q4), q5, q6], axis=1)
-            if ((q >= LIMITS_RAD[0, :6]) & (q <= LIMITS_RAD[1, :6])).all(axis=1).any():
-                return True
-    return False
-
-
-def _into_frame(v: Floats, about_z: Floats, about_minus_y: Floats) -> Floats:
-    c, s = np.cos(about_z), np.sin(about_z)
-    x, y, z = c * v[:, 0] + s * v[:, 1], -s * v[:, 0] + c * v[:, 1], v[:, 2]
-    c, s = np.cos(about_minus_y), np.sin(about_minus_y)
-    return np.stack([c * x + s * z, y, c * z - s * x], axis=1)
 
 
 def main() -> None:
