@@ -90,6 +90,8 @@ class PowderBelief(Spec):
     """Mass that may come at once, unasked."""
     vibration: Annotated[Ratio, Field(ge=0, le=1)] = 0.0
     """The level this powder needs to flow at all; 0 for one that flows by gravity."""
+    pauses: bool = True
+    """Whether a powder that is to be shaken stops when it is not."""
     doses: Annotated[int, Field(ge=0)] = 0
     """How many doses it was learnt from."""
 

@@ -45,6 +45,8 @@ NOISES = 20
 """How many second differences the noise is the mean of."""
 WORST_MISFIT = 0.08
 """A probe that is followed no better tells nothing; the less its model is off, the more the balance is trusted."""
+LEAST_DOUBT = 0.75
+"""A sheet that slipped lets out ever more than it should as the valve narrows: readings that have followed tell."""
 LONGEST_PROBE_S, LONGEST_PROBE_LAGS = 2.0, 3.0
 """Over a longer time than both the flow changes, and its changes pass for the balance's."""
 LAG_FITS = 5
@@ -72,6 +74,8 @@ class Knowledge:
         self.filter.restart(0.0, self.noise_mg, self.reference, self.belief.spread)
         self.vibration = self.belief.vibration
         """The level it shakes at when nothing is amiss."""
+        self.pauses = self.belief.pauses
+        """Whether it stops when it is no longer shaken."""
         self._usual = self.reference
         self.stalls = 0
         self.time_s = 0.0
@@ -143,7 +147,8 @@ class Knowledge:
         """The share of the balance's lag that is not trusted to be seen through."""
         if self.flows_only_shaken:
             return 1.0
-        return min(1.0, max(float(self.filter.surge_mg) / self.request.tolerance_mg, self.misfit / WORST_MISFIT))
+        lumps = float(self.filter.surge_mg) / self.request.tolerance_mg
+        return min(1.0, max(LEAST_DOUBT, lumps, self.misfit / WORST_MISFIT))
 
     @property
     def unsure(self) -> float:
@@ -301,6 +306,10 @@ class Knowledge:
         self._surge_mg = fit_surge(rows, self.reference, self._surge_mg, self.lag_s, doubt, self.poles)
         self.filter.surge_mg = self._surge_mg
 
+    def note_coefficient(self, coefficient: float) -> None:
+        """What the pulses of this dose say of the flow; the last word counts."""
+        self._ratios = [math.log(coefficient / self.belief.coefficient)]
+
     # --- what is kept ---
 
     def finish(self, reason: Reason, seen: Observation) -> Finish:
@@ -329,6 +338,7 @@ class Knowledge:
             spread=min(max(spread, 0.15), 1.0),
             surge_mg=self._surge_mg,
             vibration=max(belief.vibration, GENTLE) if needs_shaking else belief.vibration,
+            pauses=self.pauses,
             doses=belief.doses + 1,
         )
 

@@ -29,6 +29,10 @@ LUMPY_MG = 0.7
 LUMPS_LEFT = 3.0
 SHAKE_S, SHAKE_SHARE, SHAKE_LUMPS = 0.3, 0.12, 1.5
 """One shake, the share of a lump it should bring, and up to how many lumps from the target; more further away."""
+LISTEN_MG_PER_LAG, LISTEN_LAGS = 0.3, 3
+"""How slowly, and how long, a powder that is believed to need shaking is listened to once without it."""
+STILL_COMES = 0.4
+"""The share of the expected flow that must still come for it to flow without being shaken."""
 PAUSED = 0.1
 """Share of the flow that is allowed for while such a powder is not shaken."""
 LONGEST_BARREN_S = 120.0
@@ -52,6 +56,7 @@ class Opening:
         self._opening_mm = known.opening_mm(known.stop_mg - mass_mg)
         self._vibration = known.vibration
         self._surprises = 0
+        self._listened = known.belief.doses > 0
         self._quiet_s = self._flowing_s = self._barren_s = 0.0
         self._expected_mg = 0.0
         self._evident_mg = self._barren_mg = mass_mg
@@ -77,6 +82,9 @@ class Opening:
                 return "dry"
             self._look_for_flow(dt_s, phi_s)
             if self._takes_lumps_singly():
+                if not self._listened:
+                    yield from self._listen()
+                    continue
                 yield from self._shake_and_look()
                 if self._remaining_mg <= 0.0:
                     return "reached"
@@ -182,8 +190,29 @@ class Opening:
         lumpy = self._known.flows_only_shaken and surge_mg > LUMPY_MG
         return not self._probing and lumpy and self._remaining_mg < LUMPS_LEFT * surge_mg + 1.0
 
+    def _listen(self) -> Generator[Command, Observation, None]:
+        """A powder of the first time, no longer shaken: once the balance has followed, does it still come?"""
+        known, period_s = self._known, self._known.request.balance_period_s
+        self._listened = True
+        slow_mm = known.shape.opening_mm(LISTEN_MG_PER_LAG / known.lag_s / known.likely_coefficient)
+        self._set_opening(min(self._opening_mm, slow_mm))
+        looks = max(4, round(LISTEN_LAGS * known.lag_s / period_s))
+        for _ in range(2 * looks):
+            yield from known.act(self._opening_mm, 0.0, PAUSED)
+        before_mg, expected_mg = known.record[-1].reading_mg, 0.0
+        for _ in range(looks):
+            _, phi_s, _ = yield from known.act(self._opening_mm, 0.0, PAUSED)
+            expected_mg += known.likely_coefficient * phi_s / PAUSED
+        gained_mg = known.record[-1].reading_mg - before_mg
+        if gained_mg > max(STILL_COMES * expected_mg, SURPRISE * known.noise_mg):
+            known.pauses = False
+            flow = gained_mg / (looks * period_s)
+            known.filter.restart(
+                known.record[-1].reading_mg + 2.0 * known.lag_s * flow, 0.3, known.reference, known.unsure
+            )
+
     def _shake_and_look(self) -> Generator[Command, Observation, None]:
-        """Where only shaking lets powder out: a short shake, then a look without it."""
+        """A short shake, then a look without it; with the valve shut, if powder comes unshaken too."""
         known, period_s = self._known, self._known.request.balance_period_s
         shakes = max(1, round(SHAKE_S / period_s))
         share_mg = SHAKE_SHARE * max(known.filter.surge_mg, self._remaining_mg / SHAKE_LUMPS)
@@ -195,5 +224,6 @@ class Opening:
             yield from known.act(self._opening_mm, level)
         known.shaken_s += shakes * period_s
         known.flow_s += shakes * period_s
+        look_mm, mobility = (self._opening_mm, PAUSED) if known.pauses else (0.0, 1.0)
         for _ in range(max(2, round((2.0 * known.lag_s + SLACK_S) / period_s))):
-            yield from known.act(self._opening_mm, 0.0, PAUSED)
+            yield from known.act(look_mm, 0.0, mobility)

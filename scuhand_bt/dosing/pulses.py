@@ -28,6 +28,7 @@ def pulses(known: Knowledge) -> Generator[Command, Observation, Finish]:
         seen = yield pulse
         known.filter.restart(seen.net_mg, seen.uncertainty_mg, sizing.coefficient, sizing.unsure)
         sizing.learn(pulse, seen.net_mg - before_mg)
+        known.note_coefficient(sizing.coefficient)
     return known.finish("step_limit", seen)
 
 
