@@ -14,7 +14,16 @@ from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.record import NoRecord
-from scuhand_bt.specs import BalanceBelief, BalanceResponseSpec, BalanceSpec, HandSpec, PowderBelief, ValveErrorSpec
+from scuhand_bt.sim.powder import OurPowderFlow
+from scuhand_bt.specs import (
+    BalanceBelief,
+    BalanceResponseSpec,
+    BalanceSpec,
+    HandSpec,
+    Powder,
+    PowderBelief,
+    ValveErrorSpec,
+)
 
 POWDERS = shipped_powders()
 BEADS = POWDERS["glass_beads"]
@@ -242,6 +251,28 @@ def test_a_balance_of_another_filter_is_not_overshot() -> None:
     assert balance.lag_s == pytest.approx((0.6 + 0.128) / 2.0, rel=0.15), "half the window, and the fall"
 
 
+class Unshaken:
+    """Titanium dioxide that flows as if it were shaken, whether it is or not."""
+
+    def flow(self, powder: Powder) -> "Unshaken":
+        self._flow = OurPowderFlow(powder)
+        return self
+
+    def step(
+        self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: np.random.Generator
+    ) -> float:
+        return self._flow.step(dt_s, opening_mm, 1.0, in_cone_mg, rng)
+
+
+@pytest.mark.parametrize(("plant", "pauses"), [(f"{__name__}:Unshaken", False), (None, True)])
+def test_a_powder_that_need_not_be_shaken_is_found_out_in_its_first_dose(plant: str | None, pauses: bool) -> None:
+    powder = POWDERS["titanium_dioxide_fine"]
+    _, run = Bench(powder, 500.0, 2, 0, Setting(plant=plant)).dose("adaptive", powder.belief, BalanceBelief())
+    assert run is not None
+    assert run.finish.powder is not None
+    assert run.finish.powder.pauses is pauses
+
+
 def test_the_filter_sees_through_the_lag() -> None:
     estimate = FlowFilter(0.0, 15.0, 0.5, 0.1, 0.6)
     for row in readings_of_a_pulse(0.6)[:13]:
@@ -272,6 +303,8 @@ def test_adaptive_doses_with_step_commands_where_the_hand_cannot_stream() -> Non
     assert abs(trial.true_error_mg) <= 2.0
     assert run is not None
     assert sum(point.opening_mm > 0.0 for point in run.curve) == run.pulses, "every opening is one step command"
+    assert run.finish.powder is not None
+    assert run.finish.powder.doses == 1, "steps tell the flow too"
 
 
 def test_adaptive_asks_for_another_scoop_when_the_cone_runs_empty() -> None:
