@@ -90,9 +90,9 @@ def check_sample(
     if mass_mg is not None and mass_mg <= 0:
         problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0")
         return
-    if tolerance_mg is not None and tolerance_mg < balance.readability_mg:
-        what = f"the tolerance {tolerance_mg:g} mg is below the balance's readability"
-        problems.add(at("tolerance"), what, f"at least {balance.readability_mg:g} mg")
+    if tolerance_mg is not None and tolerance_mg < balance.least_tolerance_mg:
+        what = f"the tolerance {tolerance_mg:g} mg cannot be told with a readability of {balance.readability_mg:g} mg"
+        problems.add(at("tolerance"), what, f"at least {balance.least_tolerance_mg:g} mg")
     elif mass_mg is not None and tolerance_mg is not None and mass_mg <= tolerance_mg:
         problems.add(
             at("mass", "tolerance"), f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"

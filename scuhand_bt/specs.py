@@ -349,6 +349,11 @@ class BalanceSpec(Spec):
     simulation: BalanceResponseSpec = BalanceResponseSpec()
 
     @property
+    def least_tolerance_mg(self) -> float:
+        """Two digits: a stable mean is known to about half of one, and acceptance keeps twice that inside."""
+        return 2.0 * self.readability_mg
+
+    @property
     def lost_after_s(self) -> float:
         """Without a word for this long, the balance is taken for lost."""
         return max(3.0, 10.0 * self.period_s)

@@ -96,7 +96,7 @@ class Dispense(Skill[Dose]):
 
     def _request(self, cell: Cell) -> DoseRequest:
         hand, balance, container = cell.spec.hand, cell.spec.balance, cell.believed.pan
-        if self.tolerance_mg < GUARD * balance.readability_mg / 2.0:
+        if self.tolerance_mg < balance.least_tolerance_mg:
             raise SkillFailed(
                 "dose.too_small",
                 f"a tolerance of {self.tolerance_mg:g} mg cannot be told with a readability of "
