@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.devices_wires import Figures, comes
+from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import Signal, Wake
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
@@ -34,7 +35,6 @@ from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.specs import ArmSpec
 
 FIRMWARE = starter_lab() / "robot" / "firmware"
 STREAMED_S = 60.0

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from dynamixel_sdk import COMM_SUCCESS
 
+from scuhand_bt.cell_spec import ArmSpec, BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.dynamixel.arm import arm_axes
@@ -29,7 +30,6 @@ from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, PacketReader, crane_x7,
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort, SocketPort
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.specs import ArmSpec, BalanceSpec
 
 Figures: TypeAlias = dict[str, Any]
 

@@ -21,9 +21,10 @@ import numpy as np
 from scipy.stats import beta
 
 from benchmarks.rig import DOSES_PER_RUN, TOLERANCE_MG, Setting, Trial, run_of_doses, shipped_powders
+from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.sim.plant import PlantError, load_plant
-from scuhand_bt.specs import BalanceResponseSpec, BalanceSpec, HandSpec, Powder
+from scuhand_bt.specs import Powder
 
 TARGETS_MG = (20.0, 50.0, 500.0, 3000.0)
 CALIBRATED, REDO = "as calibrated", "redo"

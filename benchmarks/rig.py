@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from benchmarks.oracle import Oracle, run_oracle
+from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.dose_loop import DoseRun, run_dose
@@ -25,18 +26,7 @@ from scuhand_bt.record import NoRecord
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import (
-    BalanceBelief,
-    BalanceSpec,
-    CellSpec,
-    Container,
-    HandSpec,
-    Mortar,
-    Powder,
-    PowderBelief,
-    Source,
-    Station,
-)
+from scuhand_bt.specs import BalanceBelief, Container, Mortar, Powder, PowderBelief, Source
 
 DOSES_PER_RUN = 10
 TOLERANCE_MG = 2.0

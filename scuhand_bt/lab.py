@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.failures import CATALOGUE, Failure, SkillFailed
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.skill import DEVICES, Condition, Skill
-from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Powder, Spec, Station
+from scuhand_bt.specs import ContainerKind, Mortar, Powder, Spec
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import KEYWORDS, Call, Workflow, read_workflow, walk
 from scuhand_bt.validation import validate

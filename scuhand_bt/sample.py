@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.devices import places
 from scuhand_bt.motion import ApexPose, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.specs import BalanceSpec, CellSpec, Container, Source
+from scuhand_bt.specs import Container, Source
 from scuhand_bt.yaml_source import Node
 
 

@@ -30,6 +30,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
 from scuhand_bt.devices.cell import Believed, Cell
 from scuhand_bt.failures import Failure, SkillFailed
@@ -42,7 +43,7 @@ from scuhand_bt.quantity import (
     Seconds,
     plain_name,
 )
-from scuhand_bt.specs import CellSpec, Container, Dose, Powder, Source
+from scuhand_bt.specs import Container, Dose, Powder, Source
 
 __all__ = [
     "Believed",

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Forecast, Skill, SkillFailed, Steps
-from scuhand_bt.specs import CellSpec
 
 
 class AskOperator(Skill[None]):

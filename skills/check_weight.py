@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.skill import Cell, Failure, Forecast, Milligrams, Skill, SkillFailed, Steps
-from scuhand_bt.specs import CellSpec
 
 
 class CheckWeight(Skill[Milligrams]):

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Container, Forecast, Skill, SkillFailed, Steps
-from scuhand_bt.specs import CellSpec
 
 CLEAR_MM = 90.0
 """The apex must be this far aside from the pan's centre while containers are changed."""

@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
-from scuhand_bt.specs import CellSpec
 
 
 class WatchBalance(Skill[Milligrams]):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from wire_helpers import carry_out, wait_for
 
+from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.axes import Axis
@@ -22,7 +23,6 @@ from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.specs import ArmSpec
 
 pytestmark = pytest.mark.real_time
 
@@ -204,7 +204,7 @@ import numpy as np
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
-from scuhand_bt.specs import ArmSpec
+from scuhand_bt.cell_spec import (ArmSpec)
 
 group = AxisGroup(arm_axes(ArmSpec()))
 ServoChain(DynamixelBus(sys.argv[1]), [group]).open()

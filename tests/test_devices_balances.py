@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_helpers import carry_out, wait_for
 
+from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.conversation import ANSWER_TIMEOUT_S, QUIET_S, Conversation, State
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
@@ -16,7 +17,6 @@ from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.balances import TWINS, BalanceTwin, StillPan
 from scuhand_bt.sim.wire.port import PtyPort, SocketPort
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.specs import BalanceSpec
 
 pytestmark = pytest.mark.real_time
 

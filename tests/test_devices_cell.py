@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from conftest import LabFolder
 
+from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.lab import without_driver
 from scuhand_bt.plan import make_plan
@@ -12,7 +13,6 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe import load_recipe
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.wire.balances import TWINS
-from scuhand_bt.specs import BalanceSpec
 
 CHANGER = "changer: {driver: carousel, slots: 24}"
 BALANCE = "driver: shimadzu"

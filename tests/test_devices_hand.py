@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from wire_helpers import carry_out, wait_for
 
+from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, CellSpec, ChangerSpec, HandSpec
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.hand_protocol import Hello, Report, decode, encode
@@ -23,7 +24,6 @@ from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.specs import ArmSpec, BalanceSpec, CellSpec, ChangerSpec, HandSpec
 
 pytestmark = pytest.mark.real_time
 

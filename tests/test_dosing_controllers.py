@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.rig import Bench, Setting, run_of_doses, shipped_powders
+from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.dose_loop import run_dose
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Settle, Stream, new_controller
@@ -15,15 +16,7 @@ from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.record import NoRecord
 from scuhand_bt.sim.powder import OurPowderFlow
-from scuhand_bt.specs import (
-    BalanceBelief,
-    BalanceResponseSpec,
-    BalanceSpec,
-    HandSpec,
-    Powder,
-    PowderBelief,
-    ValveErrorSpec,
-)
+from scuhand_bt.specs import BalanceBelief, Powder, PowderBelief
 
 POWDERS = shipped_powders()
 BEADS = POWDERS["glass_beads"]

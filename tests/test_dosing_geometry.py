@@ -4,11 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.dosing.flow import PulseModel, basis, fit_coefficient
 from scuhand_bt.dosing.paper import LONGEST_DWELL_S, SHORTEST_DWELL_S, solve_pulse
 from scuhand_bt.dosing.scooping import bed_diameter_mm, collected_share
-from scuhand_bt.specs import HandSpec, Mortar
+from scuhand_bt.specs import Mortar
 
 MORTAR = Mortar(name="agate", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0)
 diameters = st.floats(min_value=20.0, max_value=99.0)

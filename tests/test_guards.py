@@ -8,6 +8,7 @@ import pytest
 from running import dry_run, make_lab
 
 from benchmarks.rig import DISH, PAN, Bench, Setting, shipped_powders
+from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
@@ -15,7 +16,7 @@ from scuhand_bt.run.guards import BEYOND_TARGET_MG, RUNAWAY_S, Guards
 from scuhand_bt.run.operator import ANSWER_S
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.hand import SimulatedHand
-from scuhand_bt.specs import BalanceBelief, BalanceResponseSpec, BalanceSpec
+from scuhand_bt.specs import BalanceBelief
 
 POWDERS = shipped_powders()
 

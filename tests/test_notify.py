@@ -14,9 +14,9 @@ import pytest
 from conftest import Call, Ended, LabFolder
 from running import dry_run, make_lab
 
+from scuhand_bt.cell_spec import NotifySpec
 from scuhand_bt.run import notify as hook
 from scuhand_bt.run.notify import Notice, Notifier, notify
-from scuhand_bt.specs import NotifySpec
 
 NOTICE = Notice("20260101-x", "x", True, "ended", "", 1, {"in tolerance": 2, "over": 1}, "ab12", "2026-01-01T00:00:00Z")
 

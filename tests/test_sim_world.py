@@ -7,6 +7,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.rig import BAY, DISH, PAN, Bench, Setting, shipped_powders
+from scuhand_bt.cell_spec import BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.balances.mt_sics import DIALECT as MT_SICS
@@ -16,7 +17,7 @@ from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.sim.plant import Plant, PlantError, load_plant
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.randomness import substream
-from scuhand_bt.specs import BalanceBelief, BalanceSpec, HandSpec, Powder, ValveErrorSpec
+from scuhand_bt.specs import BalanceBelief, Powder
 
 POWDERS = shipped_powders()
 BEADS = POWDERS["glass_beads"]

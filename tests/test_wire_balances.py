@@ -6,12 +6,12 @@ from collections.abc import Iterator
 import pytest
 from wire_helpers import carry_out, wait_for
 
+from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.balances import TWINS, AndTwin, BalanceTwin, MtSicsTwin, SbiTwin, ShimadzuTwin, StillPan
 from scuhand_bt.sim.wire.port import PtyPort, SocketPort
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.specs import BalanceSpec
 
 pytestmark = pytest.mark.real_time
 

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.rig import BAY, DISH, MORTAR, PAN, shipped_powders
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.interfaces import Joints, Operator
@@ -28,7 +29,7 @@ from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.world import DEAD_MAN_S, OUTAGE_S, SERVO_WATCHDOG_S, World
 from scuhand_bt.sim.world_file import WorldFile
-from scuhand_bt.specs import CellSpec, Container, Powder, Source
+from scuhand_bt.specs import Container, Powder, Source
 
 BEADS = shipped_powders()["glass_beads"]
 ALL_MG = 10_000.0

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Trajectory
 from scuhand_bt.devices.places import Position
@@ -17,7 +18,7 @@ from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.record import Record
-from scuhand_bt.specs import BalanceBelief, CellSpec, Container, Powder, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, Container, Powder, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""

@@ -3,6 +3,7 @@
 from contextlib import ExitStack
 from typing import NamedTuple
 
+from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, CellSpec
 from scuhand_bt.clock import Clock, Signal
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
@@ -12,7 +13,6 @@ from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.specs import ArmSpec, BalanceSpec, CellSpec
 
 
 class Devices(NamedTuple):

@@ -12,9 +12,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scuhand_bt.cell_spec import BalanceSpec, HandSpec
 from scuhand_bt.clock import Signal, Steps
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.specs import BalanceSpec, Container, HandSpec
+from scuhand_bt.specs import Container
 
 Joints = NDArray[np.float64]
 

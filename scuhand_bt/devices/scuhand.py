@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import Axis
@@ -16,7 +17,6 @@ from scuhand_bt.devices.hand_protocol import FAULTS
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.specs import HandSpec
 
 ROLLER_SPEED_RAD_PER_S = 0.9 * r.XM430.velocity_limit * r.RPM_PER_COUNT * 2 * math.pi / 60
 """The fastest the roller is asked to turn."""

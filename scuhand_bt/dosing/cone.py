@@ -11,7 +11,8 @@ above the horizontal. The roller drags the sheet's edge along the rim, by phi R 
 import math
 from dataclasses import dataclass
 
-from scuhand_bt.specs import HandSpec, Mortar
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.specs import Mortar
 
 
 @dataclass(frozen=True, slots=True)

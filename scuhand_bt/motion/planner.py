@@ -21,6 +21,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import contact as contact_path
 from scuhand_bt.motion import surroundings, transfer
@@ -34,7 +35,7 @@ from scuhand_bt.motion.stopping import Rest, Stop, stop
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
-from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Station
+from scuhand_bt.specs import ContainerKind, Mortar
 
 CONE_DIAMETER_M = 0.090
 MARGIN_M = 0.005

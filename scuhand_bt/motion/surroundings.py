@@ -9,8 +9,9 @@ Metres and radians, base frame.
 
 import math
 
+from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.motion.collision import Solid
-from scuhand_bt.specs import CellSpec, ContainerKind, Mortar, Station
+from scuhand_bt.specs import ContainerKind, Mortar
 
 _RINGS = 3
 _SIDES = 16

@@ -7,8 +7,8 @@ from html import escape
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec, Obstacle
 from scuhand_bt.motion import ApexPose, unreachable_reason
-from scuhand_bt.specs import CellSpec, Obstacle
 
 STEP_MM = 20
 HEIGHTS_MM = (20, 60, 100, 140, 180)

@@ -14,6 +14,7 @@ from typing import Literal, TypeVar
 
 from serial.tools import list_ports
 
+from scuhand_bt.cell_spec import BalanceSpec, CellSpec, ChangerSpec, HandSpec
 from scuhand_bt.clock import Clock, Steps, until
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.connect import bus_of, connect_balance
@@ -26,7 +27,6 @@ from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.scuhand import roller_axis
 from scuhand_bt.failures import CATALOGUE, SkillFailed
 from scuhand_bt.motion.kinematics import LIMITS_RAD
-from scuhand_bt.specs import BalanceSpec, CellSpec, ChangerSpec, HandSpec
 
 OLDEST_FIRMWARE = 38
 """Of the servos: older ones have no BUS_WATCHDOG (ROBOTIS e-manual), and a dead host would not stop the arm."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.cell import Believed, Cell
 from scuhand_bt.plan import Plan
@@ -14,7 +15,7 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.run.inventory import Entry, Stock
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.specs import CellSpec, Source
+from scuhand_bt.specs import Source
 
 PLAUSIBLE_SHARE = 0.05
 """A recipe's amount and the inventory's that differ by less are the same: of the larger, or what two scoops lose."""

@@ -20,7 +20,7 @@ from datetime import datetime
 from typing import Literal
 from urllib.parse import urlsplit
 
-from scuhand_bt.specs import NotifySpec
+from scuhand_bt.cell_spec import NotifySpec
 
 LONGEST_S = 10.0
 """Wall time that one notice may take."""

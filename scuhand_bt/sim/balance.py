@@ -13,12 +13,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.plant import Plant
-from scuhand_bt.specs import BalanceSpec
 
 BAND_DIGITS = 1.5
 WINDOW_S = 1.0

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.interfaces import Changer, Joints, Operator
@@ -16,7 +17,7 @@ from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import load_plant
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import CellSpec, Source
+from scuhand_bt.specs import Source
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner

@@ -12,11 +12,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.specs import HandSpec
 
 FADE_MM = 0.2
 """Below this servo position the opening's error fades to nothing."""

@@ -11,10 +11,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.random import Generator
 
+from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.sim.scoop import OurScoopYield, Stroke
-from scuhand_bt.specs import BalanceSpec, Mortar, Powder
+from scuhand_bt.specs import Mortar, Powder
 
 
 class PowderFlow(Protocol):

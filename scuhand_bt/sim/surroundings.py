@@ -5,9 +5,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import Pose
-from scuhand_bt.specs import CellSpec, Source, Station
+from scuhand_bt.specs import Source
 
 GRAVITY_MM_PER_S2 = 9810.0
 PAN_RADIUS_MM = 60.0

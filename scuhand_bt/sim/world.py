@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.cone_load import ConeLoad
@@ -24,7 +25,7 @@ from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.sim.surroundings import Surroundings
 from scuhand_bt.sim.world_file import broken
-from scuhand_bt.specs import CellSpec, Container, Source
+from scuhand_bt.specs import Container, Source
 
 STEP_S = 0.020
 SERVO_WATCHDOG_S = 0.1

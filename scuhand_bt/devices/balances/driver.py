@@ -10,13 +10,13 @@ import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.balances.conversation import Conversation, State
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, Frame, OutOfRange, Weight
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.devices.serial_link import REOPEN_S, Framing, SerialLink, Silence
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.specs import BalanceSpec
 
 ADJUSTMENT_S = 300.0
 """How long an internal adjustment may keep the balance silent."""

@@ -17,6 +17,7 @@ from types import TracebackType
 
 import numpy as np
 
+from scuhand_bt.cell_spec import CellSpec, HandSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
@@ -33,7 +34,7 @@ from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import Servo
 from scuhand_bt.sim.world import STEP_S, World
-from scuhand_bt.specs import CellSpec, Container, HandSpec, Source
+from scuhand_bt.specs import Container, Source
 
 STILL_AFTER_S = 0.1
 """What has not moved for this long stands still."""

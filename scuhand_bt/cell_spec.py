@@ -1,0 +1,236 @@
+"""The cell of `robot/cell.yaml`: its stations and obstacles, and the devices on it."""
+
+from typing import Annotated, Any, Literal, Self
+from urllib.parse import urlsplit
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    field_validator,
+    model_validator,
+)
+
+from scuhand_bt.quantity import (
+    Degrees,
+    Milligrams,
+    Millimetres,
+    MillimetresPerSecond,
+    Ratio,
+    Seconds,
+)
+from scuhand_bt.specs import NotNegative, Positive, Spec
+
+Point = Annotated[tuple[Millimetres, Millimetres, Millimetres], Field(description="x, y, z in the base frame")]
+
+
+class Station(Spec):
+    """A named place of the cell. `position` is the table point of a mortar, the pan's centre, …"""
+
+    name: str
+    kind: Literal["mortar", "balance", "waste", "service", "park"]
+    position_mm: Point
+
+
+Size = Annotated[Millimetres, Field(gt=0)]
+
+
+class Obstacle(Spec):
+    """A box or a cylinder (axis along z) the arm must not touch, by the centre of its shape."""
+
+    name: str
+    at_mm: Point
+    box_mm: tuple[Size, Size, Size] | None = None
+    cylinder_mm: tuple[Size, Size] | None = None
+    """Diameter and length."""
+
+    @model_validator(mode="after")
+    def _has_one_shape(self) -> Self:
+        if (self.box_mm is None) == (self.cylinder_mm is None):
+            raise ValueError("it has one shape: a box, or a cylinder")
+        return self
+
+
+Seven = Field(min_length=7, max_length=7)
+Direction = Annotated[Literal[1, -1], BeforeValidator(lambda value: {"1": 1, "-1": -1}.get(value, value))]
+"""Which way a servo turns; YAML's scalars are text."""
+
+
+class ArmOptions(Spec):
+    """What differs from one CRANE-X7 and its cabling to the next."""
+
+    baud: Annotated[int, Positive] = 3_000_000
+    latency_s: Annotated[Seconds, Field(gt=0, le=0.1)] = 0.008
+    """How long adapter and system may hold bytes back; an answer is waited for twice as long."""
+    home_counts: Annotated[tuple[int, ...], Seven] = (2048,) * 7
+    """Position of each servo with the arm straight up."""
+    directions: Annotated[tuple[Direction, ...], Seven] = (1,) * 7
+    following_limit_deg: Annotated[Degrees, Positive] = 10.0
+    """A joint further than this from its goal is held up by something."""
+
+
+class ArmSpec(Spec):
+    """The CRANE-X7 as this cell uses it."""
+
+    driver: Literal["dynamixel"] = "dynamixel"
+    port: str = ""
+    options: ArmOptions = ArmOptions()
+    urdf: str = "crane_x7_scuhand_sv.urdf"
+    speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
+    gentle_deg: Annotated[Degrees, Field(gt=0, le=90)] = 90.0
+    """The largest spill angle a loaded cone is carried at; its powder's own limit where that is smaller."""
+
+
+class ValveErrorSpec(Spec):
+    """How far the simulated valve is from what it is told; no controller reads it."""
+
+    opening_mm: Annotated[Millimetres, NotNegative] = 0.03
+    """Standard deviation of the real opening, drawn at each opening."""
+    sample_mm: Annotated[Millimetres, NotNegative] = 0.02
+    """Standard deviation that stays for a whole sample: how the sheet was last bent."""
+    stick_probability: Annotated[Ratio, Field(ge=0, le=1)] = 0.012
+    """How often the sheet sticks and slips as it opens."""
+    stick_mm: Annotated[Millimetres, NotNegative] = 0.3
+    """How much wider it then opens."""
+
+
+class HandOptions(Spec):
+    """The roller's servo on the arm's bus, and the sheet as it is mounted."""
+
+    roller_id: Annotated[int, Field(ge=0, le=252)] = 9
+    roller_direction: Direction = 1
+    start_diameter_mm: Annotated[Millimetres, Positive] = 90.0
+    """Of the cone when the driver connects: of a sheet that has just been mounted (paper, section V)."""
+
+
+class HandSpec(Spec):
+    """The SCU-Hand-SV: its sheet, roller, valve and vibration motor."""
+
+    driver: Literal["hand_controller"] = "hand_controller"
+    port: str = ""
+    options: HandOptions = HandOptions()
+    sheet_radius_mm: Annotated[Millimetres, Field(gt=45, le=500)] = 50.0
+    """More than half of the cone that a mounted sheet begins as, 90 mm (paper, section V)."""
+    roller_deg_per_mm: Annotated[float, Field(gt=0)] = 11.46
+    """Roller angle per millimetre of sheet along the rim; calibrated (default: a 10 mm roller)."""
+    morph_speed_mm_per_s: Annotated[MillimetresPerSecond, Positive] = 20.0
+    """Speed of the sheet's edge along the rim while the cone changes its size; what the roller's servo can turn."""
+    apex_offset_mm: Annotated[Millimetres, Positive] = 120.0
+    """Flange to cone apex along the j7 axis."""
+    max_opening_mm: Annotated[Millimetres, Field(gt=0, le=20)] = 2.4
+    valve_speed_mm_per_s: Annotated[MillimetresPerSecond, Field(ge=0.1)] = 4.0
+    valve_dead_time_s: Annotated[Seconds, NotNegative] = 0.06
+    streaming: bool = True
+    """False for a controller board that offers the step command only."""
+    simulation: ValveErrorSpec = ValveErrorSpec()
+
+    @model_validator(mode="after")
+    def _sheet_makes_the_cone(self) -> Self:
+        if self.options.start_diameter_mm >= 2 * self.sheet_radius_mm:
+            raise ValueError(f"this sheet makes cones of less than {2 * self.sheet_radius_mm:g} mm")
+        return self
+
+
+class BalanceResponseSpec(Spec):
+    """How the simulated balance answers (`scuhand_bt.sim.response`); no controller reads it."""
+
+    lag_s: Annotated[Seconds, Field(gt=0)] = 0.3
+    """Time constant of each of its filter's two poles."""
+    noise_mg: Annotated[Milligrams, NotNegative] = 0.08
+    """Standard deviation of a reading on a quiet pan."""
+    vibration_noise_mg: Annotated[Milligrams, NotNegative] = 0.4
+    """Standard deviation that the hand's motor adds at full level."""
+    drift_mg: Annotated[Milligrams, NotNegative] = 0.1
+    """Random walk of the zero: standard deviation after a minute."""
+
+
+class BalanceOptions(Spec):
+    """Where the balance's own menu is not as it left the factory."""
+
+    baud: Annotated[int, Positive] | None = None
+    bits: Annotated[str, Field(pattern=r"^[78][NEO][12]$")] | None = None
+    """Data bits, parity, stop bits: "7E1"."""
+    unit: Literal["g", "mg", "kg", "ct"] | None = None
+    """Of a balance that leaves it out while it is not stable."""
+
+
+class BalanceSpec(Spec):
+    """The balance under the hand."""
+
+    driver: Literal["and", "mt_sics", "sbi", "shimadzu"] = "shimadzu"
+    port: str = ""
+    options: BalanceOptions = BalanceOptions()
+    readability_mg: Annotated[Milligrams, Positive] = 0.1
+    maximum_mg: Annotated[Milligrams, Positive] = 120_000.0
+    period_s: Annotated[Seconds, Field(gt=0, le=2)] = 0.1
+    simulation: BalanceResponseSpec = BalanceResponseSpec()
+
+    @property
+    def least_tolerance_mg(self) -> float:
+        """Two digits: a stable mean is known to about half of one, and acceptance keeps twice that inside."""
+        return 2.0 * self.readability_mg
+
+    @property
+    def lost_after_s(self) -> float:
+        """Without a word for this long, the balance is taken for lost."""
+        return max(3.0, 10.0 * self.period_s)
+
+
+class ChangerSpec(Spec):
+    """What brings containers: a carousel, or the operator."""
+
+    driver: Literal["carousel", "operator"] = "carousel"
+    port: str = ""
+    options: dict[str, Any] = Field(default_factory=dict)
+    slots: Annotated[int, Field(gt=0)] = 24
+    """Containers it holds before a person has to fill it again."""
+
+
+class NotifySpec(Spec):
+    """Who is told when a run pauses, needs a person or has ended: a program, or a web address."""
+
+    command: tuple[str, ...] | None = None
+    """The program and its arguments; it is given the JSON on its standard input."""
+    webhook: str | None = None
+    """It is sent the JSON by POST. Only this computer is called, and hosts under `allow`."""
+    allow: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _names_one(self) -> Self:
+        if (self.command is None) == (self.webhook is None):
+            raise ValueError("it names one: a 'command', or a 'webhook'")
+        if self.command is not None and not (self.command and self.command[0]):
+            raise ValueError("'command' names no program")
+        return self
+
+    @field_validator("webhook")
+    @classmethod
+    def _is_an_address(cls, url: str) -> str:
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise ValueError('a web address, such as "http://127.0.0.1:8080/hook"')
+        if "@" in parts.netloc or not url.isascii() or not url.isprintable() or " " in url:
+            raise ValueError("a plain web address, without a user, blanks or special letters")
+        assert parts.port is None or parts.port > 0  # a port that is none raises ValueError itself
+        return url
+
+
+class CellSpec(Spec):
+    """`robot/cell.yaml`: the devices of one bench, its stations and its geometry."""
+
+    cell: str
+    arm: ArmSpec = ArmSpec()
+    hand: HandSpec = HandSpec()
+    balance: BalanceSpec = BalanceSpec()
+    changer: ChangerSpec = ChangerSpec()
+    plant: str | None = None
+    """`module:Class` of the simulated physics; none for the shipped one."""
+    notify: NotifySpec | None = None
+    stations: dict[str, Station]
+    geometry: list[Obstacle] = Field(default_factory=list)
+
+    def station_of_kind(self, kind: str) -> Station:
+        """The first station of a kind; KeyError if the cell has none."""
+        for station in self.stations.values():
+            if station.kind == kind:
+                return station
+        raise KeyError(kind)
