@@ -45,7 +45,7 @@ NOISES = 20
 """How many second differences the noise is the mean of."""
 WORST_MISFIT = 0.08
 """A probe that is followed no better tells nothing; the less its model is off, the more the balance is trusted."""
-LEAST_DOUBT = 0.75
+LEAST_DOUBT = 0.72
 """A sheet that slipped lets out ever more than it should as the valve narrows: readings that have followed tell."""
 LONGEST_PROBE_S, LONGEST_PROBE_LAGS = 2.0, 3.0
 """Over a longer time than both the flow changes, and its changes pass for the balance's."""
