@@ -92,7 +92,8 @@ def _circle(pose: ApexPose, apex_offset_m: float) -> _Circle | str:
     other = np.array([1.0, 0.0, 0.0]) if abs(towards[2]) > 0.99 else np.array([0.0, 0.0, 1.0])
     up = other - (other @ towards) * towards
     up /= math.sqrt(float(up @ up))
-    across = np.cross(up, towards)
+    (ux, uy, uz), (tx, ty, tz) = up, towards
+    across = np.array([uy * tz - uz * ty, uz * tx - ux * tz, ux * ty - uy * tx])
     # sin(q4/2) from |d| loses its last digits as the arm stretches; the elbow's own triangle does not.
     sine = math.sqrt(max(0.0, 1 - (distance_m / (2 * LINK_M)) ** 2))
     return _Circle(towards * math.cos(half), across * sine, up * sine, d, -pose.axis, -2 * half)
@@ -177,21 +178,29 @@ def _turned_back(v: Floats, about_z: float, about_minus_y: float) -> Floats:
     return np.array([c * x + s * z, y, -s * x + c * z])
 
 
+@cache
+def _limit_lines(limits: bytes) -> tuple[Floats, Floats]:
+    """The combinations (10, 8) of the linear forms that are a number each (10,) where a joint is at a limit."""
+    bounds = np.frombuffer(limits).reshape(2, JOINTS)
+    weights, shifts = np.zeros((10, 8)), np.zeros(10)
+    # tan q = y/x at its limit: x sin(limit) - y cos(limit) = 0, on either of the two branches.
+    for k, (joint, x, y) in enumerate(((0, 0, 1), (2, 3, 4), (4, 5, 6))):
+        weights[2 * k : 2 * k + 2, x], weights[2 * k : 2 * k + 2, y] = (
+            np.sin(bounds[:, joint]),
+            -np.cos(bounds[:, joint]),
+        )
+    for k, (joint, form) in enumerate(((1, 2), (5, 7)), start=3):
+        weights[2 * k : 2 * k + 2, form], shifts[2 * k : 2 * k + 2] = 1.0, np.cos(bounds[:, joint])
+    return weights, shifts
+
+
 def _limit_roots(circle: _Circle, limits: Floats) -> Floats:
     """Every swivel angle at which some joint may reach a limit: sorted, in [0, 2 pi)."""
     forms = _linear_forms(circle, circle.directions(np.array([0.0, math.pi / 2, math.pi])))
     constant = (forms[:, 0] + forms[:, 2]) / 2
     cosine, sine = (forms[:, 0] - forms[:, 2]) / 2, forms[:, 1] - constant
-    rows = np.stack([constant, cosine, sine], axis=1)
-    lines = []
-    # tan q = y/x at its limit: x sin(limit) - y cos(limit) = 0, on either of the two branches.
-    for joint, (x, y) in ((0, (0, 1)), (2, (3, 4)), (4, (5, 6))):
-        for limit in limits[:, joint]:
-            lines.append(math.sin(limit) * rows[x] - math.cos(limit) * rows[y])
-    for joint, form in ((1, 2), (5, 7)):
-        for limit in limits[:, joint]:
-            lines.append(rows[form] - (math.cos(limit), 0.0, 0.0))
-    a, b, c = np.array(lines).T
+    weights, shifts = _limit_lines(limits.tobytes())
+    a, b, c = weights @ constant - shifts, weights @ cosine, weights @ sine
     amplitude = np.hypot(b, c)
     crosses = amplitude > np.maximum(np.abs(a), 1e-15)
     a, b, c, amplitude = a[crosses], b[crosses], c[crosses], amplitude[crosses]
