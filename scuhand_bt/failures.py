@@ -81,6 +81,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "No container stands on the pan.",
         "Put the container on the pan, or fill the changer's slot.",
     ),
+    "container.moved": Failure(
+        "The pan lost mass while a dose was going on.",
+        "See whether the container was touched, tipped or taken away; begin its dose again with a new one.",
+    ),
     "container.wrong_mass": Failure(
         "What was put on the pan does not weigh what this container should.",
         "Check that it is the right container, empty and clean; correct robot/containers.yaml if it changed.",

@@ -14,6 +14,7 @@ from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pul
 from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import NoRecord
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.specs import BalanceBelief, Powder, PowderBelief
@@ -320,6 +321,20 @@ def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings
             assert 0.0 <= command.vibration <= 1.0
         time_s += 0.1
         command = controller.decide(Observation(time_s, net_mg, 0.05, isinstance(command, Settle | Pulse)))
+
+
+@pytest.mark.parametrize("streams", [True, False])
+def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> None:
+    rig = Bench(BEADS, 500.0, 3, 0, Setting(hand=HandSpec(streaming=streams)))
+    controller = new_controller("adaptive", rig.request(BEADS.belief, BalanceBelief()))
+    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, NoRecord(), 25_000.0)
+    while rig.world.true_mass("dish") < 30.0:
+        rig.clock.wait([next(steps)])
+    rig.world.remove()
+    with pytest.raises(SkillFailed, match=r"container\.moved"):
+        rig.drive(steps)
+    rig.drive(rig.cell.balance.settled(30.0))
+    assert rig.cell.hand.opening_mm < 0.05
 
 
 def test_the_valve_is_shut_when_a_dose_is_given_up_halfway() -> None:

@@ -11,8 +11,13 @@ from typing import Any
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Settle, Stream
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
 
+LOST_MG = 50.0
+"""Powder does not leave the pan again: less by so much than there has been means that the container was moved. A lump
+that lands is felt as more than it weighs, for a moment and by less than this."""
+LOST_READINGS = 3
 DRIFT_DIGITS = 0.5
 """How far a balance's zero is taken to wander in a minute, in digits (standard deviation)."""
 
@@ -69,13 +74,22 @@ def run_dose(
 ) -> Steps[DoseRun]:
     """Run a controller to its `Finish`. `empty_mg` is the gross before the container's first powder.
 
-    SkillFailed from the balance: device.lost, balance.unstable, balance.overload.
+    SkillFailed from the balance: device.lost, balance.unstable, balance.overload; container.moved.
     """
     begin_s = clock.now_s
     period_s = balance.spec.period_s
     curve: list[CurvePoint] = []
     pulses, vibration_s = 0, 0.0
     streaming = False
+    most_mg, below = -math.inf, 0
+
+    def require_nothing_lost(seen: Observation) -> None:
+        nonlocal most_mg, below
+        most_mg = max(most_mg, seen.net_mg)
+        below = below + 1 if seen.net_mg < most_mg - LOST_MG else 0
+        if below >= (1 if seen.stable else LOST_READINGS):
+            lost = f"the pan shows {most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
+            raise SkillFailed("container.moved", lost)
 
     def note(opening_mm: float, vibration: float) -> None:
         """A moment of a pulse; what the hand does in it is known from the command."""
@@ -131,6 +145,7 @@ def run_dose(
                 seen = Observation(mean.time_s, mean.value_mg - empty_mg, uncertainty_mg, True, hand.opening_mm)
                 level = 0.0
                 record.pulse(_values(command, seen, acted_s) | _weighed(mean))
+            require_nothing_lost(seen)
             command = controller.decide(seen)
             curve.append(
                 CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
