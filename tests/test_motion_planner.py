@@ -154,9 +154,10 @@ def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner):
     assert failed.value.code == "arm.unreachable"
 
 
-def test_a_start_inside_something_is_refused_by_name(planner):
+@pytest.mark.parametrize("turn_rad", [1e-3, -1e-3])
+def test_a_start_inside_something_is_refused_by_name(planner, turn_rad):
     start = posture(planner, "balance").copy()
-    start[1] -= 0.35
+    start[:2] += turn_rad, -0.35
     with pytest.raises(SkillFailed, match="overlap by") as failed:
         planner.move(start, "park")
     assert failed.value.code == "arm.start_in_collision"

@@ -131,10 +131,19 @@ def _linear_forms(circle: _Circle | _Circles, e: Floats) -> Floats:
     )
 
 
-def _configurations(circle: _Circle, phi: Floats) -> Floats:
+_THREE = np.array([0.0, math.pi / 2, math.pi])
+
+
+def _forms_of(circle: _Circle) -> Floats:
+    """The eight expressions as functions of the swivel angle: times (1, cos phi, sin phi), shape (8, 3)."""
+    at = _linear_forms(circle, circle.directions(_THREE))
+    constant = (at[:, 0] + at[:, 2]) / 2
+    return np.stack([constant, (at[:, 0] - at[:, 2]) / 2, at[:, 1] - constant], axis=1)
+
+
+def _configurations(circle: _Circle, forms: Floats, phi: Floats) -> Floats:
     """All four branches (signs of q2 and q6) at each swivel angle: shape (4 n, 7), limits ignored."""
-    e = circle.directions(phi)
-    x1, y1, c2, x3, y3, x5, y5, c6 = _linear_forms(circle, e)
+    x1, y1, c2, x3, y3, x5, y5, c6 = forms @ np.array([np.ones(len(phi)), np.cos(phi), np.sin(phi)])
     q = np.zeros((2, 2, len(phi), JOINTS))
     shoulder_bent = np.hypot(x1, y1) > _SINGULAR
     elbow_bent = abs(circle.q4) > _SINGULAR
@@ -146,7 +155,7 @@ def _configurations(circle: _Circle, phi: Floats) -> Floats:
         q[i, :, :, 2] = np.where(shoulder_bent, np.arctan2(sign * y3, sign * x3), 0.0)
     q[:, :, :, 3] = circle.q4
     if not elbow_bent or not shoulder_bent.all():
-        _settle_singular(q, circle, e, elbow_bent)
+        _settle_singular(q, circle, circle.directions(phi), elbow_bent)
         return q.reshape(-1, JOINTS)
     s6 = np.sqrt(np.maximum(0.0, 1 - np.minimum(1.0, c6 * c6)))
     # |sin q6| from the two components is exact where c6 is near one.
@@ -194,13 +203,11 @@ def _limit_lines(limits: bytes) -> tuple[Floats, Floats]:
     return weights, shifts
 
 
-def _limit_roots(circle: _Circle, limits: Floats) -> Floats:
+def _limit_roots(forms: Floats, limits: Floats) -> Floats:
     """Every swivel angle at which some joint may reach a limit: sorted, in [0, 2 pi)."""
-    forms = _linear_forms(circle, circle.directions(np.array([0.0, math.pi / 2, math.pi])))
-    constant = (forms[:, 0] + forms[:, 2]) / 2
-    cosine, sine = (forms[:, 0] - forms[:, 2]) / 2, forms[:, 1] - constant
     weights, shifts = _limit_lines(limits.tobytes())
-    a, b, c = weights @ constant - shifts, weights @ cosine, weights @ sine
+    a, b, c = (weights @ forms).T
+    a = a - shifts
     amplitude = np.hypot(b, c)
     crosses = amplitude > np.maximum(np.abs(a), 1e-15)
     a, b, c, amplitude = a[crosses], b[crosses], c[crosses], amplitude[crosses]
@@ -208,11 +215,11 @@ def _limit_roots(circle: _Circle, limits: Floats) -> Floats:
     return np.sort(np.concatenate([middle - half, middle + half]) % (2 * math.pi))
 
 
-def _arcs(circle: _Circle, limits: Floats) -> tuple[Floats, Floats]:
+def _arcs(circle: _Circle, forms: Floats, limits: Floats) -> tuple[Floats, Floats]:
     """Begins and lengths of the arcs that the limits cut the swivel circle into."""
     if abs(circle.q4) <= _SINGULAR:
         return np.zeros(1), np.zeros(1)
-    roots = _limit_roots(circle, limits)
+    roots = _limit_roots(forms, limits)
     if not len(roots):
         return np.zeros(1), np.full(1, 2 * math.pi)
     return roots, np.diff(roots, append=roots[0] + 2 * math.pi)
@@ -237,9 +244,10 @@ def solutions(pose: ApexPose, apex_offset_m: float, limits: Floats = LIMITS_RAD)
     circle = _circle(pose, apex_offset_m)
     if isinstance(circle, str):
         return np.zeros((0, JOINTS))
-    begins, lengths = _arcs(circle, limits)
+    forms = _forms_of(circle)
+    begins, lengths = _arcs(circle, forms, limits)
     middles = (begins + lengths / 2) % (2 * math.pi)
-    q = _configurations(circle, middles if len(lengths) == 1 and not lengths[0] else _merged(middles))
+    q = _configurations(circle, forms, middles if len(lengths) == 1 and not lengths[0] else _merged(middles))
     return np.clip(q[_within(q, limits)], limits[0], limits[1])
 
 
@@ -254,7 +262,8 @@ def neighbours(
     circle = _circle(pose, apex_offset_m)
     if isinstance(circle, str):
         return np.zeros((0, JOINTS))
-    around = _configurations(circle, _swivel_on(circle, q) + np.linspace(-spread_rad, spread_rad, count))
+    swivels = _swivel_on(circle, q) + np.linspace(-spread_rad, spread_rad, count)
+    around = _configurations(circle, _forms_of(circle), swivels)
     near = (np.abs(around[:, :6] - q[:6]) < 4 * spread_rad + _EDGE).all(axis=1)
     family: Floats = around[near & _within(around, limits)]
     return family
@@ -280,8 +289,9 @@ def unreachable_reason(pose: ApexPose, apex_offset_m: float, limits: Floats = LI
     circle = _circle(pose, apex_offset_m)
     if isinstance(circle, str):
         return circle
-    begins, lengths = _arcs(circle, limits)
-    q = _configurations(circle, begins + lengths / 2)
+    forms = _forms_of(circle)
+    begins, lengths = _arcs(circle, forms, limits)
+    q = _configurations(circle, forms, begins + lengths / 2)
     if _within(q, limits).any():
         return None
     excess = np.maximum(limits[0] - q, q - limits[1])
@@ -350,7 +360,8 @@ def _branches(stacked: _Circles, swivels: Floats) -> Floats:
     s2, s4 = np.hypot(x1, y1), -np.sin(stacked.q4)
     if min(s2.min(), s4.min(), (np.hypot(x5, y5) / np.maximum(s4, _SINGULAR)).min()) < 1e3 * _SINGULAR:
         # Where an angle is not determined, one configuration at a time settles it.
-        return np.array([_configurations(stacked[k], swivels[k : k + 1]) for k in range(len(swivels))])
+        circles = (stacked[k] for k in range(len(swivels)))
+        return np.array([_configurations(c, _forms_of(c), swivels[k : k + 1]) for k, c in enumerate(circles)])
     s6 = np.hypot(x5, y5) / s4
     q = np.zeros((len(swivels), 2, 2, JOINTS))
     q[..., 3] = stacked.q4[:, None, None]

@@ -183,6 +183,7 @@ class MotionPlanner:
         key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
         if key not in self._plans:
             if len(goals) == 1 and key[1] < key[0]:
+                self._require_free(begin)
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
                 there = self._kept(goals[0], begin[None, :], "its start", spill_limit_deg, effort)
                 self._plans[key] = there.reversed()
@@ -329,6 +330,11 @@ class MotionPlanner:
         if chain is None:
             raise SkillFailed("arm.no_path", f"no way to {name} was found that is free and keeps its limits")
         return chain
+
+    def _require_free(self, begin: Floats) -> None:
+        close = self.scene(CLOSE_MARGIN_M) if self.scene().hits(begin[None, :])[0] else None
+        if close is not None and close.hits(begin[None, :])[0]:
+            raise SkillFailed("arm.start_in_collision", self._touching(close, begin))
 
     def _blocked(self, scene: Scene, name: str, q: Floats) -> str:
         best_m, names = max(scene.clearance_m(one) for one in q[:: max(1, len(q) // 12)])
