@@ -18,7 +18,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import TypeAlias
 
 import coal
@@ -192,11 +192,22 @@ class Scene:
         touchable = set(may_touch)
         for first, second in _pairs(self.shapes, moving, touchable):
             self.shapes.addCollisionPair(pin.CollisionPair(first, second))
+        self._foremost = _foremost(shapes, [solid for solid in solids if solid.name not in touchable])
         # From here on the models are complete; only now may data be made of them.
-        self._pool, self._wide_pool = self._pooled(self.shapes, margin_m), self._pooled(self.shapes, _WIDE * margin_m)
-        self._first_pool = self._pooled(_foremost(shapes, [s for s in solids if s.name not in touchable]), margin_m)
         self._data = self.model.createData()
         self._shape_data = pin.GeometryData(self.shapes)
+
+    @cached_property
+    def _pool(self) -> Pool:
+        return self._pooled(self.shapes, self.margin_m)
+
+    @cached_property
+    def _wide_pool(self) -> Pool:
+        return self._pooled(self.shapes, _WIDE * self.margin_m)
+
+    @cached_property
+    def _first_pool(self) -> Pool:
+        return self._pooled(self._foremost, self.margin_m)
 
     def _pooled(self, shapes: pin.GeometryModel, margin_m: float) -> Pool:
         pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, shapes, self.threads)

@@ -250,8 +250,6 @@ class MotionPlanner:
         times_s, positions_m, axes = contact_path.apex_path(poses, speed_m_per_s)
         if len(times_s) < 2:
             return standing(begin)
-        for pose in waypoints:
-            self._require_reachable(pose, "a waypoint")
         scene = self.scene(CLOSE_MARGIN_M, touching)
         if scene.hits(begin[None, :])[0]:
             raise SkillFailed("arm.start_in_collision", self._touching(scene, begin))
@@ -277,6 +275,8 @@ class MotionPlanner:
             hits = scene.hits(samples)
             if hits.any():
                 why = self._touching(scene, samples[int(np.argmax(hits))])
+        for pose in waypoints:
+            self._require_reachable(pose, "a waypoint")
         raise SkillFailed("arm.no_path", f"no way through the waypoints: {why}")
 
     def stop(self, trajectory: JointTrajectory, at_s: float) -> Stop | Rest:
