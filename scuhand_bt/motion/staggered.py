@@ -113,11 +113,11 @@ class Scheduler:
         self._start, self._goals, self._bounds_s = start, goals, bounds_s
 
     def search(
-        self, known: Chain | None, rng: np.random.Generator, rounds: int, given_up: int, good_s: float
+        self, known: Chain | None, rng: np.random.Generator, rounds: int, given_up: int | None, good_s: float
     ) -> Chain | None:
         """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`.
 
-        `given_up`: rounds without any, after which another way has to be found first.
+        `given_up`: rounds without any, after which another way has to be found first; None for as many as there are.
         """
         best, parent = known, None
         least_s = float(self._bounds_s[0])

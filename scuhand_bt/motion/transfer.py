@@ -179,7 +179,7 @@ class _Search:
         return self.staggered(effort.staggered, known, rng, good_s, _GIVEN_UP)
 
     def staggered(
-        self, rounds: int, known: Chain | None, rng: np.random.Generator, good_s: float, given_up: int = -1
+        self, rounds: int, known: Chain | None, rng: np.random.Generator, good_s: float, given_up: int | None = None
     ) -> Chain | None:
         """The quickest motion found in which every joint moves in its own time; or what is known."""
         if self.rates is None:
