@@ -110,9 +110,9 @@ def plot(
 
 
 def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str | None) -> float | None:
-    """The spill angle that a load of a powder may see, and no more than `gentle`; None for an empty cone."""
+    """What a run would carry a load of a powder within, and no more than `gentle`; None for an empty cone."""
+    from scuhand_bt.devices.cell import carrying_limit_deg
     from scuhand_bt.dosing.cone import Cone
-    from scuhand_bt.motion import spill_limit_deg
     from scuhand_bt.motion.planner import CONE_DIAMETER_M
     from scuhand_bt.quantity import ANGLE, MASS, parse
 
@@ -125,13 +125,11 @@ def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str 
         if load is not None and powder is not None:
             if powder not in lab.library.powders:
                 raise unknown("powder", powder, lab.library.powders)
-            kind, cone = lab.library.powders[powder], Cone(CONE_DIAMETER_M * 1000, lab.cell.hand.sheet_radius_mm)
-            load_mm3 = parse(load, MASS) / kind.bulk_density_mg_per_mm3
-            limits_deg.append(
-                spill_limit_deg(
-                    cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, kind.repose_deg, kind.wall_friction_deg
-                )
-            )
+            kind, rim_mm, load_mg = lab.library.powders[powder], 1000 * CONE_DIAMETER_M, parse(load, MASS)
+            full_mg = kind.bulk_density_mg_per_mm3 * Cone(rim_mm, lab.cell.hand.sheet_radius_mm).volume_mm3
+            if not 0 < load_mg < full_mg:
+                raise ValueError(f"--load is more than nothing and less than the full cone's {full_mg / 1000:.1f} g")
+            limits_deg.append(carrying_limit_deg(lab.cell, kind, load_mg, rim_mm))
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     if limits_deg and min(limits_deg) <= 0:

@@ -194,6 +194,7 @@ class MotionPlanner:
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> JointTrajectory:
+        """Planned anew, but for what was planned over the bare pan and is free of a container there too."""
         if self._is_posture(begin) and len(goals) == 1 and self._is_posture(goals[0]):
             if spill_limit_deg is None:
                 effort = POLISHED
@@ -215,7 +216,7 @@ class MotionPlanner:
             self._geometry = present
 
     def _is_posture(self, q: Floats) -> bool:
-        return any(posture is q or np.array_equal(posture, q) for posture in self._postures.values())
+        return any(np.array_equal(posture, q) for posture in self._postures.values())
 
     def chain(
         self,
