@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scuhand_bt.motion.charts import JointChart
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
+from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.roadmap import Space
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
@@ -33,7 +33,6 @@ _FASTEST = 0.98
 _DETOURS = 64
 _DETOUR_SPREAD = 0.5
 _GRID_S = 0.01
-_EDGE_RAD = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +102,6 @@ class Shaper:
                 return None
             motion = motion.stretched(factor).keeping(self._spill_deg)
         if motion.duration_s >= quicker_than_s:
-            return None
-        low, high = motion.span()
-        if (low < LIMITS_RAD[0] - _EDGE_RAD).any() or (high > LIMITS_RAD[1] + _EDGE_RAD).any():
             return None
         return motion if self._space.scene.proves(motion) else None
 

@@ -277,7 +277,9 @@ class Scene:
         return not self.any_hit(q[~np.isin(between_s, times_s)])
 
     def proves(self, motion: JointTrajectory) -> bool:
-        """Whether a motion is proven to touch nothing."""
+        """Whether a motion is proven to touch nothing, and keeps the joints' limits everywhere."""
+        if _outside(np.stack(motion.span())).any():
+            return False
         return self.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
 
     def proving_samples(
