@@ -20,11 +20,11 @@ from py_trees.behaviour import Behaviour
 
 from benchmarks.figures import show
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.plan import Job, make_plan
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import Job, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver, SampleResult
+from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, prepared_motion
 
 ROOT = starter_lab()
 WINDOW = 20

@@ -20,17 +20,17 @@ from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import Signal, Wake
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion.kinematics import apex_positions_m
-from scuhand_bt.plan import make_plan
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
+from scuhand_bt.run.make_cell import DryRun, Rehearsal, prepared_motion
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, Rehearsal, prepared_motion
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort

@@ -17,16 +17,16 @@ from unittest.mock import patch
 
 from benchmarks.figures import show
 from benchmarks.mutated_journals import mutations
+from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Plan, make_plan
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run import session
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.journal import Journal
-from scuhand_bt.run.reading import read
+from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, prepared_motion
 from scuhand_bt.sim.world import World
 
 OWN_OF = 20_000

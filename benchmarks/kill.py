@@ -24,18 +24,18 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from scuhand_bt.journal.hash_chain import verify
+from scuhand_bt.journal.history import read_history
+from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, find_lab, load_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.chain import verify
-from scuhand_bt.run.history import read_history
-from scuhand_bt.run.reading import read
+from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, prepared_motion
 
 BROKEN = 70
 """Exit code of a child that ended by an exception."""

@@ -28,7 +28,7 @@ from benchmarks.motion_inverse import OFFSET_M, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, roadmap, spill_limit_deg, transfer
-from scuhand_bt.motion.charts import JointChart
+from scuhand_bt.motion.coordinates import JointChart
 from scuhand_bt.motion.inverse import solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Floats, apex
 from scuhand_bt.motion.planner import RELAXED_RAD

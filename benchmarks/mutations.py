@@ -35,17 +35,17 @@ from rich.table import Table
 from benchmarks.mutants import Mutant, mutant, originals
 from benchmarks.structures import structures
 from benchmarks.verdicts import is_untrue
+from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab, without_driver
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Plan, make_plan
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver, SampleResult, Verdict
-from scuhand_bt.run.doubts import doubts
-from scuhand_bt.run.export import canonical
-from scuhand_bt.run.reading import open_contents
+from scuhand_bt.run.inventory_conflicts import doubts
+from scuhand_bt.run.make_cell import DryRun, places_of, prepared_motion
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, places_of, prepared_motion
 from scuhand_bt.sim.fault_rules import FaultFile, read_faults
 from scuhand_bt.skill import SkillFailed
 

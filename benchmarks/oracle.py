@@ -7,12 +7,12 @@ powder will do next; its error is what no measurement can avoid.
 
 import math
 
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.dose_loop import DoseRun
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.cell import Cell
-from scuhand_bt.devices.dose_loop import DoseRun
 from scuhand_bt.dosing import DoseRequest, Finish
 from scuhand_bt.dosing.adaptive import WATCH_LAGS
-from scuhand_bt.dosing.knowledge import SLACK_S
+from scuhand_bt.dosing.dose_state import SLACK_S
 from scuhand_bt.dosing.risk import within
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.sim.world import World

@@ -13,10 +13,10 @@ import numpy as np
 import yaml
 
 from benchmarks.oracle import Oracle, run_oracle
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
 from scuhand_bt.clock import Steps, T
-from scuhand_bt.devices.cell import Cell
-from scuhand_bt.devices.dose_loop import DoseRun, run_dose
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import DoseRequest, new_controller
 from scuhand_bt.failures import SkillFailed

@@ -1,4 +1,4 @@
-"""What is written down while a run goes on: the Protocol; the journal (`run/journal.py`) implements it.
+"""What is written down while a run goes on: the Protocol; the journal (`journal/writer.py`) implements it.
 
 Everything that happens goes through the record before it goes anywhere else.
 """

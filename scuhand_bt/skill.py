@@ -30,9 +30,9 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
+from scuhand_bt.cell.cell import Believed, Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
-from scuhand_bt.devices.cell import Believed, Cell
 from scuhand_bt.failures import Failure, SkillFailed
 from scuhand_bt.quantity import (
     Degrees,

@@ -5,8 +5,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from scuhand_bt.devices.dose_loop import DoseRun, run_dose
-from scuhand_bt.devices.places import over_balance
+from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell.places import over_balance
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from scuhand_bt.devices.places import over_balance
+from scuhand_bt.cell.places import over_balance
 from scuhand_bt.skill import Cell, Container, Millimetres, Skill, SkillFailed, Steps
 
 LOWERING_MM_PER_S = 60.0

@@ -1,6 +1,6 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.devices.cell import DoseSoFar
+from scuhand_bt.cell.cell import DoseSoFar
 from scuhand_bt.skill import Cell, Milligrams, Skill, SkillFailed, Steps
 
 

@@ -12,23 +12,23 @@ import pytest
 from wire_helpers import Metronome
 
 from scuhand_bt import cli
+from scuhand_bt.cell.cell import Believed
 from scuhand_bt.clock import Signal, Steps, Wake
-from scuhand_bt.devices.cell import Believed
+from scuhand_bt.journal.history import read_history
+from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab
-from scuhand_bt.plan import Job
 from scuhand_bt.problems import Problems, SourceError
-from scuhand_bt.recipe import Recipe, load_recipe
+from scuhand_bt.recipe.plan import Job
+from scuhand_bt.recipe.recipe import Recipe, load_recipe
 from scuhand_bt.record import NoRecord
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
-from scuhand_bt.run.history import read_history
-from scuhand_bt.run.journal import Journal
-from scuhand_bt.run.reading import read
 from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.skill import DEVICES, Skill
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
-from scuhand_bt.tree.past import Past
+from scuhand_bt.tree.replay import Past
 from scuhand_bt.yaml_source import parse
 
 REPOSITORY = Path(__file__).parent.parent

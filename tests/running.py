@@ -9,11 +9,11 @@ from typing import Any
 
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Plan, make_plan
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver, BatchResult, SampleResult
+from scuhand_bt.run.make_cell import DryRun, places_of, prepared_motion
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, places_of, prepared_motion
 from scuhand_bt.sim.fault_rules import parse_faults
 
 HEAD = """

@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from conftest import Call
 
+from scuhand_bt.journal.archive import summaries
+from scuhand_bt.journal.reader import open_contents, read
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_record
-from scuhand_bt.run.archive import summaries
 from scuhand_bt.run.control import Control, Presence
-from scuhand_bt.run.journal import Journal
-from scuhand_bt.run.reading import open_contents, read
 from tests.running import Ran, dry_run, make_lab
 from tests.test_journal import HEADER, tamper, write_run, write_version_1
 

@@ -15,7 +15,7 @@ from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.failures import SkillFailed
@@ -203,7 +203,7 @@ import sys, time
 import numpy as np
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.cell_spec import (ArmSpec)
 
 group = AxisGroup(arm_axes(ArmSpec()))

@@ -8,9 +8,9 @@ from conftest import LabFolder
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.lab import without_driver
-from scuhand_bt.plan import make_plan
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.wire.balances import TWINS
 
@@ -67,7 +67,7 @@ def test_options_are_read_with_their_units(lab_folder: LabFolder) -> None:
 def test_a_changer_without_a_driver_is_no_matter_to_a_dry_run_and_ends_a_real_one_before_any_port_is_opened(
     lab_folder: LabFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str, place: str
 ) -> None:
-    monkeypatch.setattr("scuhand_bt.run.setup.connect_cell_devices", lambda *_: pytest.fail("a port was opened"))
+    monkeypatch.setattr("scuhand_bt.run.make_cell.connect_cell_devices", lambda *_: pytest.fail("a port was opened"))
     lab_folder.replace("robot/cell.yaml", CHANGER, written)
     lab_folder.write("trees/w.yaml", "workflow: w\ntree:\n  park:\n")
     lab = lab_folder.load()

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from scuhand_bt.devices import doctor
+from scuhand_bt.devices.doctor import Finding, examine
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.run import doctor
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.doctor import Finding, examine
-from scuhand_bt.run.setup import bench_of
+from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.bench import WireBench
 
 pytestmark = pytest.mark.real_time

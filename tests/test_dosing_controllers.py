@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.rig import Bench, Setting, run_of_doses, shipped_powders
+from scuhand_bt.cell.dose_loop import run_dose
 from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
-from scuhand_bt.devices.dose_loop import run_dose
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Settle, Stream, new_controller
 from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within

@@ -14,16 +14,16 @@ from wire_helpers import carry_out, wait_for
 from benchmarks.faults import Matrix
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
+from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.plan import make_plan
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.export import canonical
-from scuhand_bt.run.reading import open_contents
+from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session, options_of
-from scuhand_bt.run.setup import bench_of
 from scuhand_bt.sim.fault_rules import KINDS, parse_faults
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.skill import SkillFailed

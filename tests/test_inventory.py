@@ -13,20 +13,20 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from running import Watching, dry_run, shared_planner
 
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
-from scuhand_bt.devices.cell import Cell
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
-from scuhand_bt.plan import Plan, make_plan
+from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.lab_state.inventory import Entry, Inventory, Stock
+from scuhand_bt.lab_state.lab_db import MIGRATIONS, lab_db
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchResult
-from scuhand_bt.run.doubts import doubts, recall, require_settled, settle
-from scuhand_bt.run.inventory import Entry, Inventory, Stock
-from scuhand_bt.run.lab_db import MIGRATIONS, lab_db
-from scuhand_bt.run.learnt import LabState
+from scuhand_bt.run.inventory_conflicts import doubts, recall, require_settled, settle
+from scuhand_bt.run.make_cell import DryRun, Setup, set_up
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, Setup, set_up
 
 RECIPE = """\
 recipe: one
@@ -64,7 +64,7 @@ def test_a_migration_that_breaks_leaves_the_database_as_it_was(tmp_path: Path, m
     learnt_before(tmp_path)
     before = (tmp_path / "lab.db").read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr("scuhand_bt.run.lab_db.MIGRATIONS", (*MIGRATIONS, "CREATE NONSENSE"))
+        patch.setattr("scuhand_bt.lab_state.lab_db.MIGRATIONS", (*MIGRATIONS, "CREATE NONSENSE"))
         assert len(problems_of(lambda: LabState(tmp_path).powders(simulated=False))) == 1
     assert (tmp_path / "lab.db").read_bytes() == before
     assert LabState(tmp_path).powders(simulated=False)

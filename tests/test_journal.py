@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from benchmarks.mutated_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.hash_chain import COLUMNS
+from scuhand_bt.journal.history import read_history
+from scuhand_bt.journal.reader import open_contents, open_journal, read
+from scuhand_bt.journal.writer import SCHEMA_VERSION, Journal
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
-from scuhand_bt.run.chain import COLUMNS
-from scuhand_bt.run.export import canonical
-from scuhand_bt.run.history import read_history
-from scuhand_bt.run.journal import SCHEMA_VERSION, Journal
-from scuhand_bt.run.reading import open_contents, open_journal, read
 from scuhand_bt.run.resume import checked_history
 from scuhand_bt.specs import Dose
 
@@ -250,7 +250,7 @@ def test_a_lost_journal_says_so_once(tmp_path: Path) -> None:
 
 
 def test_readings_are_written_as_they_came(run: Path) -> None:
-    from scuhand_bt.run.archive import frames
+    from scuhand_bt.journal.archive import frames
 
     with open_contents(run) as contents:
         lines = frames(contents, "a")

@@ -9,7 +9,7 @@ from benchmarks.mutants import Mutant, mutant
 from benchmarks.mutations import Judge
 from benchmarks.structures import structures
 from scuhand_bt.lab import Lab
-from scuhand_bt.recipe import Recipe
+from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.sim.world import World
 
 

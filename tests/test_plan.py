@@ -2,7 +2,7 @@
 
 from conftest import Desk, LabFolder
 
-from scuhand_bt.plan import Plan, make_plan
+from scuhand_bt.recipe.plan import Plan, make_plan
 
 TWO = """\
 recipe: two

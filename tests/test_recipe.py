@@ -9,7 +9,7 @@ from conftest import REPOSITORY, Desk, LabFolder, problems_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.recipe import load_recipe
+from scuhand_bt.recipe.recipe import load_recipe
 
 HEAD = """\
 recipe: test

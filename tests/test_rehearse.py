@@ -8,12 +8,12 @@ import pytest
 from running import Watching, make_lab, shared_planner
 
 from scuhand_bt.devices.scuhand import ScuHand
+from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
-from scuhand_bt.plan import make_plan
-from scuhand_bt.recipe import load_recipe
-from scuhand_bt.run.reading import read
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.make_cell import DryRun, Rehearsal
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.run.setup import DryRun, Rehearsal
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
 
@@ -130,7 +130,7 @@ class Bench(WireBench):
 def test_a_device_that_is_unplugged_at_work_is_named_and_the_cell_ends_safe(
     tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch, device: str
 ) -> None:
-    monkeypatch.setattr("scuhand_bt.run.setup.WireBench", Bench)
+    monkeypatch.setattr("scuhand_bt.run.make_cell.WireBench", Bench)
     recipe = ONE_DOSE if device == "balance" else HEAD + "  - {id: a, workflow: open}\n"
     session = session_of(tmp_path, lab, Rehearsal(), recipe)
     bench = Bench.last

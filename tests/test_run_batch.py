@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from running import Ran, dry_run, make_lab
 
+from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
 from scuhand_bt.run.batch import EXIT_CELL_FAULT, EXIT_FLAGGED, EXIT_INTERRUPTED, EXIT_OK
-from scuhand_bt.run.export import canonical
-from scuhand_bt.run.reading import read
 
 ONE_DOSE = """
 recipe: one

@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.rig import BAY, DISH, MORTAR, PAN, shipped_powders
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.interfaces import Joints, Operator
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose

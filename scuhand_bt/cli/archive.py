@@ -19,7 +19,7 @@ from scuhand_bt.cli.shared import EXIT_BAD_INPUT, EXIT_CELL_FAULT, JsonFlag, Lab
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scuhand_bt.run.reading import Contents
+    from scuhand_bt.journal.reader import Contents
 
 EXIT_ALTERED = EXIT_CELL_FAULT
 JournalArgument = Annotated[
@@ -41,7 +41,7 @@ def find_journal(run: str, lab: Path | None) -> Path:
 @app.command()
 def runs(as_json: JsonFlag = False, lab: LabOption = None) -> None:
     """List the lab's runs, the newest first: what each was, in what state it is, and how many samples are good."""
-    from scuhand_bt.run.archive import summaries
+    from scuhand_bt.journal.archive import summaries
 
     found = summaries(runs_folder(lab))
     if as_json:
@@ -66,9 +66,9 @@ def show(
     lab: LabOption = None,
 ) -> None:
     """Tell what happened in a run: every action, dose, question, pause and fault, and whether its journal is whole."""
-    from scuhand_bt.run.archive import frames as frames_of
-    from scuhand_bt.run.archive import story
-    from scuhand_bt.run.reading import open_contents
+    from scuhand_bt.journal.archive import frames as frames_of
+    from scuhand_bt.journal.archive import story
+    from scuhand_bt.journal.reader import open_contents
 
     parts: list[RenderableType] = []
     with open_contents(find_journal(run, lab)) as contents:
@@ -84,7 +84,7 @@ def show(
 
 
 def _told(story: Any) -> "Iterator[RenderableType]":
-    from scuhand_bt.live import doses_table
+    from scuhand_bt.report.live import doses_table
     from scuhand_bt.report.run_story import chain_line, header_lines, told
     from scuhand_bt.run.batch import restored
 
@@ -111,8 +111,8 @@ def verify(
     lab: LabOption = None,
 ) -> None:
     """Find out whether a journal is as it was written: every entry there, and none altered."""
-    from scuhand_bt.run.archive import summary_of
-    from scuhand_bt.run.reading import open_contents
+    from scuhand_bt.journal.archive import summary_of
+    from scuhand_bt.journal.reader import open_contents
 
     expected = head.strip().lower() if head is not None else None
     if expected is not None and not re.fullmatch("[0-9a-f]{64}", expected):
@@ -154,7 +154,7 @@ def export(
     lab: LabOption = None,
 ) -> None:
     """Write a run's weighing record (CSV, for an audit or a spreadsheet) or its canonical export (JSON)."""
-    from scuhand_bt.run.reading import open_contents
+    from scuhand_bt.journal.reader import open_contents
 
     if as_csv == as_json:
         raise typer.BadParameter("one of them says what to write", param_hint="--csv/--json")
@@ -176,7 +176,7 @@ def export(
 
 
 def _exported(contents: "Contents", *, as_csv: bool) -> str:
+    from scuhand_bt.journal.export import canonical_of
     from scuhand_bt.report.weighing_record import weighing_record
-    from scuhand_bt.run.export import canonical_of
 
     return weighing_record(contents) if as_csv else canonical_of(contents)

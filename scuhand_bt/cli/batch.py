@@ -30,7 +30,7 @@ from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
-    from scuhand_bt.plan import Plan
+    from scuhand_bt.recipe.plan import Plan
     from scuhand_bt.run.batch import BatchResult
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.session import Session
@@ -53,8 +53,8 @@ def run(
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
+    from scuhand_bt.run.make_cell import DryRun, Rehearsal
     from scuhand_bt.run.session import Options, Session
-    from scuhand_bt.run.setup import DryRun, Rehearsal
     from scuhand_bt.sim.fault_rules import read_faults
 
     if speed is not None and not 0 < speed < float("inf"):
@@ -84,9 +84,9 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
 
     Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample.
     """
-    from scuhand_bt.live import doses_table, end_line
+    from scuhand_bt.journal.export import canonical
+    from scuhand_bt.report.live import doses_table, end_line
     from scuhand_bt.run.control import Control
-    from scuhand_bt.run.export import canonical
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
@@ -121,7 +121,7 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
 
 def _watched(session: "Session") -> "BatchResult":
     """Run with the live view on a terminal, else with plain lines."""
-    from scuhand_bt.live import LiveView, PlainLines
+    from scuhand_bt.report.live import LiveView, PlainLines
 
     try:
         if out.is_terminal:
@@ -135,8 +135,8 @@ def _watched(session: "Session") -> "BatchResult":
 @app.command()
 def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Check a recipe, its tables and its workflows, without running anything."""
-    from scuhand_bt.plan import make_plan
-    from scuhand_bt.recipe import load_recipe
+    from scuhand_bt.recipe.plan import make_plan
+    from scuhand_bt.recipe.recipe import load_recipe
 
     try:
         loaded = the_lab(lab, recipe)
@@ -230,8 +230,8 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
 def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
     from scuhand_bt.lab import state_folder, without_driver
-    from scuhand_bt.run.doubts import doubts
-    from scuhand_bt.run.inventory import Inventory
+    from scuhand_bt.lab_state.inventory import Inventory
+    from scuhand_bt.run.inventory_conflicts import doubts
 
     problems = without_driver(lab)
     try:
@@ -247,8 +247,8 @@ def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
 
 def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
     """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
-    from scuhand_bt.plan import make_plan
-    from scuhand_bt.recipe import load_recipe
+    from scuhand_bt.recipe.plan import make_plan
+    from scuhand_bt.recipe.recipe import load_recipe
 
     lab = the_lab(folder, recipe)
     return make_plan(load_recipe(recipe, lab), lab), lab

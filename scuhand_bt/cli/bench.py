@@ -67,8 +67,8 @@ def doctor(
     from contextlib import nullcontext
     from dataclasses import asdict
 
+    from scuhand_bt.devices.doctor import examine
     from scuhand_bt.run.clock import WallClock
-    from scuhand_bt.run.doctor import examine
 
     loaded = the_lab(lab)
     bench = _bench(loaded) if twins else None
@@ -107,7 +107,7 @@ def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
 
 def _bench(lab: "Lab", seed: int = 0, faults: "FaultFile | None" = None) -> "WireBench":
     """The twins of a lab's cell; ends with a message where they cannot be made."""
-    from scuhand_bt.run.setup import bench_of
+    from scuhand_bt.run.make_cell import bench_of
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 

@@ -66,7 +66,7 @@ def trees(name: NameArgument = None, lab: LabOption = None) -> None:
 def powders(lab: LabOption = None) -> None:
     """Show what the lab believes of its powders and its balance, and which run taught it."""
     from scuhand_bt.lab import state_folder
-    from scuhand_bt.run.learnt import LabState
+    from scuhand_bt.lab_state.beliefs import LabState
 
     loaded = the_lab(lab)
     state = LabState(state_folder(loaded))

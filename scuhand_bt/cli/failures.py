@@ -15,7 +15,7 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     """Explain a failure code: meaning, remedy, who raises it, what a recipe can do about it; or list all of them."""
     from scuhand_bt.failures import CATALOGUE
     from scuhand_bt.lab import raised_codes
-    from scuhand_bt.recipe import ACTIONS, DEFAULT_ON_FAILURE
+    from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
     from scuhand_bt.tree.grammar import Decorator, walk
 
     loaded = the_lab(lab)

@@ -13,7 +13,7 @@ from scuhand_bt.quantity import MASS, parse
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
-    from scuhand_bt.run.inventory import Entry, Inventory, Kind, Stock
+    from scuhand_bt.lab_state.inventory import Entry, Inventory, Kind, Stock
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="inventory")
@@ -83,7 +83,7 @@ def set_entry(
 
 def _entry(kind: "Kind", name: str, value: str, powder: str | None, lot: str | None, stock: "Stock") -> "Entry":
     """The entry that an operator means; what is left out stays as it is known."""
-    from scuhand_bt.run.inventory import Entry
+    from scuhand_bt.lab_state.inventory import Entry
 
     known = stock.get((kind, name))
     if kind in ("changer", "container"):
@@ -139,6 +139,6 @@ def try_notification(lab: LabOption = None) -> None:
 
 def _inventory(lab: "Lab") -> "Inventory":
     from scuhand_bt.lab import state_folder
-    from scuhand_bt.run.inventory import Inventory
+    from scuhand_bt.lab_state.inventory import Inventory
 
     return Inventory(state_folder(lab), lab.cell.cell)

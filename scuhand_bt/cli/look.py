@@ -86,8 +86,8 @@ def plot(
 
     Of a sample that was dosed again, the last container's.
     """
+    from scuhand_bt.journal.reader import open_contents
     from scuhand_bt.report.dose_plot import plot_dose
-    from scuhand_bt.run.reading import open_contents
 
     path = output or Path(f"{sample}.png")
     if path.suffix.lower() not in (".png", ".svg"):
@@ -111,7 +111,7 @@ def plot(
 
 def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str | None) -> float | None:
     """What a run would carry a load of a powder within, and no more than `gentle`; None for an empty cone."""
-    from scuhand_bt.devices.cell import carrying_limit_deg
+    from scuhand_bt.cell.cell import carrying_limit_deg
     from scuhand_bt.dosing.cone import Cone
     from scuhand_bt.motion.planner import CONE_DIAMETER_M
     from scuhand_bt.quantity import ANGLE, MASS, parse
@@ -141,7 +141,7 @@ def _planner(lab: "Lab", container: str | None) -> "tuple[MotionPlanner, dict[st
     """The lab's cell with a mortar at every mortar station; and the apex positions [m] (3,) of all stations."""
     import numpy as np
 
-    from scuhand_bt.devices.places import at_station, over_balance, over_mortar
+    from scuhand_bt.cell.places import at_station, over_balance, over_mortar
     from scuhand_bt.motion import ApexPose
 
     kind = lab.library.containers.get(container or "")

@@ -12,8 +12,8 @@ from scuhand_bt.cli.shared import EXIT_BAD_INPUT, LabOption, app, err, out
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
+    from scuhand_bt.journal.history import History
     from scuhand_bt.run.control import Control, Wish
-    from scuhand_bt.run.history import History
     from scuhand_bt.run.session import Session
 
 RunArgument = Annotated[

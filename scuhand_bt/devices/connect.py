@@ -8,7 +8,7 @@ from scuhand_bt.clock import Clock, Signal
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain
+from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis

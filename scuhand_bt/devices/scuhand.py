@@ -11,7 +11,7 @@ from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import Axis
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain, fault_of
+from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import FAULTS
 from scuhand_bt.devices.interfaces import Joints

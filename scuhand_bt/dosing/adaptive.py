@@ -17,7 +17,7 @@ import math
 from collections.abc import Generator
 
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Settle, Stream
-from scuhand_bt.dosing.knowledge import SLACK_S, Knowledge
+from scuhand_bt.dosing.dose_state import SLACK_S, Knowledge
 from scuhand_bt.dosing.opening import Opening
 from scuhand_bt.dosing.pulses import pulses
 

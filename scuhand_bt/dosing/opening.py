@@ -12,7 +12,7 @@ from collections.abc import Generator
 from typing import Literal
 
 from scuhand_bt.dosing.controller import Command, Observation
-from scuhand_bt.dosing.knowledge import FULL, GENTLE, SLACK_S, Knowledge
+from scuhand_bt.dosing.dose_state import FULL, GENTLE, SLACK_S, Knowledge
 
 Ended = Literal["reached", "surprise", "dry"]
 """Closed on the prediction; shut on readings far above it; nothing came at last."""

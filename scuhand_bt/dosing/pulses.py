@@ -3,7 +3,7 @@
 from collections.abc import Generator
 
 from scuhand_bt.dosing.controller import Command, Finish, Observation, Pulse, Settle
-from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
+from scuhand_bt.dosing.dose_state import FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.risk import within
 
 BARREN_SHARE = 0.2

@@ -26,8 +26,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from scuhand_bt.motion.bound import MotionBound
 from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, apex
+from scuhand_bt.motion.swept_bound import MotionBound
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 

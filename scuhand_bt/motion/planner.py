@@ -24,8 +24,7 @@ import numpy as np
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import contact as contact_path
-from scuhand_bt.motion import surroundings, transfer
-from scuhand_bt.motion.chain import Chain
+from scuhand_bt.motion import cell_solids, transfer
 from scuhand_bt.motion.collision import Arm, Scene, Solid
 from scuhand_bt.motion.inverse import along, finest, solutions, swivel_of, unreachable_reason
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, apex, checked_joints
@@ -35,6 +34,7 @@ from scuhand_bt.motion.stopping import Rest, Stop, stop
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
+from scuhand_bt.motion.via_points import Chain
 from scuhand_bt.specs import ContainerKind, Mortar
 
 CONE_DIAMETER_M = 0.090
@@ -89,7 +89,7 @@ class MotionPlanner:
         self._mortars = dict(mortars or {})
         for name in self._mortars:
             self._station(name)
-        self._bench = surroundings.bench(cell)
+        self._bench = cell_solids.bench(cell)
         self._threads = threads
         self._offset_m = cell.hand.apex_offset_mm / 1e3
         rates, speed = self._arm.rates, cell.arm.speed_ratio
@@ -407,11 +407,11 @@ class MotionPlanner:
         touchable: list[str] = []
         for name, mortar in self._mortars.items():
             if name == geometry.touching:
-                parts = surroundings.hollow_mortar(self._station(name), mortar)
+                parts = cell_solids.hollow_mortar(self._station(name), mortar)
                 touchable = [part.name for part in parts]
                 solids += parts
             else:
-                solids.append(surroundings.full_mortar(self._station(name), mortar))
+                solids.append(cell_solids.full_mortar(self._station(name), mortar))
         if geometry.container is not None:
-            solids.append(surroundings.container(self._cell.station_of_kind("balance"), geometry.container))
+            solids.append(cell_solids.container(self._cell.station_of_kind("balance"), geometry.container))
         return solids, touchable

@@ -17,13 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.motion.chain import Chain, Shaper
-from scuhand_bt.motion.charts import Chart, JointChart, LevelChart
 from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.coordinates import Chart, JointChart, LevelChart
+from scuhand_bt.motion.joint_schedules import Scheduler
 from scuhand_bt.motion.kinematics import Floats
-from scuhand_bt.motion.roadmap import Space, connect, shortened
-from scuhand_bt.motion.staggered import Scheduler
+from scuhand_bt.motion.rrt_connect import Space, connect, shortened
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
+from scuhand_bt.motion.via_points import Chain, Shaper
 
 _GIVEN_UP = 6
 """Rounds of staggered motions that find none, after which an empty cone's way is looked for otherwise."""

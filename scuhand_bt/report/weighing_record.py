@@ -9,7 +9,7 @@ import io
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from scuhand_bt.run.reading import Contents
+from scuhand_bt.journal.reader import Contents
 
 CONVENTION = (
     "absolute; in tolerance means |net - target| <= tolerance - 2 standard uncertainties of the net mass (guard band), "

@@ -7,22 +7,22 @@ from typing import Any, Literal
 
 from py_trees.behaviour import Behaviour
 
+from scuhand_bt.cell.cell import Cell, DoseSoFar
 from scuhand_bt.clock import Steps
-from scuhand_bt.devices.cell import Cell, DoseSoFar
-from scuhand_bt.plan import AFTER_FAILURE, Job, Plan
+from scuhand_bt.journal.history import STOPPED, History, read_history
+from scuhand_bt.journal.writer import Journal
+from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan
+from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.history import STOPPED, History, read_history
-from scuhand_bt.run.journal import Journal
 from scuhand_bt.run.runner import Outcome, Runner
-from scuhand_bt.sample import Sample
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
-from scuhand_bt.tree.past import Past
+from scuhand_bt.tree.replay import Past
 
 Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interrupted", "not run"]
 

@@ -10,8 +10,8 @@ faults there are two that only the readings tell:
 import math
 from collections import deque
 
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
-from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.skill import DEVICES

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import scuhand_bt
+from scuhand_bt.journal.hash_chain import NO_ENTRY
+from scuhand_bt.journal.history import History, history_of
+from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.writer import SCHEMA_VERSION
 from scuhand_bt.lab import Lab
-from scuhand_bt.plan import Plan
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.run.chain import NO_ENTRY
-from scuhand_bt.run.history import History, history_of
-from scuhand_bt.run.journal import SCHEMA_VERSION
-from scuhand_bt.run.reading import open_contents
+from scuhand_bt.recipe.plan import Plan
 
 LAB_FOLDERS = ("robot", "skills", "trees")
 

@@ -9,19 +9,19 @@ from typing import Any, Literal, Protocol, TypeVar, cast
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
-from scuhand_bt.devices.cell import Cell
-from scuhand_bt.plan import Job
+from scuhand_bt.journal.writer import FLUSH_S, Journal, to_json
+from scuhand_bt.recipe.plan import Job
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.journal import FLUSH_S, Journal, to_json
 from scuhand_bt.skill import DEVICES, SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.nodes import failure_of
-from scuhand_bt.tree.past import Decision, Past
+from scuhand_bt.tree.replay import Decision, Past
 
 SAFE_TIMEOUT_S = 20.0
 """How long the cell may take to stand still after it was told to stop."""

@@ -12,25 +12,25 @@ from pathlib import Path
 from typing import Any
 
 import scuhand_bt
-from scuhand_bt.devices.cell import Cell
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.dosing import CONTROLLERS
+from scuhand_bt.journal.history import History
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
+from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.plan import Plan, check_unattended
 from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
+from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, Held, Presence
-from scuhand_bt.run.doubts import corrections, doubts, recall, require_settled, settle
-from scuhand_bt.run.history import History
-from scuhand_bt.run.inventory import Inventory
-from scuhand_bt.run.journal import Journal
-from scuhand_bt.run.learnt import LabState
+from scuhand_bt.run.inventory_conflicts import corrections, doubts, recall, require_settled, settle
+from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, Notifier, State
 from scuhand_bt.run.operator import user_name
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
-from scuhand_bt.run.setup import DryRun, Rehearsal, Simulation, set_up
-from scuhand_bt.run.state import state_of, take_up
 from scuhand_bt.sim.fault_rules import parse_faults
 
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock
-from scuhand_bt.devices.cell import Cell
 from scuhand_bt.devices.interfaces import Changer, Joints, Operator
 from scuhand_bt.record import Record
 from scuhand_bt.sim.arm import Pose, SimulatedArm

@@ -16,11 +16,11 @@ from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
-from scuhand_bt.sim.matter import Matter
+from scuhand_bt.sim.mass_ledger import Matter
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant, PowderFlow
 from scuhand_bt.sim.scoop import Stroke
-from scuhand_bt.sim.surroundings import Surroundings
+from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.specs import Source
 
 POUR_TIME_S = 0.15

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.matter import Matter
+from scuhand_bt.sim.mass_ledger import Matter
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.specs import Container
 

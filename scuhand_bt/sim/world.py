@@ -18,12 +18,12 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
-from scuhand_bt.sim.matter import Matter
-from scuhand_bt.sim.memory import Memory
+from scuhand_bt.sim.mass_ledger import Matter
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
-from scuhand_bt.sim.surroundings import Surroundings
+from scuhand_bt.sim.snapshot import Memory
+from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.sim.world_file import broken
 from scuhand_bt.specs import Container, Source
 
@@ -69,7 +69,7 @@ class World:
 
     @property
     def masses_mg(self) -> dict[str, float]:
-        """What is in every compartment [mg]; see `scuhand_bt.sim.matter`."""
+        """What is in every compartment [mg]; see `scuhand_bt.sim.mass_ledger`."""
         return self.matter.masses_mg
 
     def true_mass(self, container_id: str) -> float:

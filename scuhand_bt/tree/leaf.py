@@ -7,13 +7,13 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from pydantic import ValidationError
 
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Signal, Steps, Wake
-from scuhand_bt.devices.cell import Cell
 from scuhand_bt.failures import CATALOGUE
 from scuhand_bt.record import RecordLost
 from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.past import ENDED, REJOINING, Decision, Past, Recorded, rejoin, settle
+from scuhand_bt.tree.replay import ENDED, REJOINING, Decision, Past, Recorded, rejoin, settle
 from scuhand_bt.tree.wires import in_words
 
 LEASE_TIMEOUT_S = 10.0

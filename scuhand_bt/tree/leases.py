@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
-from scuhand_bt.devices.cell import Cell
 
 
 class Leases:

@@ -16,7 +16,7 @@ from py_trees.decorators import Decorator
 from scuhand_bt.clock import Wake
 from scuhand_bt.skill import Condition, SkillFailed
 from scuhand_bt.tree.leaf import Arguments, Ticking, bug_of, is_explained, is_stuck, made, unexplained
-from scuhand_bt.tree.past import Decision
+from scuhand_bt.tree.replay import Decision
 
 
 class Guard(Behaviour):

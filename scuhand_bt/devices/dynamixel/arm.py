@@ -11,8 +11,8 @@ import numpy as np
 from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.devices.dynamixel.axes import Axis
-from scuhand_bt.devices.dynamixel.chain import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.dynamixel.registers import XM430, XM540
+from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import SkillFailed
 

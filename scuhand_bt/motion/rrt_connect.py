@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scuhand_bt.motion.charts import Chart, JointChart
 from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.coordinates import Chart, JointChart
 from scuhand_bt.motion.kinematics import Floats, apex_positions_m
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 

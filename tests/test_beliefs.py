@@ -7,7 +7,7 @@ import pytest
 from conftest import LabFolder
 from running import dry_run
 
-from scuhand_bt.run.learnt import LabState
+from scuhand_bt.lab_state.beliefs import LabState
 
 CHARACTERISE = """
 recipe: characterise

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from scuhand_bt.motion.staggered import Schedules, jerk_steps, positions
+from scuhand_bt.motion.joint_schedules import Schedules, jerk_steps, positions
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import of_jerk_steps
 

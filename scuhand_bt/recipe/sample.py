@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from scuhand_bt.cell import places
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec
-from scuhand_bt.devices import places
 from scuhand_bt.motion import ApexPose, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass

@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from scuhand_bt.devices.cell import Believed, Cell
+from scuhand_bt.cell.cell import Believed, Cell
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 _BELIEVED = TypeAdapter(Believed)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.run.journal import to_json
-from scuhand_bt.run.reading import open_contents
+from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.writer import to_json
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Dose
-from scuhand_bt.tree.past import Decision, Key, Past, Recorded
+from scuhand_bt.tree.replay import Decision, Key, Past, Recorded
 
 STOPPED = "stopped"
 """The outcome of a job whose failure ended the run: it is taken up again where it failed."""

@@ -6,8 +6,8 @@ from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
-from scuhand_bt.recipe import Recipe
-from scuhand_bt.sample import Sample, demand_mg
+from scuhand_bt.recipe.recipe import Recipe
+from scuhand_bt.recipe.sample import Sample, demand_mg
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs
 from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.motion.charts import JointChart
+from scuhand_bt.motion.coordinates import JointChart
 from scuhand_bt.motion.kinematics import Floats
-from scuhand_bt.motion.roadmap import Space
+from scuhand_bt.motion.rrt_connect import Space
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, through

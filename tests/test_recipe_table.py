@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt.problems import Mark, Problems
-from scuhand_bt.table import read_table
+from scuhand_bt.recipe.table import read_table
 from scuhand_bt.yaml_source import plain
 
 ASKED = Mark("recipe.yaml", 7, 3)

@@ -9,17 +9,17 @@ from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.cell.cell import Cell, carrying_limit_deg
+from scuhand_bt.cell.places import Position, all_places, over_balance
 from scuhand_bt.clock import Clock
-from scuhand_bt.devices.cell import Cell, carrying_limit_deg
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
-from scuhand_bt.devices.places import Position, all_places, over_balance
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.planner import CONE_DIAMETER_M
-from scuhand_bt.plan import Plan
 from scuhand_bt.problems import SourceError
+from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import Nobody, OperatorChanger, SimulatedOperator, TerminalOperator

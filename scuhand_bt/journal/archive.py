@@ -9,10 +9,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.run.batch import EXIT_INTERRUPTED
 from scuhand_bt.run.control import is_held
-from scuhand_bt.run.reading import Contents, open_journal
 
 State = Literal["running", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"]
 

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from running import Ran, dry_run, make_lab
 
-from scuhand_bt.run.export import canonical
+from scuhand_bt.journal.export import canonical
 
 SOURCES = ("beads", "msg")
 CONTAINERS = {"xrd_holder": 100, "pellet_die_13mm": 900, "alumina_crucible": 2500}

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
-from scuhand_bt.devices.cell import Cell
 from scuhand_bt.motion import apex
 from scuhand_bt.skill import Skill, SkillFailed
 

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.run.reading import Contents, open_contents
+from scuhand_bt.journal.reader import Contents, open_contents
 
 DECIMALS = 6
 RUN_KEYS = ("recipe", "recipe_hash", "seed", "simulated", "mode", "plant", "controller", "version")

@@ -21,11 +21,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.motion.chain import Chain, Shaper
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
-from scuhand_bt.motion.roadmap import Space
+from scuhand_bt.motion.rrt_connect import Space
 from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
+from scuhand_bt.motion.via_points import Chain, Shaper
 
 _PROPOSALS = 160
 _LOOKS = tuple(

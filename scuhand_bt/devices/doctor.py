@@ -22,7 +22,7 @@ from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.bus import BusError, DynamixelBus
-from scuhand_bt.devices.dynamixel.chain import HOT_MARGIN_C
+from scuhand_bt.devices.dynamixel.servo_loop import HOT_MARGIN_C
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.scuhand import roller_axis
 from scuhand_bt.failures import CATALOGUE, SkillFailed

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
+from scuhand_bt.journal.migrations import MIGRATIONS, in_memory
+from scuhand_bt.journal.writer import SCHEMA_VERSION
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.run.chain import COLUMNS, Entry, Verified, verify
-from scuhand_bt.run.journal import SCHEMA_VERSION
-from scuhand_bt.run.migrations import MIGRATIONS, in_memory
 
 _JSON_COLUMNS = ("inputs", "result", "payload", "state")
 

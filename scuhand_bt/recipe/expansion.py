@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from scuhand_bt.problems import Mark, Problems
-from scuhand_bt.table import read_table
+from scuhand_bt.recipe.table import read_table
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
 MAX_SAMPLES = 20_000

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from scuhand_bt.cell.cell import Believed, Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps
-from scuhand_bt.devices.cell import Believed, Cell
-from scuhand_bt.plan import Plan
+from scuhand_bt.lab_state.inventory import Entry, Stock
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.run.inventory import Entry, Stock
+from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Source
 

@@ -11,10 +11,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
-from scuhand_bt.devices.cell import Cell
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.lab_state.lab_db import lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.run.lab_db import lab_db
 from scuhand_bt.run.operator import user_name
 
 Kind = Literal["station", "cone", "sheet", "changer", "container"]

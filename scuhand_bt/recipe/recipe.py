@@ -9,11 +9,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from scuhand_bt.expansion import MAX_SAMPLES, expand
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
-from scuhand_bt.sample import Sample, check_demand, check_reach, check_sample, check_source
+from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
+from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
 from scuhand_bt.specs import Container, Positive, Source, Spec
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal

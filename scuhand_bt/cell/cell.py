@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from scuhand_bt.cell.places import Position
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Trajectory
-from scuhand_bt.devices.places import Position
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
@@ -82,7 +82,7 @@ class Cell:
     sources: Mapping[str, Source]
     simulated: bool
     places_mm: Mapping[str, Position] = field(default_factory=dict)
-    """The named places of this run (`devices/places.py`)."""
+    """The named places of this run (`cell/places.py`)."""
     believed: Believed = field(default_factory=Believed)
     begin_sample: Callable[[str, int], None] = lambda sample, attempt: None
     """Told at the start of each job (sample id, attempt); the simulation draws its randomness by it."""

@@ -10,9 +10,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from scuhand_bt.devices.cell import Cell
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.lab_state.lab_db import lab_db
 from scuhand_bt.problems import SourceError
-from scuhand_bt.run.lab_db import lab_db
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 B = TypeVar("B", PowderBelief, BalanceBelief)

@@ -14,9 +14,9 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.devices.cell import Cell
-from scuhand_bt.plan import Job, Plan
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.run.batch import BatchObserver, BatchResult, SampleResult
 from scuhand_bt.run.control import Control
 

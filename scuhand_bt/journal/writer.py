@@ -1,6 +1,6 @@
 """The journal: one SQLite file per run, written before an action starts and after it ends.
 
-It is one table of entries, which are only ever added, and chained by their hashes (`run/chain.py`). What a
+It is one table of entries, which are only ever added, and chained by their hashes (`journal/hash_chain.py`). What a
 reader would rather see (jobs, actions, pulses, doses, events) are views of it.
 """
 
@@ -21,8 +21,8 @@ import numpy as np
 from pydantic import BaseModel
 
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.record import RecordLost
-from scuhand_bt.run.chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.specs import Container, Dose, Powder, Source
 
 SCHEMA_VERSION = 2

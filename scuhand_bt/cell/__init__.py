@@ -1,0 +1,1 @@
+"""The cell as skills see it: its devices, what it is believed to hold, its named places, and the dose loop."""

@@ -1,0 +1,1 @@
+"""A recipe, from its text and tables to the samples and jobs of a plan."""
