@@ -43,7 +43,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver, SampleResult, Verdict
-from scuhand_bt.run.inventory_conflicts import doubts
+from scuhand_bt.run.inventory_conflicts import conflicts
 from scuhand_bt.run.make_cell import DryRun, places_of, prepared_motion
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.fault_rules import FaultFile, read_faults
@@ -130,7 +130,7 @@ class Judge:
             recipe = load_recipe(self._folder / mutant.recipe, lab)
             plan = make_plan(recipe, lab)
             without_driver(lab)
-            doubts(plan, lab.cell, {})
+            conflicts(plan, lab.cell, {})
             faults = read_faults(self._folder / mutant.faults) if mutant.faults is not None else None
             return self._run(plan, lab, faults)
         except SourceError as error:

@@ -117,7 +117,7 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
         end_s = clock.now_s + shut_s + SLACK_S + WATCH_LAGS * cell.spec.balance.simulation.lag_s
         while clock.now_s < end_s:
             yield Wake(end_s)
-        mean = yield from cell.balance.settled()
+        mean = yield from cell.balance.stable_mean()
         error_mg = world.true_mass(container) - request.target_mg
         if quiet_s > 30.0:
             reason = "no_flow"

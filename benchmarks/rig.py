@@ -158,7 +158,7 @@ class Bench:
 
     def dose(self, name: str, belief: PowderBelief, balance: BalanceBelief) -> tuple[Trial, DoseRun | None]:
         """One dose by a controller's name; `oracle` is given the true mass."""
-        empty_mg = self.drive(self.cell.balance.settled(60.0)).value_mg
+        empty_mg = self.drive(self.cell.balance.stable_mean(60.0)).value_mg
         request = self.request(belief, balance)
         if name == "oracle":
             steps = run_oracle(Oracle(request), self.cell, self.world, DISH.id)

@@ -2,6 +2,8 @@
 
 import sys
 
+from scuhand_bt.exit_codes import ExitCode
+
 
 def main() -> None:
     """The command line; the exit code says how it went."""
@@ -11,7 +13,7 @@ def main() -> None:
         cli.main()
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(ExitCode.INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,44 @@ codes of its own (`Skill.failures`).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Code(StrEnum):
+    """The codes of the shared catalogue, as they stand in recipes, workflows and journals."""
+
+    ARM_NO_PATH = "arm.no_path"
+    ARM_UNREACHABLE = "arm.unreachable"
+    ARM_START_IN_COLLISION = "arm.start_in_collision"
+    ARM_JOINT_LIMIT = "arm.joint_limit"
+    ARM_IN_THE_WAY = "arm.in_the_way"
+    ARM_NOT_FOLLOWING = "arm.not_following"
+    SERVO_OVERLOAD = "servo.overload"
+    DEVICE_LOST = "device.lost"
+    DEVICE_BUSY = "device.busy"
+    DEVICE_EMERGENCY_STOP = "device.emergency_stop"
+    BALANCE_UNSTABLE = "balance.unstable"
+    BALANCE_OVERLOAD = "balance.overload"
+    CONTAINER_MISSING = "container.missing"
+    CONTAINER_MOVED = "container.moved"
+    CONTAINER_WRONG_MASS = "container.wrong_mass"
+    CONTAINER_TOO_SMALL = "container.too_small"
+    HAND_CONE_EMPTY = "hand.cone_empty"
+    HAND_WRONG_POWDER = "hand.wrong_powder"
+    HAND_NO_FLOW = "hand.no_flow"
+    HAND_VALVE_STUCK = "hand.valve_stuck"
+    HAND_LEAK = "hand.leak"
+    SCOOP_NOTHING = "scoop.nothing"
+    SOURCE_EMPTY = "source.empty"
+    DOSE_OVERSHOOT = "dose.overshoot"
+    DOSE_RUNAWAY = "dose.runaway"
+    DOSE_NOT_REACHED = "dose.not_reached"
+    DOSE_TOO_SMALL = "dose.too_small"
+    OPERATOR_REFUSED = "operator.refused"
+    OPERATOR_ABSENT = "operator.absent"
+    WORKFLOW_TIMEOUT = "workflow.timeout"
+    WORKFLOW_BAD_VALUE = "workflow.bad_value"
+    WORKFLOW_INVERTED = "workflow.inverted"
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,6 +52,8 @@ class Failure:
 
     meaning: str
     remedy: str
+    raised_in: tuple[str, ...] = ()
+    """The rooms of the engine that raise it, within any skill; what a skill itself raises is in its `raises`."""
 
 
 class SkillFailed(Exception):  # noqa: N818 - it reads as the sentence it is raised in
@@ -24,137 +64,157 @@ class SkillFailed(Exception):  # noqa: N818 - it reads as the sentence it is rai
 
     def __init__(self, code: str, detail: str) -> None:
         super().__init__(f"{code}: {detail}")
-        self.code = code
+        self.code = str(code)
         self.detail = detail
 
 
 CATALOGUE: Mapping[str, Failure] = {
-    "arm.no_path": Failure(
+    Code.ARM_NO_PATH: Failure(
         "No collision-free way to the station was found.",
         "Move the station or the obstacle in robot/cell.yaml, or free the way.",
+        ("motion",),
     ),
-    "arm.unreachable": Failure(
+    Code.ARM_UNREACHABLE: Failure(
         "No joint angles put the cone's apex at this pose.",
         "Move the station nearer to the arm; `scuhand-bt reach` draws what can be reached.",
+        ("motion",),
     ),
-    "arm.start_in_collision": Failure(
+    Code.ARM_START_IN_COLLISION: Failure(
         "The arm touches something (in the model) where it stands.",
         "Move the arm clear by hand, or correct the geometry in robot/cell.yaml.",
+        ("motion",),
     ),
-    "arm.joint_limit": Failure(
+    Code.ARM_JOINT_LIMIT: Failure(
         "A joint is, or would go, beyond its limit.",
         "Move the joint back inside its range by hand and start again.",
+        ("motion", "devices"),
     ),
-    "arm.in_the_way": Failure(
+    Code.ARM_IN_THE_WAY: Failure(
         "The arm stands over the pan while a container is to be changed.",
         "Put `park:` before `place_container` in the workflow.",
     ),
-    "arm.not_following": Failure(
+    Code.ARM_NOT_FOLLOWING: Failure(
         "The arm is not where its trajectory says it should be.",
         "Look for what blocks it; check the servos' temperatures and supply.",
+        ("devices",),
     ),
-    "servo.overload": Failure(
+    Code.SERVO_OVERLOAD: Failure(
         "A servo has shut down on overload or heat.",
         "Free the arm, let it cool, reboot the servo.",
+        ("devices",),
     ),
-    "device.lost": Failure(
+    Code.DEVICE_LOST: Failure(
         "A device no longer answers.",
         "Check its cable and supply, then start again.",
+        ("devices",),
     ),
-    "device.busy": Failure(
+    Code.DEVICE_BUSY: Failure(
         "A device did not stop in the time it should.",
         "Look at the cell; if it stands still, start again.",
+        ("devices", "tree", "run"),
     ),
-    "device.emergency_stop": Failure(
+    Code.DEVICE_EMERGENCY_STOP: Failure(
         "The emergency stop is, or was, pressed: the valve closed and vibration stopped.",
         "Make the cell safe, release the emergency stop, and start again.",
+        ("devices",),
     ),
-    "balance.unstable": Failure(
+    Code.BALANCE_UNSTABLE: Failure(
         "The balance did not settle in time.",
         "Close the draft shield, look for vibration, fume-hood draughts or a touching container.",
+        ("devices",),
     ),
-    "balance.overload": Failure(
+    Code.BALANCE_OVERLOAD: Failure(
         "The load is beyond the balance's maximum.",
         "Take the load off; use a lighter container or insert.",
+        ("devices",),
     ),
-    "container.missing": Failure(
+    Code.CONTAINER_MISSING: Failure(
         "No container stands on the pan.",
         "Put the container on the pan, or fill the changer's slot.",
     ),
-    "container.moved": Failure(
+    Code.CONTAINER_MOVED: Failure(
         "The pan lost mass while a dose was going on.",
         "See whether the container was touched, tipped or taken away; begin its dose again with a new one.",
+        ("cell",),
     ),
-    "container.wrong_mass": Failure(
+    Code.CONTAINER_WRONG_MASS: Failure(
         "What was put on the pan does not weigh what this container should.",
         "Check that it is the right container, empty and clean; correct robot/containers.yaml if it changed.",
     ),
-    "container.too_small": Failure(
+    Code.CONTAINER_TOO_SMALL: Failure(
         "The mass does not fit into the container.",
         "Ask for less, or choose a larger container.",
     ),
-    "hand.cone_empty": Failure(
+    Code.HAND_CONE_EMPTY: Failure(
         "The cone gives no more powder.",
         "Scoop again (the shipped workflows do).",
     ),
-    "hand.wrong_powder": Failure(
+    Code.HAND_WRONG_POWDER: Failure(
         "The cone holds, or the sheet has touched, another powder.",
         "Discard or return what is in the cone and swap the sheet.",
     ),
-    "hand.no_flow": Failure(
+    Code.HAND_NO_FLOW: Failure(
         "The cone should hold powder, but none comes out, even with vibration.",
         "Look whether the scoop brought any; else for a bridge or a lump at the apex. Dry or sieve the powder.",
     ),
-    "hand.valve_stuck": Failure(
+    Code.HAND_VALVE_STUCK: Failure(
         "The valve does not move; powder may be running out of it.",
         "Hold a vessel under the cone, empty it by hand, and look for powder or a fold of the sheet in the valve.",
+        ("devices",),
     ),
-    "hand.leak": Failure(
+    Code.HAND_LEAK: Failure(
         "Powder runs onto the pan although the valve is shut.",
         "Hold a vessel under the cone and empty it; look for powder in the valve, or a fold or hole in the sheet.",
+        ("run",),
     ),
-    "scoop.nothing": Failure(
+    Code.SCOOP_NOTHING: Failure(
         "The scoop brought (almost) nothing.",
         "Check that the mortar holds powder and stands at its station.",
     ),
-    "source.empty": Failure(
+    Code.SOURCE_EMPTY: Failure(
         "The source holds less than a scoop can reach.",
         "Refill the mortar and correct the recipe's amount.",
     ),
-    "dose.overshoot": Failure(
+    Code.DOSE_OVERSHOOT: Failure(
         "More than the target plus its tolerance has been dispensed; it cannot be taken back.",
         "Discard and dose a new container, or accept the mass that was measured.",
     ),
-    "dose.runaway": Failure(
+    Code.DOSE_RUNAWAY: Failure(
         "Far more than the target is in the container, and the valve is still open.",
         "Discard the container's content; look whether the valve shuts, and whether the balance reads true.",
+        ("run",),
     ),
-    "dose.not_reached": Failure(
+    Code.DOSE_NOT_REACHED: Failure(
         "The dose stopped below its tolerance: the step limit was reached.",
         "Look at the powder's flow; raise the step limit or choose another controller.",
     ),
-    "dose.too_small": Failure(
+    Code.DOSE_TOO_SMALL: Failure(
         "The target or its tolerance is below what the balance can tell.",
         "Ask for a larger tolerance, or use a balance with a finer readability.",
     ),
-    "operator.refused": Failure(
+    Code.OPERATOR_REFUSED: Failure(
         "The operator answered no.",
         "Do what was asked, or change the recipe.",
+        ("run",),
     ),
-    "operator.absent": Failure(
+    Code.OPERATOR_ABSENT: Failure(
         "A person was needed and none was there.",
         "Run with a person at the cell, or use the container changer.",
+        ("run",),
     ),
-    "workflow.timeout": Failure(
+    Code.WORKFLOW_TIMEOUT: Failure(
         "A part of the workflow took longer than its `timeout` allows.",
         "Look at what it was waiting for; allow it more time if that was normal.",
+        ("tree",),
     ),
-    "workflow.bad_value": Failure(
+    Code.WORKFLOW_BAD_VALUE: Failure(
         "A value on a wire is outside what the skill accepts.",
         "Correct the recipe or the workflow that gave the value.",
+        ("tree",),
     ),
-    "workflow.inverted": Failure(
+    Code.WORKFLOW_INVERTED: Failure(
         "What stands under `invert` succeeded, and so `invert` failed.",
         "This is the workflow's own decision; see the workflow.",
+        ("tree",),
     ),
 }

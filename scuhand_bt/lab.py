@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from scuhand_bt.cell_spec import CellSpec, Station
-from scuhand_bt.failures import CATALOGUE, Failure, SkillFailed
+from scuhand_bt.failures import CATALOGUE, Code, Failure, SkillFailed
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.skill import DEVICES, Condition, Skill
 from scuhand_bt.specs import ContainerKind, Mortar, Powder, Spec
@@ -216,6 +216,10 @@ def _check_skill(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> Non
             problems.add(mark, f"'failures' of {name} is wrong", 'failures = {"device.what": Failure(meaning, remedy)}')
         elif code in CATALOGUE:
             problems.add(mark, f"'failures' of {name} has '{code}', which the catalogue has already", "name another")
+    for code in skill.raises if isinstance(skill.raises, tuple) else (None,):
+        if code not in CATALOGUE and code not in skill.failures:
+            what = f"'raises' of {name} is wrong: {shorten(str(code))} is no code of the catalogue or of 'failures'"
+            problems.add(mark, what, "raises = (Code.HAND_CONE_EMPTY,), with the comma")
     listed = {"devices": skill.devices}
     if issubclass(skill, Condition):
         listed["watches"] = skill.watches
@@ -231,21 +235,27 @@ def _check_skill(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> Non
                 problems.add(mark, what, unknown=str(device), known=DEVICES)
 
 
-def raised_codes(path: Path) -> dict[str, Mark]:
-    """The failure codes that a lab's file raises by name, and where; those put together at run time are not seen."""
+def _raised_codes(path: Path) -> dict[str, Mark]:
+    """The failure codes that a lab's file raises, and where; those put together at run time are not seen.
+
+    `Code.X` that there is not stands as it is written.
+    """
     codes: dict[str, Mark] = {}
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8-sig"))):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == SkillFailed.__name__:
             code = node.args[0] if node.args else None
             if isinstance(code, ast.Constant) and isinstance(code.value, str):
                 codes.setdefault(code.value, Mark(str(path), code.lineno, code.col_offset + 1))
+            elif isinstance(code, ast.Attribute) and ast.unparse(code.value) == Code.__name__:
+                name = Code.__members__.get(code.attr, ast.unparse(code))
+                codes.setdefault(name, Mark(str(path), code.lineno, code.col_offset + 1))
     return codes
 
 
 def _check_codes(library: Library, folder: Path, problems: Problems) -> None:
     """A skill may fail with what the catalogue or its own `failures` has, and with nothing else."""
     for name, skill in library.skills.items():
-        for code, mark in raised_codes(folder / "skills" / f"{name}.py").items():
+        for code, mark in _raised_codes(folder / "skills" / f"{name}.py").items():
             if code not in CATALOGUE and code not in skill.failures:
                 what = f"'{shorten(code)}' is no failure code of the catalogue, nor of this skill's own 'failures'"
                 hint = "`scuhand-bt explain` lists the catalogue; a code of its own stands in the skill's 'failures'"

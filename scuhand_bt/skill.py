@@ -30,10 +30,11 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
-from scuhand_bt.cell.cell import Believed, Cell
+from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
-from scuhand_bt.failures import Failure, SkillFailed
+from scuhand_bt.failures import Code, Failure, SkillFailed
 from scuhand_bt.quantity import (
     Degrees,
     Milligrams,
@@ -49,6 +50,7 @@ __all__ = [
     "Believed",
     "Cell",
     "Clock",
+    "Code",
     "Condition",
     "Container",
     "Degrees",
@@ -102,6 +104,8 @@ class Skill(BaseModel, Generic[R]):
     """The devices it commands, and so leases: of `DEVICES`."""
     failures: ClassVar[Mapping[str, Failure]] = {}
     """Failure codes of its own, beyond the shared catalogue."""
+    raises: ClassVar[tuple[str, ...]] = ()
+    """The codes that its own code fails with, beside those of the devices and the engine; `explain` tells them."""
     typical_s: ClassVar[float] = 5.0
     interrupted: ClassVar[Literal["repeat", "reweigh", "ask"]] = "ask"
     """How an action that had begun when the run was interrupted (a crash, a stop) is settled when it is resumed.

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Forecast, Skill, SkillFailed, Steps
 
 
 class AskOperator(Skill[None]):
     """Ask the operator to do or confirm something, and go on when it is done."""
 
+    raises = (Code.OPERATOR_REFUSED,)
     typical_s = 60.0
     interrupted = "repeat"
 
@@ -22,4 +23,4 @@ class AskOperator(Skill[None]):
     def run(self, cell: Cell) -> Steps[None]:
         answer = yield from cell.operator.ask(self.question)
         if answer != "done":
-            raise SkillFailed("operator.refused", self.question)
+            raise SkillFailed(Code.OPERATOR_REFUSED, self.question)

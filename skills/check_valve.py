@@ -15,6 +15,7 @@ class CheckValve(Skill[Millimetres]):
             "Look for powder in the valve; else calibrate `kClosedCount` in the firmware's hand_controller.ino.",
         )
     }
+    raises = ("hand.valve_zero",)
     typical_s = 10.0
     interrupted = "repeat"
 

@@ -5,12 +5,13 @@ from typing import Any, ClassVar
 
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.skill import Cell, Failure, Forecast, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Failure, Forecast, Milligrams, Skill, SkillFailed, Steps
 
 
 class CheckWeight(Skill[Milligrams]):
     """Have the operator put a check weight on the empty pan, and off again; gives how far off the balance is."""
 
+    raises = (Code.OPERATOR_REFUSED, "balance.inaccurate")
     devices = ("balance",)
     failures: ClassVar = {
         "balance.inaccurate": Failure(
@@ -29,10 +30,10 @@ class CheckWeight(Skill[Milligrams]):
         return Forecast(cls.typical_s, "put a check weight on the pan, and take it off again")
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        bare = yield from cell.balance.settled()
+        bare = yield from cell.balance.stable_mean()
         yield from self._ask(cell, f"Put the check weight of {format_mass(self.weight_mg)} on the empty pan.")
         cell.weight_on_pan(self.weight_mg)
-        loaded = yield from cell.balance.settled()
+        loaded = yield from cell.balance.stable_mean()
         yield from self._ask(cell, "Take the check weight off the pan.")
         cell.weight_on_pan(0.0)
         error_mg = loaded.value_mg - bare.value_mg - self.weight_mg
@@ -57,4 +58,4 @@ class CheckWeight(Skill[Milligrams]):
     def _ask(cell: Cell, request: str) -> Steps[None]:
         answer = yield from cell.operator.ask(request)
         if answer != "done":
-            raise SkillFailed("operator.refused", request)
+            raise SkillFailed(Code.OPERATOR_REFUSED, request)

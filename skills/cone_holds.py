@@ -1,11 +1,12 @@
 """Is there powder of the right kind in the cone?"""
 
-from scuhand_bt.skill import Cell, Condition, Milligrams, Powder, SkillFailed
+from scuhand_bt.skill import Cell, Code, Condition, Milligrams, Powder, SkillFailed
 
 
 class ConeHolds(Condition):
     """Hold if the cone is believed to contain this powder, and at least so much of it."""
 
+    raises = (Code.HAND_CONE_EMPTY, Code.HAND_WRONG_POWDER)
     watches = ("hand",)
 
     powder: Powder
@@ -15,6 +16,6 @@ class ConeHolds(Condition):
         believed = cell.believed
         source = cell.sources.get(believed.cone_source or "")
         if source is None or believed.cone_mg < self.at_least_mg:
-            raise SkillFailed("hand.cone_empty", f"the cone is believed to hold {believed.cone_mg:.0f} mg")
+            raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if source.powder.name != self.powder.name:
-            raise SkillFailed("hand.wrong_powder", f"the cone holds {source.powder.name}, not {self.powder.name}")
+            raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.powder.name}, not {self.powder.name}")

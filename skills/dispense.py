@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
-from scuhand_bt.skill import Cell, Dose, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Dose, Milligrams, Skill, SkillFailed, Steps
 
 ASIDE_MM = 2.0
 """The apex is taken to be over the container where it is no farther than this from its place."""
@@ -34,6 +34,16 @@ class Dispense(Skill[Dose]):
     What is in the container already counts: split doses add up to one target.
     """
 
+    raises = (
+        Code.BALANCE_UNSTABLE,
+        Code.CONTAINER_MISSING,
+        Code.CONTAINER_TOO_SMALL,
+        Code.DOSE_NOT_REACHED,
+        Code.DOSE_OVERSHOOT,
+        Code.DOSE_TOO_SMALL,
+        Code.HAND_CONE_EMPTY,
+        Code.HAND_NO_FLOW,
+    )
     devices = ("hand", "balance")
     typical_s = 30.0
     interrupted = "reweigh"
@@ -46,7 +56,7 @@ class Dispense(Skill[Dose]):
     def run(self, cell: Cell) -> Steps[Dose]:
         request, empty_mg = self._request(cell), cell.believed.pan_empty_mg
         if empty_mg is None:
-            raise SkillFailed("container.missing", "no container was weighed empty: `tare` comes before `dispense`")
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
             request = self._request(cell)
@@ -74,11 +84,11 @@ class Dispense(Skill[Dose]):
         """The apex over the container again; what has arrived since the pan was last weighed has left the cone."""
         believed = cell.believed
         if believed.pan is None or believed.pan_gross_mg is None:
-            raise SkillFailed("container.missing", "no container was weighed before the interruption")
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
         place, _ = over_balance(cell.spec, believed.pan)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
-        mean = yield from cell.balance.settled()
+        mean = yield from cell.balance.stable_mean()
         arrived_mg = mean.value_mg - believed.pan_gross_mg
         cell.record.event("reweighed", {**mean.values(), "arrived_mg": arrived_mg})
         believed.cone_mg = max(0.0, believed.cone_mg - arrived_mg)
@@ -90,7 +100,7 @@ class Dispense(Skill[Dose]):
         before_mg, digit_mg = cell.believed.pan_gross_mg, cell.spec.balance.readability_mg
         if before_mg is not None and abs(gross_mg - before_mg) > WANDER_DIGITS * digit_mg:
             raise SkillFailed(
-                "balance.unstable",
+                Code.BALANCE_UNSTABLE,
                 f"the pan shows {gross_mg - before_mg:+.1f} mg against its last weighing, and nothing was dosed since",
             )
 
@@ -98,18 +108,18 @@ class Dispense(Skill[Dose]):
         hand, balance, container = cell.spec.hand, cell.spec.balance, cell.believed.pan
         if self.tolerance_mg < balance.least_tolerance_mg:
             raise SkillFailed(
-                "dose.too_small",
+                Code.DOSE_TOO_SMALL,
                 f"a tolerance of {self.tolerance_mg:g} mg cannot be told with a readability of "
                 f"{balance.readability_mg:g} mg",
             )
         source = cell.sources.get(cell.believed.cone_source or "")
         if source is None:
-            raise SkillFailed("hand.cone_empty", "the cone holds no powder")
+            raise SkillFailed(Code.HAND_CONE_EMPTY, "the cone holds no powder")
         powder = source.powder
         volume_mm3 = self.mass_mg / powder.bulk_density_mg_per_mm3
         if container is not None and volume_mm3 > container.capacity_mm3:
             raise SkillFailed(
-                "container.too_small",
+                Code.CONTAINER_TOO_SMALL,
                 f"{self.mass_mg:g} mg of {powder.name} are {volume_mm3 / 1000:.2f} cm³; "
                 f"'{container.id}' holds {container.capacity_mm3 / 1000:.2f} cm³",
             )
@@ -161,10 +171,10 @@ class Dispense(Skill[Dose]):
             # What the cone was thought to hold still, and did not, never left the mortar.
             cell.believed.sources_mg[cell.believed.cone_source or ""] += cell.believed.cone_mg
             cell.believed.cone_mg, cell.believed.cone_source = 0.0, None
-            raise SkillFailed("hand.cone_empty", f"the cone ran empty at {reached}")
+            raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
         if run.finish.reason == "no_flow":
-            raise SkillFailed("hand.no_flow", f"no powder comes at {reached}, vibrating at full opening")
+            raise SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, vibrating at full opening")
         if dose.error_mg > self.tolerance_mg:
-            raise SkillFailed("dose.overshoot", f"{reached}: {dose.error_mg:.1f} mg too much")
+            raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "step_limit":
-            raise SkillFailed("dose.not_reached", f"{reached} after {dose.pulses} pulses")
+            raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from scuhand_bt.cell.places import over_balance
-from scuhand_bt.skill import Cell, Container, Millimetres, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Container, Millimetres, Skill, SkillFailed, Steps
 
 LOWERING_MM_PER_S = 60.0
 
@@ -16,6 +16,7 @@ class MoveOver(Skill[None]):
     The last `from_above` of the way is straight down: what trickles from the valve there falls into a narrow mouth.
     """
 
+    raises = (Code.CONTAINER_MISSING,)
     devices = ("arm",)
     typical_s = 4.0
     interrupted = "repeat"
@@ -27,7 +28,7 @@ class MoveOver(Skill[None]):
         pan = cell.believed.pan
         if pan is None or pan.id != self.container.id:
             there = f"'{pan.id}'" if pan is not None else "nothing"
-            raise SkillFailed("container.missing", f"'{self.container.id}' is not on the pan; there is {there}")
+            raise SkillFailed(Code.CONTAINER_MISSING, f"'{self.container.id}' is not on the pan; there is {there}")
         place, _ = over_balance(cell.spec, self.container)
         if self.from_above_mm > 0:
             yield from cell.lower_to(place, self.from_above_mm, LOWERING_MM_PER_S)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Container, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Container, Forecast, Skill, SkillFailed, Steps
 
 CLEAR_MM = 90.0
 """The apex must be this far aside from the pan's centre while containers are changed."""
@@ -13,6 +13,7 @@ CLEAR_MM = 90.0
 class PlaceContainer(Skill[None]):
     """Put a container on the pan, taking away the one before, and check by weight that it is the right one."""
 
+    raises = (Code.ARM_IN_THE_WAY, Code.CONTAINER_MISSING, Code.CONTAINER_WRONG_MASS, Code.OPERATOR_REFUSED)
     devices = ("changer", "balance", "arm")
     typical_s = 20.0
     interrupted = "repeat"
@@ -36,13 +37,13 @@ class PlaceContainer(Skill[None]):
         believed.pan = believed.pan_empty_mg = believed.pan_gross_mg = None
         yield from self._refill(cell)
         yield from cell.changer.take_away()
-        bare = yield from cell.balance.settled()
+        bare = yield from cell.balance.stable_mean()
         yield from cell.changer.bring(self.container)
         believed.slots_used += not cell.changer.needs_person
         used = believed.containers_used
         used[self.container.name] = used.get(self.container.name, 0) + 1
         cell.motion.set_container(self.container.kind)
-        loaded = yield from cell.balance.settled()
+        loaded = yield from cell.balance.stable_mean()
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
         weighed = {"container": container.id, "kind": container.name, "mass_mg": mass_mg}
@@ -51,11 +52,11 @@ class PlaceContainer(Skill[None]):
         )
         if mass_mg < container.empty_mass_mg / 10:
             raise SkillFailed(
-                "container.missing", f"the pan gained {mass_mg / 1000:.3f} g; no {container.name} stands on it"
+                Code.CONTAINER_MISSING, f"the pan gained {mass_mg / 1000:.3f} g; no {container.name} stands on it"
             )
         if abs(mass_mg - container.empty_mass_mg) > container.empty_mass_tolerance_mg:
             raise SkillFailed(
-                "container.wrong_mass",
+                Code.CONTAINER_WRONG_MASS,
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
@@ -70,7 +71,7 @@ class PlaceContainer(Skill[None]):
         if believed.slots_used >= cell.spec.changer.slots:
             answer = yield from cell.operator.ask(f"Fill the changer: {believed.slots_used} containers are used.")
             if answer != "done":
-                raise SkillFailed("operator.refused", "the changer was not filled")
+                raise SkillFailed(Code.OPERATOR_REFUSED, "the changer was not filled")
             believed.slots_used = 0
 
     @staticmethod
@@ -79,4 +80,4 @@ class PlaceContainer(Skill[None]):
         x_mm, y_mm, _ = cell.apex_mm()
         aside_mm = ((x_mm - pan_x_mm) ** 2 + (y_mm - pan_y_mm) ** 2) ** 0.5
         if aside_mm < CLEAR_MM:
-            raise SkillFailed("arm.in_the_way", f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")
+            raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")

@@ -19,6 +19,7 @@ from scuhand_bt.dosing.scooping import BEST_SHARE, FULL_STROKE_MM, bed_diameter_
 from scuhand_bt.motion import ApexPose
 from scuhand_bt.skill import (
     Cell,
+    Code,
     Milligrams,
     Millimetres,
     MillimetresPerSecond,
@@ -60,6 +61,7 @@ class Stroke:
 class Scoop(Skill[Milligrams]):
     """Scoop powder from a source into the cone; gives the mass that the cone is expected to hold."""
 
+    raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY)
     devices = ("arm", "hand")
     typical_s = 18.0
     interrupted = "repeat"
@@ -73,7 +75,7 @@ class Scoop(Skill[Milligrams]):
         self._require_clean(cell)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
-            raise SkillFailed("source.empty", f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
+            raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
         stroke = self._choose_stroke(cell, in_mortar_mg)
         yield from cell.move_to(source.station)
         believed.sheet = source.sheet_key
@@ -112,10 +114,10 @@ class Scoop(Skill[Milligrams]):
         believed = cell.believed
         if believed.sheet not in (None, self.source.sheet_key):
             raise SkillFailed(
-                "hand.wrong_powder", f"the sheet has touched {believed.sheet}, not {self.source.sheet_key}"
+                Code.HAND_WRONG_POWDER, f"the sheet has touched {believed.sheet}, not {self.source.sheet_key}"
             )
         if believed.cone_source not in (None, self.source.name) and believed.cone_mg > 0:
-            raise SkillFailed("hand.wrong_powder", f"the cone still holds powder from '{believed.cone_source}'")
+            raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone still holds powder from '{believed.cone_source}'")
 
     def _choose_stroke(self, cell: Cell, in_mortar_mg: float) -> Stroke:
         """The rim as wide as the bed; narrower, and then a shorter stroke, where that would overload the cone."""

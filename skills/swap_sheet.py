@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Forecast, Skill, SkillFailed, Steps
 
 
 class SwapSheet(Skill[None]):
     """Have the operator put a fresh sheet into the hand (two screws), the arm held where it is handy."""
 
+    raises = (Code.HAND_WRONG_POWDER, Code.OPERATOR_REFUSED)
     devices = ("arm", "hand")
     typical_s = 120.0
     interrupted = "repeat"
@@ -23,14 +24,14 @@ class SwapSheet(Skill[None]):
         if believed.sheet is None:
             return
         if believed.cone_source is not None:
-            raise SkillFailed("hand.wrong_powder", f"the cone still holds powder from '{believed.cone_source}'")
+            raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone still holds powder from '{believed.cone_source}'")
         service = [station.name for station in cell.spec.stations.values() if station.kind == "service"]
         yield from cell.move_to(service[0] if service else cell.spec.station_of_kind("park").name)
         answer = yield from cell.operator.ask(
             f"Put a fresh sheet into the hand; this one has touched {believed.sheet}."
         )
         if answer != "done":
-            raise SkillFailed("operator.refused", "the sheet was not swapped")
+            raise SkillFailed(Code.OPERATOR_REFUSED, "the sheet was not swapped")
         cell.sheet_mounted()
         believed.sheet = None
         believed.sheets_used += 1

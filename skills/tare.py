@@ -1,20 +1,21 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.cell.cell import DoseSoFar
-from scuhand_bt.skill import Cell, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.cell.believed import DoseSoFar
+from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps
 
 
 class Tare(Skill[Milligrams]):
     """Weigh the container on the pan before its first powder; no tare command is sent to the balance."""
 
+    raises = (Code.CONTAINER_MISSING,)
     devices = ("balance",)
     typical_s = 4.0
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
         if cell.believed.pan is None:
-            raise SkillFailed("container.missing", "no container was placed; `place_container` comes before `tare`")
-        mean = yield from cell.balance.settled()
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")
+        mean = yield from cell.balance.stable_mean()
         cell.believed.pan_empty_mg = cell.believed.pan_gross_mg = mean.value_mg
         cell.believed.dosing = DoseSoFar(began_s=cell.clock.now_s)
         cell.record.event("tare", {**mean.values(), "balance": cell.balance.identity})

@@ -6,12 +6,13 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
 
 
 class WatchBalance(Skill[Milligrams]):
     """Read the balance for a while, with nothing changing on its pan; gives how far its readings went apart."""
 
+    raises = (Code.BALANCE_UNSTABLE,)
     devices = ("balance",)
     interrupted = "repeat"
 
@@ -23,7 +24,7 @@ class WatchBalance(Skill[Milligrams]):
         return Forecast(inputs.get("duration", 20.0))
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        yield from cell.balance.settled()
+        yield from cell.balance.stable_mean()
         end_s = cell.clock.now_s + self.duration_s
         values_mg = []
         while not values_mg or cell.clock.now_s < end_s:
@@ -33,7 +34,7 @@ class WatchBalance(Skill[Milligrams]):
         cell.record.event("balance_watched", {"readings": len(values_mg), "span_mg": span_mg})
         if span_mg > self.limit_mg:
             raise SkillFailed(
-                "balance.unstable",
+                Code.BALANCE_UNSTABLE,
                 f"its readings went {span_mg:.1f} mg apart in {self.duration_s:g} s, and may {self.limit_mg:g} mg",
             )
         return span_mg

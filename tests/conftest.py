@@ -12,7 +12,7 @@ import pytest
 from wire_helpers import Metronome
 
 from scuhand_bt import cli
-from scuhand_bt.cell.cell import Believed
+from scuhand_bt.cell.believed import Believed
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
@@ -28,7 +28,7 @@ from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.skill import DEVICES, Skill
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
-from scuhand_bt.tree.replay import Past
+from scuhand_bt.tree.replay import Replay
 from scuhand_bt.yaml_source import parse
 
 REPOSITORY = Path(__file__).parent.parent
@@ -250,16 +250,16 @@ class Bench:
         problems.raise_any()
         journal = Journal(self._folder / "journal.sqlite", durable=False)
         journal.now_s = lambda: self.cell.clock.now_s
-        past = Past()
+        replay = Replay()
         if resumes:
             job = read_history(journal.path).jobs["main", 1]
-            past = job.past(None)
+            replay = job.replay(None)
             journal.job_resumed(job.seq, job.dose)
         else:
             journal.job_started("main", None, 1, "main")
         try:
             runner = Runner(self.cell, library, journal, self.control, NoGuards(), self)  # type: ignore[arg-type]
-            return runner.run(Job("main", "main", {}), {}, past)
+            return runner.run(Job("main", "main", {}), {}, replay)
         finally:
             journal.close()
 

@@ -13,10 +13,10 @@ import pytest
 from conftest import Call
 
 from scuhand_bt.journal.archive import summaries
+from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_record
-from scuhand_bt.run.control import Control, Presence
 from tests.running import Ran, dry_run, make_lab
 from tests.test_journal import HEADER, tamper, write_run, write_version_1
 
@@ -61,7 +61,7 @@ def test_runs_are_listed_newest_first_with_their_states(tmp_path: Path, command:
             journal.event("paused", {})
         journal.close()
     (folder / "broken.sqlite").write_bytes(b"nothing")
-    held = [Presence(folder / f"{name}.sqlite", Control()) for name in ("held", "rest")]
+    held = [Presence(folder / f"{name}.sqlite") for name in ("held", "rest")]
     try:
         code, out, _ = command("runs", "--json", "--lab", lab)
         shown = command("runs", "--lab", lab)[1]

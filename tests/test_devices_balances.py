@@ -254,7 +254,7 @@ def test_every_balance_is_read_over_a_terminal_and_a_socket(name: str, port: typ
         bench.reads(-321.5)
         assert not bench.balance.latest.stable  # type: ignore[union-attr]
         bench.pan.stable = True
-        mean = carry_out(bench.balance.settled(), bench.clock)
+        mean = carry_out(bench.balance.stable_mean(), bench.clock)
         assert mean.value_mg == -321.5
         assert 0.02 < mean.uncertainty_mg < 0.04, "the rounding to 0.1 mg remains"
 
@@ -317,7 +317,7 @@ def test_a_balance_that_never_settles_fails_as_unstable(name: str) -> None:
     with Bench(name, PtyPort(), unit="g") as bench:
         bench.pan.stable = False
         with pytest.raises(SkillFailed, match=r"balance\.unstable"):
-            carry_out(bench.balance.settled(timeout_s=1.0), bench.clock)
+            carry_out(bench.balance.stable_mean(timeout_s=1.0), bench.clock)
 
 
 def test_an_sbi_balance_that_was_never_stable_gives_no_reading_as_its_unit_is_unknown() -> None:

@@ -10,7 +10,7 @@ from benchmarks.rig import Bench, Setting, run_of_doses, shipped_powders
 from scuhand_bt.cell.dose_loop import run_dose
 from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
-from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Settle, Stream, new_controller
+from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
@@ -75,7 +75,7 @@ def test_paper_ends_on_a_cone_that_gives_nothing(cone_mg: float, reason: str) ->
 
 def test_paper_takes_no_more_than_its_steps() -> None:
     controller = new_controller("paper", request(step_limit=5))
-    assert isinstance(controller.decide(None), Settle), "what is in the container already counts"
+    assert isinstance(controller.decide(None), Weigh), "what is in the container already counts"
     command, net_mg, steps = controller.decide(settled(0.0)), 0.0, 0
     while not isinstance(command, Finish):
         net_mg, steps = net_mg + 1.0, steps + 1
@@ -320,7 +320,7 @@ def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings
             assert 0.0 <= command.opening_mm <= 2.4
             assert 0.0 <= command.vibration <= 1.0
         time_s += 0.1
-        command = controller.decide(Observation(time_s, net_mg, 0.05, isinstance(command, Settle | Pulse)))
+        command = controller.decide(Observation(time_s, net_mg, 0.05, isinstance(command, Weigh | Pulse)))
 
 
 @pytest.mark.parametrize("streams", [True, False])
@@ -333,7 +333,7 @@ def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> No
     rig.world.remove()
     with pytest.raises(SkillFailed, match=r"container\.moved"):
         rig.drive(steps)
-    rig.drive(rig.cell.balance.settled(30.0))
+    rig.drive(rig.cell.balance.stable_mean(30.0))
     assert rig.cell.hand.opening_mm < 0.05
 
 
@@ -375,7 +375,7 @@ def test_adaptive_adds_nothing_to_a_container_that_already_holds_its_dose(stream
         assert not isinstance(command, Pulse)
         assert not isinstance(command, Stream) or command.opening_mm == 0.0
         time_s += 0.1
-        command = controller.decide(Observation(time_s, 50.1, 0.05, isinstance(command, Settle)))
+        command = controller.decide(Observation(time_s, 50.1, 0.05, isinstance(command, Weigh)))
     assert command.reason == "reached"
 
 

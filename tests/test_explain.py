@@ -1,15 +1,23 @@
 """Failure codes are explained, and a skill can raise none that nobody has explained."""
 
+import ast
 import functools
 import json
+import re
+from pathlib import Path
 from typing import ClassVar
 
 import pytest
 from conftest import Bench, Call, LabFolder
 
-from scuhand_bt.failures import CATALOGUE
+import scuhand_bt
+from scuhand_bt.failures import CATALOGUE, Code
+from scuhand_bt.lab import Lab
 from scuhand_bt.skill import Cell, Condition, Failure, Skill, SkillFailed, Steps, Wake
 from scuhand_bt.tree.leaf import SkillBug
+
+ROOMS = ("motion", "devices", "cell", "tree", "run")
+"""Those that raise codes themselves; what is simulated raises what its device does."""
 
 
 @pytest.fixture
@@ -56,11 +64,46 @@ def test_an_unknown_code_is_code_2_with_the_nearest(explain: Call) -> None:
 
 
 def test_a_skill_that_raises_a_code_nobody_explained_is_told_where(lab_folder: LabFolder) -> None:
-    lab_folder.replace("skills/tare.py", 'SkillFailed("container.missing"', 'SkillFailed("container.mising"')
+    lab_folder.replace("skills/tare.py", "SkillFailed(Code.CONTAINER_MISSING", 'SkillFailed("container.mising"')
     (problem,) = lab_folder.problems()
     assert problem.startswith("skills/tare.py:")
     assert "'container.mising' is no failure code of the catalogue, nor of this skill's own 'failures'" in problem
     assert "did you mean 'container.missing'?" in problem
+
+
+def test_a_constant_that_the_catalogue_has_not_is_told_where(lab_folder: LabFolder) -> None:
+    lab_folder.replace("skills/tare.py", "SkillFailed(Code.CONTAINER_MISSING", "SkillFailed(Code.CONTAINER_MISING")
+    (problem,) = lab_folder.problems()
+    assert "'Code.CONTAINER_MISING' is no failure code" in problem
+
+
+@pytest.mark.parametrize("raises", ['("hand.cone_emty",)', '"hand.cone_empty"'])
+def test_what_a_skill_says_that_it_raises_is_checked(lab_folder: LabFolder, raises: str) -> None:
+    lab_folder.replace("skills/tare.py", "raises = (Code.CONTAINER_MISSING,)", f"raises = {raises}")
+    (problem,) = lab_folder.problems()
+    assert "'raises' of Tare is wrong" in problem
+
+
+def _raised(path: Path) -> set[str]:
+    """The codes whose constants a file's code uses, its class attributes apart."""
+    names = {
+        node.attr
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "Code"
+    }
+    return {Code[name] for name in names}
+
+
+def test_who_is_said_to_raise_a_code_does_so(starter: Lab) -> None:
+    engine = Path(scuhand_bt.__file__).parent
+    rooms = {room: {c for f in (engine / room).rglob("*.py") for c in _raised(f)} for room in ROOMS}
+    for code, failure in CATALOGUE.items():
+        assert set(failure.raised_in) == {room for room, codes in rooms.items() if code in codes}, code
+    for name, skill in starter.library.skills.items():
+        text = (starter.folder / "skills" / f"{name}.py").read_text(encoding="utf-8")
+        body = re.sub(r"    raises = \(.*?\)\n", "", text, flags=re.DOTALL)
+        used = {Code[found] for found in re.findall(r"\bCode\.([A-Z_]+)", body)}
+        assert set(skill.raises) == used | set(skill.failures), name
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ class Guarded:
         self.cell, self.clock = self.rig.cell, self.rig.clock
         monkeypatch.setattr(self.cell, "apex_mm", lambda: self.apex_mm)
         self.guards = Guards(self.cell)
-        gross_mg = self.rig.drive(self.cell.balance.settled()).value_mg
+        gross_mg = self.rig.drive(self.cell.balance.stable_mean()).value_mg
         believed = self.cell.believed
         believed.pan, believed.pan_empty_mg, believed.pan_gross_mg = DISH, gross_mg, gross_mg
 

@@ -18,13 +18,13 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState
-from scuhand_bt.lab_state.inventory import Entry, Inventory, Stock
+from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry
 from scuhand_bt.lab_state.lab_db import MIGRATIONS, lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchResult
-from scuhand_bt.run.inventory_conflicts import doubts, recall, require_settled, settle
+from scuhand_bt.run.inventory_conflicts import conflicts, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
 from scuhand_bt.run.session import Options, Session
 
@@ -55,7 +55,7 @@ def learnt_before(folder: Path) -> None:
 def test_a_database_of_the_first_schema_is_brought_up_to_date_with_what_it_holds(tmp_path: Path) -> None:
     learnt_before(tmp_path)
     assert LabState(tmp_path).powders(simulated=False)["glass_beads/L7"].belief.doses == 3
-    Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
+    Inventory(tmp_path, "starter").enter(StockEntry("cone", mass_mg=0.0))
     assert set(Inventory(tmp_path, "starter").stock(simulated=False)) == {("cone", "")}
     assert LabState(tmp_path).powders(simulated=False)["glass_beads/L7"].run == "before"
 
@@ -85,7 +85,7 @@ def test_a_database_of_a_newer_program_is_refused_and_left_alone(tmp_path: Path)
 def test_a_damaged_database_is_one_clear_problem_or_still_read(tmp_path: Path, data: st.DataObject) -> None:
     for path in tmp_path.glob("lab.db*"):
         path.unlink()
-    Inventory(tmp_path, "starter").enter(Entry("station", "mortar_bay", "glass_beads", "L7", 5000.0))
+    Inventory(tmp_path, "starter").enter(StockEntry("station", "mortar_bay", "glass_beads", "L7", 5000.0))
     content = bytearray((tmp_path / "lab.db").read_bytes())
     if data.draw(st.booleans()):
         del content[data.draw(st.integers(1, len(content) - 1)) :]
@@ -104,12 +104,12 @@ def test_nothing_is_made_by_looking(tmp_path: Path) -> None:
 def test_a_database_that_another_process_holds_is_said_to_be_locked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
+    Inventory(tmp_path, "starter").enter(StockEntry("cone", mass_mg=0.0))
     with lab_db(tmp_path, write=True):
         connect = sqlite3.connect
         monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, **{**more, "timeout": 0.05}))
         with pytest.raises(SourceError, match="cannot be used: database is locked"):
-            Inventory(tmp_path, "starter").enter(Entry("cone", mass_mg=0.0))
+            Inventory(tmp_path, "starter").enter(StockEntry("cone", mass_mg=0.0))
 
 
 # --- kept by runs
@@ -144,7 +144,7 @@ def test_only_what_changes_is_added_and_an_operators_entry_stands_until_the_run_
     rows = count()
     inventory.keep(cell, "r1")
     assert count() == rows
-    Inventory(tmp_path, "starter").enter(Entry("station", "mortar_bay", "glass_beads", "L7", 9000.0))
+    Inventory(tmp_path, "starter").enter(StockEntry("station", "mortar_bay", "glass_beads", "L7", 9000.0))
     inventory.keep(cell, "r1")
     refilled = inventory.stock(simulated=False)["station", "mortar_bay"]
     assert (refilled.mass_mg, refilled.run) == (9000.0, None)
@@ -172,17 +172,17 @@ def plan_of(desk: Desk, recipe: str = RECIPE) -> Plan:
     return make_plan(desk.load(recipe), desk.lab)
 
 
-def stock_of(*entries: Entry) -> Stock:
+def stock_of(*entries: StockEntry) -> Stock:
     return {(entry.kind, entry.name): replace(entry, run="r1", at="today") for entry in entries}
 
 
-def powder(mass_mg: float, lot: str = "L7", name: str = "glass_beads") -> Entry:
-    return Entry("station", "mortar_bay", name, lot, mass_mg)
+def powder(mass_mg: float, lot: str = "L7", name: str = "glass_beads") -> StockEntry:
+    return StockEntry("station", "mortar_bay", name, lot, mass_mg)
 
 
-def noted(desk: Desk, *entries: Entry, recipe: str = RECIPE) -> list[str]:
-    found = doubts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))
-    return [f"{doubt.mark.line}:{doubt.mark.column}: {doubt.what}" for doubt in found]
+def noted(desk: Desk, *entries: StockEntry, recipe: str = RECIPE) -> list[str]:
+    found = conflicts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))
+    return [f"{conflict.mark.line}:{conflict.mark.column}: {conflict.what}" for conflict in found]
 
 
 @pytest.mark.parametrize("mass_mg", [5000.0, 4800.0, 5200.0])
@@ -206,48 +206,52 @@ def test_too_little_for_the_samples_is_said(desk: Desk) -> None:
     assert refused.endswith(
         "refill it, and say so: scuhand-bt inventory set mortar_bay '150 mg' --powder glass_beads --lot L7"
     )
-    assert problems_of(lambda: require_settled(_doubts(desk, powder(140.0), recipe=scarce), unattended=False))
+    assert problems_of(lambda: require_resolvable(_doubts(desk, powder(140.0), recipe=scarce), unattended=False))
 
 
 def test_another_powder_or_lot_is_refused_by_a_real_run_with_what_to_say(desk: Desk) -> None:
     for entry in (powder(4000.0, lot="L8"), powder(4000.0, lot="", name="titanium_dioxide")):
-        (problem,) = problems_of(lambda entry=entry: require_settled(_doubts(desk, entry), unattended=False))
+        (problem,) = problems_of(lambda entry=entry: require_resolvable(_doubts(desk, entry), unattended=False))
         assert problem.startswith(f"{SOURCE}: by the inventory 'mortar_bay' holds 4.0000 g of {entry.lot_key} (run r1")
         assert "scuhand-bt inventory set mortar_bay '5000 mg' --powder glass_beads --lot L7" in problem
     assert noted(desk, powder(0.0, lot="L8")) == []
 
 
 def test_a_cone_or_a_sheet_of_another_lot_is_doubted(desk: Desk) -> None:
-    cone = Entry("cone", "", "glass_beads", "L8", 300.0)
-    sheet = Entry("sheet", "", "glass_beads", "L8", used=2)
+    cone = StockEntry("cone", "", "glass_beads", "L8", 300.0)
+    sheet = StockEntry("sheet", "", "glass_beads", "L8", used=2)
     of_cone, of_sheet = noted(desk, cone, sheet)
     assert of_cone.startswith(f"{SOURCE}: by the inventory the cone holds 300.0 mg of glass_beads/L8")
     assert "inventory set cone '0 mg'" in of_cone
     assert of_sheet.startswith(f"{SOURCE}: by the inventory the sheet has touched glass_beads/L8")
     assert noted(desk, replace(cone, lot="L7"), replace(sheet, lot="L7")) == []
-    assert noted(desk, Entry("cone", mass_mg=0.0), Entry("sheet", used=3)) == []
+    assert noted(desk, StockEntry("cone", mass_mg=0.0), StockEntry("sheet", used=3)) == []
 
 
 def test_a_recipe_without_powder_needs_an_empty_cone(desk: Desk) -> None:
     check = "recipe: c\nworkflow: start_of_day\nsamples: [{id: a, weight: 20 g}]\n"
-    (doubt,) = noted(desk, Entry("cone", "", "glass_beads", "L7", 300.0), Entry("sheet", "", "x", used=2), recipe=check)
-    assert doubt.startswith("1:1: by the inventory the cone holds 300.0 mg of glass_beads/L7 (run r1, today); this rec")
+    (conflict,) = noted(
+        desk, StockEntry("cone", "", "glass_beads", "L7", 300.0), StockEntry("sheet", "", "x", used=2), recipe=check
+    )
+    assert conflict.startswith(
+        "1:1: by the inventory the cone holds 300.0 mg of glass_beads/L7 (run r1, today); this rec"
+    )
 
 
 def test_a_changer_that_would_run_out_is_doubted(desk: Desk) -> None:
-    assert noted(desk, Entry("changer", used=22)) == []
-    (doubt,) = noted(desk, Entry("changer", used=23))
-    assert doubt.endswith("23 of the changer's 24 slots are used (run r1, today); the batch has 2 containers")
+    assert noted(desk, StockEntry("changer", used=22)) == []
+    (conflict,) = noted(desk, StockEntry("changer", used=23))
+    assert conflict.endswith("23 of the changer's 24 slots are used (run r1, today); the batch has 2 containers")
 
 
 def test_unattended_every_doubt_is_a_refusal(desk: Desk) -> None:
     found = _doubts(desk, powder(4000.0))
-    require_settled(found, unattended=False)
-    assert len(problems_of(lambda: require_settled(found, unattended=True))) == 1
+    require_resolvable(found, unattended=False)
+    assert len(problems_of(lambda: require_resolvable(found, unattended=True))) == 1
 
 
-def _doubts(desk: Desk, *entries: Entry, recipe: str = RECIPE) -> list[object]:
-    return doubts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))  # type: ignore[return-value]
+def _doubts(desk: Desk, *entries: StockEntry, recipe: str = RECIPE) -> list[object]:
+    return conflicts(plan_of(desk, recipe), desk.lab.cell, stock_of(*entries))  # type: ignore[return-value]
 
 
 class Answering:
@@ -263,11 +267,11 @@ class Answering:
         yield
 
 
-def settled(cell: Cell, desk: Desk, operator: Answering, *entries: Entry) -> Cell:
+def settled(cell: Cell, desk: Desk, operator: Answering, *entries: StockEntry) -> Cell:
     stock = stock_of(*entries)
     cell = replace(cell, operator=operator, believed=replace(cell.believed, sources_mg={"beads": 5000.0}))  # type: ignore[arg-type]
     recall(cell, stock)
-    for _ in settle(cell, doubts(plan_of(desk), desk.lab.cell, stock)):
+    for _ in resolve(cell, conflicts(plan_of(desk), desk.lab.cell, stock)):
         pass
     return cell
 
@@ -283,10 +287,10 @@ def test_a_real_run_believes_the_inventory_where_it_agrees(cell: Cell, desk: Des
         desk,
         Answering(),
         powder(4900.0),
-        Entry("cone", "", "glass_beads", "L7", 120.0),
-        Entry("sheet", "", "glass_beads", "L7", used=4),
-        Entry("changer", used=3),
-        Entry("container", "pellet_die_13mm", used=8),
+        StockEntry("cone", "", "glass_beads", "L7", 120.0),
+        StockEntry("sheet", "", "glass_beads", "L7", used=4),
+        StockEntry("changer", used=3),
+        StockEntry("container", "pellet_die_13mm", used=8),
     ).believed
     assert believed.sources_mg == {"beads": 4900.0}
     assert (believed.cone_source, believed.cone_mg) == ("beads", 120.0)
@@ -309,7 +313,7 @@ def test_what_is_too_little_is_no_answer(cell: Cell, desk: Desk) -> None:
 
 
 def test_a_fresh_sheet_is_counted_and_stop_refuses(cell: Cell, desk: Desk) -> None:
-    sheet = Entry("sheet", "", "glass_beads", "L8", used=4)
+    sheet = StockEntry("sheet", "", "glass_beads", "L8", used=4)
     believed = settled(cell, desk, Answering("fresh"), sheet).believed
     assert (believed.sheet, believed.sheets_used) == (None, 5)
     with pytest.raises(SkillFailed, match=r"operator\.refused"):

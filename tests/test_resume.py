@@ -14,13 +14,14 @@ from running import HEAD, make_lab, shared_planner
 
 from benchmarks.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
+from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.control import Control, is_held, take_wish
+from scuhand_bt.run.control import Control, take_wish
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.resume import checked_history, find_run, resumable

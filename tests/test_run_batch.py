@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from running import Ran, dry_run, make_lab
 
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
-from scuhand_bt.run.batch import EXIT_CELL_FAULT, EXIT_FLAGGED, EXIT_INTERRUPTED, EXIT_OK
 
 ONE_DOSE = """
 recipe: one
@@ -28,7 +28,7 @@ def assert_safe(ran: Ran) -> None:
 def test_a_dose_lands_in_tolerance_and_the_container_holds_what_the_table_says(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, ONE_DOSE)
     dose = ran.sample("a")
-    assert ran.result.exit_code == EXIT_OK
+    assert ran.result.exit_code == ExitCode.OK
     assert dose.verdict == "in tolerance"
     assert dose.dispensed_mg == pytest.approx(500, abs=10)
     assert dose.true_mg == pytest.approx(dose.dispensed_mg, abs=1.5)
@@ -135,7 +135,7 @@ on_failure: {dose.overshoot: %s, hand.no_flow: %s, otherwise: stop}
 
 def test_an_overshoot_is_flagged_and_never_reported_as_in_tolerance(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("flag", "stop"), plant="test_run_batch:Gusher")
-    assert ran.result.exit_code == EXIT_FLAGGED
+    assert ran.result.exit_code == ExitCode.FLAGGED
     for sample in ran.result.samples:
         assert (sample.verdict, sample.code) == ("over", "dose.overshoot")
         assert sample.dispensed_mg > 102
@@ -145,7 +145,7 @@ def test_an_overshoot_is_flagged_and_never_reported_as_in_tolerance(tmp_path: Pa
 
 def test_stop_ends_the_batch_and_what_was_not_run_says_so(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("stop", "stop"), plant="test_run_batch:Gusher")
-    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert ran.result.exit_code == ExitCode.CELL_FAULT
     assert "dose.overshoot" in ran.result.reason
     assert [sample.verdict for sample in ran.result.samples] == ["over", "not run"]
     assert_safe(ran)
@@ -153,7 +153,7 @@ def test_stop_ends_the_batch_and_what_was_not_run_says_so(tmp_path: Path) -> Non
 
 def test_skip_sample_goes_on_with_the_next(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("flag", "skip_sample"), plant="test_run_batch:Dry")
-    assert ran.result.exit_code == EXIT_FLAGGED
+    assert ran.result.exit_code == ExitCode.FLAGGED
     assert [sample.verdict for sample in ran.result.samples] == ["skipped", "skipped"]
 
 
@@ -161,13 +161,13 @@ def test_redo_doses_a_new_container_once_and_then_flags(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("redo", "stop"), plant="test_run_batch:Gusher")
     attempts = [(row["sample"], row["attempt"]) for row in read(ran.journal, "job") if row["sample"]]
     assert attempts == [("a", 1), ("a", 2), ("b", 1), ("b", 2)]
-    assert ran.result.exit_code == EXIT_FLAGGED
+    assert ran.result.exit_code == ExitCode.FLAGGED
     assert ran.sample("a").true_mg == pytest.approx(ran.sample("a").dispensed_mg, abs=2)
 
 
 def test_a_plant_that_breaks_in_the_run_ends_it_safe_and_is_named(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, ONE_DOSE, plant="test_run_batch:LaterNan")
-    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert ran.result.exit_code == ExitCode.CELL_FAULT
     assert "LaterNan" in ran.result.reason
     assert [sample.verdict for sample in ran.result.samples] == ["not run"]
 
@@ -191,7 +191,7 @@ def test_a_bug_in_a_skill_stops_the_run_safe_and_says_which(tmp_path: Path) -> N
     tree = "workflow: w\ninputs: {source: Source}\ntree: {sequence: [{park: }, {broken: }]}\n"
     lab = make_lab(tmp_path / "lab", skills__broken=BROKEN_SKILL, trees__w=tree)
     ran = dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)
-    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert ran.result.exit_code == ExitCode.CELL_FAULT
     assert "broken" in ran.result.reason
     assert "ZeroDivisionError" in ran.result.reason
     assert [sample.verdict for sample in ran.result.samples] == ["not run"]
@@ -225,7 +225,7 @@ def test_a_skill_that_would_hang_ends_the_run(tmp_path: Path, skill: str, words:
     tree = "workflow: w\ninputs: {source: Source}\ntree: {stuck: }\n"
     lab = make_lab(tmp_path / "lab", skills__stuck=skill, trees__w=tree)
     ran = dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)
-    assert ran.result.exit_code == EXIT_CELL_FAULT
+    assert ran.result.exit_code == ExitCode.CELL_FAULT
     assert words in ran.result.reason
 
 
@@ -233,14 +233,14 @@ def test_a_stop_that_comes_while_the_tree_is_ticked_is_heard_at_once(tmp_path: P
     waiting = "workflow: waiting\ninputs: {container: Container}\ntree: {sequence: [{wait: {duration: 60 s}}]}\n"
     recipe = "recipe: r\nworkflow: waiting\nsamples: [{id: a, container: xrd_holder}]\n"
     ran = dry_run(tmp_path, recipe, lab=make_lab(tmp_path / "lab", trees__waiting=waiting), stop_at=1)
-    assert ran.result.exit_code == EXIT_INTERRUPTED
+    assert ran.result.exit_code == ExitCode.INTERRUPTED
     assert ran.session.cell.clock.now_s < 5.0
 
 
 @pytest.mark.parametrize("stop_at", [1, 7, 20, 33, 60])
 def test_a_stop_at_any_tick_ends_safe_with_a_verdict_for_every_sample(tmp_path: Path, stop_at: int) -> None:
     ran = dry_run(tmp_path, TWO_DOSES % ("flag", "flag"), stop_at=stop_at)
-    assert ran.result.exit_code == EXIT_INTERRUPTED
+    assert ran.result.exit_code == ExitCode.INTERRUPTED
     assert [sample.verdict for sample in ran.result.samples] == ["interrupted", "not run"]
     assert_safe(ran)
     assert read(ran.journal, "event")[-1]["kind"] == "matter"
@@ -354,7 +354,7 @@ defaults: {container: xrd_holder, mass: 40 mg}
 samples: [{id: a, source: m1}, {id: b, source: m2}]
 """
     ran = dry_run(tmp_path, recipe)
-    assert ran.result.exit_code == EXIT_OK
+    assert ran.result.exit_code == ExitCode.OK
     assert ran.session.plan.swaps == 0
 
 

@@ -113,13 +113,13 @@ def test_streams_are_keyed_by_every_name() -> None:
 
 def test_powder_lands_a_fall_after_it_left_and_the_balance_follows() -> None:
     rig = bench()
-    empty_mg = rig.drive(rig.cell.balance.settled()).value_mg
+    empty_mg = rig.drive(rig.cell.balance.stable_mean()).value_mg
     rig.drive(rig.cell.hand.pulse(1.0, 0.5))
     assert rig.world.masses_mg["flight"] > 0.0
     let_pass(rig, 0.3)
     assert rig.world.masses_mg["flight"] == 0.0
     let_pass(rig, 3.0)
-    mean = rig.drive(rig.cell.balance.settled())
+    mean = rig.drive(rig.cell.balance.stable_mean())
     assert mean.value_mg - empty_mg == pytest.approx(rig.world.true_mass("dish"), abs=0.5)
 
 
@@ -176,7 +176,7 @@ def test_lumps_that_shrink_with_the_gap_are_smaller_at_small_openings() -> None:
 def test_an_overloaded_balance_says_so() -> None:
     rig = bench(balance=BalanceSpec(maximum_mg=20_000.0))
     with pytest.raises(SkillFailed, match=r"balance\.overload"):
-        rig.drive(rig.cell.balance.settled())
+        rig.drive(rig.cell.balance.stable_mean())
 
 
 class Broken:

@@ -249,6 +249,6 @@ def test_our_driver_reads_the_labmcp_simulators(name: str, module: str, simulato
             simulated.simulator.load_g = 10.0  # type: ignore[attr-defined]
             wait_for(lambda: balance.latest is not None and abs(balance.latest.value_mg - 10_000.0) < 0.5)
             if name == "sbi":  # the other one always says that SI was not stable
-                assert carry_out(balance.settled(), clock).value_mg == pytest.approx(10_000.0, abs=0.1)
+                assert carry_out(balance.stable_mean(), clock).value_mg == pytest.approx(10_000.0, abs=0.1)
         finally:
             balance.close()

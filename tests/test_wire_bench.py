@@ -37,9 +37,9 @@ def test_powder_dosed_through_the_wires_lands_in_the_container_and_is_weighed_th
             bench.world.place(Container(**kind.model_dump(), id="xrd-01"))
             bench.world.load_cone("beads", 3000.0)
             wait_for(lambda: devices.balance.latest is not None and devices.balance.latest.value_mg > 5000.0)
-            before = carry_out(devices.balance.settled(), clock)
+            before = carry_out(devices.balance.stable_mean(), clock)
             carry_out(devices.hand.pulse(1.5, 0.1), clock)
-            after = carry_out(devices.balance.settled(), clock)
+            after = carry_out(devices.balance.stable_mean(), clock)
             dosed_mg = bench.world.true_mass("xrd-01")
             assert dosed_mg > 10.0
             assert after.value_mg - before.value_mg == pytest.approx(dosed_mg, abs=1.0)

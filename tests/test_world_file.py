@@ -118,7 +118,7 @@ class Bench:
                 for _ in range(8):
                     yield from cell.balance.next_reading()
             yield from hand.pulse(1.0, 0.3, 1.0)
-            yield from cell.balance.settled()
+            yield from cell.balance.stable_mean()
             yield from cell.changer.take_away()
             self.world.swap_sheet()
 
@@ -240,7 +240,7 @@ def test_a_world_taken_up_is_the_one_that_would_have_been(tmp_path: Path) -> Non
     assert restored.world.masses_mg == pytest.approx(bench.world.masses_mg, rel=1e-9)
     assert restored.cell.hand.cone_diameter_mm == pytest.approx(bench.cell.hand.cone_diameter_mm)
     assert 70.0 < restored.cell.hand.cone_diameter_mm < 90.0
-    means = [rig.drive(rig.cell.balance.settled()).value_mg for rig in (bench, restored)]
+    means = [rig.drive(rig.cell.balance.stable_mean()).value_mg for rig in (bench, restored)]
     assert means[0] == pytest.approx(means[1])
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
-from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Settle, Stream
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
 
 LOST_MG = 50.0
@@ -89,7 +89,7 @@ def run_dose(
         below = below + 1 if seen.net_mg < most_mg - LOST_MG else 0
         if below >= (1 if seen.stable else LOST_READINGS):
             lost = f"the pan shows {most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
-            raise SkillFailed("container.moved", lost)
+            raise SkillFailed(Code.CONTAINER_MOVED, lost)
 
     def note(opening_mm: float, vibration: float) -> None:
         """A moment of a pulse; what the hand does in it is known from the command."""
@@ -103,10 +103,10 @@ def run_dose(
             acted_s = clock.now_s
             if acted_s - begin_s > LONGEST_S:
                 hand.stop()
-                mean = yield from balance.settled()
+                mean = yield from balance.stable_mean()
                 net_mg, uncertainty_mg = mean.value_mg - empty_mg, math.sqrt(2.0) * mean.uncertainty_mg
                 ended = Observation(mean.time_s, net_mg, uncertainty_mg, True, hand.opening_mm)
-                record.pulse(_values(Settle(0.0), ended, acted_s) | _weighed(mean))
+                record.pulse(_values(Weigh(0.0), ended, acted_s) | _weighed(mean))
                 command = Finish("step_limit", net_mg, uncertainty_mg)
                 break
             if isinstance(command, Stream):
@@ -138,7 +138,7 @@ def run_dose(
                     end_s = clock.now_s + command.wait_s
                     while clock.now_s < end_s:
                         yield Wake(end_s)
-                mean = yield from balance.settled()
+                mean = yield from balance.stable_mean()
                 # The gross before was a stable mean too, and the zero has wandered since.
                 drift_mg = DRIFT_DIGITS * balance.spec.readability_mg * math.sqrt((clock.now_s - begin_s) / 60.0)
                 uncertainty_mg = math.hypot(math.sqrt(2.0) * mean.uncertainty_mg, drift_mg)
@@ -155,7 +155,7 @@ def run_dose(
     return DoseRun(command, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
-def _values(command: Pulse | Settle, seen: Observation, acted_s: float) -> dict[str, float | str]:
+def _values(command: Pulse | Weigh, seen: Observation, acted_s: float) -> dict[str, float | str]:
     values: dict[str, float | str] = {"kind": "settle"}
     if isinstance(command, Pulse):
         values = {"kind": "pulse", "opening_mm": command.opening_mm, "dwell_s": command.dwell_s}

@@ -14,14 +14,15 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.ongoing import runs_folder
-from scuhand_bt.cli.shared import EXIT_BAD_INPUT, EXIT_CELL_FAULT, JsonFlag, LabOption, app, err, out
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out
+from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from scuhand_bt.journal.reader import Contents
 
-EXIT_ALTERED = EXIT_CELL_FAULT
+EXIT_ALTERED = ExitCode.CELL_FAULT
 JournalArgument = Annotated[
     str,
     typer.Argument(
@@ -125,7 +126,7 @@ def verify(
     if not is_chained:
         what = "an older scuhand-bt wrote it, without a chain: whether it was altered cannot be told"
         err.print(Text(f"{path}: {what}."))
-        raise typer.Exit(EXIT_BAD_INPUT)
+        raise typer.Exit(ExitCode.BAD_INPUT)
     if verified.problem is not None or summary is None:
         err.print(Text(f"{path}: {verified.problem}."))
         raise typer.Exit(EXIT_ALTERED)

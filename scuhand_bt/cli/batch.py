@@ -12,7 +12,6 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import (
-    EXIT_BAD_INPUT,
     FaultsOption,
     JsonFlag,
     LabOption,
@@ -25,6 +24,7 @@ from scuhand_bt.cli.shared import (
     out,
     the_lab,
 )
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -99,7 +99,7 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
             result = _watched(session)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
-            raise typer.Exit(EXIT_BAD_INPUT) from None
+            raise typer.Exit(ExitCode.BAD_INPUT) from None
     out.print(doses_table(result.samples, out.width))
     out.print(Text(end_line(result, time.monotonic() - began)))
     for rule in session.unused_rules:
@@ -115,7 +115,7 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
             json_file.write_text(canonical(session.journal.path), encoding="utf-8")
         except OSError as error:
             err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has it all"))
-            raise typer.Exit(result.exit_code or EXIT_BAD_INPUT) from None
+            raise typer.Exit(result.exit_code or ExitCode.BAD_INPUT) from None
     raise typer.Exit(result.exit_code)
 
 
@@ -150,7 +150,7 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
             for p in error.problems
         ]
         out.print_json(json.dumps({"ok": False, "problems": problems}))
-        raise typer.Exit(EXIT_BAD_INPUT) from None
+        raise typer.Exit(ExitCode.BAD_INPUT) from None
     if as_json:
         out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes}))
     else:
@@ -231,12 +231,12 @@ def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
     from scuhand_bt.lab import state_folder, without_driver
     from scuhand_bt.lab_state.inventory import Inventory
-    from scuhand_bt.run.inventory_conflicts import doubts
+    from scuhand_bt.run.inventory_conflicts import conflicts
 
     problems = without_driver(lab)
     try:
         stock = Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
-        problems += [doubt.problem for doubt in doubts(made, lab.cell, stock)]
+        problems += [conflict.problem for conflict in conflicts(made, lab.cell, stock)]
     except SourceError as error:
         problems += error.problems
     notes = [str(problem) for problem in problems]

@@ -10,8 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import (
-    EXIT_BAD_INPUT,
-    EXIT_CELL_FAULT,
     FaultsOption,
     JsonFlag,
     LabOption,
@@ -22,6 +20,7 @@ from scuhand_bt.cli.shared import (
     out,
     the_lab,
 )
+from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
@@ -89,7 +88,7 @@ def doctor(
             table.add_row(f.device, f.check, f.found, f.expected, f.verdict, f.what_to_do, style=style)
         out.print(table)
         out.print(f"{len(findings)} checks, {failed} failed." if failed else f"{len(findings)} checks, none failed.")
-    raise typer.Exit(EXIT_CELL_FAULT if failed else 0)
+    raise typer.Exit(ExitCode.CELL_FAULT if failed else 0)
 
 
 def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
@@ -115,4 +114,4 @@ def _bench(lab: "Lab", seed: int = 0, faults: "FaultFile | None" = None) -> "Wir
         return bench_of(lab, seed, faults)
     except (PlantError, NoCompiler) as error:
         err.print(Text(f"{error}"))
-        raise typer.Exit(EXIT_BAD_INPUT) from None
+        raise typer.Exit(ExitCode.BAD_INPUT) from None

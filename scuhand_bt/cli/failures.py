@@ -1,12 +1,10 @@
 """Commands about failures: what a code means and what to do about it, and what can be made to fail in a simulation."""
 
 import json
-from pathlib import Path
 
 from rich.table import Table
 from rich.text import Text
 
-import scuhand_bt
 from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, out, the_lab, unknown
 
 
@@ -14,7 +12,6 @@ from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, out, t
 def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Explain a failure code: meaning, remedy, who raises it, what a recipe can do about it; or list all of them."""
     from scuhand_bt.failures import CATALOGUE
-    from scuhand_bt.lab import raised_codes
     from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
     from scuhand_bt.tree.grammar import Decorator, walk
 
@@ -23,8 +20,6 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     failures = library.failures()
     if code is not None and code not in failures:
         raise unknown("failure code", code, failures)
-    by_skill = {name: raised_codes(loaded.folder / "skills" / f"{name}.py") for name in library.skills}
-    by_engine = {part: {code for path in files for code in raised_codes(path)} for part, files in _engine().items()}
     retried = {
         name: {code for node in walk(workflow.tree) if isinstance(node, Decorator) for code in node.codes}
         for name, workflow in library.workflows.items()
@@ -34,8 +29,8 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
             "meaning": failure.meaning,
             "remedy": failure.remedy,
             "defined_by": [skill for skill, made in library.skills.items() if name in made.failures],
-            "raised_by": [skill for skill, codes in by_skill.items() if name in codes],
-            "raised_in": [part for part, codes in by_engine.items() if name in codes],
+            "raised_by": [skill for skill, made in library.skills.items() if name in made.raises],
+            "raised_in": [f"scuhand_bt/{room}" for room in failure.raised_in],
             "retried_by": [workflow for workflow, codes in retried.items() if name in codes],
             "on_failure": DEFAULT_ON_FAILURE.get(name, DEFAULT_ON_FAILURE["otherwise"]),
         }
@@ -63,13 +58,6 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
         out.print(f"In a recipe's `on_failure: {{{code}: …}}`, for the sample that failed so:")
         for action, meaning in ACTIONS.items():
             out.print(f"  {action:12} {meaning}{'  (the default)' if action == values['on_failure'] else ''}")
-
-
-def _engine() -> dict[str, list[Path]]:
-    """The files of each part of the engine."""
-    package = Path(scuhand_bt.__file__).parent
-    parts = sorted(path for path in package.iterdir() if path.is_dir() and path.name != "starter_lab")
-    return {f"scuhand_bt/{part.name}": sorted(part.rglob("*.py")) for part in parts}
 
 
 @app.command()

@@ -8,12 +8,13 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import EXIT_BAD_INPUT, JsonFlag, LabOption, app, err, out, the_lab, unknown
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, the_lab, unknown
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import MASS, parse
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
-    from scuhand_bt.lab_state.inventory import Entry, Inventory, Kind, Stock
+    from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry, StockKind
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="inventory")
@@ -62,7 +63,7 @@ def set_entry(
     stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
     if powder is not None and powder not in loaded.library.powders:
         raise unknown("powder", powder, loaded.library.powders)
-    kind: Kind
+    kind: StockKind
     if what in ("cone", "sheet", "changer"):
         kind, name = what, ""  # type: ignore[assignment]
     elif what in stations:
@@ -81,9 +82,11 @@ def set_entry(
     out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
 
 
-def _entry(kind: "Kind", name: str, value: str, powder: str | None, lot: str | None, stock: "Stock") -> "Entry":
+def _entry(
+    kind: "StockKind", name: str, value: str, powder: str | None, lot: str | None, stock: "Stock"
+) -> "StockEntry":
     """The entry that an operator means; what is left out stays as it is known."""
-    from scuhand_bt.lab_state.inventory import Entry
+    from scuhand_bt.lab_state.inventory import StockEntry
 
     known = stock.get((kind, name))
     if kind in ("changer", "container"):
@@ -91,7 +94,7 @@ def _entry(kind: "Kind", name: str, value: str, powder: str | None, lot: str | N
             raise typer.BadParameter("it holds no powder", param_hint="--powder/--lot")
         if not value.isascii() or not value.isdigit() or len(value) > 9:
             raise typer.BadParameter(f"'{value}' is no number of what is used; write 0 or more", param_hint="VALUE")
-        return Entry(kind, name, used=int(value))
+        return StockEntry(kind, name, used=int(value))
     if known is not None and powder in (None, known.powder):
         powder, lot = known.powder, known.lot if lot is None else lot
     powder, lot = powder or "", lot or ""
@@ -100,7 +103,7 @@ def _entry(kind: "Kind", name: str, value: str, powder: str | None, lot: str | N
             raise typer.BadParameter(f"'{value}' is nothing a sheet can be; fresh or touched", param_hint="VALUE")
         used = known.used if known is not None else None
         if value == "fresh":
-            return Entry(kind, used=(used or 0) + 1)
+            return StockEntry(kind, used=(used or 0) + 1)
         used = used or 1
         mass_mg = None
     else:
@@ -108,7 +111,7 @@ def _entry(kind: "Kind", name: str, value: str, powder: str | None, lot: str | N
     is_empty_cone = kind == "cone" and mass_mg == 0.0
     if not powder and not is_empty_cone:
         raise typer.BadParameter("nothing is known of the powder yet; name it", param_hint="--powder")
-    return Entry(kind, name, *(("", "") if is_empty_cone else (powder, lot)), mass_mg=mass_mg, used=used)
+    return StockEntry(kind, name, *(("", "") if is_empty_cone else (powder, lot)), mass_mg=mass_mg, used=used)
 
 
 def _mass_mg(text: str) -> float:
@@ -129,7 +132,7 @@ def try_notification(lab: LabOption = None) -> None:
     spec = the_lab(lab).cell.notify
     if spec is None:
         err.print("robot/cell.yaml has no `notify:`; docs/unattended.md shows it.")
-        raise typer.Exit(EXIT_BAD_INPUT)
+        raise typer.Exit(ExitCode.BAD_INPUT)
     error = notify(spec, Notice("none", "none", simulated=True, state="ended", reason="scuhand-bt notify: a trial"))
     if error is not None:
         err.print(Text(error))

@@ -8,7 +8,8 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.batch import run_to_its_end, the_plan
-from scuhand_bt.cli.shared import EXIT_BAD_INPUT, LabOption, app, err, out
+from scuhand_bt.cli.shared import LabOption, app, err, out
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def resume(
     lab: LabOption = None,
 ) -> None:
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
-    from scuhand_bt.run.control import is_held
+    from scuhand_bt.journal.presence import is_held
     from scuhand_bt.run.resume import checked_history, find_run, resumable
     from scuhand_bt.run.session import Session, options_of
 
@@ -110,16 +111,17 @@ def what_is_known(history: "History", samples: int) -> list[str]:
 
 def _tell(journal: Path, wish: "Wish", done: str) -> None:
     """Leave a wish, and see that the run has heard it."""
-    from scuhand_bt.run.control import is_held, leave_wish
+    from scuhand_bt.journal.presence import is_held
+    from scuhand_bt.run.control import leave_wish
 
     if not is_held(journal):
         err.print(Text(f"{journal.stem} is not running."))
-        raise typer.Exit(EXIT_BAD_INPUT)
+        raise typer.Exit(ExitCode.BAD_INPUT)
     leave_wish(journal, wish)
     deadline = time.monotonic() + HEARD_S
     while journal.with_suffix(".wish").exists():
         if time.monotonic() > deadline or not is_held(journal):
             err.print(Text(f"{journal.stem} does not answer."))
-            raise typer.Exit(EXIT_BAD_INPUT)
+            raise typer.Exit(ExitCode.BAD_INPUT)
         time.sleep(0.02)
     out.print(Text(f"{journal.stem} {done}."))

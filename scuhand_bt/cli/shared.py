@@ -14,20 +14,19 @@ from rich.console import Console
 from rich.text import Text
 
 import scuhand_bt
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import CATALOGUE, SkillFailed
 from scuhand_bt.problems import SourceError, nearest
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
 
-EXIT_BAD_INPUT = 2
-EXIT_CELL_FAULT = 3
-
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 app = typer.Typer(
-    help="Scoop and dispense powders by recipe. Exit codes: 0 all doses in tolerance; 1 finished with flagged doses; "
-    "2 bad input; 3 cell fault; 130 interrupted.",
+    help="Scoop and dispense powders by recipe. Exit codes: "
+    + "; ".join(f"{code} {code.meaning}" for code in ExitCode)
+    + ".",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -63,12 +62,12 @@ def main() -> None:
         count = len(error.problems)
         if count > 1:
             err.print(f"{count} problems; nothing was moved.")
-        sys.exit(EXIT_BAD_INPUT)
+        sys.exit(ExitCode.BAD_INPUT)
     except SkillFailed as error:
         remedy = CATALOGUE[error.code].remedy if error.code in CATALOGUE else ""
         err.print(Text(f"{error}. {remedy}".rstrip()))
         # No way, or nobody to ask, is found before anything moves; a device that does not answer is the cell's fault.
-        sys.exit(EXIT_BAD_INPUT if error.code.startswith(("arm.", "operator.")) else EXIT_CELL_FAULT)
+        sys.exit(ExitCode.BAD_INPUT if error.code.startswith(("arm.", "operator.")) else ExitCode.CELL_FAULT)
 
 
 def _version(wanted: bool) -> None:

@@ -12,7 +12,7 @@ from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 
 class Devices(NamedTuple):
@@ -49,7 +49,7 @@ def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None
         opened.callback(controller.close)
         if hello.max_opening_mm < spec.hand.max_opening_mm:
             raise SkillFailed(
-                "device.lost",
+                Code.DEVICE_LOST,
                 f"the hand controller opens its valve up to {hello.max_opening_mm:g} mm, and robot/cell.yaml asks for "
                 f"{spec.hand.max_opening_mm:g} mm; correct `max_opening` of the hand, or its firmware's settings",
             )

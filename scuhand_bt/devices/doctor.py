@@ -25,7 +25,7 @@ from scuhand_bt.devices.dynamixel.bus import BusError, DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import HOT_MARGIN_C
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.scuhand import roller_axis
-from scuhand_bt.failures import CATALOGUE, SkillFailed
+from scuhand_bt.failures import CATALOGUE, Code, SkillFailed
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 
 OLDEST_FIRMWARE = 38
@@ -253,11 +253,11 @@ def balance(spec: BalanceSpec, clock: Clock) -> Iterator[Finding]:
             reading = _now(device.next_reading(FIRST_READING_S), clock)
             yield Finding("balance", "reading", _grams(reading.value_mg), "a reading", "ok")
             yield _identity(spec, device)
-            mean = _now(device.settled(), clock)
+            mean = _now(device.stable_mean(), clock)
             found = f"{_grams(mean.value_mg)} ± {mean.uncertainty_mg:.2f} mg"
             yield Finding("balance", "stability", found, "stable readings", "ok")
         except SkillFailed as error:
-            if error.code == "device.lost":
+            if error.code == Code.DEVICE_LOST:
                 yield _lost("balance", error)
             else:
                 remedy = CATALOGUE[error.code].remedy

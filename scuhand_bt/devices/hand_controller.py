@@ -14,7 +14,7 @@ from scuhand_bt.clock import Signal
 from scuhand_bt.devices.hand_protocol import SEQUENCES, VERSION, Hello, Report, decode, encode
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.serial_link import REOPEN_S, Framing, SerialLink
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 FRAMING = Framing(115200, "8N1")
 PING_S = 0.03
@@ -76,7 +76,7 @@ class HandController:
             if time.monotonic() > deadline_s:
                 self._link.close()
                 raise SkillFailed(
-                    "device.lost",
+                    Code.DEVICE_LOST,
                     f"the hand controller on {self._url} does not answer; is it the right port, and is its "
                     f"firmware that of robot/firmware (protocol {VERSION})?",
                 )
@@ -147,7 +147,7 @@ class HandController:
             if isinstance(answer, Hello):
                 self.hello, self.mm_per_deg, self.trouble = answer, answer.mm_per_deg, None
             elif answer.refusal == "hello":
-                self.refused = SkillFailed("device.lost", f"the hand controller on {self._url} has restarted")
+                self.refused = SkillFailed(Code.DEVICE_LOST, f"the hand controller on {self._url} has restarted")
                 self._greet()
             else:
                 self._take(said, answer)
@@ -181,7 +181,7 @@ class HandController:
             pause_ms = self._liveness.silent_s * 1000
             self.make_safe()
             self.refused = SkillFailed(
-                "device.lost", f"the run's tick hung for {pause_ms:.0f} ms; the valve was closed"
+                Code.DEVICE_LOST, f"the run's tick hung for {pause_ms:.0f} ms; the valve was closed"
             )
 
     def _greet(self) -> None:
@@ -193,11 +193,11 @@ class HandController:
         self.report, self.trouble = report, None
         if report.refusal and said != "ping":
             why = "it is in fault" if report.refusal == "fault" else f"({report.refusal})"
-            self.refused = SkillFailed("device.lost", f"the hand controller did not take '{said}': {why}")
+            self.refused = SkillFailed(Code.DEVICE_LOST, f"the hand controller did not take '{said}': {why}")
 
     def _lose(self, why: str) -> None:
         self.report = None
-        self.trouble = SkillFailed("device.lost", why)
+        self.trouble = SkillFailed(Code.DEVICE_LOST, why)
         self.news.fire()
 
     def _forget(self) -> None:

@@ -167,7 +167,7 @@ class Balance(Device, Protocol):
         """Wait for the next reading; SkillFailed device.lost if none comes."""
         ...
 
-    def settled(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
         """Wait until the balance calls its readings stable, then average a few of them.
 
         SkillFailed balance.unstable if they are not stable in time, balance.overload, device.lost.

@@ -16,7 +16,7 @@ from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import FAULTS
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 ROLLER_SPEED_RAD_PER_S = 0.9 * r.XM430.velocity_limit * r.RPM_PER_COUNT * 2 * math.pi / 60
 """The fastest the roller is asked to turn."""
@@ -150,7 +150,9 @@ class ScuHand:
                 shut = self._controller.is_done and report is not None and report.is_safe
                 if not shut:
                     if self._clock.now_s >= deadline_s:
-                        raise SkillFailed("device.busy", f"the valve was not shut {MOVE_TIMEOUT_S:g} s after its dwell")
+                        raise SkillFailed(
+                            Code.DEVICE_BUSY, f"the valve was not shut {MOVE_TIMEOUT_S:g} s after its dwell"
+                        )
                     yield wake
         finally:
             if not shut:
@@ -197,6 +199,11 @@ def _level(vibration: float) -> float:
     return vibration
 
 
-FAULT_CODES = {"e": "device.emergency_stop", "s": "servo.overload", "t": "hand.valve_stuck", "d": "device.lost"}
+FAULT_CODES = {
+    "e": Code.DEVICE_EMERGENCY_STOP,
+    "s": Code.SERVO_OVERLOAD,
+    "t": Code.HAND_VALVE_STUCK,
+    "d": Code.DEVICE_LOST,
+}
 """The failure that each of the controller's faults is, the gravest first."""
 assert FAULT_CODES.keys() == FAULTS.keys()

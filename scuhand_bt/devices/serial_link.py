@@ -14,7 +14,7 @@ from typing import Protocol
 
 import serial
 
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 READ_SLICE_S = 0.01
 """How long a read may block; `LineUser.idle` is called about this often."""
@@ -104,7 +104,7 @@ class SerialLink:
         try:
             port = self._framing.open(self.url)
         except (*PORT_ERRORS, ValueError) as error:
-            raise SkillFailed("device.lost", why_not_open(self.url, error)) from error
+            raise SkillFailed(Code.DEVICE_LOST, why_not_open(self.url, error)) from error
         self._adopt(port)
         self._thread.start()
 

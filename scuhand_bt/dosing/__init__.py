@@ -13,8 +13,8 @@ from scuhand_bt.dosing.controller import (
     Finish,
     Observation,
     Pulse,
-    Settle,
     Stream,
+    Weigh,
 )
 from scuhand_bt.dosing.direct_pid import DirectPid
 from scuhand_bt.dosing.paper import Paper
@@ -28,8 +28,8 @@ __all__ = [
     "Finish",
     "Observation",
     "Pulse",
-    "Settle",
     "Stream",
+    "Weigh",
     "new_controller",
 ]
 

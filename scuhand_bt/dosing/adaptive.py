@@ -16,7 +16,7 @@ open again. In tolerance, beyond two standard uncertainties of the mean: done. W
 import math
 from collections.abc import Generator
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Settle, Stream
+from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
 from scuhand_bt.dosing.dose_state import SLACK_S, Knowledge
 from scuhand_bt.dosing.opening import Opening
 from scuhand_bt.dosing.pulses import pulses
@@ -74,7 +74,7 @@ class Adaptive:
             known.learn(known.filter.mass_mg - before_mg)
             if probing and ended == "reached" and known.filter.mass_mg < known.stop_mg - LEFT_MG:
                 continue
-            seen = yield Settle()
+            seen = yield Weigh()
             known.time_s = seen.time_s
             known.filter.restart(seen.net_mg, max(seen.uncertainty_mg, 0.05), known.reference, known.unsure)
             verdict = known.verdict(seen)

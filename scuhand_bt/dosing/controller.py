@@ -37,7 +37,7 @@ class Stream:
 
 
 @dataclass(frozen=True, slots=True)
-class Settle:
+class Weigh:
     """Close the valve, stop vibrating and wait for a stable mean."""
 
     wait_s: float = 0.0
@@ -60,7 +60,7 @@ class Finish:
     """What it now believes of the balance, where it learns."""
 
 
-Command = Pulse | Stream | Settle | Finish
+Command = Pulse | Stream | Weigh | Finish
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Observation:
     net_mg: float
     uncertainty_mg: float
     stable: bool
-    """True for a stable mean (after Pulse and Settle), False for a single reading (after Stream)."""
+    """True for a stable mean (after Pulse and Weigh), False for a single reading (after Stream)."""
     opening_mm: float = 0.0
     """The opening the hand reports at that time."""
 

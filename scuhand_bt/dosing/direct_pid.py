@@ -9,7 +9,7 @@ columns. It crawls at 20 mg, where u hardly opens the valve beyond the onset of 
 where what the sum has gathered on the way holds the valve wide open through the target.
 """
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Settle, stopped
+from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Weigh, stopped
 from scuhand_bt.dosing.paper import WAIT_S
 
 KP_PER_MG = 3.9e-4
@@ -45,7 +45,7 @@ class DirectPid:
     def decide(self, seen: Observation | None) -> Command:
         request = self._request
         if seen is None:
-            return Settle()  # what is in the container already counts
+            return Weigh()  # what is in the container already counts
         if self._steps == 0:
             self._start_mg = self._net_mg = seen.net_mg
         self._dry = self._dry + 1 if self._full and seen.net_mg - self._net_mg < 0.5 else 0

@@ -26,7 +26,7 @@ band inside the tolerance.
 
 from dataclasses import dataclass, field
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Settle, stopped
+from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Weigh, stopped
 from scuhand_bt.dosing.flow import EXPONENT, PulseModel, basis, fit_coefficient
 
 STORED_MG = 0.5
@@ -89,7 +89,7 @@ class Paper:
     def decide(self, seen: Observation | None) -> Command:
         request = self._request
         if seen is None:
-            return Settle()  # what is in the container already counts
+            return Weigh()  # what is in the container already counts
         if self._pulse is None:
             self._start_mg = seen.net_mg
         else:

@@ -2,7 +2,7 @@
 
 from collections.abc import Generator
 
-from scuhand_bt.dosing.controller import Command, Finish, Observation, Pulse, Settle
+from scuhand_bt.dosing.controller import Command, Finish, Observation, Pulse, Weigh
 from scuhand_bt.dosing.dose_state import FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.risk import within
 
@@ -15,7 +15,7 @@ DOUBTED_PULSES, GIVEN_UP_PULSES = 8, 20
 def pulses(known: Knowledge) -> Generator[Command, Observation, Finish]:
     """A whole dose."""
     sizing = _Sizing(known)
-    seen = yield Settle()
+    seen = yield Weigh()
     start_mg = seen.net_mg
     for _ in range(known.request.step_limit):
         verdict = known.verdict(seen)

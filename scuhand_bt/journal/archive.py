@@ -9,12 +9,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.run.batch import EXIT_INTERRUPTED
-from scuhand_bt.run.control import is_held
 
-State = Literal["running", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"]
+RunState = Literal["running", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"]
 
 _KINDS_OF_STATE = ("run", "sample", "ended", "resumed", "paused", "continued")
 _TOLD_ELSEWHERE = ("job_ended", "action_ended", "frames", "dose_curve")
@@ -26,7 +26,7 @@ class Summary:
     """One run in a line. `interrupted`: it ended without a word, by a crash or a power cut."""
 
     id: str
-    state: State
+    state: RunState
     reason: str = ""
     """Why it ended early, or cannot be read."""
     recipe: str = ""
@@ -74,13 +74,13 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
         else:
             ended = values if kind == "ended" else None
             is_paused = False
-    state: State = "interrupted"
+    state: RunState = "interrupted"
     if is_held(path):
         state = "paused" if is_paused else "running"
     elif ended is not None:
         code = ended["exit_code"]
         is_complete = ended.get("complete", code <= 1)
-        state = "complete" if is_complete else "stopped" if code == EXIT_INTERRUPTED else "fault"
+        state = "complete" if is_complete else "stopped" if code == ExitCode.INTERRUPTED else "fault"
     if not run:
         return Summary(path.stem, state, "it had not begun")
     planned = run.get("samples")

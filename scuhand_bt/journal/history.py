@@ -11,7 +11,7 @@ from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.journal.writer import to_json
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Dose
-from scuhand_bt.tree.replay import Decision, Key, Past, Recorded
+from scuhand_bt.tree.replay import Decision, Key, Recorded, Replay
 
 STOPPED = "stopped"
 """The outcome of a job whose failure ended the run: it is taken up again where it failed."""
@@ -35,7 +35,7 @@ class JobHistory:
     def is_over(self) -> bool:
         return self.outcome in ("done", "failed")
 
-    def past(self, joints_rad: list[float] | None) -> Past:
+    def replay(self, joints_rad: list[float] | None) -> Replay:
         """What is to be replayed when the job is taken up again."""
         actions, decisions = dict(self.actions), dict(self.decisions)
         if self.outcome == STOPPED and self._last_failed is not None:
@@ -46,7 +46,7 @@ class JobHistory:
                 del decisions[key]
             else:
                 actions[key] = Recorded(actions[key].skill, actions[key].inputs, "interrupted")
-        return Past(actions, decisions, joints_rad, is_replaying=True, is_to_rejoin=True)
+        return Replay(actions, decisions, joints_rad, is_replaying=True, is_to_rejoin=True)
 
 
 @dataclass

@@ -12,20 +12,19 @@ from pathlib import Path
 from typing import Literal
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.lab_state.lab_db import lab_db
+from scuhand_bt.lab_state.lab_db import lab_db, user_name
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.run.operator import user_name
 
-Kind = Literal["station", "cone", "sheet", "changer", "container"]
-KINDS: tuple[Kind, ...] = ("station", "cone", "sheet", "changer", "container")
+StockKind = Literal["station", "cone", "sheet", "changer", "container"]
+STOCK_KINDS: tuple[StockKind, ...] = ("station", "cone", "sheet", "changer", "container")
 
 
 @dataclass(frozen=True)
-class Entry:
+class StockEntry:
     """One thing: the powder at a station or in the cone, the sheet, the changer's slots, a kind of container."""
 
-    kind: Kind
+    kind: StockKind
     name: str = ""
     """The station, or the kind of container."""
     powder: str = ""
@@ -66,7 +65,7 @@ class Entry:
                 return f"{self.used} used"
 
 
-Stock = Mapping[tuple[Kind, str], Entry]
+Stock = Mapping[tuple[StockKind, str], StockEntry]
 """The last entry of each thing, by its kind and name."""
 
 
@@ -76,7 +75,7 @@ class Inventory:
     def __init__(self, folder: Path, cell: str) -> None:
         self._folder = folder
         self._cell = cell
-        self._kept: dict[bool, dict[tuple[Kind, str], Entry]] = {}
+        self._kept: dict[bool, dict[tuple[StockKind, str], StockEntry]] = {}
 
     def stock(self, *, simulated: bool) -> Stock:
         """What is known now."""
@@ -88,8 +87,10 @@ class Inventory:
                 "(SELECT max(id) FROM inventory WHERE cell = ? AND simulated = ? GROUP BY kind, name)",
                 (self._cell, simulated),
             )
-            entries = (Entry(*row) for row in rows)
-            return {(entry.kind, entry.name): entry for entry in sorted(entries, key=lambda e: KINDS.index(e.kind))}
+            entries = (StockEntry(*row) for row in rows)
+            return {
+                (entry.kind, entry.name): entry for entry in sorted(entries, key=lambda e: STOCK_KINDS.index(e.kind))
+            }
 
     def keep(self, cell: Cell, run: str) -> str | None:
         """Write what has changed of a run's belief since it was last written; what went wrong, or None.
@@ -106,11 +107,11 @@ class Inventory:
             return str(error)
         return None
 
-    def enter(self, entry: Entry) -> None:
+    def enter(self, entry: StockEntry) -> None:
         """An operator's correction, of the real cell."""
         self._write([entry], False, None, user_name())
 
-    def _write(self, entries: Iterable[Entry], simulated: bool, run: str | None, operator: str | None) -> None:
+    def _write(self, entries: Iterable[StockEntry], simulated: bool, run: str | None, operator: str | None) -> None:
         at = datetime.now().astimezone().isoformat(timespec="seconds")
         rows = [
             (self._cell, simulated, e.kind, e.name, e.powder, e.lot, e.mass_mg, e.used, run, operator, at)
@@ -125,19 +126,19 @@ class Inventory:
             )
 
 
-def _believed(cell: Cell) -> Iterator[Entry]:
+def _believed(cell: Cell) -> Iterator[StockEntry]:
     """What a cell believes now, as entries."""
     believed = cell.believed
     for name, source in cell.sources.items():
-        yield Entry("station", source.station, source.powder.name, source.lot, mass_mg=believed.sources_mg[name])
+        yield StockEntry("station", source.station, source.powder.name, source.lot, mass_mg=believed.sources_mg[name])
     source_of_cone = cell.sources.get(believed.cone_source or "")
     if source_of_cone is None:
-        yield Entry("cone", mass_mg=0.0)
+        yield StockEntry("cone", mass_mg=0.0)
     else:
-        yield Entry("cone", "", source_of_cone.powder.name, source_of_cone.lot, mass_mg=believed.cone_mg)
+        yield StockEntry("cone", "", source_of_cone.powder.name, source_of_cone.lot, mass_mg=believed.cone_mg)
     powder, _, lot = (believed.sheet or "").partition("/")
-    yield Entry("sheet", "", powder, lot, used=believed.sheets_used)
+    yield StockEntry("sheet", "", powder, lot, used=believed.sheets_used)
     if not cell.changer.needs_person:
-        yield Entry("changer", used=believed.slots_used)
+        yield StockEntry("changer", used=believed.slots_used)
     for kind, used in believed.containers_used.items():
-        yield Entry("container", kind, used=used)
+        yield StockEntry("container", kind, used=used)

@@ -4,6 +4,7 @@ Its schema is versioned (`PRAGMA user_version`). Opening it brings an older one 
 transaction; one that a newer program has written is left alone. Rows are only ever added.
 """
 
+import getpass
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -58,6 +59,14 @@ def lab_db(folder: Path, *, write: bool, durable: bool = True) -> Iterator[sqlit
         raise _problem(path, f"{what}; move it away, and what was learnt and the inventory begin anew") from None
     except OSError as error:
         raise _problem(path, f"the lab's database cannot be written: {error.strerror or error}") from None
+
+
+def user_name() -> str:
+    """Who uses this program."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user without a name, as in a container
+        return "unknown"
 
 
 def _version(database: sqlite3.Connection) -> int:

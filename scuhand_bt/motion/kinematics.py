@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def checked_joints(q: ArrayLike, limits: Floats = LIMITS_RAD) -> Floats:
     joint = int(np.argmax(excess))
     if excess[joint] > COUNT_RAD:
         raise SkillFailed(
-            "arm.joint_limit",
+            Code.ARM_JOINT_LIMIT,
             f"joint {joint + 1} is at {math.degrees(joints[joint]):.1f} deg, outside "
             f"{math.degrees(limits[0, joint]):.0f}..{math.degrees(limits[1, joint]):.0f} deg",
         )

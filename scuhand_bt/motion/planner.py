@@ -22,9 +22,9 @@ from typing import TypeAlias
 import numpy as np
 
 from scuhand_bt.cell_spec import CellSpec, Station
-from scuhand_bt.failures import SkillFailed
-from scuhand_bt.motion import contact as contact_path
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import cell_solids, transfer
+from scuhand_bt.motion import contact as contact_path
 from scuhand_bt.motion.collision import Arm, Scene, Solid
 from scuhand_bt.motion.inverse import along, finest, solutions, swivel_of, unreachable_reason
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, apex, checked_joints
@@ -253,7 +253,7 @@ class MotionPlanner:
             return standing(begin)
         scene = self.scene(CLOSE_MARGIN_M, touching)
         if scene.hits(begin[None, :])[0]:
-            raise SkillFailed("arm.start_in_collision", self._touching(scene, begin))
+            raise SkillFailed(Code.ARM_START_IN_COLLISION, self._touching(scene, begin))
         phi = swivel_of(begin, self._offset_m)
         why = "the elbow would have to jump"
         for turn in contact_path.TURNS_OF_SWIVEL_RAD:
@@ -278,7 +278,7 @@ class MotionPlanner:
                 why = self._touching(scene, samples[int(np.argmax(hits))])
         for pose in waypoints:
             self._require_reachable(pose, "a waypoint")
-        raise SkillFailed("arm.no_path", f"no way through the waypoints: {why}")
+        raise SkillFailed(Code.ARM_NO_PATH, f"no way through the waypoints: {why}")
 
     def stop(self, trajectory: JointTrajectory, at_s: float) -> Stop | Rest:
         """The soonest jerk-limited stop along the path of a trajectory of this planner, from a moment of it."""
@@ -320,22 +320,22 @@ class MotionPlanner:
             if start_free and len(free):
                 break
         if not start_free:
-            raise SkillFailed("arm.start_in_collision", self._touching(scene, begin))
+            raise SkillFailed(Code.ARM_START_IN_COLLISION, self._touching(scene, begin))
         if not len(free):
-            raise SkillFailed("arm.no_path", self._blocked(scene, name, goals))
+            raise SkillFailed(Code.ARM_NO_PATH, self._blocked(scene, name, goals))
         if np.abs(free[0] - begin).max() < 1e-9:
             return None
         task = transfer.Task(begin, free, more, scene, self.rates, self._offset_m, spill_limit_deg)
         seed = _seed((begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg))
         chain = transfer.plan(task, effort, seed)
         if chain is None:
-            raise SkillFailed("arm.no_path", f"no way to {name} was found that is free and keeps its limits")
+            raise SkillFailed(Code.ARM_NO_PATH, f"no way to {name} was found that is free and keeps its limits")
         return chain
 
     def _require_free(self, begin: Floats) -> None:
         close = self.scene(CLOSE_MARGIN_M) if self.scene().hits(begin[None, :])[0] else None
         if close is not None and close.hits(begin[None, :])[0]:
-            raise SkillFailed("arm.start_in_collision", self._touching(close, begin))
+            raise SkillFailed(Code.ARM_START_IN_COLLISION, self._touching(close, begin))
 
     def _blocked(self, scene: Scene, name: str, q: Floats) -> str:
         best_m, names = max(scene.clearance_m(one) for one in q[:: max(1, len(q) // 12)])
@@ -366,7 +366,7 @@ class MotionPlanner:
         scene = self.scene()
         free = q[~scene.hits(q)]
         if not len(free):
-            raise SkillFailed("arm.no_path", self._blocked(scene, place, q))
+            raise SkillFailed(Code.ARM_NO_PATH, self._blocked(scene, place, q))
         azimuth_rad = float(np.arctan2(pose.position_m[1], pose.position_m[0]))
         relaxed = np.array([azimuth_rad, *RELAXED_RAD])
         chosen: Floats = free[np.argmin(rest_to_rest_s(free - relaxed, self.rates))]
@@ -382,7 +382,7 @@ class MotionPlanner:
         if near is not None:
             x, y, z = near.position_m * 1e3
             instead = f"the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
-        raise SkillFailed("arm.unreachable", f"{name}: {reason}; {instead}")
+        raise SkillFailed(Code.ARM_UNREACHABLE, f"{name}: {reason}; {instead}")
 
     def _station(self, name: str) -> Station:
         try:

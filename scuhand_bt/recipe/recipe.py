@@ -9,6 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from scuhand_bt.failures import Code
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
@@ -29,7 +30,11 @@ ACTIONS: Mapping[str, str] = {
     "ask": "ask the operator which of the others it shall be",
     "stop": "stop the batch",
 }
-DEFAULT_ON_FAILURE: Mapping[str, Action] = {"dose.overshoot": "flag", "dose.not_reached": "flag", "otherwise": "stop"}
+DEFAULT_ON_FAILURE: Mapping[str, Action] = {
+    Code.DOSE_OVERSHOOT: "flag",
+    Code.DOSE_NOT_REACHED: "flag",
+    "otherwise": "stop",
+}
 ORDERS = ("by_powder", "as_written")
 RECIPE_KEYS = ("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples", "on_failure")
 _ID = re.compile(r"\w[\w.+-]{0,63}")

@@ -7,8 +7,11 @@ from typing import Any, Literal
 
 from py_trees.behaviour import Behaviour
 
-from scuhand_bt.cell.cell import Cell, DoseSoFar
+from scuhand_bt.cell.believed import DoseSoFar
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.failures import Code
 from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan
@@ -22,14 +25,12 @@ from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Dose
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
-from scuhand_bt.tree.replay import Past
+from scuhand_bt.tree.replay import Replay
 
 Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interrupted", "not run"]
 
 ANSWERS = ("flag", "redo", "skip_sample", "stop")
 """What a person may choose for a failed sample, where the recipe says `ask`."""
-
-EXIT_OK, EXIT_FLAGGED, EXIT_BAD_INPUT, EXIT_CELL_FAULT, EXIT_INTERRUPTED = 0, 1, 2, 3, 130
 
 
 @dataclass(frozen=True)
@@ -128,25 +129,25 @@ class Batch:
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
-        ending = _Ending(EXIT_CELL_FAULT, "broken")
+        ending = _Ending(ExitCode.CELL_FAULT, "broken")
         try:
             ending = self._run_jobs()
         except (SkillBug, PlantError, RecordLost, SkillFailed) as error:
-            ending = _Ending(EXIT_CELL_FAULT, str(error))
+            ending = _Ending(ExitCode.CELL_FAULT, str(error))
         except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
-            ending = _Ending(EXIT_CELL_FAULT, f"{type(error).__name__}: {error}")
+            ending = _Ending(ExitCode.CELL_FAULT, f"{type(error).__name__}: {error}")
             self._journal.event("broken", {"traceback": traceback.format_exc()})
         finally:
             if not self._is_safe():
                 reason = f"{ending.reason}; a device did not stop".lstrip("; ")
-                ending = _Ending(EXIT_CELL_FAULT, reason, ending.is_complete)
+                ending = _Ending(ExitCode.CELL_FAULT, reason, ending.is_complete)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
                     self._note(self._result(job.sample, None, "not run", None, 0.0, 1), 1)
             in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
             code = ending.exit_code
-            if code == EXIT_OK and any(not result.is_good for result in in_order):
-                code = EXIT_FLAGGED
+            if code == ExitCode.OK and any(not result.is_good for result in in_order):
+                code = ExitCode.FLAGGED
             values = {"exit_code": code, "reason": ending.reason, "complete": ending.is_complete}
             self._journal.event("ended", values)
         return BatchResult(in_order, code, ending.reason, self._cell.clock.now_s, ending.is_complete)
@@ -165,18 +166,18 @@ class Batch:
             self._runner.ask(self._first)
         for number, job in enumerate(self._plan.jobs):
             if self._control.is_stopping:
-                return _Ending(EXIT_INTERRUPTED, "interrupted" if self._control.halts else "stopped")
+                return _Ending(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "stopped")
             self._observer.job_started(job, number)
             ending = self._run_service(job, 1) if job.sample is None else self._run_sample(job, job.sample)
             if ending is not None:
                 return ending
-        return _Ending(EXIT_OK, "", is_complete=True)
+        return _Ending(ExitCode.OK, "", is_complete=True)
 
     def _run_service(self, job: Job, attempt: int) -> _Ending | None:
         outcome = self._run_job(job, job.inputs, None, attempt)
         if outcome.failure is not None:
-            return _Ending(EXIT_CELL_FAULT, f"{job.name}: {outcome.failure}")
-        return _Ending(EXIT_INTERRUPTED, "interrupted") if outcome.interrupted else None
+            return _Ending(ExitCode.CELL_FAULT, f"{job.name}: {outcome.failure}")
+        return _Ending(ExitCode.INTERRUPTED, "interrupted") if outcome.interrupted else None
 
     def _run_sample(self, job: Job, sample: Sample) -> _Ending | None:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
@@ -191,8 +192,8 @@ class Batch:
                     self._result(sample, self._journal.last_dose, "interrupted", failure, began_s, attempt), attempt
                 )
                 if failure is not None:
-                    return _Ending(EXIT_CELL_FAULT, f"{sample.id}: {failure}")
-                return _Ending(EXIT_INTERRUPTED, "interrupted")
+                    return _Ending(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
+                return _Ending(ExitCode.INTERRUPTED, "interrupted")
             action = "flag" if failure is None else self._action_for(sample, failure, attempt)
             if action == "redo" and attempt > 1:
                 action = "flag"
@@ -205,7 +206,7 @@ class Batch:
             if failure is None:
                 return None
             if action == "stop":
-                return _Ending(EXIT_CELL_FAULT, f"{sample.id}: {failure}")
+                return _Ending(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
             if (ended := self._recover(sample, attempt)) is not None:
                 return ended
             if action != "redo":
@@ -224,7 +225,7 @@ class Batch:
                 question = f"Sample '{sample.id}' failed: {failure}. What now?"
                 answer = self._runner.ask(self._cell.operator.ask(question, choices)) or "stop"
             except SkillFailed as error:
-                if error.code != "operator.absent":
+                if error.code != Code.OPERATOR_ABSENT:
                     raise
                 return "stop"
             if answer != "stop":  # which is asked anew when the run is resumed
@@ -246,13 +247,13 @@ class Batch:
             self._cell.begin_sample(sample_id or job.name, attempt)
             self._cell.believed.dosing = DoseSoFar(began_s=self._cell.clock.now_s)
             journal.job_started(job.name, sample_id, attempt, job.workflow)
-            past = Past()
+            replay = Replay()
         else:
             journal.job_resumed(before.seq, before.dose)
-            past = before.past(self._history.state.get("joints_rad"))
+            replay = before.replay(self._history.state.get("joints_rad"))
         while True:
             try:
-                outcome = self._runner.run(job, inputs, past)
+                outcome = self._runner.run(job, inputs, replay)
             except BaseException as error:
                 journal.job_ended("broken", None, f"{type(error).__name__}: {error}")
                 raise
@@ -267,7 +268,7 @@ class Batch:
             history = read_history(journal.path)
             again = history.jobs[job.name, attempt]
             journal.job_resumed(again.seq, again.dose)
-            past = again.past(history.state.get("joints_rad"))
+            replay = again.replay(history.state.get("joints_rad"))
 
     def _note_outcome(self, sample_id: str | None, outcome: Outcome) -> None:
         failure = outcome.failure

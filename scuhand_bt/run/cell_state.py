@@ -5,7 +5,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from scuhand_bt.cell.cell import Believed, Cell
+from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 _BELIEVED = TypeAdapter(Believed)

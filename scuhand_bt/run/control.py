@@ -4,12 +4,11 @@ The states and what each leaves the cell in are in docs/run-behaviour.md. Anothe
 file beside the run's journal; the run's process looks for it ten times a second and takes it away.
 """
 
-import fcntl
 import json
 import os
 import threading
 from pathlib import Path
-from typing import Literal, TextIO, get_args
+from typing import Literal, get_args
 
 from scuhand_bt.clock import Signal
 
@@ -51,18 +50,10 @@ class Control:
         return self.is_stopping and self.halts
 
 
-class Held(Exception):  # noqa: N818 - it says what is so
-    """Another process has this run."""
-
-
-class Presence:
-    """This process's hold on a run: one process at a time, and its ear for the wishes of others.
-
-    The hold is a lock on a file beside the journal, which the system frees however the process ends.
-    """
+class WishListener:
+    """This process's ear for the wishes that others leave for the run that it has."""
 
     def __init__(self, journal: Path, control: Control) -> None:
-        self._lock = _locked(journal.with_suffix(".lock"))
         self._wish = journal.with_suffix(".wish")
         self._wish.unlink(missing_ok=True)
         self._control = control
@@ -76,37 +67,9 @@ class Presence:
                 self._control.wish(wish)
 
     def end(self) -> None:
-        """Let go of the run."""
+        """Hear no more."""
         self._gone.set()
         self._thread.join()
-        Path(self._lock.name).unlink(missing_ok=True)
-        self._lock.close()
-
-
-def _locked(path: Path) -> TextIO:
-    """The lock's file, locked. Raises Held if it is another's."""
-    while True:
-        lock = path.open("a+")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            lock.close()
-            raise Held from None
-        if path.exists() and os.path.samestat(os.fstat(lock.fileno()), path.stat()):
-            return lock
-        lock.close()  # whoever had it has just ended, and taken the file away
-
-
-def is_held(journal: Path) -> bool:
-    """Whether a process runs this run now."""
-    try:
-        with journal.with_suffix(".lock").open("r+") as lock:
-            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: who only looks is not taken for who runs it
-    except FileNotFoundError:
-        return False
-    except OSError:
-        return True
-    return False
 
 
 def leave_wish(journal: Path, wish: Wish) -> None:

@@ -13,7 +13,7 @@ from collections import deque
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.skill import DEVICES
 
 BEYOND_TARGET_MG = 100.0
@@ -85,7 +85,7 @@ class Guards:
         if reading.time_s - self._beyond_since_s < RUNAWAY_S:
             return None
         stands = f"the valve stands at {self._cell.hand.opening_mm:.2f} mm"
-        return SkillFailed("dose.runaway", f"{net_mg:.0f} mg of {target_mg:g} mg are in the container, and {stands}")
+        return SkillFailed(Code.DOSE_RUNAWAY, f"{net_mg:.0f} mg of {target_mg:g} mg are in the container, and {stands}")
 
     def _leak(self, reading: Reading) -> SkillFailed | None:
         if self._cell.believed.pan_gross_mg is None:
@@ -97,7 +97,7 @@ class Guards:
             return None
         if not self._is_over_pan():
             return None
-        return SkillFailed("hand.leak", f"the valve is shut, and the pan below it gains {rate:.1f} mg/s")
+        return SkillFailed(Code.HAND_LEAK, f"the valve is shut, and the pan below it gains {rate:.1f} mg/s")
 
     def _begin_watch(self, now_s: float) -> float:
         """Forget what was; gives when the readings stand still, if nothing falls."""

@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from scuhand_bt.cell.cell import Believed, Cell
+from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps
-from scuhand_bt.lab_state.inventory import Entry, Stock
+from scuhand_bt.failures import Code
+from scuhand_bt.lab_state.inventory import Stock, StockEntry
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
@@ -22,11 +24,11 @@ PLAUSIBLE_SHARE = 0.05
 EMPTY_MG = 1.0
 """A cone or a mortar with less holds nothing."""
 
-Settle = Callable[[Believed], None]
+Resolution = Callable[[Believed], None]
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Conflict:
     """One disagreement, where the recipe says otherwise, and the answers that settle it.
 
     Without answers nothing but an operator's entry, or a change of the recipe, does.
@@ -35,21 +37,21 @@ class Doubt:
     mark: Mark
     what: str
     question: str = ""
-    answers: tuple[tuple[str, Settle], ...] = ()
+    answers: tuple[tuple[str, Resolution], ...] = ()
 
     @property
     def problem(self) -> Problem:
         return Problem(self.mark, self.what)
 
 
-def doubts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Doubt]:
+def conflicts(plan: Plan, cell: CellSpec, stock: Stock) -> list[Conflict]:
     """All that the inventory has against this plan."""
     return [*_about_sources(plan, stock), *_about_hand(plan, stock), *_about_changer(plan, cell, stock)]
 
 
-def require_settled(found: Sequence[Doubt], *, unattended: bool) -> None:
-    """Raises SourceError for what no answer settles; unattended, for every doubt, as nobody can be asked."""
-    problems = [doubt.problem for doubt in found if unattended or not doubt.answers]
+def require_resolvable(found: Sequence[Conflict], *, unattended: bool) -> None:
+    """Raises SourceError for what no answer settles; unattended, for every conflict, as nobody can be asked."""
+    problems = [conflict.problem for conflict in found if unattended or not conflict.answers]
     if problems:
         raise SourceError(problems)
 
@@ -86,20 +88,20 @@ def corrections(stock: Stock, since: str) -> Stock:
     }
 
 
-def settle(cell: Cell, found: Sequence[Doubt]) -> Steps[None]:
-    """Ask the operator about each doubt, and believe the answer.
+def resolve(cell: Cell, found: Sequence[Conflict]) -> Steps[None]:
+    """Ask the operator about each conflict, and believe the answer.
 
     Raises SkillFailed operator.refused where the answer is to stop, operator.absent where nobody is there.
     """
-    for doubt in found:
-        answers = dict(doubt.answers)
-        answer = yield from cell.operator.ask(doubt.question, (*answers, "stop"))
+    for conflict in found:
+        answers = dict(conflict.answers)
+        answer = yield from cell.operator.ask(conflict.question, (*answers, "stop"))
         if answer not in answers:
-            raise SkillFailed("operator.refused", doubt.what)
+            raise SkillFailed(Code.OPERATOR_REFUSED, conflict.what)
         answers[answer](cell.believed)
 
 
-def _about_sources(plan: Plan, stock: Stock) -> Iterator[Doubt]:
+def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
     marks = plan.recipe.marks
     for demand in plan.demands:
         source, name = demand.source, demand.source.name
@@ -108,7 +110,7 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Doubt]:
             continue
         if known.lot_key != source.sheet_key:
             if known.mass_mg >= EMPTY_MG:
-                yield Doubt(marks[f"sources.{name}"], _another_powder(source, known))
+                yield Conflict(marks[f"sources.{name}"], _another_powder(source, known))
             continue
         mark = marks[f"sources.{name}.amount"]
         amount, left = format_mass(source.amount_mg), format_mass(known.mass_mg)
@@ -116,18 +118,18 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Doubt]:
         needs = f"its samples need {format_mass(demand.needed_mg)} with losses"
         plausible_mg = max(PLAUSIBLE_SHARE * max(source.amount_mg, known.mass_mg), 2 * source.powder.scoop_loss_mg)
         if abs(source.amount_mg - known.mass_mg) > plausible_mg:
-            answers: tuple[tuple[str, Settle], ...] = (("recipe", _believe_source(name, source.amount_mg)),)
+            answers: tuple[tuple[str, Resolution], ...] = (("recipe", _believe_source(name, source.amount_mg)),)
             if known.mass_mg >= demand.needed_mg:
                 answers += (("inventory", _believe_source(name, known.mass_mg)),)
             else:
                 what = f"{what}, too little: {needs}"
             question = f"How much powder is at {source.station}: {amount} (recipe) or {left} (inventory)?"
-            yield Doubt(mark, f"{what}; the recipe says {amount}", question, answers)
+            yield Conflict(mark, f"{what}; the recipe says {amount}", question, answers)
         elif known.mass_mg < demand.needed_mg:
-            yield Doubt(mark, f"{what}, too little: {needs}; refill it, and {_set(source)}")
+            yield Conflict(mark, f"{what}, too little: {needs}; refill it, and {_set(source)}")
 
 
-def _another_powder(source: Source, known: Entry) -> str:
+def _another_powder(source: Source, known: StockEntry) -> str:
     left = format_mass(known.mass_mg or 0.0)
     what = f"by the inventory '{source.station}' holds {left} of {known.lot_key} ({known.origin}), not"
     return f"{what} {source.sheet_key}; if the mortar was changed, {_set(source)}"
@@ -139,14 +141,14 @@ def _set(source: Source) -> str:
     return f"say so: scuhand-bt inventory set {source.station} '{amount}' --powder {source.powder.name}{lot}"
 
 
-def _believe_source(name: str, mass_mg: float) -> Settle:
+def _believe_source(name: str, mass_mg: float) -> Resolution:
     def believe(believed: Believed) -> None:
         believed.sources_mg[name] = mass_mg
 
     return believe
 
 
-def _about_hand(plan: Plan, stock: Stock) -> Iterator[Doubt]:
+def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
     """The cone must be empty, or hold what comes first; and so the sheet."""
     first = next((job.sample.source for job in plan.jobs if job.sample is not None and job.sample.source), None)
     mark = plan.recipe.marks[f"sources.{first.name}"] if first is not None else Mark(str(plan.recipe.path))
@@ -155,11 +157,11 @@ def _about_hand(plan: Plan, stock: Stock) -> Iterator[Doubt]:
     is_loaded = cone is not None and (cone.mass_mg or 0.0) >= EMPTY_MG
     if cone is not None and is_loaded and (first is None or cone.lot_key != first.sheet_key):
         what = f"by the inventory the cone holds {cone.in_words} of {cone.lot_key} ({cone.origin})"
-        yield Doubt(mark, f"{what}; {needs}; empty it, and say so: scuhand-bt inventory set cone '0 mg'")
+        yield Conflict(mark, f"{what}; {needs}; empty it, and say so: scuhand-bt inventory set cone '0 mg'")
     if sheet is not None and sheet.powder and first is not None and sheet.lot_key != first.sheet_key:
         what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
         question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now?"
-        yield Doubt(mark, f"{what}; {needs}", question, (("fresh", _believe_fresh),))
+        yield Conflict(mark, f"{what}; {needs}", question, (("fresh", _believe_fresh),))
 
 
 def _believe_fresh(believed: Believed) -> None:
@@ -167,7 +169,7 @@ def _believe_fresh(believed: Believed) -> None:
     believed.sheets_used += 1
 
 
-def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Doubt]:
+def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
     changer = stock.get(("changer", ""))
     if changer is None or cell.changer.driver == "operator":
         return
@@ -177,7 +179,7 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Doubt]:
         what = f"by the inventory {used} of the changer's {slots} slots are used ({changer.origin})"
         question = f"{used} of the changer's {slots} slots are used. Is it filled again now?"
         mark = Mark(str(plan.recipe.path))
-        yield Doubt(mark, f"{what}; the batch has {containers} containers", question, (("filled", _believe_filled),))
+        yield Conflict(mark, f"{what}; the batch has {containers} containers", question, (("filled", _believe_filled),))
 
 
 def _believe_filled(believed: Believed) -> None:

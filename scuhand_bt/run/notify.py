@@ -25,7 +25,7 @@ from scuhand_bt.cell_spec import NotifySpec
 LONGEST_S = 10.0
 """Wall time that one notice may take."""
 
-State = Literal["needs person", "paused", "stopped", "ended"]
+NoticeState = Literal["needs person", "paused", "stopped", "ended"]
 
 
 def _now() -> str:
@@ -39,7 +39,7 @@ class Notice:
     run: str
     recipe: str
     simulated: bool
-    state: State
+    state: NoticeState
     reason: str = ""
     """What a person is needed for, what the fault was, why it ended early; empty where all went well."""
     exit_code: int | None = None

@@ -1,6 +1,5 @@
 """The person at the cell: at this terminal, simulated, or nobody."""
 
-import getpass
 import queue
 import sys
 import threading
@@ -8,21 +7,13 @@ from collections.abc import Callable, Sequence
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
 
 ANSWER_S = 60.0
 """Run time that a simulated person takes to do what is asked."""
-
-
-def user_name() -> str:
-    """Who uses this program."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a user without a name, as in a container
-        return "unknown"
 
 
 class SimulatedOperator:
@@ -49,7 +40,7 @@ class Nobody:
     """An unattended run's operator: whatever is asked, nobody is there."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
-        raise SkillFailed("operator.absent", f"the run is unattended; it was to be asked: {question}")
+        raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended; it was to be asked: {question}")
 
 
 class TerminalOperator:
@@ -62,7 +53,7 @@ class TerminalOperator:
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         if not sys.stdin.isatty():
-            raise SkillFailed("operator.absent", question)
+            raise SkillFailed(Code.OPERATOR_ABSENT, question)
         self._record.event("asked", {"question": question, "choices": list(choices)})
         answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         answered = Signal()
@@ -123,4 +114,4 @@ class OperatorChanger:
     def _do(self, request: str) -> Steps[None]:
         answer = yield from self._operator.ask(request)
         if answer != "done":
-            raise SkillFailed("operator.refused", request)
+            raise SkillFailed(Code.OPERATOR_REFUSED, request)

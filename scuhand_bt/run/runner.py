@@ -11,17 +11,19 @@ from py_trees.common import Status
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
+from scuhand_bt.failures import Code
 from scuhand_bt.journal.writer import FLUSH_S, Journal, to_json
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
+from scuhand_bt.run.rejoin import rejoin
 from scuhand_bt.skill import DEVICES, SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.nodes import failure_of
-from scuhand_bt.tree.replay import Decision, Past
+from scuhand_bt.tree.replay import Decision, Replay
 
 SAFE_TIMEOUT_S = 20.0
 """How long the cell may take to stand still after it was told to stop."""
@@ -73,12 +75,12 @@ class Runner:
         self._leases = Leases(cell)
         self._guards = guards
 
-    def run(self, job: Job, inputs: Mapping[str, Any], past: Past) -> Outcome:
-        """Run one job to its end, from where `past` leaves it. Any exception leaves the tree halted.
+    def run(self, job: Job, inputs: Mapping[str, Any], replay: Replay) -> Outcome:
+        """Run one job to its end, from where `replay` leaves it. Any exception leaves the tree halted.
 
         After an interruption `make_safe` is the caller's to call.
         """
-        shared = Ticking(self._cell, self._leases, _Recorder(self._journal), past)
+        shared = Ticking(self._cell, self._leases, _Recorder(self._journal), replay, rejoin)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
         interrupted: Outcome | None = Outcome(interrupted="stopped")
         try:
@@ -94,7 +96,7 @@ class Runner:
         if moving := self._still_moving():
             self.make_safe()
             # Whatever the recipe says of failures: nothing goes on beside a device that does not stop.
-            busy = SkillFailed("device.busy", f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job")
+            busy = SkillFailed(Code.DEVICE_BUSY, f"{moving} moved on for {SAFE_TIMEOUT_S:g} s after the job")
             return Outcome(self._guards.look() or busy, "tripped")
         return Outcome(None if tree.root.status is Status.SUCCESS else failure_of(tree.root))
 
@@ -157,8 +159,8 @@ class Runner:
             self._observer.ticked(root)
             if root.status is not Status.RUNNING:
                 return None
-            if shared.past.is_replaying:
-                shared.past.tick_ended()
+            if shared.replay.is_replaying:
+                shared.replay.tick_ended()
                 continue
             now_s = clock.now_s
             ticks_now = ticks_now + 1 if now_s == last_s else 0

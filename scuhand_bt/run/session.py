@@ -15,21 +15,22 @@ import scuhand_bt
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.journal.history import History
+from scuhand_bt.journal.presence import Held, Presence
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
+from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
-from scuhand_bt.run.control import Control, Held, Presence
-from scuhand_bt.run.inventory_conflicts import corrections, doubts, recall, require_settled, settle
+from scuhand_bt.run.control import Control, WishListener
+from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
-from scuhand_bt.run.notify import Notice, Notifier, State
-from scuhand_bt.run.operator import user_name
+from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.sim.fault_rules import parse_faults
 
@@ -89,8 +90,8 @@ class Session:
         self._notifier = Notifier(lab.cell.notify)
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
-        self._doubts = [] if has_begun else doubts(plan, lab.cell, self._stock)
-        require_settled(self._doubts, unattended=options.unattended)
+        self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
+        require_resolvable(self._conflicts, unattended=options.unattended)
         self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
@@ -104,11 +105,13 @@ class Session:
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
         try:
-            self._presence = Presence(journal.path, self.control)
+            self._presence = Presence(journal.path)
         except Held:
             problem = f"the run is going on in another process; `scuhand-bt stop {self.run_id}` ends it"
             raise SourceError([Problem(Mark(str(journal.path)), problem)]) from None
         opened.callback(self._presence.end)
+        self._listener = WishListener(journal.path, self.control)
+        opened.callback(self._listener.end)
         setup = set_up(
             self.plan,
             self._lab,
@@ -171,7 +174,7 @@ class Session:
             self.control,
             world.true_mass if world is not None else None,
             self._history,
-            first=settle(self.cell, self._doubts) if self._doubts else None,
+            first=resolve(self.cell, self._conflicts) if self._conflicts else None,
             after_job=self._after_job,
         )
         try:
@@ -213,7 +216,7 @@ class Session:
         elif kind == "asked" and not isinstance(self._options.simulation, DryRun):
             self._notifier.tell(self._notice("needs person", values["question"]))
 
-    def _notice(self, state: State, reason: str = "", result: BatchResult | None = None) -> Notice:
+    def _notice(self, state: NoticeState, reason: str = "", result: BatchResult | None = None) -> Notice:
         return Notice(
             self.run_id,
             self.plan.recipe.name,
@@ -233,6 +236,7 @@ class Session:
         """Close the devices, wait for what is being told of the run, and close the journal."""
         with ExitStack() as closing:
             closing.callback(self._presence.end)
+            closing.callback(self._listener.end)
             closing.callback(self.journal.close)
             closing.callback(self._finish_telling)
             closing.callback(self._close_cell)

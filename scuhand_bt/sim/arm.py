@@ -7,15 +7,15 @@ import numpy as np
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Joints, Trajectory
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.kinematics import Floats, apex
 from scuhand_bt.sim.faults import Faults
 
 START_TOLERANCE_RAD = 0.01
 SHUT_DOWN = {
-    "servo.overheat": ("servo.overload", "servo 4 (joint 3) has shut down: it is too hot"),
-    "servo.overload": ("servo.overload", "servo 4 (joint 3) has shut down on overload"),
-    "arm.lost": ("device.lost", "the servo bus does not answer; check its cable and supply"),
+    "servo.overheat": (Code.SERVO_OVERLOAD, "servo 4 (joint 3) has shut down: it is too hot"),
+    "servo.overload": (Code.SERVO_OVERLOAD, "servo 4 (joint 3) has shut down on overload"),
+    "arm.lost": (Code.DEVICE_LOST, "the servo bus does not answer; check its cable and supply"),
 }
 """The faults that stop the arm, and how they show."""
 BLOCKED = "servo.not_following"
@@ -63,7 +63,7 @@ class SimulatedArm:
         if not active:
             return None
         if self._is_blocked and BLOCKED in active:
-            return SkillFailed("arm.not_following", "joint 3 is 8.0° from where it should be")
+            return SkillFailed(Code.ARM_NOT_FOLLOWING, "joint 3 is 8.0° from where it should be")
         return next((SkillFailed(*SHUT_DOWN[name]) for name in active if name in SHUT_DOWN), None)
 
     def stop(self) -> None:
@@ -76,7 +76,7 @@ class SimulatedArm:
         now_s = self._clock.now_s
         apart_rad = float(np.abs(trajectory.sample(0.0) - self._at(now_s)).max())
         if apart_rad > START_TOLERANCE_RAD:
-            raise SkillFailed("arm.not_following", f"the motion starts {apart_rad:.3f} rad from where the arm is")
+            raise SkillFailed(Code.ARM_NOT_FOLLOWING, f"the motion starts {apart_rad:.3f} rad from where the arm is")
         self._trajectory = trajectory
         self._begin_s, self._end_s = now_s, now_s + trajectory.duration_s
         self.faults.chance("motion", now_s)

@@ -16,7 +16,7 @@ import numpy as np
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.plant import Plant
 
@@ -72,7 +72,7 @@ class SimulatedBalance:
     def fault(self) -> SkillFailed | None:
         """What is wrong with it now."""
         if self._was_lost:
-            return SkillFailed("device.lost", f"the balance has sent no reading for {self.spec.lost_after_s:g} s")
+            return SkillFailed(Code.DEVICE_LOST, f"the balance has sent no reading for {self.spec.lost_after_s:g} s")
         return None
 
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
@@ -80,13 +80,13 @@ class SimulatedBalance:
         seen = self.news.count
         while self.news.count == seen:
             if self._clock.now_s >= deadline_s:
-                raise SkillFailed("device.lost", f"the balance sent nothing for {timeout_s:g} s")
+                raise SkillFailed(Code.DEVICE_LOST, f"the balance sent nothing for {timeout_s:g} s")
             yield Wake(deadline_s, self.news, seen)
         if (fault := self.fault) is not None:
             raise fault
         return self._sound_reading()
 
-    def settled(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
         deadline_s = self._clock.now_s + timeout_s
         stable: list[Reading] = []
         while len(stable) < MEAN_OF:
@@ -96,7 +96,7 @@ class SimulatedBalance:
             else:
                 stable.clear()
                 if self._clock.now_s >= deadline_s:
-                    raise SkillFailed("balance.unstable", f"no stable reading within {timeout_s:g} s")
+                    raise SkillFailed(Code.BALANCE_UNSTABLE, f"no stable reading within {timeout_s:g} s")
         values = [reading.value_mg for reading in stable]
         mean = sum(values) / MEAN_OF
         variance = sum((value - mean) ** 2 for value in values) / (MEAN_OF - 1)
@@ -105,7 +105,7 @@ class SimulatedBalance:
 
     def _sound_reading(self) -> Reading:
         if self._overloaded or self.latest is None:
-            raise SkillFailed("balance.overload", f"more than {self.spec.maximum_mg / 1000.0:g} g on the pan")
+            raise SkillFailed(Code.BALANCE_OVERLOAD, f"more than {self.spec.maximum_mg / 1000.0:g} g on the pan")
         return self.latest
 
     def use_randomness(self, rng: np.random.Generator) -> None:

@@ -1,7 +1,7 @@
 """The simulated container changer: a carousel that puts containers on the pan and takes them away."""
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.world import STEP_S, World
 from scuhand_bt.specs import Container
 
@@ -33,7 +33,7 @@ class SimulatedChanger:
             return  # the swing that was to bring it went on to its end when nobody waited for it any more
         if self._world.pan.container_id is not None:
             raise SkillFailed(
-                "container.missing", f"the pan is not free: '{self._world.pan.container_id}' stands on it"
+                Code.CONTAINER_MISSING, f"the pan is not free: '{self._world.pan.container_id}' stands on it"
             )
         self._world.swing(self._clock.now_s + BRING_S, container)
         yield from self._rest()

@@ -19,7 +19,7 @@ from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.mass_ledger import Matter
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant, PowderFlow
-from scuhand_bt.sim.scoop import Stroke
+from scuhand_bt.sim.scoop import BowlStroke
 from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.specs import Source
 
@@ -69,7 +69,7 @@ class ConeLoad:
         self._flying: deque[tuple[float, float, str]] = deque()  # (time of landing, mg, compartment)
         self._below: tuple[str | None, str, float] | None = None  # container on the pan, compartment, fall time [s]
         self._was_open = False
-        self._stroke: Stroke | None = None
+        self._stroke: BowlStroke | None = None
         self._stroke_in = ""  # the source whose mortar it is in
         self._shaken_s = 0.0
         self._flow_rng: Generator
@@ -181,7 +181,7 @@ class ConeLoad:
             overtravel_mm = self._around.overtravel_mm(pose, cone, source) if source is not None else 0.0
             if source is not None and overtravel_mm > 0.0:
                 if self._stroke is None:
-                    self._stroke, self._stroke_in = Stroke(diameter_mm, diameter_mm, overtravel_mm), source
+                    self._stroke, self._stroke_in = BowlStroke(diameter_mm, diameter_mm, overtravel_mm), source
                 self._stroke.closed_diameter_mm = diameter_mm
                 self._stroke.overtravel_mm = max(self._stroke.overtravel_mm, overtravel_mm)
             return
@@ -192,7 +192,7 @@ class ConeLoad:
         stroke.closed_diameter_mm = diameter_mm
         self._collect(stroke, self._stroke_in)
 
-    def _collect(self, stroke: Stroke, source: str) -> None:
+    def _collect(self, stroke: BowlStroke, source: str) -> None:
         mortar, powder = self._sources[source].mortar, self._sources[source].powder
         place = f"source:{source}"
         in_mortar_mg = self._masses_mg[place]

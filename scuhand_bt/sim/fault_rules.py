@@ -35,7 +35,7 @@ A_MOMENT = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class FaultKind:
     """A fault there is: what it does, when it may begin, how long it lasts, and what it befalls.
 
     Two faults of one place exclude one another; all others may come together.
@@ -51,30 +51,32 @@ class Kind:
         return self.lasts_s == A_MOMENT
 
 
-KINDS: Mapping[str, Kind] = {
-    "balance.silent": Kind("The balance sends nothing.", "opening", TO_THE_END, "balance"),
-    "balance.garbage": Kind("The balance sends bytes that are no reading.", "opening", 1.0, "balance"),
-    "balance.unstable": Kind("The balance calls no reading stable.", "opening", TO_THE_END, "balance"),
-    "balance.overload": Kind("The balance says it is loaded beyond its maximum.", "opening", TO_THE_END, "balance"),
-    "balance.drifting": Kind("The balance's zero wanders by 1 mg/s.", "opening", TO_THE_END, "zero"),
-    "balance.draught": Kind("A draught makes the balance's readings jump by milligrams.", "opening", 10.0, "air"),
-    "valve.stuck_open": Kind("The valve opens and cannot close.", "opening", TO_THE_END, "valve"),
-    "valve.stuck_closed": Kind("The valve closes and cannot open.", "opening", TO_THE_END, "valve"),
-    "valve.slow": Kind("The valve moves at two fifths of its speed.", "opening", TO_THE_END, "valve"),
-    "vibration.dead": Kind("The motor does not vibrate, whatever it is told.", "opening", TO_THE_END, "vibration"),
-    "powder.clog": Kind(
+KINDS: Mapping[str, FaultKind] = {
+    "balance.silent": FaultKind("The balance sends nothing.", "opening", TO_THE_END, "balance"),
+    "balance.garbage": FaultKind("The balance sends bytes that are no reading.", "opening", 1.0, "balance"),
+    "balance.unstable": FaultKind("The balance calls no reading stable.", "opening", TO_THE_END, "balance"),
+    "balance.overload": FaultKind(
+        "The balance says it is loaded beyond its maximum.", "opening", TO_THE_END, "balance"
+    ),
+    "balance.drifting": FaultKind("The balance's zero wanders by 1 mg/s.", "opening", TO_THE_END, "zero"),
+    "balance.draught": FaultKind("A draught makes the balance's readings jump by milligrams.", "opening", 10.0, "air"),
+    "valve.stuck_open": FaultKind("The valve opens and cannot close.", "opening", TO_THE_END, "valve"),
+    "valve.stuck_closed": FaultKind("The valve closes and cannot open.", "opening", TO_THE_END, "valve"),
+    "valve.slow": FaultKind("The valve moves at two fifths of its speed.", "opening", TO_THE_END, "valve"),
+    "vibration.dead": FaultKind("The motor does not vibrate, whatever it is told.", "opening", TO_THE_END, "vibration"),
+    "powder.clog": FaultKind(
         "Nothing flows until 3 s of full vibration have broken the clog.", "opening", TO_THE_END, "apex"
     ),
-    "cone.leak": Kind("The shut valve lets 2 mg/s through.", "opening", TO_THE_END, "leak"),
-    "servo.overheat": Kind("A servo of the arm shuts down because it is too hot.", "motion", TO_THE_END, "arm"),
-    "servo.overload": Kind("A servo of the arm shuts down on overload.", "motion", TO_THE_END, "arm"),
-    "servo.not_following": Kind("A joint is blocked: the arm does not follow.", "motion", TO_THE_END, "arm"),
-    "arm.lost": Kind("The servo bus (the arm and the hand's roller) is unplugged.", "motion", TO_THE_END, "arm"),
-    "hand.emergency_stop": Kind("The emergency stop is pressed.", "opening", 5.0, "hand"),
-    "hand.lost": Kind("The hand's controller is unplugged.", "opening", TO_THE_END, "hand"),
-    "scoop.nothing": Kind("A scoop collects nothing.", "scoop", A_MOMENT, "scoop"),
-    "container.wrong": Kind("A container of another mass is put on the pan.", "container", A_MOMENT, "container"),
-    "operator.refuses": Kind("The simulated person answers no.", "question", A_MOMENT, "person"),
+    "cone.leak": FaultKind("The shut valve lets 2 mg/s through.", "opening", TO_THE_END, "leak"),
+    "servo.overheat": FaultKind("A servo of the arm shuts down because it is too hot.", "motion", TO_THE_END, "arm"),
+    "servo.overload": FaultKind("A servo of the arm shuts down on overload.", "motion", TO_THE_END, "arm"),
+    "servo.not_following": FaultKind("A joint is blocked: the arm does not follow.", "motion", TO_THE_END, "arm"),
+    "arm.lost": FaultKind("The servo bus (the arm and the hand's roller) is unplugged.", "motion", TO_THE_END, "arm"),
+    "hand.emergency_stop": FaultKind("The emergency stop is pressed.", "opening", 5.0, "hand"),
+    "hand.lost": FaultKind("The hand's controller is unplugged.", "opening", TO_THE_END, "hand"),
+    "scoop.nothing": FaultKind("A scoop collects nothing.", "scoop", A_MOMENT, "scoop"),
+    "container.wrong": FaultKind("A container of another mass is put on the pan.", "container", A_MOMENT, "container"),
+    "operator.refuses": FaultKind("The simulated person answers no.", "question", A_MOMENT, "person"),
 }
 TRIGGERS = ("at_pulse", "at", "probability")
 
@@ -97,7 +99,7 @@ class Rule(Spec):
     """How often it may come."""
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> FaultKind:
         return KINDS[self.fault]
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.faults import Faults
 
 FADE_MM = 0.2
@@ -86,12 +86,12 @@ class SimulatedHand:
         if not active:
             return None
         if "hand.emergency_stop" in active:
-            return SkillFailed("device.emergency_stop", "the hand controller: the emergency stop is pressed")
+            return SkillFailed(Code.DEVICE_EMERGENCY_STOP, "the hand controller: the emergency stop is pressed")
         if "hand.lost" in active:
-            return SkillFailed("device.lost", "the hand controller does not answer; check its cable and supply")
+            return SkillFailed(Code.DEVICE_LOST, "the hand controller does not answer; check its cable and supply")
         if self._blocked_s >= STUCK_S:
             stands = f"it stands at {self._servo_mm:.2f} mm and was told to go to {self._target_mm:.2f} mm"
-            return SkillFailed("hand.valve_stuck", f"the valve does not move: {stands}")
+            return SkillFailed(Code.HAND_VALVE_STUCK, f"the valve does not move: {stands}")
         return None
 
     def stop(self) -> None:
@@ -261,7 +261,7 @@ class SimulatedHand:
 
     def _require_roller(self) -> None:
         if "arm.lost" in self.faults.active:
-            raise SkillFailed("device.lost", "the servo bus, which the roller is on, does not answer")
+            raise SkillFailed(Code.DEVICE_LOST, "the servo bus, which the roller is on, does not answer")
 
     def _turn_to(self, target_mm: float, now_s: float) -> None:
         if self._servo_mm == 0.0 and self._target_mm == 0.0 and target_mm > 0.0:

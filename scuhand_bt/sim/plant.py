@@ -14,7 +14,7 @@ from numpy.random import Generator
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
-from scuhand_bt.sim.scoop import OurScoopYield, Stroke
+from scuhand_bt.sim.scoop import BowlStroke, OurScoopYield
 from scuhand_bt.specs import Mortar, Powder
 
 
@@ -37,7 +37,7 @@ class BalanceResponse(Protocol):
 class ScoopYield(Protocol):
     """What one scoop collects."""
 
-    def collect(self, stroke: Stroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
+    def collect(self, stroke: BowlStroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
         """The mass [mg] that ends in the cone."""
         ...
 
@@ -80,7 +80,7 @@ class Plant:
                 self.leaving(flow.step(0.02, opening_mm, vibration, 1000.0, rng), 1000.0)
                 self.reading(balance.step(0.02, 1000.0, 0.1, vibration, rng))
             if mortar is not None:
-                full = Stroke(diameter_mm=88.0, closed_diameter_mm=60.0, overtravel_mm=2.0)
+                full = BowlStroke(diameter_mm=88.0, closed_diameter_mm=60.0, overtravel_mm=2.0)
                 self.collected(scoop.collect(full, mortar, 1000.0, rng), 1000.0)
         except PlantError:
             raise

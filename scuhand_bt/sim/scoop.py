@@ -17,7 +17,7 @@ SPREAD = 0.05
 
 
 @dataclass
-class Stroke:
+class BowlStroke:
     """One closing of the cone in contact with a mortar's bowl."""
 
     diameter_mm: float
@@ -34,7 +34,7 @@ class OurScoopYield:
     def __init__(self, powder: Powder) -> None:
         self._density = powder.bulk_density_mg_per_mm3
 
-    def collect(self, stroke: Stroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
+    def collect(self, stroke: BowlStroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
         """The mass [mg] that ends in the cone."""
         bed_mm = bed_diameter_mm(mortar, in_mortar_mg, self._density)
         share = collected_share(stroke.diameter_mm, stroke.closed_diameter_mm, stroke.overtravel_mm, bed_mm)

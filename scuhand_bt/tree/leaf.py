@@ -9,14 +9,16 @@ from pydantic import ValidationError
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Signal, Steps, Wake
-from scuhand_bt.failures import CATALOGUE
+from scuhand_bt.failures import CATALOGUE, Code
 from scuhand_bt.record import RecordLost
 from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.replay import ENDED, REJOINING, Decision, Past, Recorded, rejoin, settle
+from scuhand_bt.tree.replay import ENDED, Decision, Recorded, Replay
 from scuhand_bt.tree.wires import in_words
 
 LEASE_TIMEOUT_S = 10.0
+REJOINING = ("arm", "balance")
+"""What `Rejoin` uses."""
 
 S = TypeVar("S", bound=Skill[Any])
 Values = dict[str, Any]
@@ -48,14 +50,27 @@ class Listener(Protocol):
         ...
 
 
+class Rejoin(Protocol):
+    """What the run does before the first action that goes live, and before one that had begun, after an interruption.
+
+    `recorded` is what stood in the action's place, `is_same` whether it is this action still. False: the operator says
+    that it is done, and it does not begin again.
+    """
+
+    def __call__(
+        self, cell: Cell, replay: Replay, skill: Skill[Any], name: str, recorded: Recorded | None, *, is_same: bool
+    ) -> Steps[bool]: ...
+
+
 class Ticking:
     """What the nodes of one job's tree share: the cell, its leases, the listener, and who waits for what."""
 
-    def __init__(self, cell: Cell, leases: Leases, listener: Listener, past: Past) -> None:
+    def __init__(self, cell: Cell, leases: Leases, listener: Listener, replay: Replay, rejoin: Rejoin) -> None:
         self.cell = cell
         self.leases = leases
         self.listener = listener
-        self.past = past
+        self.replay = replay
+        self.rejoin = rejoin
         self.acting: set[SkillLeaf] = set()
         """The leaves whose skill is at work."""
         self.is_pausing = False
@@ -113,14 +128,14 @@ class SkillLeaf(Behaviour):
         self.failure = None
         self._steps = self._wake = None
         self._is_recorded = False
-        self._recorded = self._shared.past.recorded(self.path, self.visits)
+        self._recorded = self._shared.replay.recorded(self.path, self.visits)
         self._lease_deadline_s = self._shared.cell.clock.now_s + LEASE_TIMEOUT_S
 
     @property
     def is_stuck(self) -> bool:
         """It is being replayed, and waits to be halted as it was then."""
-        past = self._shared.past
-        return past.is_replaying and self._recorded is not None and self._recorded.outcome == "halted"
+        replay = self._shared.replay
+        return replay.is_replaying and self._recorded is not None and self._recorded.outcome == "halted"
 
     def update(self) -> Status:
         try:
@@ -175,16 +190,16 @@ class SkillLeaf(Behaviour):
         if recorded is None or recorded.outcome not in ENDED:
             return False
         inputs = shared.listener.in_words(self._arguments())
-        if not shared.past.can_replay(recorded, self.name, self.skill, inputs):
+        if not shared.replay.can_replay(recorded, self.name, self.skill, inputs):
             return False
-        self._keep(shared.past.replay(recorded, self.skill))
+        self._keep(shared.replay.replay(recorded, self.skill))
         shared.done(self)
         return True
 
     def _begin(self) -> bool:
         """Take the leases and make the skill; False while it must wait for others, or the run pauses."""
-        shared, past = self._shared, self._shared.past
-        if past.is_replaying:
+        shared, replay = self._shared, self._shared.replay
+        if replay.is_replaying:
             return False
         now_s = shared.cell.clock.now_s
         if shared.is_pausing:
@@ -192,11 +207,11 @@ class SkillLeaf(Behaviour):
             shared.wait(self, Wake.on(shared.going_on))
             return False
         own = self.skill.devices
-        devices = sorted({*own, *REJOINING}) if past.is_to_rejoin else own
+        devices = sorted({*own, *REJOINING}) if replay.is_to_rejoin else own
         if not shared.leases.take(devices, self):
             if now_s >= self._lease_deadline_s:
                 names = ", ".join(devices)
-                raise SkillFailed("device.busy", f"{names} not free after {LEASE_TIMEOUT_S:g} s")
+                raise SkillFailed(Code.DEVICE_BUSY, f"{names} not free after {LEASE_TIMEOUT_S:g} s")
             shared.wait(self, *shared.leases.wakes(devices, self._lease_deadline_s))
             return False
         inputs = self._arguments()
@@ -207,21 +222,17 @@ class SkillLeaf(Behaviour):
         self._steps = skill.run(shared.cell)
         if not isinstance(self._steps, Generator):
             raise TypeError("its run is no generator; it must `yield` somewhere")
-        if past.is_to_rejoin or self._recorded is not None:
+        if replay.is_to_rejoin or self._recorded is not None:
             self._steps = self._resume(skill, self._steps, shared.listener.in_words(inputs))
         return True
 
     def _resume(self, skill: Skill[Any], steps: Steps[Any], inputs: str) -> Steps[Any]:
         """The skill's steps, after what an interruption has left to settle."""
         shared, recorded = self._shared, self._recorded
-        if shared.past.is_to_rejoin:
-            shared.past.is_to_rejoin = False
-            yield from rejoin(shared.cell, shared.past, skill, was_interrupted=recorded is not None)
-        if recorded is not None:
-            same = recorded.skill == self.name and recorded.inputs == inputs
-            answer = yield from settle(shared.cell, skill, self.name, None if same else recorded)
-            if answer == "done":
-                return None
+        is_same = recorded is not None and recorded.skill == self.name and recorded.inputs == inputs
+        rejoined = shared.rejoin(shared.cell, shared.replay, skill, self.name, recorded, is_same=is_same)
+        if not (yield from rejoined):
+            return None
         shared.leases.give_back(self, keep=self.skill.devices)
         return (yield from steps)
 
@@ -258,7 +269,7 @@ def made(name: str, skill: type[S], inputs: Values) -> S:
     try:
         return skill.model_validate(inputs, by_alias=True, by_name=False)
     except ValidationError as error:
-        raise SkillFailed("workflow.bad_value", f"{name}: {in_words(error)}") from None
+        raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"{name}: {in_words(error)}") from None
 
 
 def is_stuck(node: Behaviour) -> bool:

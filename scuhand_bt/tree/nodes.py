@@ -14,6 +14,7 @@ from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 
 from scuhand_bt.clock import Wake
+from scuhand_bt.failures import Code
 from scuhand_bt.skill import Condition, SkillFailed
 from scuhand_bt.tree.leaf import Arguments, Ticking, bug_of, is_explained, is_stuck, made, unexplained
 from scuhand_bt.tree.replay import Decision
@@ -60,7 +61,7 @@ class While(SequenceNode):
         self._visits += 1
 
     def tick(self) -> Iterator[Behaviour]:
-        if self._shared.past.is_replaying:
+        if self._shared.replay.is_replaying:
             yield from self._replay()
             return
         had_begun = self.status is Status.RUNNING and self._child.status is Status.RUNNING
@@ -76,7 +77,7 @@ class While(SequenceNode):
         """The guards held, then, until the one that is recorded to have failed."""
         if self.status is not Status.RUNNING:
             self.initialise()
-        decision = self._shared.past.decision(self._path, self._visits)
+        decision = self._shared.replay.decision(self._path, self._visits)
         if decision is None or decision.had_begun:
             yield from self._child.tick()
         self.status = self._child.status
@@ -122,7 +123,7 @@ class _Counted(_OnClock):
             self._left = self._arguments()[self.count]
             self.failure = None
             if self._left < 1:
-                self.failure = SkillFailed("workflow.bad_value", f"{self.name}: '{self.count}' is {self._left}")
+                self.failure = SkillFailed(Code.WORKFLOW_BAD_VALUE, f"{self.name}: '{self.count}' is {self._left}")
                 self.stop(Status.FAILURE)
                 yield self
                 return
@@ -186,11 +187,11 @@ class Timeout(_OnClock):
         if self.decorated.status is not Status.RUNNING:
             return self.decorated.status
         shared = self._shared
-        decision = shared.past.decision(self._path, self._visits)
+        decision = shared.replay.decision(self._path, self._visits)
         if decision is not None and is_stuck(self.decorated):
             return self._fail(decision.failure)
         if shared.cell.clock.now_s >= self._deadline_s:
-            failure = SkillFailed("workflow.timeout", f"not done after {self._duration_s:g} s")
+            failure = SkillFailed(Code.WORKFLOW_TIMEOUT, f"not done after {self._duration_s:g} s")
             status = self._fail(failure)
             shared.listener.decided(self._path, self._visits, Decision(failure))
             return status
@@ -232,5 +233,5 @@ def failure_of(node: Behaviour) -> SkillFailed:
     elif isinstance(node, Decorator):
         if node.decorated.status is Status.FAILURE:
             return failure_of(node.decorated)
-        return SkillFailed("workflow.inverted", f"{node.decorated.name} succeeded under 'invert'")
-    return SkillFailed("workflow.inverted", f"{node.name} failed")
+        return SkillFailed(Code.WORKFLOW_INVERTED, f"{node.decorated.name} succeeded under 'invert'")
+    return SkillFailed(Code.WORKFLOW_INVERTED, f"{node.name} failed")

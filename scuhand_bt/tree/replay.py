@@ -10,23 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from scuhand_bt.cell.cell import Cell
-from scuhand_bt.clock import Steps
-from scuhand_bt.motion import apex
 from scuhand_bt.skill import Skill, SkillFailed
 
 Key = tuple[str, int]
-"""A place in the tree, and the how-manieth visit."""
+"""A place in the tree, and the number of the visit, from 1."""
 ENDED = ("done", "failed")
-REJOINING = ("arm", "balance")
-"""What `rejoin` uses."""
-MOVED_RAD = 0.02
-"""A joint that is farther than this from where it was has been moved."""
-DRIFT_DIGITS = 10.0
-"""The balance's zero may have wandered this far while nobody looked; more is asked about."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +41,7 @@ class Decision:
 
 
 @dataclass
-class Past:
+class Replay:
     """One job's record, consumed while its tree is replayed. Without records, a job that only begins."""
 
     actions: Mapping[Key, Recorded] = field(default_factory=dict)
@@ -99,59 +89,3 @@ class Past:
 def _restored(skill: type[Skill[Any]], result: Any) -> Any:
     """A result as the skill gave it, from JSON."""
     return TypeAdapter(skill.result_type()).validate_python(result, by_name=True, by_alias=False)
-
-
-def rejoin(cell: Cell, past: Past, skill: Skill[Any], *, was_interrupted: bool) -> Steps[None]:
-    """Before the first action: the arm back where it was, if this skill would not move it; the pan compared."""
-    there = past.joints_rad
-    if there is not None and "arm" not in skill.devices:
-        moved_rad = float(np.abs(np.array(there) - cell.arm.positions).max())
-        if moved_rad > MOVED_RAD:
-            cell.record.event("arm_moved", {"moved_rad": moved_rad})
-            yield from cell.move_to(apex(np.array(there), cell.spec.hand.apex_offset_mm / 1000))
-    gross_mg = cell.believed.pan_gross_mg
-    weighs_itself = (was_interrupted and skill.interrupted == "reweigh") or cell.believed.dosing.is_unweighed
-    if gross_mg is not None and not weighs_itself and "changer" not in skill.devices:
-        yield from _compare_pan(cell, gross_mg)
-
-
-def settle(cell: Cell, skill: Skill[Any], name: str, changed_from: Recorded | None) -> Steps[str]:
-    """Settle an action that had begun and not ended: "again", or "done" where the operator says so.
-
-    `changed_from` is what stood in its place, if the workflow or the recipe has changed since.
-    """
-    if changed_from is None and skill.interrupted != "ask":
-        cell.record.event("settled", {"skill": name, "by": skill.interrupted})
-        yield from skill.settle(cell)
-        return "again"
-    if changed_from is not None:
-        before = f"'{changed_from.skill}' ({changed_from.outcome}, {changed_from.inputs})"
-        question = f"The workflow or the recipe has changed: where {before} was, '{name}' is now. Do it?"
-    else:
-        question = f"'{name}' was interrupted ({skill.model_dump_json()}). Begin it again, or is it done?"
-    choices = ["again", "stop"] if skill.result_type() is not type(None) else ["again", "done", "stop"]
-    answer = yield from cell.operator.ask(question, choices)
-    if answer == "stop":
-        raise SkillFailed("operator.refused", f"'{name}' was interrupted, and is not to be begun again")
-    return answer
-
-
-def _compare_pan(cell: Cell, gross_mg: float) -> Steps[None]:
-    """Nothing can have been dosed since the pan was weighed: what it shows otherwise is the balance's zero."""
-    believed = cell.believed
-    mean = yield from cell.balance.settled()
-    drift_mg = mean.value_mg - gross_mg
-    cell.record.event("pan_compared", {**mean.values(), "before_mg": gross_mg})
-    if abs(drift_mg) > max(1.0, DRIFT_DIGITS * cell.spec.balance.readability_mg):
-        answer = yield from cell.operator.ask(
-            f"The pan shows {drift_mg:+.1f} mg against before the interruption, and nothing was being dosed. Has only "
-            "the balance's zero moved ('zero'), or has powder come or gone ('powder')?",
-            ("zero", "powder", "stop"),
-        )
-        if answer == "stop":
-            raise SkillFailed("operator.refused", f"the pan shows {drift_mg:+.1f} mg against before")
-        if answer == "powder":
-            drift_mg = 0.0
-    if believed.pan_empty_mg is not None:
-        believed.pan_empty_mg += drift_mg
-    believed.pan_gross_mg = mean.value_mg

@@ -20,7 +20,7 @@ QUIET_S = 0.3
 """How long the line must be quiet before the next question after one without an answer."""
 
 
-class State(Enum):
+class Phase(Enum):
     """Where the conversation stands."""
 
     CLOSED = auto()
@@ -42,7 +42,7 @@ class Conversation:
         period_s: float,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.state = State.CLOSED
+        self.state = Phase.CLOSED
         self._dialect = dialect
         self._send = send
         self._discard_input = discard_input
@@ -54,51 +54,51 @@ class Conversation:
     def begin(self) -> None:
         """The port has just been opened, or the balance has to be woken again."""
         if self._dialect.identify:
-            self._go_to(State.IDENTIFYING, self._dialect.identify)
+            self._go_to(Phase.IDENTIFYING, self._dialect.identify)
         else:
             self._read_on()
 
     def heard(self, frame: Frame) -> bool:
         """Note a frame; False if it must not be used, being the answer to an older question."""
-        if self.state is State.DRAINING:
-            self._go_to(State.DRAINING)
+        if self.state is Phase.DRAINING:
+            self._go_to(Phase.DRAINING)
             return False
         unasked = isinstance(frame, Weight) and self._polls
-        if self.state is State.LISTENING and isinstance(frame, Refused) and self._dialect.poll:
+        if self.state is Phase.LISTENING and isinstance(frame, Refused) and self._dialect.poll:
             self._polls = True  # not every model can stream
             self._read_on()
-        elif self.state is State.LISTENING:
-            self._go_to(State.LISTENING)
-        elif self.state is State.ASKED and not isinstance(frame, Answer):
-            self.state = State.RESTING  # the period counts from the question
-        elif self.state in (State.IDENTIFYING, State.RESTING) and unasked:
-            self._go_to(State.LISTENING)  # auto-print is on; asking would switch it off
-        elif self.state is State.IDENTIFYING and isinstance(frame, Answer | Refused):
+        elif self.state is Phase.LISTENING:
+            self._go_to(Phase.LISTENING)
+        elif self.state is Phase.ASKED and not isinstance(frame, Answer):
+            self.state = Phase.RESTING  # the period counts from the question
+        elif self.state in (Phase.IDENTIFYING, Phase.RESTING) and unasked:
+            self._go_to(Phase.LISTENING)  # auto-print is on; asking would switch it off
+        elif self.state is Phase.IDENTIFYING and isinstance(frame, Answer | Refused):
             self._read_on()
         return True
 
     def go_on(self, patience_s: float) -> None:
         """Say what is due. `patience_s`: how long a stream may pause before it is started again."""
         waited_s = self._now() - self._since_s
-        if self.state is State.IDENTIFYING and waited_s >= ANSWER_TIMEOUT_S:
+        if self.state is Phase.IDENTIFYING and waited_s >= ANSWER_TIMEOUT_S:
             self._read_on()  # many balances do not say who they are
-        elif self.state is State.ASKED and waited_s >= ANSWER_TIMEOUT_S:
+        elif self.state is Phase.ASKED and waited_s >= ANSWER_TIMEOUT_S:
             self._discard_input()
-            self._go_to(State.DRAINING)
-        elif (self.state is State.RESTING and waited_s >= self._period_s) or (
-            self.state is State.DRAINING and waited_s >= QUIET_S
+            self._go_to(Phase.DRAINING)
+        elif (self.state is Phase.RESTING and waited_s >= self._period_s) or (
+            self.state is Phase.DRAINING and waited_s >= QUIET_S
         ):
             self._read_on()
-        elif self.state is State.LISTENING and waited_s >= patience_s:
+        elif self.state is Phase.LISTENING and waited_s >= patience_s:
             self.begin()
 
     def _read_on(self) -> None:
         if self._polls:
-            self._go_to(State.ASKED, self._dialect.poll)
+            self._go_to(Phase.ASKED, self._dialect.poll)
         else:
-            self._go_to(State.LISTENING, self._dialect.stream)
+            self._go_to(Phase.LISTENING, self._dialect.stream)
 
-    def _go_to(self, state: State, saying: bytes = b"") -> None:
+    def _go_to(self, state: Phase, saying: bytes = b"") -> None:
         self.state = state
         self._since_s = self._now()
         if saying:

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
-from scuhand_bt.devices.balances.conversation import Conversation, State
+from scuhand_bt.devices.balances.conversation import Conversation, Phase
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, Frame, OutOfRange, Weight
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.devices.serial_link import REOPEN_S, Framing, SerialLink, Silence
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 ADJUSTMENT_S = 300.0
 """How long an internal adjustment may keep the balance silent."""
@@ -77,7 +77,7 @@ class SerialBalance:
     def fault(self) -> SkillFailed | None:
         """It is lost: its port has gone, or it has been silent for too long. A load beyond its range may be a hand."""
         trouble = self._trouble
-        return self._failure(trouble) if trouble is not None and trouble.code == "device.lost" else None
+        return self._failure(trouble) if trouble is not None and trouble.code == Code.DEVICE_LOST else None
 
     def open(self) -> None:
         """Open the port and begin to read; SkillFailed device.lost if it cannot be opened."""
@@ -100,10 +100,10 @@ class SerialBalance:
                 raise self._failure(trouble)
             if self._clock.now_s >= deadline_s:
                 why = f": {trouble.detail}" if trouble else ""
-                raise SkillFailed("device.lost", f"no reading from {self._name} for {timeout_s:g} s{why}")
+                raise SkillFailed(Code.DEVICE_LOST, f"no reading from {self._name} for {timeout_s:g} s{why}")
             yield wake
 
-    def settled(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
         """Average successive readings that the balance itself calls stable.
 
         SkillFailed balance.unstable if there are not enough in time, balance.overload, device.lost.
@@ -118,7 +118,7 @@ class SerialBalance:
                 if reading is None or self._clock.now_s < deadline_s:
                     raise
                 detail = f"{self._name} was not stable within {timeout_s:g} s"
-                raise SkillFailed("balance.unstable", detail) from None
+                raise SkillFailed(Code.BALANCE_UNSTABLE, detail) from None
             stable = [*stable, reading] if reading.stable else []
         return stable_mean(stable, self.spec.readability_mg)
 
@@ -139,14 +139,14 @@ class SerialBalance:
             for other in self._others:
                 if isinstance(other.parse(raw), Weight):
                     detail = f"it speaks {other.name}; change `driver` in robot/cell.yaml, or the balance's menu"
-                    self._say(_Trouble("device.lost", detail))
+                    self._say(_Trouble(Code.DEVICE_LOST, detail))
                     return
         if frame is None:
             self._unread = raw
             return  # noise, or half a line; if that is all there is, it is said with the silence
         self._silence.broken()
         self._unread = b""
-        identifying = self._talk.state is State.IDENTIFYING
+        identifying = self._talk.state is Phase.IDENTIFYING
         if not self._talk.heard(frame):
             return
         if isinstance(frame, Answer):
@@ -161,12 +161,12 @@ class SerialBalance:
         adjusting = self._trouble is not None and self._trouble.adjusting
         patience_s = ADJUSTMENT_S if adjusting else self.spec.lost_after_s
         if self._silence.seconds > patience_s and self.fault is None:
-            self._say(_Trouble("device.lost", self._why_silent()))
+            self._say(_Trouble(Code.DEVICE_LOST, self._why_silent()))
         self._talk.go_on(patience_s)
 
     def lost(self, why: str) -> None:
         """The port has gone."""
-        self._say(_Trouble("device.lost", why))
+        self._say(_Trouble(Code.DEVICE_LOST, why))
 
     def _weighed(self, weight: Weight, raw: bytes, now_s: float) -> None:
         self._unit = weight.unit or self._unit
@@ -184,7 +184,7 @@ class SerialBalance:
     def _explained(self, frame: Frame) -> None:
         if isinstance(frame, OutOfRange):
             detail = "it is loaded beyond its maximum" if frame.above else "it is in underload: is its pan in place?"
-            self._say(_Trouble("balance.overload", detail))
+            self._say(_Trouble(Code.BALANCE_OVERLOAD, detail))
         elif isinstance(frame, Busy):
             self._say(_Trouble("", f"it is busy ({frame.detail})", frame.adjusting))
 
@@ -201,7 +201,7 @@ class SerialBalance:
         return SkillFailed(trouble.code, f"{self._name}: {trouble.detail}")
 
     def _say(self, trouble: _Trouble) -> None:
-        if trouble.code == "device.lost":
+        if trouble.code == Code.DEVICE_LOST:
             self.latest = None  # what it weighed before is no news of now
         self._trouble = trouble
         self.news.fire()

@@ -14,7 +14,7 @@ from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.registers import XM430, XM540
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.interfaces import Joints, Trajectory
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 FIRST_SERVO = 2
 GAINS = (
@@ -88,7 +88,7 @@ class DynamixelArm:
         if off_rad.max() > START_LIMIT_RAD:
             joint = int(off_rad.argmax())
             raise SkillFailed(
-                "arm.not_following",
+                Code.ARM_NOT_FOLLOWING,
                 f"the trajectory begins {np.degrees(off_rad[joint]):.1f}° from where joint {joint + 1} stands",
             )
         self._group.move(trajectory.sample, trajectory.duration_s)

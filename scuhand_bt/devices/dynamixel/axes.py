@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 SHORTEST_RETURN_DELAY = 0
 WATCHDOG_UNITS = 4
@@ -90,7 +90,7 @@ def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
     if number != axis.model.number:
         found = r.MODELS[number].name if number in r.MODELS else f"model {number}"
         raise SkillFailed(
-            "device.lost", f"servo {axis.servo} ({axis.name}) on {bus.url} is a {found}, not a {axis.model.name}"
+            Code.DEVICE_LOST, f"servo {axis.servo} ({axis.name}) on {bus.url} is a {found}, not a {axis.model.name}"
         )
     if bits := bus.read(axis.servo, r.HARDWARE_ERROR):
         raise shut_down(axis, bits)
@@ -100,7 +100,7 @@ def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
     if held and mode != axis.mode:
         # The mode can only be changed without torque, and the arm has no brakes.
         raise SkillFailed(
-            "device.lost",
+            Code.DEVICE_LOST,
             f"servo {axis.servo} ({axis.name}) is powered in mode {mode}, not {axis.mode}; "
             "support the arm, switch its supply off and on, and start again",
         )
@@ -129,7 +129,7 @@ def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
 def shut_down(axis: Axis, bits: int) -> SkillFailed:
     """The failure of a servo that has switched itself off."""
     return SkillFailed(
-        "servo.overload",
+        Code.SERVO_OVERLOAD,
         f"servo {axis.servo} ({axis.name}) has shut down on {r.hardware_errors(bits)} and holds nothing; "
         "support the arm, find the cause, and reboot the servo",
     )

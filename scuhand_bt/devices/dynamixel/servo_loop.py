@@ -27,7 +27,7 @@ from scuhand_bt.devices.dynamixel.bus import BusError, BusLost, DynamixelBus, No
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.serial_link import REOPEN_S, why_not_open
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.failures import Code, SkillFailed
 
 PERIOD_S = 0.01
 """Of the stream of goals; the servos are read in every second cycle."""
@@ -127,7 +127,7 @@ class AxisGroup:
             if not low - HALF_COUNT_RAD < goal < high + HALF_COUNT_RAD:
                 what = f"{state.axis.name} would go to {np.degrees(goal):.1f}°"
                 window = f"{np.degrees(low):.1f}..{np.degrees(high):.1f}°"
-                return SkillFailed("arm.joint_limit", f"{what}, and servo {state.axis.servo} allows {window}")
+                return SkillFailed(Code.ARM_JOINT_LIMIT, f"{what}, and servo {state.axis.servo} allows {window}")
         return None
 
 
@@ -158,13 +158,13 @@ class ServoChain:
         try:
             self.bus.open()
         except BusLost as error:
-            raise SkillFailed("device.lost", why_not_open(self.bus.url, error)) from error
+            raise SkillFailed(Code.DEVICE_LOST, why_not_open(self.bus.url, error)) from error
         try:
             self._set_up()
         except BusError as error:
             self.bus.close()
             raise SkillFailed(
-                "device.lost", f"{error} on {self.bus.url}; check the servo's cable, its id and the supply"
+                Code.DEVICE_LOST, f"{error} on {self.bus.url}; check the servo's cable, its id and the supply"
             ) from error
         except SkillFailed:
             self.bus.close()
@@ -227,7 +227,7 @@ class ServoChain:
             pause_ms = self._liveness.silent_s * 1000
             for group in watched:
                 detail = f"the run's tick hung for {pause_ms:.0f} ms; the arm was stopped"
-                group.freeze(SkillFailed("arm.not_following", detail))
+                group.freeze(SkillFailed(Code.ARM_NOT_FOLLOWING, detail))
             self._hold()
         for group in moving:
             group.advance(min(dt_s, LONGEST_STEP_S))
@@ -249,7 +249,7 @@ class ServoChain:
                 group.rest()
             elif group.is_streaming:
                 detail = f"this computer paused for {pause_s * 1000:.0f} ms; the servos have stopped"
-                group.freeze(SkillFailed("arm.not_following", detail))
+                group.freeze(SkillFailed(Code.ARM_NOT_FOLLOWING, detail))
         self._hold()
 
     def _write_goals(self, groups: Sequence[AxisGroup]) -> None:
@@ -296,7 +296,7 @@ class ServoChain:
     def _fault_of(self, group: AxisGroup, state: AxisState, now_s: float) -> SkillFailed | None:
         axis = state.axis
         if state.alert:
-            if group.fault is not None and group.fault.code == "servo.overload":
+            if group.fault is not None and group.fault.code == Code.SERVO_OVERLOAD:
                 return None  # said already
             return shut_down(axis, self.bus.read(axis.servo, r.HARDWARE_ERROR))
         off_rad = abs(group.goal_of(axis) - state.position_rad)
@@ -307,18 +307,18 @@ class ServoChain:
         elif now_s - state.far_since_s > FAR_LIMIT_S:
             state.far_since_s = None
             return SkillFailed(
-                "arm.not_following", f"{axis.name} is {np.degrees(off_rad):.1f}° from where it should be"
+                Code.ARM_NOT_FOLLOWING, f"{axis.name} is {np.degrees(off_rad):.1f}° from where it should be"
             )
         if state.temperature_c >= state.temperature_limit_c - HOT_MARGIN_C and group.is_streaming:
             return SkillFailed(
-                "servo.overload",
+                Code.SERVO_OVERLOAD,
                 f"servo {axis.servo} ({axis.name}) is at {state.temperature_c} °C and shuts down at "
                 f"{state.temperature_limit_c} °C; let it cool",
             )
         return None
 
     def _lose(self, detail: str) -> None:
-        self.lost = SkillFailed("device.lost", detail)
+        self.lost = SkillFailed(Code.DEVICE_LOST, detail)
         for group in self.groups:
             group.freeze(self.lost)
             for state in group.states:  # nothing more is heard of them: their watchdogs stop them now
@@ -345,4 +345,4 @@ def fault_of(chain: ServoChain, group: AxisGroup) -> SkillFailed | None:
     if chain.lost is not None:
         return chain.lost
     fault = group.fault
-    return fault if fault is not None and fault.code != "device.lost" else None
+    return fault if fault is not None and fault.code != Code.DEVICE_LOST else None

@@ -13,7 +13,7 @@ STABLE_TIMEOUT_S = 30.0
 """How long a command that waits for stability does so before the balance gives up."""
 
 
-class Pan(Protocol):
+class PanLoad(Protocol):
     """What lies on the balance: the simulated world, or a test's own."""
 
     def gross_mg(self, now_s: float) -> float:
@@ -40,7 +40,7 @@ class StillPan:
 class BalanceTwin(ABC):
     """What the four have in common: lines of commands, a stream of readings, zero, tare and range."""
 
-    def __init__(self, pan: Pan, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
+    def __init__(self, pan: PanLoad, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
         self.pan = pan
         self.readability_mg = readability_mg
         self.maximum_mg = maximum_mg
@@ -126,7 +126,7 @@ class BalanceTwin(ABC):
 class AndTwin(BalanceTwin):
     """A&D standard format, with `erCd 0` (silent) or `erCd 1` (acknowledging)."""
 
-    def __init__(self, pan: Pan, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
+    def __init__(self, pan: PanLoad, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
         super().__init__(pan, readability_mg, maximum_mg)
         self.error_codes = False
         self.format = "A&D"
@@ -266,7 +266,7 @@ class MtSicsTwin(BalanceTwin):
 class SbiTwin(BalanceTwin):
     """SBI with lines of 16 or 22 characters. Control commands are silent, tare only works when stable."""
 
-    def __init__(self, pan: Pan, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
+    def __init__(self, pan: PanLoad, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
         super().__init__(pan, readability_mg, maximum_mg)
         self.with_id = False
         self.autoprint = False
@@ -315,7 +315,7 @@ class SbiTwin(BalanceTwin):
 class ShimadzuTwin(BalanceTwin):
     """Shimadzu's standard format: D01/D03 continuous, D05/D07/D08 once, D09 stops."""
 
-    def __init__(self, pan: Pan, readability_mg: float = 0.1, maximum_mg: float = 120_000.0) -> None:
+    def __init__(self, pan: PanLoad, readability_mg: float = 0.1, maximum_mg: float = 120_000.0) -> None:
         super().__init__(pan, readability_mg, maximum_mg)
         self.period_s = 0.11
         self._with_letter = False

@@ -25,7 +25,7 @@ AMBIENT_C = 25.0
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class ServoModel:
     """Factory settings of a model."""
 
     number: int
@@ -37,16 +37,16 @@ class Kind:
     firmware: int = 46
 
 
-XM430 = Kind(1020, 200, 1193, 80, 95, 160)
-XM540 = Kind(1120, 128, 2047, 80, 95, 160)
-XC330 = Kind(1220, 320, 910, 70, 55, 140)
+XM430 = ServoModel(1020, 200, 1193, 80, 95, 160)
+XM540 = ServoModel(1120, 128, 2047, 80, 95, 160)
+XC330 = ServoModel(1220, 320, 910, 70, 55, 140)
 
 
 class Servo:
     """A servo with a shaft that turns in time. Positions are counts, 4096 a turn."""
 
     def __init__(
-        self, servo_id: int, kind: Kind = XM430, position: float = 2048.0, window: tuple[int, int] = (0, 4095)
+        self, servo_id: int, kind: ServoModel = XM430, position: float = 2048.0, window: tuple[int, int] = (0, 4095)
     ):
         self.id = servo_id
         self.kind = kind
