@@ -8,7 +8,7 @@ from wire_helpers import carry_out, wait_for
 
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
-from scuhand_bt.devices.balances.conversation import ANSWER_TIMEOUT_S, QUIET_S, Conversation, State
+from scuhand_bt.devices.balances.conversation import ANSWER_TIMEOUT_S, QUIET_S, Conversation, Phase
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.devices.serial_link import LineBuffer
@@ -194,7 +194,7 @@ def test_one_question_at_a_time_and_not_before_the_period_is_over() -> None:
 
 def test_the_late_answer_to_a_question_that_was_given_up_is_not_used() -> None:
     talk = Talk(DIALECTS["shimadzu"]).after(ANSWER_TIMEOUT_S)
-    assert talk.it.state is State.DRAINING
+    assert talk.it.state is Phase.DRAINING
     assert talk.discarded == 1
     assert not talk.after(0.2).it.heard(weight("1", "g", True))
     assert len(talk.after(0.2).said) == 1, "the line was quiet for 0.2 s only"
@@ -206,7 +206,7 @@ def test_an_sbi_balance_that_prints_by_itself_is_never_asked_as_that_would_switc
     talk = Talk(DIALECTS["sbi"])
     talk.it.heard(weight("1", "g", True))
     assert talk.after(2.5).said == [DIALECTS["sbi"].identify]
-    assert talk.it.state is State.LISTENING
+    assert talk.it.state is Phase.LISTENING
 
 
 class Bench:
