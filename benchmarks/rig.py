@@ -22,7 +22,7 @@ from scuhand_bt.dosing import DoseRequest, new_controller
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.world import World
@@ -118,7 +118,7 @@ class Bench:
             spec,
             {"store": source},
             clock=self.clock,
-            record=NoRecord(),
+            record=Record(),
             motion=cast(MotionPlanner, None),
             operator=cast(Operator, None),
             seed=run,
@@ -164,7 +164,7 @@ class Bench:
             steps = run_oracle(Oracle(request), self.cell, self.world, DISH.id)
         else:
             controller = new_controller(name, request)
-            steps = run_dose(controller, self.cell.hand, self.cell.balance, self.clock, NoRecord(), empty_mg)
+            steps = run_dose(controller, self.cell.hand, self.cell.balance, self.clock, Record(), empty_mg)
         begin_s = self.clock.now_s
         try:
             run = self.drive(steps)

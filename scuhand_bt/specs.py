@@ -3,7 +3,7 @@ believed of powders and balances, and the values that travel on a workflow's wir
 """
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import (
     BaseModel,
@@ -196,23 +196,3 @@ class Container(ContainerKind):
     def kind(self) -> ContainerKind:
         """What it has in common with all of its kind."""
         return ContainerKind.model_construct(**{name: getattr(self, name) for name in ContainerKind.model_fields})
-
-
-class Dose(Spec):
-    """The result for one container: what was asked, what the balance says is there, and the verdict."""
-
-    target_mg: float
-    tolerance_mg: float
-    dispensed_mg: float
-    """By a stable mean of the balance: gross now less gross before."""
-    uncertainty_mg: float
-    """Standard uncertainty of `dispensed_mg`."""
-    pulses: int
-    vibration_s: float
-    duration_s: float
-    controller: str
-    verdict: Literal["in tolerance", "under", "over"]
-
-    @property
-    def error_mg(self) -> float:
-        return self.dispensed_mg - self.target_mg

@@ -21,7 +21,7 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.recipe.recipe import Recipe, load_recipe
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.runner import Outcome, Runner
@@ -197,7 +197,7 @@ class FakeCell:
     devices: Mapping[str, FakeDevice] = field(default_factory=lambda: {name: FakeDevice() for name in DEVICES})
     log: list[Any] = field(default_factory=list)
     believed: Believed = field(default_factory=Believed)
-    record: NoRecord = field(default_factory=NoRecord)
+    record: Record = field(default_factory=Record)
 
     def device(self, name: str) -> FakeDevice:
         return self.devices[name]
