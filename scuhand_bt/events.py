@@ -256,7 +256,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
 # --- a lab's own
 
 NOTE_PREFIX = "lab."
-_NOTE_KIND = re.compile(r"lab(\.[a-z][a-z0-9_]*)+")
+NOTE_KIND = r"lab(\.[a-z][a-z0-9_]*)+"
 _JSON: TypeAdapter[dict[str, JsonValue]] = TypeAdapter(dict[str, JsonValue], config=ConfigDict(allow_inf_nan=False))
 
 
@@ -271,7 +271,7 @@ class Note:
     values: Mapping[str, JsonValue]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.kind, str) or not _NOTE_KIND.fullmatch(self.kind):
+        if not isinstance(self.kind, str) or not re.fullmatch(NOTE_KIND, self.kind):
             name = (
                 re.sub(r"[^a-z0-9_.]+", "_", str(self.kind).lower().removeprefix(NOTE_PREFIX)).strip("_.") or "sieved"
             )

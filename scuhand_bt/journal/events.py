@@ -6,7 +6,7 @@ Fields with a default are absent in journals of before they were written.
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, JsonValue
+from pydantic import ConfigDict, Field, JsonValue, ValidationError
 
 from scuhand_bt.events import SKILL_EVENTS, Event, Text, Values, Weighing
 from scuhand_bt.failures import SkillFailed
@@ -291,6 +291,7 @@ class Frames(Event):
     """Lines of the balance, as they came while a skill with hand and balance was at work.
 
     They are in the entry's own column, compressed: zlib of a JSON list of [time_s, raw, value_mg, unit, stable].
+    At most the last half second is lost with the power.
     """
 
     KIND: ClassVar = "frames"
@@ -405,10 +406,15 @@ class NewerShape(Exception):  # noqa: N818 - it says what was found
 def parsed(kind: str, values: Mapping[str, Any]) -> Event | None:
     """An entry's payload as its model; None for a kind that is not of `KINDS` (a lab's, or a newer program's).
 
-    Raises NewerShape, and pydantic.ValidationError (a ValueError) for what no program wrote.
+    Raises NewerShape, and ValueError for what no program wrote.
     """
     if (model := KINDS.get(kind)) is None:
         return None
     if (shape := values.get("shape", 1)) > model.SHAPE:
         raise NewerShape(f"'{kind}' of shape {shape}; this one reads up to {model.SHAPE}")
-    return model.model_validate(values)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        where = ".".join(map(str, wrong["loc"]))
+        raise ValueError(f"'{kind}' has at '{where}': {wrong['msg'].lower()}") from None
