@@ -16,12 +16,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.verdicts import is_untrue
+from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver, SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.fault_rules import KINDS, parse_faults

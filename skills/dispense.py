@@ -9,7 +9,7 @@ from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.skill import Cell, Code, Dose, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Dose, DoseCurve, Milligrams, Reweighed, Skill, SkillFailed, Steps
 
 ASIDE_MM = 2.0
 """The apex is taken to be over the container where it is no farther than this from its place."""
@@ -72,8 +72,8 @@ class Dispense(Skill[Dose]):
         cell.believed.dosing.is_unweighed = False
         self._learn(cell, run)
         dose = self._dose(cell, run, controller.name)
-        cell.record.dose(dose)
-        cell.record.event("dose_curve", {"points": run.rows()})
+        cell.record.event(dose)
+        cell.record.event(DoseCurve(points=run.rows()))
         self._raise_failure(cell, run, dose)
         return dose
 
@@ -87,7 +87,7 @@ class Dispense(Skill[Dose]):
             yield from cell.move_to(place)
         mean = yield from cell.balance.stable_mean()
         arrived_mg = mean.value_mg - believed.pan_gross_mg
-        cell.record.event("reweighed", {**mean.values(), "arrived_mg": arrived_mg})
+        cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=arrived_mg))
         believed.cone_mg = max(0.0, believed.cone_mg - arrived_mg)
         believed.pan_gross_mg, believed.dosing.is_unweighed = mean.value_mg, False
 

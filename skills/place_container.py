@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Code, Container, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
 CLEAR_MM = 90.0
 """The apex must be this far aside from the pan's centre while containers are changed."""
@@ -46,9 +46,15 @@ class PlaceContainer(Skill[None]):
         loaded = yield from cell.balance.stable_mean()
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
-        weighed = {"container": container.id, "kind": container.name, "mass_mg": mass_mg}
         cell.record.event(
-            "container", {**weighed, "balance": cell.balance.identity, "bare": bare.values(), "loaded": loaded.values()}
+            ContainerPlaced(
+                container=container.id,
+                kind=container.name,
+                mass_mg=mass_mg,
+                balance=cell.balance.identity,
+                bare=bare.written(),
+                loaded=loaded.written(),
+            )
         )
         if mass_mg < container.empty_mass_mg / 10:
             raise SkillFailed(

@@ -1,6 +1,6 @@
 """What is left in the cone goes back into its mortar."""
 
-from scuhand_bt.skill import Cell, Code, Skill, SkillFailed, Source, Steps
+from scuhand_bt.skill import Cell, Code, Returned, Skill, SkillFailed, Source, Steps
 
 from ._emptying import empty_cone
 
@@ -26,4 +26,4 @@ class ReturnLeftover(Skill[None]):
         returned_mg = believed.cone_mg
         yield from empty_cone(cell)
         believed.sources_mg[source.name] += returned_mg
-        cell.record.event("returned", {"source": source.name, "expected_mg": returned_mg})
+        cell.record.event(Returned(source=source.name, expected_mg=returned_mg))

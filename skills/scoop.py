@@ -23,6 +23,8 @@ from scuhand_bt.skill import (
     Milligrams,
     Millimetres,
     MillimetresPerSecond,
+    Returned,
+    Scooped,
     Skill,
     SkillFailed,
     Source,
@@ -108,7 +110,7 @@ class Scoop(Skill[Milligrams]):
         believed.cone_mg = source.powder.load_limit_mg
         yield from empty_cone(cell)
         believed.sources_mg[source.name] += held_mg
-        cell.record.event("returned", {"source": source.name, "expected_mg": held_mg})
+        cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
     def _require_clean(self, cell: Cell) -> None:
         believed = cell.believed
@@ -160,13 +162,12 @@ class Scoop(Skill[Milligrams]):
         believed.sources_mg[source.name] -= taken_mg
         believed.dosing.scoops += 1
         cell.record.event(
-            "scoop",
-            {
-                "source": source.name,
-                "expected_mg": taken_mg,
-                "open_mm": stroke.open_mm,
-                "closed_mm": stroke.closed_mm,
-                "swing_deg": stroke.swing_deg,
-            },
+            Scooped(
+                source=source.name,
+                expected_mg=taken_mg,
+                open_mm=stroke.open_mm,
+                closed_mm=stroke.closed_mm,
+                swing_deg=stroke.swing_deg,
+            )
         )
         return believed.cone_mg

@@ -1,7 +1,7 @@
 """The software tare: the stable gross before the first powder."""
 
 from scuhand_bt.cell.believed import DoseSoFar
-from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
 
 
 class Tare(Skill[Milligrams]):
@@ -18,5 +18,5 @@ class Tare(Skill[Milligrams]):
         mean = yield from cell.balance.stable_mean()
         cell.believed.pan_empty_mg = cell.believed.pan_gross_mg = mean.value_mg
         cell.believed.dosing = DoseSoFar(began_s=cell.clock.now_s)
-        cell.record.event("tare", {**mean.values(), "balance": cell.balance.identity})
+        cell.record.event(Tared(**dict(mean.written()), balance=cell.balance.identity))
         return mean.value_mg

@@ -14,6 +14,8 @@ from running import HEAD, make_lab, shared_planner
 
 from benchmarks.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
+from scuhand_bt.events import Event, Note
+from scuhand_bt.journal.events import Paused
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
@@ -165,8 +167,8 @@ def test_a_complete_run_has_nothing_left_to_do(run: Run) -> None:
 
 
 def test_a_paused_action_is_settled_and_begun_again(run: Run) -> None:
-    def when_paused(kind: str, values: Any) -> None:
-        if kind == "paused":
+    def when_paused(event: Event | Note) -> None:
+        if isinstance(event, Paused):
             watch.session.control.wish("continue")
 
     watch = Watch("pause_now", 60)
@@ -187,8 +189,8 @@ def test_a_paused_action_is_settled_and_begun_again(run: Run) -> None:
 def test_a_pause_begins_no_action_and_halts_none(run: Run) -> None:
     seen: list[str] = []
 
-    def when_paused(kind: str, values: Any) -> None:
-        if kind == "paused":
+    def when_paused(event: Event | Note) -> None:
+        if isinstance(event, Paused):
             seen.extend(outcome for _, outcome in actions(run.journal))
             watch.session.control.wish("continue")
 
@@ -522,8 +524,8 @@ def test_a_guard_that_trips_in_a_pause_ends_the_run_and_the_sample_is_interrupte
                     control.news.fire()
 
                 heard = self.session.journal.heard
-                self.session.journal.heard = lambda kind, values: (
-                    threading.Timer(0.2, press).start() if kind == "paused" else heard(kind, values)
+                self.session.journal.heard = lambda event: (
+                    threading.Timer(0.2, press).start() if isinstance(event, Paused) else heard(event)
                 )
 
     result = run.go(Pressing())

@@ -22,7 +22,7 @@ from scuhand_bt.devices.interfaces import Joints, Operator
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.problems import SourceError
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim import cell as cell_module
 from scuhand_bt.sim.plant import Plant
@@ -63,7 +63,7 @@ class Bench:
             spec,
             {"store": Source(name="store", station="bay", mortar=MORTAR, powder=BEADS, amount_mg=ALL_MG)},
             clock=self.clock,
-            record=NoRecord(),
+            record=Record(),
             motion=cast(MotionPlanner, None),
             operator=cast(Operator, None),
             seed=1,

@@ -31,8 +31,8 @@ from scuhand_bt.quantity import format_duration, format_mass
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
     from scuhand_bt.recipe.plan import Plan
-    from scuhand_bt.run.batch import BatchResult
     from scuhand_bt.run.control import Control
+    from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
 
 

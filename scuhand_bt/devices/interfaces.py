@@ -7,13 +7,14 @@ then is its lease freed.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scuhand_bt.cell_spec import BalanceSpec, HandSpec
 from scuhand_bt.clock import Signal, Steps
+from scuhand_bt.events import Line, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.specs import Container
 
@@ -119,16 +120,15 @@ class Reading:
     unit: str = "mg"
     raw: bytes = b""
 
-    def values(self) -> dict[str, Any]:
+    def written(self) -> Line:
         """As it is written down: the line as it came, and what was understood of it."""
-        line = self.raw.decode("latin-1")
-        return {
-            "raw": line,
-            "value_mg": self.value_mg,
-            "unit": self.unit,
-            "stable": self.stable,
-            "time_s": round(self.time_s, 4),
-        }
+        return Line(
+            raw=self.raw.decode("latin-1"),
+            value_mg=self.value_mg,
+            unit=self.unit,
+            stable=self.stable,
+            time_s=round(self.time_s, 4),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +140,10 @@ class StableMean:
     time_s: float
     readings: Sequence[Reading] = ()
 
-    def values(self) -> dict[str, Any]:
+    def written(self) -> Weighing:
         """As it is written down: the mean, and every reading that it is the mean of."""
-        readings = [reading.values() for reading in self.readings]
-        return {"gross_mg": self.value_mg, "uncertainty_mg": self.uncertainty_mg, "readings": readings}
+        readings = tuple(reading.written() for reading in self.readings)
+        return Weighing(gross_mg=self.value_mg, uncertainty_mg=self.uncertainty_mg, readings=readings)
 
 
 class Balance(Device, Protocol):
