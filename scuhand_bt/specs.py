@@ -3,7 +3,7 @@ believed of powders and balances, and the values that travel on a workflow's wir
 """
 
 import math
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     BaseModel,
