@@ -103,13 +103,12 @@ class MotionPlanner:
 
     # What the cell looks like now -------------------------------------------------------------------
 
-    def set_cone_diameter(self, diameter_m: float) -> None:
-        """The hand has formed a cone of this rim diameter: its collision shape follows."""
-        self._geometry = Geometry(round(diameter_m, 4), self._geometry.container)
+    def set_geometry(self, cone_diameter_m: float = CONE_DIAMETER_M, container: ContainerKind | None = None) -> None:
+        """How wide the cone's rim is, and which kind of container stands on the pan, in all that is asked from now on.
 
-    def set_container(self, kind: ContainerKind | None) -> None:
-        """This kind of container stands on the balance's pan now, or none."""
-        self._geometry = Geometry(self._geometry.cone_diameter_m, kind)
+        To the whole millimetre, far within the margin: what a hand measures of one size is one geometry.
+        """
+        self._geometry = Geometry(round(cone_diameter_m, 3), container)
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -136,7 +135,7 @@ class MotionPlanner:
         """
         names, present, carried = list(self._places), self._geometry, list(carries)
         for kind in (None, *containers):
-            self.set_container(kind)
+            self._geometry = Geometry(present.cone_diameter_m, kind)
             for first, second in itertools.combinations(names, 2):
                 self.move(self._posture(first), second)
             for first, second, limit_deg in carried:
@@ -209,7 +208,7 @@ class MotionPlanner:
     @contextmanager
     def _bare_pan(self) -> Iterator[None]:
         present = self._geometry
-        self.set_container(None)
+        self._geometry = Geometry(present.cone_diameter_m)
         try:
             yield
         finally:

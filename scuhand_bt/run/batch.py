@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 from py_trees.behaviour import Behaviour
 
-from scuhand_bt.cell.believed import DoseSoFar
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
 from scuhand_bt.exit_codes import ExitCode
@@ -245,7 +244,7 @@ class Batch:
             return Outcome(before.failure)
         if before is None:
             self._cell.begin_sample(sample_id or job.name, attempt)
-            self._cell.believed.dosing = DoseSoFar(began_s=self._cell.clock.now_s)
+            self._cell.believed.dose_began(self._cell.clock.now_s)
             journal.job_started(job.name, sample_id, attempt, job.workflow)
             replay = Replay()
         else:
