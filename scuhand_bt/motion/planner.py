@@ -106,7 +106,7 @@ class MotionPlanner:
     # What the cell looks like now -------------------------------------------------------------------
 
     def set_geometry(self, cone_diameter_m: float = CONE_DIAMETER_M, container: ContainerKind | None = None) -> None:
-        """How wide the cone's rim is, and which kind of container stands on the pan, in all that is asked from now on."""
+        """How wide the rim is, and which kind of container stands on the pan, in all that is asked from now on."""
         is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
         self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container)
 
