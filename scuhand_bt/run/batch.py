@@ -13,7 +13,7 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan
+from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
@@ -232,9 +232,12 @@ class Batch:
         return answer
 
     def _recover(self, sample: Sample, attempt: int) -> _Ending | None:
-        if AFTER_FAILURE not in self._library.workflows or sample.source is None:
+        if AFTER_FAILURE not in self._library.workflows or not sample.sources:
             return None
-        return self._run_service(Job(f"after {sample.id}", AFTER_FAILURE, {"source": sample.source}), attempt)
+        jobs = recoveries(sample)
+        begun = [job for job in jobs if (job.name, attempt) in self._history.jobs]
+        of_cone = [job for job in jobs if job.inputs["source"].name == self._cell.believed.cone_source]
+        return self._run_service([*begun, *of_cone, *jobs][0], attempt)
 
     def _run_job(self, job: Job, inputs: Mapping[str, Any], sample_id: str | None, attempt: int) -> Outcome:
         """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""

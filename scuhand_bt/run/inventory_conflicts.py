@@ -149,7 +149,7 @@ def _believe_source(name: str, mass_mg: float) -> Resolution:
 
 def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
     """The cone must be empty, or hold what comes first; and so the sheet."""
-    first = next((job.sample.source for job in plan.jobs if job.sample is not None and job.sample.source), None)
+    first = next((job.sample.sources[0] for job in plan.jobs if job.sample is not None and job.sample.sources), None)
     mark = plan.recipe.marks[f"sources.{first.name}"] if first is not None else Mark(str(plan.recipe.path))
     needs = f"the first sample needs {first.sheet_key}" if first is not None else "this recipe needs it empty"
     cone, sheet = stock.get(("cone", "")), stock.get(("sheet", ""))

@@ -77,9 +77,7 @@ class ConeLoad:
         self._arm, self._hand, self._faults = arm, hand, faults
         self._flow: PowderFlow | None = None
         self._flying: deque[tuple[float, float, Compartment]] = deque()  # (time of landing, mg, where)
-        self._below: tuple[str | None, Compartment, float] | None = (
-            None  # container on the pan, where, fall time [s]
-        )
+        self._below: tuple[str | None, Compartment, float] | None = None  # container on the pan, where, fall time [s]
         self._was_open = False
         self._stroke: BowlStroke | None = None
         self._stroke_in = ""  # the source whose mortar it is in
