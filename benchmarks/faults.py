@@ -137,8 +137,6 @@ class Matrix:
             yield f"of {was_mg:.1f} mg of powder {session.world.matter.total_mg:.1f} mg are left"
 
     def _session(self, seed: int, faults: str | None) -> Session:
-        self._motion.set_container(None)
-        self._motion.set_cone_diameter(0.090)
         simulation = DryRun(seed, faults=parse_faults(faults, "matrix") if faults is not None else None)
         return Session(
             self._plan, self._lab, Options(simulation, self._controller, self._folder / "runs"), self._motion

@@ -171,10 +171,7 @@ class Judge:
         self._planners.move_to_end(key)
         if len(self._planners) > PLANNERS:
             self._planners.popitem(last=False)
-        planner = self._planners[key]
-        planner.set_container(None)
-        planner.set_cone_diameter(0.090)
-        return planner
+        return self._planners[key]
 
 
 class _Watch(BatchObserver):

@@ -153,7 +153,9 @@ class Bench:
         self.world.load_cone("store", load_mg)
         self.cell.spec = spec.model_copy(update={"hand": setting.believed_hand or setting.hand})
         believed = self.cell.believed
-        believed.pan, believed.cone_source, believed.cone_mg = DISH, "store", load_mg
+        believed.cone_holds(source, load_mg)
+        believed.brought(DISH, from_changer=False)
+        believed.placed(self.drive(self.cell.balance.stable_mean(60.0)).value_mg)
 
     def drive(self, steps: Steps[T]) -> T:
         """Run a generator to its end."""

@@ -19,5 +19,4 @@ def empty_cone(cell: Cell) -> Steps[None]:
     most_mg = cell.believed.cone_mg + DOUBT * source.powder.load_limit_mg
     duration_s = min(LONGEST_S, SHAKE_S + SPARE * most_mg / flow_mg_per_s)
     yield from cell.hand.pulse(opening_mm, duration_s, vibration=1.0)
-    cell.believed.cone_mg = 0.0
-    cell.believed.cone_source = None
+    cell.believed.emptied()

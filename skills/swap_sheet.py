@@ -33,6 +33,5 @@ class SwapSheet(Skill[None]):
         if answer != "done":
             raise SkillFailed(Code.OPERATOR_REFUSED, "the sheet was not swapped")
         cell.sheet_mounted()
-        believed.sheet = None
-        believed.sheets_used += 1
+        believed.sheet_swapped()
         cell.record.event(SheetSwapped(sheets_used=believed.sheets_used))

@@ -33,8 +33,6 @@ def shared_planner(plan: Plan, lab: Lab) -> MotionPlanner:
     key = f"{lab.cell} {sorted(places_of(plan, lab).items())}"
     if key not in _PLANNERS:
         _PLANNERS[key] = prepared_motion(plan, lab)
-    _PLANNERS[key].set_container(None)
-    _PLANNERS[key].set_cone_diameter(0.090)
     return _PLANNERS[key]
 
 

@@ -149,7 +149,7 @@ def test_only_what_changes_is_added_and_an_operators_entry_stands_until_the_run_
     refilled = inventory.stock(simulated=False)["station", "mortar_bay"]
     assert (refilled.mass_mg, refilled.run) == (9000.0, None)
     assert refilled.operator
-    cell.believed.sources_mg["beads"] -= 100
+    cell.believed.scooped(cell.sources["beads"], 100.0)
     inventory.keep(cell, "r1")
     assert inventory.stock(simulated=False)["station", "mortar_bay"].run == "r1"
 

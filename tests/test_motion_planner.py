@@ -23,7 +23,7 @@ def above(station, height_mm):
 
 def new_planner():
     planner = MotionPlanner(LAB.urdf, LAB.cell, {"mortar_bay": MORTAR, "mortar_bay_2": MORTAR})
-    planner.set_container(LAB.library.containers["alumina_crucible"])
+    planner.set_geometry(container=LAB.library.containers["alumina_crucible"])
     for station, height_mm in ABOVE_MM.items():
         planner.add_place(station, above(station, height_mm))
     return planner
@@ -78,9 +78,9 @@ def test_two_planners_answer_the_same_request_with_the_same_motion(planner):
 
 def test_what_stands_on_the_pan_changes_no_motion_that_is_free_of_it():
     planner = new_planner()
-    planner.set_container(None)
+    planner.set_geometry()
     bare = planner.move(posture(planner, "mortar_bay"), "waste")
-    planner.set_container(LAB.library.containers["alumina_crucible"])
+    planner.set_geometry(container=LAB.library.containers["alumina_crucible"])
     past = planner.move(posture(planner, "mortar_bay"), "waste")
     assert past.coefficients.tobytes() == bare.coefficients.tobytes()
     past = planner.move(posture(planner, "mortar_bay"), "balance")
@@ -261,5 +261,5 @@ def test_what_stands_on_the_pan_is_in_the_way():
     low = above("balance", 30)
     with pytest.raises(SkillFailed, match="alumina_crucible on the pan"):
         planner.move(planner.home(), low)
-    planner.set_container(None)
+    planner.set_geometry()
     assert planner.move(planner.home(), low).duration_s > 0

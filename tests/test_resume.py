@@ -160,6 +160,40 @@ samples:
     assert [skill for skill, outcome in actions(run.journal) if outcome == "done"].count("swap_sheet") == 3
 
 
+TWO_SOURCES = """
+workflow: blend
+inputs: {first: Source, second: Source, container: Container, mass: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $first, container: $container, mass: $mass}
+    - change_powder: {source: $first}
+    - fill: {source: $second, container: $container, mass: $mass}
+    - cone_holds: {powder: $first.powder}   # which it does not
+"""
+
+
+def test_the_cone_of_a_failed_blend_goes_into_one_source_over_a_stop(tmp_path: Path) -> None:
+    sample = "{id: a, workflow: blend, first: beads, second: msg, container: alumina_crucible, mass: 60 mg}"
+    recipe = f"\nrecipe: blends\nsamples: [{sample}]\non_failure: {{otherwise: flag}}\n"
+    run = Run(tmp_path, make_lab(tmp_path / "lab", trees__blend=TWO_SOURCES), recipe)
+
+    class StopOnceEmptied(Watch):
+        """Stop on the way from the mortar, when the cone tells no more what it was filled from."""
+
+        def ticked(self, root: Any) -> None:
+            names = [row["name"] for row in read(run.journal, "job")]
+            if names[-1].startswith("after") and self.session.cell.believed.cone_source is None:
+                self.session.control.wish("stop_now")
+
+    assert run.go(StopOnceEmptied()).exit_code == 130
+    ended = run.go(Watch(), resumes=True)
+    assert (ended.exit_code, ended.samples[0].code) == (1, "hand.wrong_powder")
+    jobs = [(row["name"], row["outcome"]) for row in read(run.journal, "job")]
+    assert jobs == [("a", "failed"), ("after a with msg", "done"), ("finish the batch", "done")]
+
+
 def test_a_complete_run_has_nothing_left_to_do(run: Run) -> None:
     run.go(Watch())
     with pytest.raises(SourceError, match="complete"):

@@ -152,7 +152,7 @@ def _planner(lab: "Lab", container: str | None) -> "tuple[MotionPlanner, dict[st
     largest = max(lab.library.mortars.values(), key=lambda mortar: mortar.outer_diameter_mm)
     stations = lab.cell.stations.values()
     planner = lab.motion_planner({s.name: largest for s in stations if s.kind == "mortar"})
-    planner.set_container(kind)
+    planner.set_geometry(container=kind)
     places_m: dict[str, Floats] = {}
     for station in stations:
         if station.kind == "mortar":

@@ -43,6 +43,8 @@ RELAXED_RAD = (-0.2, 0.0, -1.6, 0.0, -1.2, 0.0)
 """j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
+SETTLED_DIAMETER_M = 0.0005
+"""The same for the rim of a cone that was formed to the usual diameter."""
 EMPTY_WILL_DO = 1.35
 """The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
 LIMIT_STEP_DEG = 5.0
@@ -103,13 +105,10 @@ class MotionPlanner:
 
     # What the cell looks like now -------------------------------------------------------------------
 
-    def set_cone_diameter(self, diameter_m: float) -> None:
-        """The hand has formed a cone of this rim diameter: its collision shape follows."""
-        self._geometry = Geometry(round(diameter_m, 4), self._geometry.container)
-
-    def set_container(self, kind: ContainerKind | None) -> None:
-        """This kind of container stands on the balance's pan now, or none."""
-        self._geometry = Geometry(self._geometry.cone_diameter_m, kind)
+    def set_geometry(self, cone_diameter_m: float = CONE_DIAMETER_M, container: ContainerKind | None = None) -> None:
+        """How wide the rim is, and which kind of container stands on the pan, in all that is asked from now on."""
+        is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
+        self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container)
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -136,7 +135,7 @@ class MotionPlanner:
         """
         names, present, carried = list(self._places), self._geometry, list(carries)
         for kind in (None, *containers):
-            self.set_container(kind)
+            self._geometry = Geometry(present.cone_diameter_m, kind)
             for first, second in itertools.combinations(names, 2):
                 self.move(self._posture(first), second)
             for first, second, limit_deg in carried:
@@ -209,7 +208,7 @@ class MotionPlanner:
     @contextmanager
     def _bare_pan(self) -> Iterator[None]:
         present = self._geometry
-        self.set_container(None)
+        self._geometry = Geometry(present.cone_diameter_m)
         try:
             yield
         finally:

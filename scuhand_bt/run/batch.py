@@ -6,7 +6,6 @@ from typing import Any
 
 from py_trees.behaviour import Behaviour
 
-from scuhand_bt.cell.believed import DoseSoFar
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
 from scuhand_bt.events import Dose
@@ -15,7 +14,7 @@ from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import Broken, Chosen, Ended, JobEnded, JobStarted, SampleResult, SampleVerdict
 from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan
+from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
@@ -182,9 +181,12 @@ class Batch:
         return answer
 
     def _recover(self, sample: Sample, attempt: int) -> Ended | None:
-        if AFTER_FAILURE not in self._library.workflows or sample.source is None:
+        if AFTER_FAILURE not in self._library.workflows or not sample.sources:
             return None
-        return self._run_service(Job(f"after {sample.id}", AFTER_FAILURE, {"source": sample.source}), attempt)
+        jobs = recoveries(sample)
+        begun = [job for job in jobs if (job.name, attempt) in self._history.jobs]
+        of_cone = [job for job in jobs if job.inputs["source"].name == self._cell.believed.cone_source]
+        return self._run_service([*begun, *of_cone, *jobs][0], attempt)
 
     def _run_job(self, job: Job, inputs: Mapping[str, Any], sample_id: str | None, attempt: int) -> Outcome:
         """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""
@@ -194,7 +196,7 @@ class Batch:
             return Outcome(before.failure)
         if before is None:
             self._cell.begin_sample(sample_id or job.name, attempt)
-            self._cell.believed.dosing = DoseSoFar(began_s=self._cell.clock.now_s)
+            self._cell.believed.dose_began(self._cell.clock.now_s)
             journal.job_started(JobStarted(name=job.name, sample=sample_id, attempt=attempt, workflow=job.workflow))
             replay = Replay()
         else:

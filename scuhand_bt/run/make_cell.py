@@ -121,7 +121,8 @@ def set_up(
             setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0)
     cell = setup.cell
     cell.places_mm = places_of(plan, lab)
-    cell.believed.sources_mg = {name: source.amount_mg for name, source in plan.recipe.sources.items()}
+    for name, source in plan.recipe.sources.items():
+        cell.believed.source_holds(name, source.amount_mg)
     if plan.recipe.controller is not None:
         cell.controller = plan.recipe.controller
     if unattended:

@@ -75,7 +75,6 @@ def _settle(journal: Journal, cell: Cell, skill: Skill[Any], name: str, changed_
 
 def _compare_pan(journal: Journal, cell: Cell, gross_mg: float) -> Steps[None]:
     """Nothing can have been dosed since the pan was weighed: what it shows otherwise is the balance's zero."""
-    believed = cell.believed
     mean = yield from cell.balance.stable_mean()
     drift_mg = mean.value_mg - gross_mg
     journal.event(PanCompared(**dict(mean.written()), before_mg=gross_mg))
@@ -89,6 +88,4 @@ def _compare_pan(journal: Journal, cell: Cell, gross_mg: float) -> Steps[None]:
             raise SkillFailed(Code.OPERATOR_REFUSED, f"the pan shows {drift_mg:+.1f} mg against before")
         if answer == "powder":
             drift_mg = 0.0
-    if believed.pan_empty_mg is not None:
-        believed.pan_empty_mg += drift_mg
-    believed.pan_gross_mg = mean.value_mg
+    cell.believed.zero_moved(drift_mg, mean.value_mg)

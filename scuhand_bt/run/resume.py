@@ -12,7 +12,7 @@ from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.journal.writer import SCHEMA_VERSION
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.recipe.plan import Plan, recoveries
 
 LAB_FOLDERS = ("robot", "skills", "trees")
 
@@ -96,7 +96,8 @@ def _overtaken(history: History, plan: Plan) -> Iterator[str]:
     """What had begun, and is no longer the next thing to do in this plan."""
     begun, names = {name for name, _ in history.jobs}, [job.name for job in plan.jobs]
     if (unfinished := history.unfinished()) is not None:
-        name = unfinished[1].removeprefix("after ")  # its recovery is no job of the plan's
+        of_recovery = {after.name: job.name for job in plan.jobs if job.sample for after in recoveries(job.sample)}
+        name = of_recovery.get(unfinished[1], unfinished[1])  # a recovery is no job of the plan's
         if name not in names:
             yield f"'{name}' was under way, and this plan has it no more; put it back, to skip it use `on_failure`"
     new = next((number for number, name in enumerate(names) if name not in begun), len(names))
