@@ -10,17 +10,18 @@ times on a grid the earliest end is taken that keeps the load's spill angle and 
 which a stop may use more than a plan does: a motion that is at its limits already could not be slowed
 at all otherwise. Where nothing ends sooner than the motion itself, the motion is followed to its end.
 
-Joints [rad], times [s]. The grid is looked at many stops at once, by a few samples of each, and what
-passes is proven one by one: a stop is found in a few milliseconds.
+Joints [rad], times [s]. The grid is looked at many stops at once, by a few samples of each, and proven
+only then: a stop is found in a few milliseconds.
 """
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
 
 from scuhand_bt.motion.kinematics import Floats
-from scuhand_bt.motion.spill import apex_motion, spill_angles_deg, worst_spill_deg
+from scuhand_bt.motion.spill import apex_motion, spill_angles_deg, worst_spills_deg
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
@@ -33,9 +34,9 @@ _BRAKING_S = np.geomspace(0.08, 3.0, 28)
 _SHARES = np.linspace(0.0, 1.0, 120)
 """When a stop is looked at, as shares of its duration."""
 _FIRST_LOOK = _SHARES[::7]
-"""And when all of the grid is: a stop that fails here would fail there."""
-_AT_ONCE = 48
-"""Stops that are looked at together: the soonest that keeps the limits is mostly among the first of them."""
+"""And when it is first: what fails here would fail there."""
+_AT_ONCE, _FEW_AT_ONCE = 48, 8
+"""Stops that are looked at together, and proven together: the soonest that keeps the limits is mostly among them."""
 _TOLERANCE = 1e-9
 
 
@@ -63,38 +64,33 @@ class StoppableTrajectory(JointTrajectory):
         # Braking runs over half its time of the motion, which must not end before.
         possible = np.flatnonzero((delays_s + brakings_s / 2 < left_s) & (delays_s + brakings_s < left_s))
         possible = possible[np.argsort((delays_s + brakings_s)[possible], kind="stable")]
-        for begin in range(0, len(possible), _AT_ONCE):
-            some = possible[begin : begin + _AT_ONCE]
-            for k in some[self._first_look(at_s, delays_s[some, None], brakings_s[some, None])]:
-                stop = Stop(self, at_s, float(delays_s[k]), float(brakings_s[k]))
-                if self._proves(stop):
-                    return stop
+        for some in _parts(possible, _AT_ONCE):
+            left = some[self._keeps(at_s, delays_s[some, None], brakings_s[some, None], is_proof=False)]
+            for few in _parts(left, _FEW_AT_ONCE):
+                proven = few[self._keeps(at_s, delays_s[few, None], brakings_s[few, None], is_proof=True)]
+                if len(proven):
+                    return Stop(self, at_s, float(delays_s[proven[0]]), float(brakings_s[proven[0]]))
         return None
 
-    def _first_look(self, at_s: float, delays_s: Floats, brakings_s: Floats) -> np.ndarray:
-        """Which of n stops, delays and times (n, 1), keep their limits at a few of their moments: (n,)."""
-        course = _course(_FIRST_LOOK * (delays_s + brakings_s), delays_s, brakings_s)
+    def _keeps(self, at_s: float, delays_s: Floats, brakings_s: Floats, *, is_proof: bool) -> np.ndarray:
+        """Which of n stops, delays and times (n, 1), keep all limits: shape (n,). No speed is above the motion's own.
+
+        Only a proof looks at all of their moments, and at what the load may see between two of them.
+        """
+        course = _course((_SHARES if is_proof else _FIRST_LOOK) * (delays_s + brakings_s), delays_s, brakings_s)
+        n = len(delays_s)
         q, speed, acceleration, jerk = _along(self, at_s, course.reshape(4, -1))
-        kept = self._keeps_rates(acceleration, jerk)
+        kept = np.all(np.abs(acceleration) <= HARDER * self._rates.acceleration + _TOLERANCE, axis=1)
+        kept &= np.all(np.abs(jerk) <= JERKIER * self._rates.jerk + _TOLERANCE, axis=1)
+        keeps: np.ndarray = np.all(kept.reshape(n, -1), axis=1)
         if self.spill_limit_deg is not None:
-            angles_deg = spill_angles_deg(*apex_motion(q, speed, acceleration, self._apex_offset_m))
-            kept = np.logical_and(kept, angles_deg <= self.spill_limit_deg)
-        every: np.ndarray = kept.reshape(len(delays_s), -1).all(axis=1)
-        return every
-
-    def _proves(self, stop: "Stop") -> bool:
-        q, speed, acceleration, jerk = stop.at(stop.at_s + _SHARES * (stop.duration_s - stop.at_s))
-        if not self._keeps_rates(acceleration, jerk).all():
-            return False
-        if self.spill_limit_deg is None:
-            return True
-        return worst_spill_deg(*apex_motion(q, speed, acceleration, self._apex_offset_m)) <= self.spill_limit_deg
-
-    def _keeps_rates(self, acceleration: Floats, jerk: Floats) -> np.ndarray:
-        """At which samples (n, 7) the joints' limits are kept, shape (n,); no speed is above the motion's own."""
-        soft: np.ndarray = np.all(np.abs(acceleration) <= HARDER * self._rates.acceleration + _TOLERANCE, axis=1)
-        smooth: np.ndarray = np.all(np.abs(jerk) <= JERKIER * self._rates.jerk + _TOLERANCE, axis=1)
-        return np.logical_and(soft, smooth)
+            axes, accelerations = apex_motion(q, speed, acceleration, self._apex_offset_m)
+            if is_proof:
+                worst_deg = worst_spills_deg(axes.reshape(n, -1, 3), accelerations.reshape(n, -1, 3))
+            else:
+                worst_deg = spill_angles_deg(axes, accelerations).reshape(n, -1).max(axis=1)
+            keeps &= worst_deg <= self.spill_limit_deg
+        return keeps
 
 
 class Stop:
@@ -132,6 +128,10 @@ class Stop:
     def at(self, times_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Position, speed, acceleration and jerk at times (n,) since the motion's start: (n, 7) each."""
         return _along(self._motion, self.at_s, _course(times_s - self.at_s, self._delay_s, self._braking_s))
+
+
+def _parts(indices: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    return (indices[begin : begin + count] for begin in range(0, len(indices), count))
 
 
 def _course(since_s: Floats, delay_s: Floats | float, braking_s: Floats | float) -> Floats:
