@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from wire_helpers import READY, Sway, carry_out, wait_for
+from device_benches import READY, Sway
+from wire_helpers import carry_out, wait_for
 
 from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.devices.dynamixel import registers as r

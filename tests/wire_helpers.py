@@ -1,34 +1,17 @@
-"""Shared by the tests of devices: run a device's generator, wait for something, and a motion of the arm."""
+"""Shared by the tests of drivers and twins: run a device's generator in real time, wait for something."""
 
 import threading
 import time
 from collections.abc import Callable
 from typing import TypeVar
 
-import numpy as np
-
-from scuhand_bt.clock import Clock, Steps
-from scuhand_bt.devices.interfaces import Joints
-from scuhand_bt.motion.stopping import StoppableTrajectory
-from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import through
+from scuhand_bt.clock import Steps
+from scuhand_bt.run.clock import WallClock
 
 T = TypeVar("T")
 
-READY = np.array([0.0, 0.4, 0.0, -1.6, 0.0, 0.5, 0.0])
-RATES = RateLimits(np.full(7, 3.0), np.full(7, 4.4), np.full(7, 44.0))
 
-
-class Sway(StoppableTrajectory):
-    """A smooth motion from where the arm is by `swing_rad`, of every joint or one for each."""
-
-    def __init__(self, start: Joints, swing_rad: float | Joints, duration_s: float) -> None:
-        s = np.linspace(0.0, 1.0, 60)[:, None]
-        positions = start + swing_rad * (10 * s**3 - 15 * s**4 + 6 * s**5)
-        super().__init__(through(s[:, 0] * duration_s, positions), RATES, 0.12)
-
-
-def carry_out(steps: Steps[T], clock: Clock) -> T:
+def carry_out(steps: Steps[T], clock: WallClock) -> T:
     while True:
         try:
             wake = next(steps)
