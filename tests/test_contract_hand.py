@@ -46,9 +46,6 @@ def test_a_pulse_takes_the_valves_way_there_and_back_and_its_dwell(bench: Any) -
     widest_mm = 0.0
     begin_s, news = bench.clock.now_s, hand.news.count
     for wake in hand.pulse(1.2, 0.3, vibration=0.5):
-        bench.clock.wait([wake, Wake(bench.clock.now_s + 0.02)])
-        widest_mm = max(widest_mm, hand.opening_mm)
-        assert not hand.is_stopped or widest_mm == 0.0
         while bench.clock.now_s < wake.until_s and not wake.has_fired:
             bench.clock.wait([wake, Wake(bench.clock.now_s + 0.02)])
             widest_mm = max(widest_mm, hand.opening_mm)
@@ -57,6 +54,7 @@ def test_a_pulse_takes_the_valves_way_there_and_back_and_its_dwell(bench: Any) -
     assert least_s - 0.05 <= took_s <= least_s + 2 * spec.valve_dead_time_s + 0.05 + bench.late_s
     assert widest_mm == pytest.approx(1.2, abs=NEARLY_MM)
     assert is_safe(bench)
+    bench.pass_time(0.05)
     assert hand.news.count > news
 
 
@@ -124,14 +122,16 @@ def test_a_stop_shuts_a_valve_that_is_streamed_to_and_holds_the_sheet(bench: Any
 
 
 def test_the_cone_changes_at_the_hands_speed_or_slower_and_no_faster(bench: Any) -> None:
-    hand = bench.device
+    hand, spec = bench.device, bench.device.spec
     bench.run(hand.morph(84.0))
+    hand.spec = spec.model_copy(update={"morph_speed_mm_per_s": 12.0})
     usual_s = edge_travel_mm(84.0, 88.0) / hand.spec.morph_speed_mm_per_s
     assert usual_s - 0.05 <= bench.timed(hand.morph(88.0)) <= usual_s + 0.1 + bench.late_s
     assert hand.cone_diameter_mm == pytest.approx(88.0, abs=0.1)
     assert usual_s - 0.05 <= bench.timed(hand.morph(84.0, 0.01)) <= usual_s + 0.1 + bench.late_s
-    assert 0.95 <= bench.timed(hand.morph(88.0, 1.0)) <= 1.1 + bench.late_s
+    assert 1.45 <= bench.timed(hand.morph(88.0, 1.5)) <= 1.6 + bench.late_s
     assert hand.is_stopped
+    hand.spec = spec
 
 
 def test_a_morph_that_is_closed_in_the_middle_leaves_the_sheet_as_it_is_then(bench: Any) -> None:
@@ -213,6 +213,7 @@ def test_a_hand_without_streaming_takes_no_openings(bench: Any) -> None:
 
 def test_in_a_fault_opening_and_vibrating_fail_and_shutting_does_not(bench: Any) -> None:
     hand = bench.device
+    says = r"device\.emergency_stop: the hand controller: the emergency stop is"
     with bench.emergency_stop():
         assert hand.fault is not None
         assert hand.fault.code == "device.emergency_stop"
@@ -221,9 +222,7 @@ def test_in_a_fault_opening_and_vibrating_fail_and_shutting_does_not(bench: Any)
             lambda hand: hand.set_opening(1.0),
             lambda hand: hand.set_vibration(1.0),
         ):
-            with pytest.raises(
-                SkillFailed, match=r"device\.emergency_stop: the hand controller: the emergency stop is"
-            ):
+            with pytest.raises(SkillFailed, match=says):
                 call(hand)
         hand.set_opening(0.0)
         hand.set_vibration(0.0)
