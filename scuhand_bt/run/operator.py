@@ -75,6 +75,10 @@ def _read_line(answers: "queue.SimpleQueue[str]", answered: Signal) -> None:
     answered.fire()
 
 
+UNKNOWN = ""
+"""Whatever an earlier run may have left on the pan."""
+
+
 class OperatorChanger:
     """A container changer that is the operator's hands; `place` and `remove` let a simulation follow.
 
@@ -97,21 +101,27 @@ class OperatorChanger:
         self._operator = operator
         self._place = place
         self._remove = remove
-        self._is_loaded = may_be_loaded
+        self._on_pan: str | None = UNKNOWN if may_be_loaded else None
 
     def stop(self) -> None:
         """Nothing moves by itself."""
 
     def bring(self, container: Container) -> Steps[None]:
+        if self._on_pan == container.id:
+            return
+        if self._on_pan not in (None, UNKNOWN):
+            raise SkillFailed(Code.CONTAINER_MISSING, f"the pan is not free: '{self._on_pan}' stands on it")
         yield from self._do(f"Put the empty {container.name} '{container.id}' on the pan.")
         self._place(container)
-        self._is_loaded = True
+        self._on_pan = container.id
+        self.news.fire()
 
     def take_away(self) -> Steps[None]:
-        if self._is_loaded:
+        if self._on_pan is not None:
             yield from self._do("Take the container off the pan.")
             self._remove()
-            self._is_loaded = False
+            self._on_pan = None
+            self.news.fire()
 
     def _do(self, request: str) -> Steps[None]:
         answer = yield from self._operator.ask(request)

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.clock import Signal
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, Matter, in_container
 from scuhand_bt.sim.randomness import substream
@@ -30,6 +31,8 @@ class Pan:
 
     def __init__(self, matter: Matter, seed: int, faults: Faults) -> None:
         self.container_id: str | None = None
+        self.news = Signal()
+        """Fires at the end of a swing."""
         self.log: Callable[[Known], None] = lambda known: None
         """Told of a container that comes, and again of what it holds when it goes: meanwhile only it can change."""
         self._matter, self._seed, self._faults = matter, seed, faults
@@ -74,6 +77,7 @@ class Pan:
             self.remove()
         else:
             self.place(self._containers[container_id][0], end_s)
+        self.news.fire()
 
     # --- what the balance and the falling powder meet ---
 
