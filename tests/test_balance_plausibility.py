@@ -5,17 +5,19 @@ import termios
 from collections.abc import Iterator
 
 import pytest
-from wire_helpers import wait_for
+from wire_helpers import carry_out, wait_for
 
 from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.devices import doctor
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.plausibility import FLOW_MG_PER_S, LUMP_MG
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.devices.serial_link import ErrorMarks, Framing, LineBuffer, SerialLink, mark_errors
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.sim.wire.balances import TWINS, BalanceTwin, StillPan
 from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.server import TwinServer
 
 ALL = sorted(DIALECTS)
 ASKS = {"and": b"Q\r\n", "mt_sics": b"SI\r\n", "sbi": b"\x1bP\r\n", "shimadzu": b"D07\r\n"}
@@ -99,7 +101,9 @@ def believed_falsely(name: str, mass_mg: float, damage: object) -> tuple[int, li
         given = stream.feed(bad, good)
         if stream.written and any(reading.value_mg != truth_mg for reading in stream.written):
             given += stream.feed(*[good] * 12)  # nothing of this one is left for the next
-        false += [(bad, reading) for reading in given + stream.written if reading.stable and reading.value_mg != truth_mg]
+        false += [
+            (bad, reading) for reading in given + stream.written if reading.stable and reading.value_mg != truth_mg
+        ]
         far_mg = LUMP_MG + FLOW_MG_PER_S * 2 * PERIOD_S
         false += [(bad, reading) for reading in given if abs(reading.value_mg - truth_mg) > far_mg]
         assert stream.feed(good)[-1].value_mg == truth_mg
@@ -407,3 +411,76 @@ def test_bytes_that_all_fail_their_parity_are_said_with_the_silence() -> None:
     stream = Stream("and")
     stream.feed(*[b"ST,+0\x0012.3456  g\r\n"] * 3)
     assert "fail the check of their parity" in stream.balance._why_silent()
+
+
+# --- the twins, the doctor
+
+
+@pytest.fixture
+def served(request: pytest.FixtureRequest) -> Iterator[tuple[TwinServer[BalanceTwin], BalanceSpec]]:
+    """A twin on a pseudo-terminal that shows steps of 1 mg, and the spec that says so."""
+    name = request.param
+    twin = TWINS[name](StillPan(12_345.0), 1.0, 120_000.0)
+    twin.period_s = 0.005
+    with TwinServer(twin, PtyPort()) as server:
+        yield (
+            server,
+            BalanceSpec(driver=name, port=server.url, period_s=0.005, readability_mg=1.0, options={"bits": "8N1"}),
+        )
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("served", ALL, indirect=True)
+def test_the_real_driver_never_believes_the_twins_flipped_bits(
+    served: tuple[TwinServer[BalanceTwin], BalanceSpec], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scuhand_bt.devices.balances.conversation.ANSWER_TIMEOUT_S", 0.1)
+    server, spec = served
+    server.misbehaviour.flip_every = 5
+    written: list[Reading] = []
+    balance, clock = SerialBalance(spec, DIALECTS[spec.driver], WallClock(), DIALECTS.values()), WallClock()
+    balance.on_reading = written.append
+    balance.open()
+    try:
+        wait_for(lambda: balance.discarded > 20)
+        mean = carry_out(balance.stable_mean(), clock)
+    finally:
+        balance.close()
+    assert mean.value_mg == 12_345.0
+    assert {reading.value_mg for reading in written if reading.stable} == {12_345.0}
+    assert any(reading.value_mg != 12_345.0 for reading in written), "what was not believed is written down too"
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("served", ALL, indirect=True)
+def test_the_doctor_says_which_readability_it_has_seen_and_how_clean_the_line_is(
+    served: tuple[TwinServer[BalanceTwin], BalanceSpec],
+) -> None:
+    found = [(f.check, f.verdict) for f in doctor.balance(served[1], WallClock())]
+    assert found[:2] == [("reading", "ok"), ("readability", "ok")]
+    assert found[-1] == ("line", "ok")
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("served", ALL, indirect=True)
+def test_the_doctor_says_that_the_readability_is_another_and_what_to_write(
+    served: tuple[TwinServer[BalanceTwin], BalanceSpec],
+) -> None:
+    (wrong,) = doctor.balance(served[1].model_copy(update={"readability_mg": 0.1}), WallClock())
+    assert (wrong.check, wrong.verdict, wrong.found, wrong.expected) == (
+        "readability",
+        "FAIL",
+        "steps of 1 mg",
+        "of 0.1 mg",
+    )
+    assert wrong.what_to_do.startswith("write `readability: 1 mg` for the balance in robot/cell.yaml")
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("served", ["shimadzu"], indirect=True)
+def test_the_doctor_finds_a_bad_cable(served: tuple[TwinServer[BalanceTwin], BalanceSpec]) -> None:
+    server, spec = served
+    server.misbehaviour.flip_every = 3
+    findings = {f.check: f for f in doctor.balance(spec, WallClock())}
+    assert findings["line"].verdict == "FAIL"
+    assert "cable" in findings["line"].what_to_do

@@ -202,6 +202,16 @@ def test_the_late_answer_to_a_question_that_was_given_up_is_not_used() -> None:
     assert talk.it.heard(weight("2", "g", True))
 
 
+def test_after_a_broken_answer_the_next_question_does_not_wait_for_another() -> None:
+    talk = Talk(DIALECTS["shimadzu"])
+    talk.it.misheard()
+    assert len(talk.after(0.05).said) == 1
+    assert len(talk.after(0.05).said) == 2
+    streaming = Talk(DIALECTS["and"]).after(ANSWER_TIMEOUT_S)
+    streaming.it.misheard()
+    assert streaming.it.state is Phase.LISTENING
+
+
 def test_an_sbi_balance_that_prints_by_itself_is_never_asked_as_that_would_switch_it_off() -> None:
     talk = Talk(DIALECTS["sbi"])
     talk.it.heard(weight("1", "g", True))

@@ -137,6 +137,7 @@ class SerialLink:
         self._user = user
         self._reopen_s = reopen_s
         self._port: serial.SerialBase | None = None
+        self._lines = LineBuffer()
         self._marks: ErrorMarks | None = None
         self._writing = threading.Lock()
         self._closing = threading.Event()
@@ -169,7 +170,8 @@ class SerialLink:
         return True
 
     def discard_input(self) -> None:
-        """Throw away what has come in and was not read yet."""
+        """Throw away what has come in and was not read yet, or not to its line's end. On the link's thread."""
+        self._lines = LineBuffer()
         with contextlib.suppress(*PORT_ERRORS):
             if self._port is not None:
                 self._port.reset_input_buffer()
@@ -219,14 +221,13 @@ class SerialLink:
 
     def _read_lines(self, port: "serial.SerialBase | None") -> None:
         assert port is not None
-        lines = LineBuffer()
         while not self._closing.is_set():
             data = port.read(1)  # wakes with the first byte, so that arrival times are true
             if data:
                 data += port.read(port.in_waiting)
             if self._marks is not None:
                 data = self._marks.feed(data)
-            for line in lines.feed(data):
+            for line in self._lines.feed(data):
                 self._user.line(line)
             self._user.idle()
 

@@ -71,6 +71,7 @@ class SerialBalance:
         self._plausibility = Plausibility(spec)
         self._misfits = 0
         self._broken = 0
+        self._answer_length = 0
         self._unread = b""
         """The last line that said nothing in this dialect, since one that did."""
         self._silence = Silence()
@@ -169,6 +170,8 @@ class SerialBalance:
         if frame is None:
             self._unread = raw
             self._broken += 1
+            if len(raw) == self._answer_length:
+                self._talk.misheard()
             return  # noise, or half a line; if that is all there is, it is said with the silence
         self._silence.broken()
         self._unread = b""
@@ -195,6 +198,7 @@ class SerialBalance:
         self._say(_Trouble(Code.DEVICE_LOST, why))
 
     def _weighed(self, weight: Weight, raw: bytes, now_s: float) -> None:
+        self._answer_length = len(raw)
         unit = weight.unit or self._unit
         if not unit:
             shown = "it shows no unit, and was not stable before"

@@ -7,7 +7,7 @@ A line of the right grammar may still be false: a bit flipped in a digit leaves 
   another width, is held back until the next two confirm it; so is the first of all. What is given out then is
   the middle one of the three, so that one false line among them does no harm.
 - *Stability.* A line that says stable is believed to be so only where the balance has just said that value, or
-  one no farther from it than its successive lines are from each other. A false line stands alone.
+  one about as near to it as its successive lines are to each other. A false line stands alone.
 """
 
 import math
@@ -146,7 +146,7 @@ class Plausibility:
         before_mg = list(self._stable_mg)
         self._stable_mg.append(line.value_mg)
         differences_mg = sorted(abs(b - a) for a, b in zip(before_mg, before_mg[1:], strict=False))
-        # One false line makes two large differences, and one step of the load a single one: neither is scatter.
-        scatter_mg = max(differences_mg[:-2], default=0.0)
-        near_mg = scatter_mg + self._spec.readability_mg / 2.0
+        # A false line makes two large differences, a step of the load one: a third of all they leave alone.
+        scatter_mg = differences_mg[len(differences_mg) // 3] if len(differences_mg) > 2 else 0.0
+        near_mg = 2.0 * scatter_mg + self._spec.readability_mg / 2.0
         return any(abs(line.value_mg - value_mg) <= near_mg for value_mg in before_mg)
