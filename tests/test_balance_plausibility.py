@@ -98,7 +98,9 @@ def believed_falsely(name: str, mass_mg: float, damage: object) -> tuple[int, li
     for bad in damage(good):  # type: ignore[operator]
         cases += 1
         stream.written.clear()
-        given = stream.feed(bad, good)
+        given = stream.feed(bad)
+        next(stream.balance.next_reading())  # it is no failure either
+        given += stream.feed(good)
         if stream.written and any(reading.value_mg != truth_mg for reading in stream.written):
             given += stream.feed(*[good] * 12)  # nothing of this one is left for the next
         false += [
@@ -118,7 +120,7 @@ def test_no_flipped_bit_becomes_a_stable_reading(name: str, mass_mg: float) -> N
     assert false == []
 
 
-@pytest.mark.parametrize("mass_mg", (12.3, 12_345.6))
+@pytest.mark.parametrize("mass_mg", [12.3, 12_345.6])
 @pytest.mark.parametrize("name", ALL)
 def test_no_byte_that_is_false_missing_or_double_and_no_merged_lines_become_a_stable_reading(
     name: str, mass_mg: float
@@ -388,7 +390,8 @@ def test_the_port_is_told_to_check_parity_and_to_mark_what_fails() -> None:
 
 def test_a_link_undoes_the_doubling_that_marking_brings() -> None:
     class User:
-        lines: list[bytes] = []
+        def __init__(self) -> None:
+            self.lines: list[bytes] = []
 
         def opened(self) -> None: ...
         def idle(self) -> None: ...
