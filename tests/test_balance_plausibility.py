@@ -223,18 +223,29 @@ def test_of_three_lines_that_confirm_a_step_one_may_be_false() -> None:
 
 @pytest.mark.parametrize("period_s", [0.05, 0.1])
 def test_no_reading_of_a_dose_is_held_back(period_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beads at full opening, and lumps of titanium dioxide of tens of milligrams, felt as twice their weight."""
+    """Beads at full opening; titanium dioxide, in lumps of tens of milligrams that are felt as twice their weight."""
     monkeypatch.setattr("test_balance_plausibility.PERIOD_S", period_s)
     stream = Stream("shimadzu")
     stream.settle(10_000.0)
-    beads_mg = [10_000.1 + 801.0 * period_s * step for step in range(60)]
-    assert len(stream.weigh(*(round(mg, 1) for mg in beads_mg), stable=False)) == 60
-    rng, load_mg, felt_mg = random.Random(2), beads_mg[-1], []
+    rng, load_mg, felt_mg = random.Random(2), 10_000.0, []
     for _ in range(200):
         lump_mg = rng.choice((0.0, 0.0, rng.uniform(1.0, 50.0)))
-        felt_mg.append(load_mg + 2.0 * lump_mg)
+        load_mg += 800.0 * period_s
+        felt_mg.append(round(load_mg + 2.0 * lump_mg, 1))
         load_mg += lump_mg
-    assert len(stream.weigh(*(round(mg, 1) for mg in felt_mg), stable=False)) == 200
+    assert len(stream.weigh(*felt_mg, stable=False)) == 200
+
+
+def test_a_conversation_that_begins_anew_believes_nothing_of_the_last_one() -> None:
+    stream = Stream("mt_sics", 0.1, 1.0)
+    stream.weigh(*[1000.0] * 10)
+    stream.balance.opened()
+    assert stream.balance.misfit is None
+    stream.twin.readability_mg = 0.1
+    stream.settle(1000.0)
+    stream.balance.opened()
+    assert stream.weigh(1000.0, 1000.0) == []
+    assert stream.balance.discarded == 0
 
 
 # --- readability
@@ -388,23 +399,49 @@ def test_the_port_is_told_to_check_parity_and_to_mark_what_fails() -> None:
     port.close()
 
 
+class Listener:
+    """Hears the lines of a link."""
+
+    def __init__(self) -> None:
+        self.lines: list[bytes] = []
+        self.idles = 0
+
+    def opened(self) -> None: ...
+
+    def lost(self, why: str) -> None: ...
+
+    def idle(self) -> None:
+        self.idles += 1
+
+    def line(self, raw: bytes) -> None:
+        self.lines.append(raw)
+
+
 def test_a_link_undoes_the_doubling_that_marking_brings() -> None:
-    class User:
-        def __init__(self) -> None:
-            self.lines: list[bytes] = []
-
-        def opened(self) -> None: ...
-        def idle(self) -> None: ...
-        def lost(self, why: str) -> None: ...
-        def line(self, raw: bytes) -> None:
-            self.lines.append(raw)
-
-    port, user = PtyPort(), User()
+    port, user = PtyPort(), Listener()
     link = SerialLink(port.url, Framing(9600, "8N1"), user)
     link.start()
     try:
         wait_for(lambda: port.write(b"a\xffb\n") or b"a\xffb\n" in user.lines)
         assert set(user.lines) == {b"a\xffb\n"}
+    finally:
+        link.close()
+        port.close()
+
+
+def test_half_a_line_is_thrown_away_with_the_rest_of_what_has_come_in() -> None:
+    user = Listener()
+    port = PtyPort()
+    link = SerialLink(port.url, Framing(9600, "8N1"), user)
+    link.start()
+    try:
+        wait_for(lambda: port.write(b"first\n") or user.lines)
+        port.write(b"half")
+        seen = user.idles
+        wait_for(lambda: user.idles > seen + 3)
+        link.discard_input()
+        port.write(b"whole\n")
+        wait_for(lambda: b"whole\n" in user.lines)
     finally:
         link.close()
         port.close()
@@ -452,6 +489,24 @@ def test_the_real_driver_never_believes_the_twins_flipped_bits(
     assert mean.value_mg == 12_345.0
     assert {reading.value_mg for reading in written if reading.stable} == {12_345.0}
     assert any(reading.value_mg != 12_345.0 for reading in written), "what was not believed is written down too"
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("served", ["shimadzu"], indirect=True)
+def test_after_a_broken_answer_a_polled_balance_is_asked_again_at_once(
+    served: tuple[TwinServer[BalanceTwin], BalanceSpec],
+) -> None:
+    server, spec = served
+    clock = WallClock()
+    balance = SerialBalance(spec, DIALECTS[spec.driver], clock, DIALECTS.values())
+    balance.open()
+    try:
+        carry_out(balance.next_reading(), clock)
+        server.misbehaviour.garble = 3
+        wait_for(lambda: balance.discarded == 3)
+        carry_out(balance.next_reading(timeout_s=1.0), clock)
+    finally:
+        balance.close()
 
 
 @pytest.mark.real_time

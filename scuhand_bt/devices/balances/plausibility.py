@@ -3,9 +3,9 @@
 A line of the right grammar may still be false: a bit flipped in a digit leaves a digit. Three rules, pure:
 
 - *Form.* A line has the decimals and the last digit of the configured readability, in a unit of mass.
-- *Step.* A line that differs from the last believed one by more than powder can bring meanwhile, or that has
-  another width, is held back until the next two confirm it; so is the first of all. What is given out then is
-  the middle one of the three, so that one false line among them does no harm.
+- *Step.* A line that differs from the last believed one by more than powder can bring meanwhile is held back
+  until the next two confirm it; so is the first of all. What is given out then is the middle one of the three,
+  so that one false line among them does no harm.
 - *Stability.* A line that says stable is believed to be so only where the balance has just said that value, or
   one about as near to it as its successive lines are to each other. A false line stands alone.
 """
@@ -119,7 +119,7 @@ class Plausibility:
 
     def _is_step(self, line: Reading) -> bool:
         level = self._level
-        if level is None or len(line.raw) != len(level.raw):
+        if level is None:
             return True
         return abs(line.value_mg - level.value_mg) > LUMP_MG + FLOW_MG_PER_S * (line.time_s - level.time_s)
 
@@ -128,10 +128,7 @@ class Plausibility:
         if len(self._held) <= CONFIRMATIONS:
             return None
         held, level = self._held, self._level
-        agree = len({len(line.raw) for line in held}) == 1
-        if agree and level is not None and len(held[0].raw) == len(level.raw):
-            agree = len({line.value_mg > level.value_mg for line in held}) == 1
-        if not agree:
+        if level is not None and len({line.value_mg > level.value_mg for line in held}) > 1:  # they contradict
             self.discarded += 1
             del held[0]
             return None
