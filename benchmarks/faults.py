@@ -44,6 +44,7 @@ RECOVERS = "recovers"
 CODES: Mapping[str, set[str]] = {
     "balance.silent": {"device.lost"},
     "balance.garbage": {RECOVERS, "device.lost"},
+    "balance.bit_flips": {RECOVERS},
     "balance.unstable": {"balance.unstable"},
     "balance.overload": {"balance.overload"},
     "balance.drifting": {"balance.unstable", "hand.leak"},
