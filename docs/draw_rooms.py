@@ -68,7 +68,8 @@ class Spot:
 
 def read_house(root: Path) -> House:
     """The house in a working tree; its package must not have been imported from elsewhere."""
-    contracts = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = project["tool"]["importlinter"]["contracts"]
     lines = next(contract["layers"] for contract in contracts if contract["type"] == "layers")
     layers = [[name.strip(" ()") for name in line.replace("|", ":").split(":")] for line in lines]
     forbidden = [contract for contract in contracts if contract["type"] == "forbidden"]
@@ -191,7 +192,7 @@ def _reorder(row: list[Spot], level: list[tuple[Spot, Spot]]) -> None:
             for other in getattr(b, side)
         )
         apart = sum(abs(place[id(a)] - place[id(b)]) for a, b in level if id(a) in place)
-        return crossings + 0.6 * apart
+        return crossings + 1.5 * apart
 
     best, better = cost(), True
     while better:
@@ -223,7 +224,7 @@ def _stand_apart(row: list[Spot], wanted: list[float]) -> None:
 
 def _line(stops: list[tuple[float, float]]) -> str:
     """Down from a room, through the layers between, onto the next room."""
-    (x, y), path = stops[0], ""
+    x, y = stops[0]
     path = f"M{x:.1f} {y + BOX / 2:.1f}"
     for number, (next_x, next_y) in enumerate(stops[1:], start=1):
         last = number == len(stops) - 1
@@ -256,8 +257,9 @@ def _legend(y: float, house: House, rooms: int, layers: int) -> list[str]:
         parts.append(f'<rect class="{kind}" x="{x}" y="{y:.0f}" width="16" height="12" rx="3"/>')
         parts.append(f'<text class="small" x="{x + 22}" y="{y + 10:.0f}">{text}</text>')
         x += 44 + round(6.6 * len(text))
-    counts = f"{rooms} rooms, {layers} layers, {len(house.imports)} imports between rooms; each goes down, or to a"
-    parts.append(f'<text class="small" x="{MARGIN}" y="{y + 28:.0f}">{counts} neighbour.</text>')
+    counts = f"{rooms} rooms, {layers} layers, {len(house.imports)} imports between rooms"
+    where = f'x="{MARGIN}" y="{y + 28:.0f}"'
+    parts.append(f'<text class="small" {where}>{counts}, all of them down or within a layer.</text>')
     return parts
 
 
@@ -273,8 +275,8 @@ def main() -> None:
         archive = subprocess.run(
             ["git", "-C", ROOT, "archive", arguments.commit, PACKAGE, "pyproject.toml"], check=True, capture_output=True
         ).stdout
-        with tempfile.TemporaryDirectory() as folder:
-            tarfile.open(fileobj=io.BytesIO(archive)).extractall(folder, filter="data")
+        with tempfile.TemporaryDirectory() as folder, tarfile.open(fileobj=io.BytesIO(archive)) as files:
+            files.extractall(folder, filter="data")
             house = read_house(Path(folder))
     arguments.output.write_text(draw(house), encoding="utf-8")
 
