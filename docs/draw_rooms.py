@@ -55,7 +55,7 @@ class House:
     pure: set[str]
 
 
-@dataclass
+@dataclass(eq=False)
 class Spot:
     """A room in its layer, or (without a name) where a line passes a layer."""
 
@@ -126,10 +126,9 @@ def draw(house: House) -> str:
             parts.append(f'<rect class="band" x="0" y="{y(i) - ROW / 2:.0f}" width="{width:.0f}" height="{ROW}"/>')
         parts.append(f'<text class="small" x="{MARGIN}" y="{y(i) + 4:.0f}">{len(rows) - i}</text>')
     for stops in lines:
-        parts.append(_line([(spot.x, y(row)) for row, spot in stops]))
+        parts.append(_line([(spot.x, y(i)) for i, spot in stops]))
     for room, imported in level:
-        row = next(i for i, spots in enumerate(rows) if room in spots)
-        parts.append(_arc(room, imported, y(row)))
+        parts.append(_arc(room, imported, next(y(i) for i, row in enumerate(rows) if room in row)))
     for i, row in enumerate(rows):
         for spot in row:
             if spot.name:
@@ -145,15 +144,16 @@ def _laid_out(house: House) -> tuple[list[list[Spot]], list[list[tuple[int, Spot
     """The spots of each row, each line's stops from row to row, and the imports within a row."""
     rows = [[Spot(name, CHARACTER * len(name) + 22) for name in layer] for layer in house.layers]
     at = {spot.name: (i, spot) for i, row in enumerate(rows) for spot in row}
-    lines, level = [], []
+    lines: list[list[tuple[int, Spot]]] = []
+    level: list[tuple[Spot, Spot]] = []
     for room, imported in reduced(house.imports):
         (top, upper), (bottom, lower) = at[room], at[imported]
         if top == bottom:
             level.append((upper, lower))
             continue
-        stops = [(top, upper), *((row, Spot("", 0.0)) for row in range(top + 1, bottom)), (bottom, lower)]
-        for row, spot in stops[1:-1]:
-            rows[row].append(spot)
+        stops = [(top, upper), *((i, Spot("", 0.0)) for i in range(top + 1, bottom)), (bottom, lower)]
+        for i, spot in stops[1:-1]:
+            rows[i].append(spot)
         for (_, one), (_, next_one) in pairwise(stops):
             one.below.append(next_one)
             next_one.above.append(one)
@@ -184,12 +184,12 @@ def _reorder(row: list[Spot], level: list[tuple[Spot, Spot]]) -> None:
     def cost() -> float:
         place = {id(spot): i for i, spot in enumerate(row)}
         crossings = sum(
-            (one.x - other.x) * (i - j) < 0
+            right.x < left.x
             for i, a in enumerate(row)
-            for j, b in enumerate(row[:i])
-            for side in ("above", "below")
-            for one in getattr(a, side)
-            for other in getattr(b, side)
+            for b in row[:i]
+            for ends, others in ((a.above, b.above), (a.below, b.below))
+            for right in ends
+            for left in others
         )
         apart = sum(abs(place[id(a)] - place[id(b)]) for a, b in level if id(a) in place)
         return crossings + 1.5 * apart
