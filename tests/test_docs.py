@@ -160,6 +160,7 @@ def test_every_command_that_is_said_exists_with_its_options(words: list[str]) ->
     while words and words[0] in getattr(command, "commands", {}):
         command, words = command.commands[words[0]], words[1:]
     assert command is not COMMANDS, "no such command"
+    assert not hasattr(command, "commands") or not words or words[0].startswith("-"), "no such command of this group"
     if words:  # else it is only spoken of
         placeholder = {"N": "1", "…": "x"}
         command.make_context(command.name, [placeholder.get(word, word) for word in words])
