@@ -141,7 +141,9 @@ def count(results: Sequence[Result]) -> str:
 
 
 def simulated(cell: Cell, run: int, doses: int) -> list[Trial]:
-    return run_of_doses(shipped_powders()[cell.powder], cell.target_mg, cell.controller, run, Setting(), doses)
+    return run_of_doses(
+        shipped_powders()[cell.powder], cell.target_mg, cell.controller, run, Setting(as_printed=True), doses
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

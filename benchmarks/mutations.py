@@ -42,7 +42,7 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver, SampleResult, Verdict
+from scuhand_bt.run.batch import BatchObserver, SampleResult, SampleVerdict
 from scuhand_bt.run.inventory_conflicts import conflicts
 from scuhand_bt.run.make_cell import DryRun, places_of, prepared_motion
 from scuhand_bt.run.session import Options, Session
@@ -259,7 +259,7 @@ def _unjust(session: Session, samples: tuple[SampleResult, ...], lab: Lab, plan:
         yield f"the samples are {[sample.id for sample in samples]}"
     codes = lab.library.failures()
     for sample in samples:
-        if sample.verdict not in get_args(Verdict):
+        if sample.verdict not in get_args(SampleVerdict):
             yield f"'{sample.id}' has the verdict {sample.verdict}"
         if sample.code is not None and sample.code not in codes:
             yield f"'{sample.id}' failed with {sample.code}"

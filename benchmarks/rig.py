@@ -1,13 +1,15 @@
 """The bench of the dosing experiments: the simulated hand 80 mm above a dish on the balance.
 
-The same world, devices and dose loop as a dry run's; only the arm stands still and the cone is loaded by
-hand, as in the paper's experiments. One *run* is ten doses of one target: what a controller learns is
-carried within a run and forgotten after it, and every dose starts from a fresh load of the cone.
+The same world, devices and skills as a dry run's: it is the lab's own `tare` and `dispense` that dose, and their
+verdict that is reported. Only the arm stands still and the cone is loaded by hand, as in the paper's experiments. One
+*run* is ten doses of one target: what a controller learns is carried within a run and forgotten after it, and every
+dose starts from a fresh load of the cone.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import yaml
@@ -18,19 +20,20 @@ from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
-from scuhand_bt.dosing import DoseRequest, new_controller
+from scuhand_bt.dosing import new_controller
+from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.lab import load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.record import NoRecord
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import BalanceBelief, Container, Mortar, Powder, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, Container, Dose, Mortar, Powder, PowderBelief, Source
 
 DOSES_PER_RUN = 10
 TOLERANCE_MG = 2.0
-GUARD = 2.0
 REDONE = 1000
 """Added to a dose's number for its second attempt."""
 ROBOT = Path(__file__).parent.parent / "robot"
@@ -59,6 +62,8 @@ class Setting:
     """Filling of the cone, as a share of the powder's load limit."""
     redo: bool = False
     """A dose reported out of tolerance is dosed once more, into a new container."""
+    as_printed: bool = False
+    """The paper's rules to the letter, whose strict comparison knows no uncertainty: for its own tables."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +73,16 @@ class Trial:
     true_error_mg: float
     reported_error_mg: float
     accepted: bool
-    """Reported in tolerance by the guard band."""
+    """Reported in tolerance: the dose's own verdict."""
     steps: int
     duration_s: float
     reason: str
+
+
+@cache
+def skills() -> dict[str, Any]:
+    """The lab's own skills, by name."""
+    return dict(load_lab(ROBOT.parent).library.skills)
 
 
 def shipped_powders() -> dict[str, Powder]:
@@ -92,9 +103,8 @@ def run_of_doses(
         spent_s = 0.0
         for attempt in (dose, dose + REDONE) if setting.redo else (dose,):
             bench = Bench(powder, target_mg, run, attempt, setting)
-            trial, learnt = bench.dose(controller, belief, balance)
-            if learnt is not None:
-                belief, balance = learnt.finish.powder or belief, learnt.finish.balance or balance
+            trial = bench.dose(controller, belief, balance)
+            belief, balance = bench.cell.powder_beliefs[powder.name], bench.cell.balance_belief
             spent_s += trial.duration_s
             if trial.accepted:
                 break
@@ -102,23 +112,31 @@ def run_of_doses(
     return trials
 
 
+class DoseRecord(NoRecord):
+    """Keeps the last dose."""
+
+    last: Dose | None = None
+
+    def dose(self, dose: Dose) -> None:
+        self.last = dose
+
+
 class Bench:
     """One loaded cone above one dish."""
 
     def __init__(self, powder: Powder, target_mg: float, run: int, dose: int, setting: Setting) -> None:
         spec = CellSpec(cell="bench", hand=setting.hand, balance=setting.balance, stations={"balance": PAN, "bay": BAY})
-        self.powder, self.target_mg = powder, target_mg
-        self.believed_hand = setting.believed_hand or setting.hand
-        self.load_mg = powder.load_limit_mg * setting.load_ratio
+        self.target_mg, self.as_printed = target_mg, setting.as_printed
+        load_mg = powder.load_limit_mg * setting.load_ratio
         source = Source(name="store", station="bay", mortar=MORTAR, powder=powder, amount_mg=10_000.0)
-        self.clock = VirtualClock()
+        self.clock, self.record = VirtualClock(), DoseRecord()
         self.cell: Cell
         self.world: World
         self.cell, self.world = simulated_cell(
             spec,
             {"store": source},
             clock=self.clock,
-            record=NoRecord(),
+            record=self.record,
             motion=cast(MotionPlanner, None),
             operator=cast(Operator, None),
             seed=run,
@@ -128,25 +146,10 @@ class Bench:
         self.clock.process = self.world
         self.world.begin_sample(f"{powder.name} {target_mg:g}", dose)
         self.world.place(DISH)
-        self.world.load_cone("store", self.load_mg)
-
-    def request(self, belief: PowderBelief, balance: BalanceBelief) -> DoseRequest:
-        """What `skills/dispense.py` would ask."""
-        hand, spec = self.believed_hand, self.cell.spec.balance
-        return DoseRequest(
-            target_mg=self.target_mg,
-            tolerance_mg=TOLERANCE_MG,
-            gain=self.powder.gain,
-            max_opening_mm=min(self.powder.max_opening_mm, hand.max_opening_mm),
-            valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
-            valve_dead_time_s=hand.valve_dead_time_s,
-            readability_mg=spec.readability_mg,
-            balance_period_s=spec.period_s,
-            cone_mg=self.load_mg,
-            streaming=hand.streaming,
-            powder=belief,
-            balance=balance,
-        )
+        self.world.load_cone("store", load_mg)
+        self.cell.spec = spec.model_copy(update={"hand": setting.believed_hand or setting.hand})
+        believed = self.cell.believed
+        believed.pan, believed.cone_source, believed.cone_mg = DISH, "store", load_mg
 
     def drive(self, steps: Steps[T]) -> T:
         """Run a generator to its end."""
@@ -156,30 +159,58 @@ class Bench:
         except StopIteration as end:
             return cast(T, end.value)
 
-    def dose(self, name: str, belief: PowderBelief, balance: BalanceBelief) -> tuple[Trial, DoseRun | None]:
-        """One dose by a controller's name; `oracle` is given the true mass."""
-        empty_mg = self.drive(self.cell.balance.stable_mean(60.0)).value_mg
-        request = self.request(belief, balance)
-        if name == "oracle":
-            steps = run_oracle(Oracle(request), self.cell, self.world, DISH.id)
-        else:
-            controller = new_controller(name, request)
-            steps = run_dose(controller, self.cell.hand, self.cell.balance, self.clock, NoRecord(), empty_mg)
+    def dose(self, name: str, powder: PowderBelief, balance: BalanceBelief) -> Trial:
+        """One dose by a controller's name; `oracle` is given the true mass. What was learnt is the cell's then."""
+        cell = self.cell
+        (source,) = cell.sources.values()
+        cell.powder_beliefs[source.sheet_key], cell.balance_belief = powder, balance
+        self.drive(skills()["tare"]().run(cell))
         begin_s = self.clock.now_s
-        try:
-            run = self.drive(steps)
-        except SkillFailed as failure:
-            error_mg = self.world.true_mass(DISH.id) - self.target_mg
-            return Trial(error_mg, np.nan, False, 0, self.clock.now_s - begin_s, failure.code), None
-        true_mg = self.world.true_mass(DISH.id)
-        error_mg = run.finish.estimate_mg - self.target_mg
-        guard_mg = 0.0 if name in ("paper", "direct_pid", "oracle") else GUARD * run.finish.uncertainty_mg
-        trial = Trial(
-            true_mg - self.target_mg,
-            error_mg,
-            abs(error_mg) <= TOLERANCE_MG - guard_mg,
-            run.pulses,
-            run.duration_s,
-            run.finish.reason,
+        dispense = skills()["dispense"](
+            mass_mg=self.target_mg, tolerance_mg=TOLERANCE_MG, controller="" if name == "oracle" else name
         )
-        return trial, run
+        reason: str = "reached"
+        try:
+            if name == "oracle":
+                reason = self._keep(name, self.drive(self._oracle(dispense)))
+            elif self.as_printed:
+                reason = self._keep(name, self.drive(self._as_printed(dispense)))
+            else:
+                self.drive(dispense.run(cell))
+        except SkillFailed as failure:
+            reason = failure.code
+        dose = self.record.last
+        return Trial(
+            true_error_mg=self.world.true_mass(DISH.id) - self.target_mg,
+            reported_error_mg=dose.error_mg if dose is not None else np.nan,
+            accepted=dose is not None and dose.verdict == "in tolerance",
+            steps=dose.pulses if dose is not None else 0,
+            duration_s=self.clock.now_s - begin_s,
+            reason=reason,
+        )
+
+    def _oracle(self, dispense: Any) -> Steps[DoseRun]:
+        return run_oracle(Oracle(dispense.request(self.cell)), self.cell, self.world, DISH.id)
+
+    def _as_printed(self, dispense: Any) -> Steps[DoseRun]:
+        cell, request = self.cell, replace(dispense.request(self.cell), as_printed=True)
+        controller, empty_mg = new_controller(dispense.controller, request), cell.believed.pan_empty_mg
+        assert empty_mg is not None
+        return run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
+
+    def _keep(self, name: str, run: DoseRun) -> str:
+        """What a controller that no recipe can name came to, as a dose; why it ended."""
+        net_mg = run.finish.estimate_mg
+        uncertainty_mg = 0.0 if self.as_printed else run.finish.uncertainty_mg
+        self.record.last = Dose(
+            target_mg=self.target_mg,
+            tolerance_mg=TOLERANCE_MG,
+            dispensed_mg=net_mg,
+            uncertainty_mg=uncertainty_mg,
+            pulses=run.pulses,
+            vibration_s=run.vibration_s,
+            duration_s=run.duration_s,
+            controller=name,
+            verdict=judge(self.target_mg, TOLERANCE_MG, net_mg, uncertainty_mg),
+        )
+        return run.finish.reason

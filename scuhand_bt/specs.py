@@ -198,6 +198,10 @@ class Container(ContainerKind):
         return ContainerKind.model_construct(**{name: getattr(self, name) for name in ContainerKind.model_fields})
 
 
+Verdict = Literal["in tolerance", "under", "over"]
+"""What is said of a dose (`dosing/verdict.py`)."""
+
+
 class Dose(Spec):
     """The result for one container: what was asked, what the balance says is there, and the verdict."""
 
@@ -211,7 +215,7 @@ class Dose(Spec):
     vibration_s: float
     duration_s: float
     controller: str
-    verdict: Literal["in tolerance", "under", "over"]
+    verdict: Verdict
 
     @property
     def error_mg(self) -> float:

@@ -8,18 +8,15 @@ from pydantic import AfterValidator, Field
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
+from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import Cell, Code, Dose, Milligrams, Skill, SkillFailed, Steps
 
 ASIDE_MM = 2.0
 """The apex is taken to be over the container where it is no farther than this from its place."""
-GUARD = 2.0
-"""In tolerance means so beyond this many standard uncertainties of the measurement."""
 WANDER_DIGITS = 30.0
 """More than noise, and than a sound balance's zero wanders while the arm scoops."""
 SCOOP_DOUBT = 0.15
 """How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
-EXPECTED_UNCERTAINTY_DIGITS = 1.0
-"""A net mass's standard uncertainty to expect, in digits of the balance: controllers aim so much inside."""
 
 
 def _known_controller(name: str) -> str:
@@ -54,12 +51,12 @@ class Dispense(Skill[Dose]):
     """A dosing controller by name; the run's, if none is named."""
 
     def run(self, cell: Cell) -> Steps[Dose]:
-        request, empty_mg = self._request(cell), cell.believed.pan_empty_mg
+        request, empty_mg = self.request(cell), cell.believed.pan_empty_mg
         if empty_mg is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
-            request = self._request(cell)
+            request = self.request(cell)
         controller = new_controller(self.controller or cell.controller, request)
         before_mg = (yield from cell.balance.next_reading()).value_mg  # no valve opens over a silent balance
         self._require_zero_held(cell, before_mg)
@@ -104,7 +101,8 @@ class Dispense(Skill[Dose]):
                 f"the pan shows {gross_mg - before_mg:+.1f} mg against its last weighing, and nothing was dosed since",
             )
 
-    def _request(self, cell: Cell) -> DoseRequest:
+    def request(self, cell: Cell) -> DoseRequest:
+        """What its controller is asked for, by what is known of powder, balance and hand now."""
         hand, balance, container = cell.spec.hand, cell.spec.balance, cell.believed.pan
         if self.tolerance_mg < balance.least_tolerance_mg:
             raise SkillFailed(
@@ -126,7 +124,6 @@ class Dispense(Skill[Dose]):
         return DoseRequest(
             target_mg=self.mass_mg,
             tolerance_mg=self.tolerance_mg,
-            guard_mg=GUARD * EXPECTED_UNCERTAINTY_DIGITS * balance.readability_mg,
             gain=powder.gain,
             max_opening_mm=min(powder.max_opening_mm, hand.max_opening_mm),
             valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
@@ -151,18 +148,17 @@ class Dispense(Skill[Dose]):
         so_far = cell.believed.dosing
         so_far.pulses += run.pulses
         so_far.vibration_s += run.vibration_s
-        error_mg = run.finish.estimate_mg - self.mass_mg
-        allowed_mg = self.tolerance_mg - GUARD * run.finish.uncertainty_mg
+        net_mg, uncertainty_mg = run.finish.estimate_mg, run.finish.uncertainty_mg
         return Dose(
             target_mg=self.mass_mg,
             tolerance_mg=self.tolerance_mg,
-            dispensed_mg=run.finish.estimate_mg,
-            uncertainty_mg=run.finish.uncertainty_mg,
+            dispensed_mg=net_mg,
+            uncertainty_mg=uncertainty_mg,
             pulses=so_far.pulses,
             vibration_s=so_far.vibration_s,
             duration_s=cell.clock.now_s - so_far.began_s,
             controller=controller,
-            verdict="in tolerance" if abs(error_mg) <= allowed_mg else "over" if error_mg > 0.0 else "under",
+            verdict=judge(self.mass_mg, self.tolerance_mg, net_mg, uncertainty_mg),
         )
 
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:

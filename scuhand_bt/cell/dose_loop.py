@@ -11,6 +11,7 @@ from typing import Any
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.dosing.verdict import net_uncertainty_mg
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
 
@@ -18,8 +19,6 @@ LOST_MG = 50.0
 """Powder does not leave the pan again: less by so much than there has been means that the container was moved. A lump
 that lands is felt as more than it weighs, for a moment and by less than this."""
 LOST_READINGS = 3
-DRIFT_DIGITS = 0.5
-"""How far a balance's zero is taken to wander in a minute, in digits (standard deviation)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +96,11 @@ def run_dose(
             net_mg = balance.latest.value_mg - empty_mg
             curve.append(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
 
+    def weighed(mean: StableMean) -> Observation:
+        """The net mass; the gross before was a stable mean too, and the zero has wandered since."""
+        u_mg = net_uncertainty_mg(mean.uncertainty_mg, balance.spec.readability_mg, clock.now_s - begin_s)
+        return Observation(mean.time_s, mean.value_mg - empty_mg, u_mg, True, hand.opening_mm)
+
     try:
         command = controller.decide(None)
         while not isinstance(command, Finish):
@@ -104,10 +108,9 @@ def run_dose(
             if acted_s - begin_s > LONGEST_S:
                 hand.stop()
                 mean = yield from balance.stable_mean()
-                net_mg, uncertainty_mg = mean.value_mg - empty_mg, math.sqrt(2.0) * mean.uncertainty_mg
-                ended = Observation(mean.time_s, net_mg, uncertainty_mg, True, hand.opening_mm)
+                ended = weighed(mean)
                 record.pulse(_values(Weigh(0.0), ended, acted_s) | _weighed(mean))
-                command = Finish("step_limit", net_mg, uncertainty_mg)
+                command = Finish("step_limit", ended.net_mg, ended.uncertainty_mg)
                 break
             if isinstance(command, Stream):
                 pulses += not streaming
@@ -139,10 +142,7 @@ def run_dose(
                     while clock.now_s < end_s:
                         yield Wake(end_s)
                 mean = yield from balance.stable_mean()
-                # The gross before was a stable mean too, and the zero has wandered since.
-                drift_mg = DRIFT_DIGITS * balance.spec.readability_mg * math.sqrt((clock.now_s - begin_s) / 60.0)
-                uncertainty_mg = math.hypot(math.sqrt(2.0) * mean.uncertainty_mg, drift_mg)
-                seen = Observation(mean.time_s, mean.value_mg - empty_mg, uncertainty_mg, True, hand.opening_mm)
+                seen = weighed(mean)
                 level = 0.0
                 record.pulse(_values(command, seen, acted_s) | _weighed(mean))
             require_nothing_lost(seen)

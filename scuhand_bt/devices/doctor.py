@@ -42,7 +42,7 @@ TEST_VIBRATION = 0.5
 ANSWER_S = 5.0
 FIRST_READING_S = 10.0
 
-Verdict = Literal["ok", "FAIL", "not done"]
+Health = Literal["ok", "FAIL", "not done"]
 T = TypeVar("T")
 
 
@@ -54,7 +54,7 @@ class Finding:
     check: str
     found: str
     expected: str
-    verdict: Verdict
+    verdict: Health
     what_to_do: str = ""
 
 

@@ -14,6 +14,7 @@ A controller lives for one dose; `Finish` is its last word.
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from scuhand_bt.dosing.verdict import acceptance_mg
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 
@@ -91,8 +92,8 @@ class DoseRequest:
     """What the cone is believed to hold."""
     cone_doubt_mg: float = 750.0
     """How far that belief may be off: scoops vary."""
-    guard_mg: float = 0.0
-    """What a controller that compares readings alone leaves of the tolerance to their uncertainty."""
+    as_printed: bool = False
+    """The paper's rules to the letter: its strict comparison knows no uncertainty of a reading."""
     streaming: bool = True
     valve_dead_time_s: float = 0.06
     balance_period_s: float = 0.1
@@ -109,12 +110,12 @@ class DoseRequest:
 def stopped(request: DoseRequest, seen: Observation, steps: int, dry: bool, dispensed_mg: float) -> Finish | None:
     """The paper's stopping rules, for controllers that go step by step; None while there is more to dose.
 
-    |error| < tolerance (strictly) ends it; so do what the listing leaves out: too much, a cone that gives nothing, and
-    the step limit. `dispensed_mg` is what this dose has taken from the cone.
+    |error| < tolerance (strictly), less the guard band of `verdict`, ends it; so do what the listing leaves out: too
+    much, a cone that gives nothing, and the step limit. `dispensed_mg` is what this dose has taken from the cone.
     """
     error_mg = request.target_mg - seen.net_mg
     reason: Reason
-    if abs(error_mg) < request.tolerance_mg - request.guard_mg:
+    if abs(error_mg) < acceptance_mg(request.tolerance_mg, 0.0 if request.as_printed else seen.uncertainty_mg):
         reason = "reached"
     elif error_mg < 0.0:
         reason = "overshoot"

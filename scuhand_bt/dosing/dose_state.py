@@ -12,13 +12,13 @@ from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observati
 from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
-from scuhand_bt.specs import BalanceBelief, PowderBelief
+from scuhand_bt.dosing.verdict import COVERAGE, judge
+from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
 
 VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
 EXPONENT_ERROR = 1.0
 """What a powder's exponent may be off by: its coefficient changes with the opening."""
-GUARD = 2.0
 FORGIVEN = 0.85
 """Share of the room above the aim, inside the tolerance, that the unseen part of the slowest flow may be off by."""
 LUMPS_UNSEEN = 0.08
@@ -120,7 +120,7 @@ class Knowledge:
 
     @property
     def _guard_mg(self) -> float:
-        return GUARD * math.sqrt(2.0) * max(0.5 * self.noise_mg, self.request.readability_mg / math.sqrt(12.0))
+        return COVERAGE * math.sqrt(2.0) * max(0.5 * self.noise_mg, self.request.readability_mg / math.sqrt(12.0))
 
     @property
     def enough_mg(self) -> float:
@@ -344,7 +344,6 @@ class Knowledge:
 
     def verdict(self, seen: Observation) -> Reason | None:
         """What a stable mean says: done, too much, or None while there is more to dose."""
-        error_mg = seen.net_mg - self.request.target_mg
-        if abs(error_mg) <= self.request.tolerance_mg - GUARD * seen.uncertainty_mg:
-            return "reached"
-        return "overshoot" if error_mg > 0.0 else None
+        request = self.request
+        reasons: dict[Verdict, Reason | None] = {"in tolerance": "reached", "over": "overshoot", "under": None}
+        return reasons[judge(request.target_mg, request.tolerance_mg, seen.net_mg, seen.uncertainty_mg)]

@@ -20,8 +20,8 @@ The listing leaves gaps and has defects. Each is handled here as named:
 * *No way out of an empty cone.* Full openings under vibration that bring nothing end the dose, as
   `empty` or `no_flow`.
 
-The comparison stays the paper's strict |e| < tolerance, on the first settled reading; a run may ask for a guard
-band inside the tolerance.
+The comparison stays the paper's strict |e| < tolerance, on the first settled reading, less the guard band that the
+verdict keeps (`verdict`); as printed (`DoseRequest.as_printed`) there is none.
 """
 
 from dataclasses import dataclass, field

@@ -22,12 +22,12 @@ from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.runner import Outcome, Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.specs import Container, Dose
+from scuhand_bt.specs import Container, Dose, Verdict
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
 from scuhand_bt.tree.replay import Replay
 
-Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interrupted", "not run"]
+SampleVerdict = Literal[Verdict, "no dose", "skipped", "interrupted", "not run"]
 
 ANSWERS = ("flag", "redo", "skip_sample", "stop")
 """What a person may choose for a failed sample, where the recipe says `ask`."""
@@ -49,7 +49,7 @@ class SampleResult:
     vibration_s: float
     duration_s: float
     controller: str | None
-    verdict: Verdict
+    verdict: SampleVerdict
     code: str | None
     detail: str | None
     true_mg: float | None
@@ -197,7 +197,7 @@ class Batch:
             action = "flag" if failure is None else self._action_for(sample, failure, attempt)
             if action == "redo" and attempt > 1:
                 action = "flag"
-            verdict: Verdict | None = "skipped" if action == "skip_sample" else None
+            verdict: SampleVerdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))
             if recorded is not None and before is not None and before.is_over:
                 self._show(restored(recorded))
@@ -286,7 +286,7 @@ class Batch:
         self,
         sample: Sample,
         dose: Dose | None,
-        verdict: Verdict | None,
+        verdict: SampleVerdict | None,
         failure: SkillFailed | None,
         began_s: float,
         attempt: int,

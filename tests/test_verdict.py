@@ -1,0 +1,58 @@
+"""In tolerance or not: the guard band, and the uncertainty that makes it."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scuhand_bt.dosing.verdict import acceptance_mg, judge, net_uncertainty_mg
+
+masses = st.floats(-50.0, 5000.0)
+tolerances = st.floats(0.1, 50.0)
+uncertainties = st.floats(0.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("net_mg", "uncertainty_mg", "verdict"),
+    [
+        (52.0, 0.0, "in tolerance"),
+        (52.001, 0.0, "over"),
+        (47.999, 0.0, "under"),
+        (51.5, 0.25, "in tolerance"),
+        (51.5, 0.2501, "over"),
+        (48.5, 0.25, "in tolerance"),
+        (48.5, 0.2501, "under"),
+        (50.0, 1.0, "in tolerance"),
+        (50.0, 1.001, "under"),
+    ],
+)
+def test_a_dose_is_in_tolerance_by_two_standard_uncertainties(
+    net_mg: float, uncertainty_mg: float, verdict: str
+) -> None:
+    assert judge(50.0, 2.0, net_mg, uncertainty_mg) == verdict
+
+
+@given(masses, tolerances, masses, uncertainties)
+def test_what_is_accepted_stays_in_tolerance_wherever_its_expanded_uncertainty_takes_it(
+    target_mg: float, tolerance_mg: float, net_mg: float, uncertainty_mg: float
+) -> None:
+    if judge(target_mg, tolerance_mg, net_mg, uncertainty_mg) == "in tolerance":
+        for true_mg in (net_mg - 2.0 * uncertainty_mg, net_mg + 2.0 * uncertainty_mg):
+            assert abs(true_mg - target_mg) <= tolerance_mg + 1e-9
+
+
+@given(masses, tolerances, st.floats(-60.0, 60.0), uncertainties)
+def test_what_is_not_accepted_is_named_by_its_side(
+    target_mg: float, tolerance_mg: float, error_mg: float, uncertainty_mg: float
+) -> None:
+    verdict = judge(target_mg, tolerance_mg, target_mg + error_mg, uncertainty_mg)
+    if abs(error_mg) > acceptance_mg(tolerance_mg, uncertainty_mg) + 1e-9:
+        assert verdict == ("over" if target_mg + error_mg > target_mg else "under")
+
+
+def test_a_net_mass_carries_both_weighings_and_a_wandering_zero() -> None:
+    assert net_uncertainty_mg(0.03, 0.1, 0.0) == pytest.approx(0.03 * math.sqrt(2.0))
+    assert net_uncertainty_mg(0.0, 0.1, 60.0) == pytest.approx(0.05)
+    assert net_uncertainty_mg(0.0, 0.1, 240.0) == pytest.approx(0.1)
+    assert net_uncertainty_mg(0.03, 0.1, 60.0) == pytest.approx(math.hypot(0.03 * math.sqrt(2.0), 0.05))
