@@ -127,6 +127,11 @@ def test_the_mistakes_that_recipes_md_shows_are_told_in_those_words(lab_folder: 
 
 
 @pytest.mark.parametrize("text", blocks("python"))
+def test_every_python_example_is_python(text: str) -> None:
+    ast.parse(text)
+
+
+@pytest.mark.parametrize("text", [block for block in blocks("python") if "(Skill" in block.values[0]])
 def test_every_skill_example_is_loaded_and_called_as_the_page_says(text: str, lab_folder: LabFolder) -> None:
     name = re.findall(r"^class (\w+)\(Skill", text, re.M)[0].lower()
     lab_folder.write(f"skills/{name}.py", text)
