@@ -16,7 +16,7 @@ from typing import Any
 from unittest.mock import patch
 
 from benchmarks.figures import show
-from benchmarks.mutated_journals import mutations
+from harness.damaged_journals import mutations
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, load_lab, starter_lab

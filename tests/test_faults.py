@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from running import Ran, Watching, dry_run, shared_planner
 from wire_helpers import carry_out, wait_for
 
-from benchmarks.faults import Matrix
+from harness.fault_matrix import Matrix
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.journal.export import canonical

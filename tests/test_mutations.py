@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-import benchmarks.mutations
-from benchmarks.mutants import Mutant, mutant
-from benchmarks.mutations import Judge
-from benchmarks.structures import structures
+from harness import mutant_judge
+from harness.mutant_judge import Judge
+from harness.mutants import Mutant, mutant
+from harness.structures import structures
 from scuhand_bt.lab import Lab
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.sim.world import World
@@ -57,7 +57,7 @@ def test_the_judge_sees_an_error_that_is_not_clean(judge: Judge, monkeypatch: py
     def broken(path: Path, lab: Lab) -> Recipe:
         raise KeyError("unforeseen")
 
-    monkeypatch.setattr(benchmarks.mutations, "load_recipe", broken)
+    monkeypatch.setattr(mutant_judge, "load_recipe", broken)
     outcome = judge.judge(Mutant("bytes", "none", "recipes/small.yaml", {}))
     assert outcome.end == "broken"
     assert "KeyError at test_mutations.py" in outcome.wrong[0]

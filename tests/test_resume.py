@@ -12,7 +12,7 @@ import pytest
 from conftest import Bench
 from running import HEAD, make_lab, shared_planner
 
-from benchmarks.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
+from harness.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import read
