@@ -398,10 +398,10 @@ def test_an_adjustment_in_progress_is_busy_and_then_over() -> None:
 
 
 @pytest.mark.parametrize("port", [PtyPort, SocketPort])
-def test_hundreds_of_unplugs_are_each_reported_and_survived(port: type[PtyPort | SocketPort]) -> None:
+def test_many_unplugs_are_each_reported_and_survived(port: type[PtyPort | SocketPort]) -> None:
     rng = random.Random(5)
     with Bench("shimadzu", port()) as bench:
-        for cycle in range(500 if port is PtyPort else 10):
+        for cycle in range(100 if port is PtyPort else 5):
             bench.pan.load_mg = float(cycle)
             if rng.random() < 0.5:
                 bench.reads(float(cycle))

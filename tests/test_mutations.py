@@ -1,4 +1,4 @@
-"""Some hundred mutated recipes, tables, workflows, cells and fault files; `benchmarks.mutations` has the thousands."""
+"""Some mutated recipes, tables, workflows, cells and fault files; `benchmarks.mutations` has the thousands."""
 
 from pathlib import Path
 
@@ -18,14 +18,15 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
     return Judge(tmp_path_factory.mktemp("mutants") / "lab")
 
 
-@pytest.mark.parametrize("first", range(0, 160, 40))
+@pytest.mark.parametrize("first", [0, *(pytest.param(first, marks=pytest.mark.slow) for first in (40, 80, 120))])
 def test_a_changed_file_is_a_clean_error_or_a_correct_run(judge: Judge, first: int) -> None:
     outcomes = [judge.judge(mutant(number, judge.originals)) for number in range(first, first + 40)]
     assert [outcome for outcome in outcomes if outcome.wrong] == []
 
 
-def test_a_workflow_put_together_at_random_is_a_clean_error_or_a_correct_run(judge: Judge) -> None:
-    outcomes = [judge.judge(each) for each in structures(0, 40)]
+@pytest.mark.parametrize("count", [10, pytest.param(40, marks=pytest.mark.slow)])
+def test_a_workflow_put_together_at_random_is_a_clean_error_or_a_correct_run(judge: Judge, count: int) -> None:
+    outcomes = [judge.judge(each) for each in structures(0, count)]
     assert [outcome for outcome in outcomes if outcome.wrong] == []
     assert any(not outcome.end.startswith("refused") for outcome in outcomes)
 

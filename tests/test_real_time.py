@@ -28,8 +28,9 @@ def test_it(twin): pass
 
 
 @pytest.fixture
-def inner(pytester: pytest.Pytester) -> Inner:
+def inner(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Inner:
     """Runs a test in a run of its own."""
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # to be quick
 
     def run(test: str) -> pytest.RunResult:
         pytester.makeini("[pytest]\nmarkers = real_time\n")
