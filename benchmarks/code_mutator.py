@@ -46,7 +46,7 @@ class CodeMutant:
     """One change; `source` is the whole file with it."""
 
     function: str
-    """Qualified name; empty at the module's level."""
+    """Qualified name, or that of the constant; empty elsewhere at the module's level."""
     line: int
     before: str
     after: str
@@ -62,7 +62,7 @@ class CodeMutant:
 
 
 def mutants_of(source: str, functions: Collection[str] = ()) -> list[CodeMutant]:
-    """All mutants of a file, or of these functions in it (`Class.method`, or `Class` for all of one)."""
+    """All mutants of a file, or of these in it: functions, constants, `Class.method`, `Class` for all of one."""
     seen, found = Counter[str](), []
     for function, node, after in _Sites(source).changes():
         if functions and not any(f"{function}.".startswith(f"{name}.") for name in functions):
@@ -103,6 +103,8 @@ class _Sites:
     def _within(self, node: ast.AST, function: str) -> Iterator[tuple[str, ast.expr | ast.stmt, str]]:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             function = f"{function}.{node.name}".lstrip(".")
+        if isinstance(node, ast.Assign) and not function and isinstance(node.targets[0], ast.Name):
+            function = node.targets[0].id  # a constant
         for after in _alternatives(node):
             assert isinstance(node, ast.expr | ast.stmt)
             yield function, node, after

@@ -18,6 +18,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -63,12 +64,14 @@ class Target:
 
 
 TARGETS = (
-    Target("verdict", "skills/dispense.py", ("Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
-    Target("guards", "scuhand_bt/run/guards.py", (), ("guards", "guard_limits")),
+    Target("verdict", "skills/dispense.py", ("GUARD", "Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
+    Target("verdict of a controller", "scuhand_bt/dosing/dose_state.py", ("Knowledge.verdict",), ("dispense",)),
+    Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop", "dosing_controllers")),
+    Target("guards", "scuhand_bt/run/guards.py", (), ("guard_limits", "guards")),
     Target("spill", "scuhand_bt/motion/spill.py", (), ("motion_spill",)),
     Target("journal", "scuhand_bt/journal/writer.py", (), ("journal",)),
     Target("hash chain", "scuhand_bt/journal/hash_chain.py", (), ("journal",)),
-    Target("CRC", "scuhand_bt/devices/hand_protocol.py", (), ("hand_protocol", "firmware")),
+    Target("hand protocol, CRC", "scuhand_bt/devices/hand_protocol.py", (), ("hand_protocol", "firmware")),
     Target("leases", "scuhand_bt/tree/leases.py", (), ("leases",)),
 )
 
@@ -200,10 +203,15 @@ def _begin_tests(copy: Path, target: Target, limit_s: float) -> int:
     sys.path[:] = [str(copy), *(path for path in sys.path if path not in ("", str(ROOT)))]
     sys.dont_write_bytecode = True  # a mutant's file may be as old and as long as the one before
     options = ["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow and not real_time", f"--basetemp={copy}/temporary"]
+    options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # of what was imported beforehand
     code = 1
     try:
         code = pytest.main([*options, *(f"tests/test_{name}.py" for name in target.tests)])
+    except BaseException:
+        traceback.print_exc()
     finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
         os._exit(code)
 
 

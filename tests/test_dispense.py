@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from dose_bench import DISH, Bench, shipped_powders
 
-from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Weigh, new_controller
+from scuhand_bt.dosing import CONTROLLERS, Command, DoseRequest, Finish, Observation, Pulse, Weigh, new_controller
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import NoRecord
@@ -20,7 +20,7 @@ ALLOWED_MG = 1.5
 
 
 class LastWord:
-    """A controller that has nothing to do, and says what it is told to say."""
+    """A controller that opens the valve for a moment, vibrating, and then says what it is told to say."""
 
     name = "last_word"
     estimate_mg = 0.0
@@ -28,8 +28,8 @@ class LastWord:
     def __init__(self, finish: Finish) -> None:
         self._finish = finish
 
-    def decide(self, seen: Observation | None) -> Finish:
-        return self._finish
+    def decide(self, seen: Observation | None) -> Command:
+        return Pulse(0.2, 0.5, 1.0) if seen is None else self._finish
 
 
 Dispense = Callable[..., Dose]
@@ -84,8 +84,11 @@ def test_a_measurement_without_doubt_may_use_the_whole_tolerance(dispense: Dispe
     assert dispense(TOLERANCE_MG, uncertainty_mg=0.0).verdict == "in tolerance"
 
 
-def test_a_measurement_worse_than_the_tolerance_is_never_in_it(dispense: Dispense) -> None:
-    assert dispense(0.0, uncertainty_mg=1.001).verdict == "under"
+@pytest.mark.parametrize(("error_mg", "verdict"), [(-0.001, "under"), (0.0, "under"), (0.001, "over")])
+def test_a_measurement_worse_than_the_tolerance_is_never_in_it(
+    dispense: Dispense, error_mg: float, verdict: str
+) -> None:
+    assert dispense(error_mg, uncertainty_mg=1.001).verdict == verdict
 
 
 def test_too_much_for_the_tolerance_is_an_overshoot_and_the_dose_is_recorded_as_over(
@@ -123,8 +126,10 @@ def test_a_dose_says_what_was_asked_what_is_there_and_what_it_took_in_all(dispen
     so_far.pulses, so_far.vibration_s, so_far.began_s = 3, 1.5, rig.clock.now_s - 20.0
     dose = dispense(0.5)
     assert (dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg) == (50.0, 2.0, 50.5, 0.25)
-    assert (dose.pulses, dose.vibration_s, dose.controller) == (3, 1.5, "last_word")
-    assert dose.duration_s == pytest.approx(20.0, abs=0.5)
+    assert (dose.pulses, dose.controller) == (4, "last_word")
+    assert dose.vibration_s == pytest.approx(1.5 + 0.7, abs=0.1)
+    assert dose.duration_s == pytest.approx(rig.clock.now_s - so_far.began_s)
+    assert dose.duration_s > 20.0
 
 
 # --- the controllers' own knowledge of it
@@ -132,21 +137,23 @@ def test_a_dose_says_what_was_asked_what_is_there_and_what_it_took_in_all(dispen
 
 @pytest.mark.parametrize("streaming", [True, False])
 @pytest.mark.parametrize(
-    ("error_mg", "reason"),
+    ("error_mg", "uncertainty_mg", "reason"),
     [
-        (ALLOWED_MG, "reached"),
-        (-ALLOWED_MG, "reached"),
-        (ALLOWED_MG + 0.001, "overshoot"),
-        (-ALLOWED_MG - 0.001, None),
+        (ALLOWED_MG, UNCERTAINTY_MG, "reached"),
+        (-ALLOWED_MG, UNCERTAINTY_MG, "reached"),
+        (ALLOWED_MG + 0.001, UNCERTAINTY_MG, "overshoot"),
+        (-ALLOWED_MG - 0.001, UNCERTAINTY_MG, None),
+        (0.001, 1.001, "overshoot"),
+        (0.0, 1.001, None),
     ],
 )
 def test_adaptive_is_done_exactly_where_the_verdict_will_be_in_tolerance(
-    rig: Bench, streaming: bool, error_mg: float, reason: str | None
+    rig: Bench, streaming: bool, error_mg: float, uncertainty_mg: float, reason: str | None
 ) -> None:
     controller = new_controller("adaptive", replace(rig.request(), streaming=streaming))
     command, time_s = controller.decide(None), 0.0
     while not isinstance(command, Weigh):
         time_s += 0.1
-        command = controller.decide(Observation(time_s, TARGET_MG + error_mg, UNCERTAINTY_MG, False))
-    command = controller.decide(Observation(time_s, TARGET_MG + error_mg, UNCERTAINTY_MG, True))
+        command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, False))
+    command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, True))
     assert (command.reason if isinstance(command, Finish) else None) == reason
