@@ -18,7 +18,7 @@ from pydantic import BaseModel, Field
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.journal import writer
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
-from scuhand_bt.journal.writer import SCHEMA_VERSION, Journal, plain_value, to_json
+from scuhand_bt.journal.writer import FLUSH_S, SCHEMA_VERSION, Journal, plain_value, to_json
 from scuhand_bt.record import RecordLost
 from scuhand_bt.specs import Dose, Source
 
@@ -132,7 +132,7 @@ def test_a_real_run_is_on_disk_when_a_call_returns_and_a_dry_one_need_not(
 
 def test_every_call_is_committed_when_it_returns(journal: Journal, path: Path) -> None:
     journal.event("asked", {"n": 1})
-    assert rows(path, "kind") == [("asked",)], "seen by another connection"
+    assert rows(path, "kind, time_s") == [("asked", 0.0)], "seen by another connection; no clock runs yet"
 
 
 def test_a_closed_journal_is_one_file_and_a_discarded_one_none(journal: Journal, path: Path) -> None:
@@ -278,19 +278,19 @@ def test_readings_are_kept_only_while_an_action_weighs_and_belong_to_it(journal:
     assert kinds.index("frames") < len(kinds) - 1, "before the action's end"
 
 
-def test_readings_wait_for_their_time_and_are_written_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readings_wait_for_half_a_second_and_are_written_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
     monkeypatch.setattr(writer.time, "monotonic", lambda: now_s)
     journal = Journal(path, durable=False)
     journal.action_started("w/0", 1, "dispense", {}, weighs=True)
     journal.weighed(reading(0))
     journal.flush()
-    now_s = 100.4
+    now_s = 100.49
     journal.weighed(reading(1))
-    journal.flush(0.5)
+    journal.flush(FLUSH_S)
     assert len(rows(path)) == 2, "not yet"
     now_s = 100.5
-    journal.flush(0.5)
+    journal.flush(FLUSH_S)
     assert len(rows(path)) == 3
     journal.flush()
     assert len(rows(path)) == 3, "nothing waits any more"
