@@ -10,7 +10,7 @@ from dose_bench import DISH, Bench, shipped_powders
 from scuhand_bt.dosing import CONTROLLERS, Command, DoseRequest, Finish, Observation, Pulse, Weigh, new_controller
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.specs import Dose
 
 BEADS = shipped_powders()["glass_beads"]
@@ -95,7 +95,7 @@ def test_too_much_for_the_tolerance_is_an_overshoot_and_the_dose_is_recorded_as_
     dispense: Dispense, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     doses: list[Dose] = []
-    monkeypatch.setattr(NoRecord, "dose", lambda record, dose: doses.append(dose))
+    monkeypatch.setattr(Record, "dose", lambda record, dose: doses.append(dose))
     with pytest.raises(SkillFailed, match=r"dose\.overshoot: 52\.0 mg of 50 mg: 2\.0 mg too much"):
         dispense(TOLERANCE_MG + 0.001)
     assert [dose.verdict for dose in doses] == ["over"]

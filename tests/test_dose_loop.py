@@ -12,7 +12,7 @@ from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing import Command, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 
 EMPTY_MG = 25_000.0
@@ -88,7 +88,7 @@ class Loop:
 
     def run(self) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
-        steps = run_dose(self.controller, hand, balance, self.clock, NoRecord(), EMPTY_MG)
+        steps = run_dose(self.controller, hand, balance, self.clock, Record(), EMPTY_MG)
         try:
             while True:
                 self.clock.wait([next(steps)])
