@@ -9,6 +9,7 @@ import math
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun
+from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.dosing import DoseRequest, Finish
 from scuhand_bt.dosing.adaptive import WATCH_LAGS
@@ -128,4 +129,4 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
             break
     true_mg = world.true_mass(container)
     finish = Finish(reason, true_mg, math.sqrt(2.0) * mean.uncertainty_mg)  # type: ignore[arg-type]
-    return DoseRun(finish, openings, 0.0, clock.now_s - begin_s)
+    return DoseRun(finish, weighing_of(mean), openings, 0.0, clock.now_s - begin_s)

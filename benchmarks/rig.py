@@ -17,10 +17,12 @@ import yaml
 from benchmarks.oracle import Oracle, run_oracle
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import new_controller
+from scuhand_bt.dosing.bracket import Drift, Net, Reference
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -31,10 +33,13 @@ from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.world import World
+from scuhand_bt.skill import pause
 from scuhand_bt.specs import BalanceBelief, Container, Mortar, Powder, PowderBelief, Source
 
 DOSES_PER_RUN = 10
 TOLERANCE_MG = 2.0
+WAY_S = 4.0
+"""From the tare to the dose: the arm's way over the balance; it is not counted."""
 REDONE = 1000
 """Added to a dose's number for its second attempt."""
 ROBOT = Path(__file__).parent.parent / "robot"
@@ -155,7 +160,8 @@ class Bench:
         believed = self.cell.believed
         believed.cone_holds(source, load_mg)
         believed.brought(DISH, from_changer=False)
-        believed.placed(self.drive(self.cell.balance.stable_mean(60.0)).value_mg)
+        gross = weighing_of(self.drive(self.cell.balance.stable_mean(60.0)))
+        believed.placed(gross, gross)
 
     def drive(self, steps: Steps[T]) -> T:
         """Run a generator to its end."""
@@ -171,6 +177,7 @@ class Bench:
         (source,) = cell.sources.values()
         cell.powder_beliefs[source.sheet_key], cell.balance_belief = powder, balance
         self.drive(skills()["tare"]().run(cell))
+        self.drive(pause(cell, WAY_S))
         begin_s = self.clock.now_s
         dispense = skills()["dispense"](
             mass_mg=self.target_mg, tolerance_mg=TOLERANCE_MG, controller="" if name == "oracle" else name
@@ -200,9 +207,11 @@ class Bench:
 
     def _as_printed(self, dispense: Any) -> Steps[DoseRun]:
         cell, request = self.cell, replace(dispense.request(self.cell), as_printed=True)
-        controller, empty_mg = new_controller(dispense.controller, request), cell.believed.pan_empty_mg
-        assert empty_mg is not None
-        return run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
+        assert cell.believed.bracket is not None
+        digit_mg = cell.spec.balance.readability_mg
+        reference = Reference(cell.believed.bracket.last, Drift(0.0, 0.0), Net(0.0, 0.0), digit_mg)
+        controller = new_controller(dispense.controller, request)
+        return run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
 
     def _keep(self, name: str, run: DoseRun) -> str:
         """What a controller that no recipe can name came to, as a dose; why it ended."""

@@ -106,6 +106,48 @@ class Reweighed(SkillEvent, Weighing):
     arrived_mg: float
 
 
+class DoseWeighed(SkillEvent, Weighing):
+    """The pan was weighed and watched after a dose, the hand in place and the valve shut."""
+
+    KIND: ClassVar = "dose_weighed"
+
+    lot: Text
+    before_mg: float
+    """Gross just before the valve opened, the hand in place."""
+    gained_mg: float
+    """What has come between the two, the drift taken out."""
+    gained_uncertainty_mg: float
+    drift_mg_per_s: float
+    """What was taken out: 0 where no drift was seen."""
+
+
+class LotDosed(Values):
+    """What of one powder lot is in a container."""
+
+    net_mg: float
+    uncertainty_mg: float
+
+
+class BracketClosed(SkillEvent):
+    """A container has gone, and the bare pan was weighed: what it has gained, against what was dosed into it."""
+
+    KIND: ClassVar = "bracket"
+
+    container: Text
+    net_mg: float
+    """By the bare pan before and after."""
+    uncertainty_mg: float
+    difference_mg: float
+    """That less what was dosed."""
+    allowance_mg: float
+    """How far they may be apart."""
+    zero_mg: float
+    """How far the bare pan's reading has moved."""
+    closes: bool
+    doses: dict[Text, LotDosed]
+    """By powder lot, adjusted to both measurements."""
+
+
 class WeightChecked(SkillEvent):
     """A check weight was put on the pan, and weighed."""
 
@@ -159,6 +201,9 @@ class Dose(SkillEvent):
 
     KIND: ClassVar = "dose"
 
+    container: Text = ""
+    """Its id, and the powder lot: a dose is of one lot into one container."""
+    lot: Text = ""
     target_mg: float
     tolerance_mg: float
     dispensed_mg: float
@@ -243,6 +288,8 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     Pulsed,
     Dose,
     DoseCurve,
+    DoseWeighed,
+    BracketClosed,
     Reweighed,
     WeightChecked,
     BalanceWatched,

@@ -24,6 +24,8 @@ class Code(StrEnum):
     DEVICE_EMERGENCY_STOP = "device.emergency_stop"
     BALANCE_UNSTABLE = "balance.unstable"
     BALANCE_OVERLOAD = "balance.overload"
+    BALANCE_DRIFTING = "balance.drifting"
+    BALANCE_BRACKET_OPEN = "balance.bracket_open"
     CONTAINER_MISSING = "container.missing"
     CONTAINER_MOVED = "container.moved"
     CONTAINER_WRONG_MASS = "container.wrong_mass"
@@ -122,6 +124,16 @@ CATALOGUE: Mapping[str, Failure] = {
         "The balance did not settle in time.",
         "Close the draft shield, look for vibration, fume-hood draughts or a touching container.",
         ("devices",),
+    ),
+    Code.BALANCE_DRIFTING: Failure(
+        "Two weighings of one thing, one after the other, went on differing: a mass cannot be told.",
+        "Let the container come to the room's temperature, ground it, close the draft shield, let the balance warm up.",
+        ("cell",),
+    ),
+    Code.BALANCE_BRACKET_OPEN: Failure(
+        "What the container has gained by the bare pan before and after it is not what was dosed into it.",
+        "Weigh the container again by hand; look for powder beside it, a leaking valve, and a zero that steps.",
+        ("run",),
     ),
     Code.BALANCE_OVERLOAD: Failure(
         "The load is beyond the balance's maximum.",

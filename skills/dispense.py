@@ -1,20 +1,33 @@
 """A dose: powder from the cone's apex into the container on the balance, by a dosing controller."""
 
 import math
+from dataclasses import replace
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
+from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
+from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
+from scuhand_bt.dosing.bracket import Gross, Net, Reference, apart_mg, dose_between, drift_between, significant
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.skill import Cell, Code, Dose, DoseCurve, Milligrams, Reweighed, Skill, SkillFailed, Steps
+from scuhand_bt.skill import (
+    Cell, Code, Dose, DoseCurve, DoseWeighed, Milligrams, Reweighed, Skill, SkillFailed, Source, Steps
+)
 
 ASIDE_MM = 2.0
 """The apex is taken to be over the container where it is no farther than this from its place."""
-WANDER_DIGITS = 30.0
-"""More than noise, and than a sound balance's zero wanders while the arm scoops."""
+ALLOWED_SHARE = 0.1
+"""Of the tolerance: two weighings of one thing that differ by less agree."""
+WATCHED_SHARE = 0.25
+"""Of the tolerance: the pan is watched after a dose until the drift in it is known to this."""
+SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
+FINE_S = 12.0
+"""What a dose takes beside its full flow: by its end the uncertainty is reckoned that its controller leaves room for."""
+ROUNDS = 4
+"""How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 SCOOP_DOUBT = 0.15
 """How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 
@@ -32,7 +45,6 @@ class Dispense(Skill[Dose]):
     """
 
     raises = (
-        Code.BALANCE_UNSTABLE,
         Code.CONTAINER_MISSING,
         Code.CONTAINER_TOO_SMALL,
         Code.DOSE_NOT_REACHED,
@@ -51,51 +63,92 @@ class Dispense(Skill[Dose]):
     """A dosing controller by name; the run's, if none is named."""
 
     def run(self, cell: Cell) -> Steps[Dose]:
-        request, empty_mg = self.request(cell), cell.believed.pan_empty_mg
-        if empty_mg is None:
+        bracket = cell.believed.bracket
+        if bracket is None or cell.believed.pan_empty_mg is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
+        self.request(cell)  # what cannot be dosed is refused before anything is weighed
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
-            request = self.request(cell)
-        controller = new_controller(self.controller or cell.controller, request)
-        before_mg = (yield from cell.balance.next_reading()).value_mg  # no valve opens over a silent balance
-        self._require_zero_held(cell, before_mg)
-        cell.believed.dosing_towards(self.mass_mg)
-        try:
-            run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
-        finally:
-            gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before_mg
-            cell.believed.dosing_ended(gross_mg - before_mg, gross_mg)
-        cell.believed.dosed(empty_mg + run.finish.estimate_mg, run.pulses, run.vibration_s)
-        self._learn(cell, run)
-        dose = self._dose(cell, run, controller.name)
+            bracket = cell.believed.bracket
+        points: list[tuple[float, float, float, float, bool, float]] = []
+        earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
+        for _ in range(ROUNDS):
+            run, earlier, mean = yield from self._dose(cell, earlier, weighing_of(mean))
+            points += run.rows()
+            dose = self._judged(cell, run)
+            if not (run.finish.reason == "reached" and dose.verdict == "under"):
+                break
         cell.record.event(dose)
-        cell.record.event(DoseCurve(points=run.rows()))
+        cell.record.event(DoseCurve(points=points))
         self._raise_failure(cell, run, dose)
         return dose
 
+    def _dose(self, cell: Cell, earlier: Gross, before: Gross) -> Steps[tuple[DoseRun, Gross, StableMean]]:
+        """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
+        believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+        lot = self._source(cell).sheet_key
+        assert believed.bracket is not None
+        drift = significant(drift_between(earlier, before, digit_mg), digit_mg)
+        reference = Reference(before, drift, believed.bracket.dosed_mg(lot), digit_mg)
+        request = self.request(cell)
+        then = replace(before, time_s=before.time_s + FINE_S + self._flow_s(request))
+        request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
+        controller = new_controller(self.controller or cell.controller, request)
+        believed.dosing_towards(self.mass_mg, lot, before)
+        try:
+            run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
+        finally:
+            gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before.gross_mg
+            believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
+        self._learn(cell, run)
+        after, mean = yield from weigh_until_still(cell, run.last, self._allowed_mg, self._watch_s(before, run.last))
+        gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
+        believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
+        cell.record.event(
+            DoseWeighed(
+                **dict(mean.written()),
+                lot=lot,
+                before_mg=before.gross_mg,
+                gained_mg=gained.mass_mg,
+                gained_uncertainty_mg=gained.uncertainty_mg,
+                drift_mg_per_s=drift.rate,
+            )
+        )
+        return run, after, mean
+
+    @staticmethod
+    def _flow_s(request: DoseRequest) -> float:
+        """How long the target takes at full flow."""
+        powder = request.powder
+        gap_mm = max(request.max_opening_mm - powder.threshold_mm, 0.1)
+        return request.target_mg / (powder.coefficient * gap_mm**powder.exponent)
+
+    @property
+    def _allowed_mg(self) -> float:
+        """By how much two weighings of one thing may differ."""
+        return ALLOWED_SHARE * self.tolerance_mg
+
+    def _watch_s(self, before: Gross, after: Gross) -> float:
+        """So long that the drift seen in it tells the drift in the dose to a part of the tolerance."""
+        doubt_mg = math.hypot(before.uncertainty_mg, after.uncertainty_mg) * (after.time_s - before.time_s)
+        watch_s = doubt_mg / (WATCHED_SHARE * self.tolerance_mg) if after.time_s > before.time_s else 0.0
+        return min(max(watch_s, SHORTEST_WATCH_S), LONGEST_WATCH_S)
+
     def settle(self, cell: Cell) -> Steps[None]:
-        """The apex over the container again; what has arrived since the pan was last weighed has left the cone."""
+        """The apex over the container again; what has arrived since the valve first opened has left the cone."""
         believed = cell.believed
-        if believed.pan is None or believed.pan_gross_mg is None:
+        bracket = believed.bracket
+        if believed.pan is None or bracket is None or bracket.before is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
         place, _ = over_balance(cell.spec, believed.pan)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
         mean = yield from cell.balance.stable_mean()
-        arrived_mg = mean.value_mg - believed.pan_gross_mg
+        now = weighing_of(mean)
+        arrived_mg = now.gross_mg - bracket.before.gross_mg
         cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=arrived_mg))
-        believed.reweighed(mean.value_mg)
+        believed.reweighed(Net(arrived_mg, apart_mg(bracket.before, now, cell.spec.balance.readability_mg)), now)
 
-    @staticmethod
-    def _require_zero_held(cell: Cell, gross_mg: float) -> None:
-        """Nothing has come since the pan was weighed: what it shows otherwise would be taken for powder."""
-        before_mg, digit_mg = cell.believed.pan_gross_mg, cell.spec.balance.readability_mg
-        if before_mg is not None and abs(gross_mg - before_mg) > WANDER_DIGITS * digit_mg:
-            raise SkillFailed(
-                Code.BALANCE_UNSTABLE,
-                f"the pan shows {gross_mg - before_mg:+.1f} mg against its last weighing, and nothing was dosed since",
-            )
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""
@@ -106,9 +159,7 @@ class Dispense(Skill[Dose]):
                 f"a tolerance of {self.tolerance_mg:g} mg cannot be told with a readability of "
                 f"{balance.readability_mg:g} mg",
             )
-        source = cell.sources.get(cell.believed.cone_source or "")
-        if source is None:
-            raise SkillFailed(Code.HAND_CONE_EMPTY, "the cone holds no powder")
+        source = self._source(cell)
         powder = source.powder
         volume_mm3 = self.mass_mg / powder.bulk_density_mg_per_mm3
         if container is not None and volume_mm3 > container.capacity_mm3:
@@ -133,26 +184,38 @@ class Dispense(Skill[Dose]):
             balance=cell.balance_belief,
         )
 
+    @staticmethod
+    def _source(cell: Cell) -> Source:
+        source = cell.sources.get(cell.believed.cone_source or "")
+        if source is None:
+            raise SkillFailed(Code.HAND_CONE_EMPTY, "the cone holds no powder")
+        return source
+
     def _learn(self, cell: Cell, run: DoseRun) -> None:
-        source = cell.sources[cell.believed.cone_source or ""]
+        source = self._source(cell)
         if run.finish.powder is not None:
             cell.powder_beliefs[source.sheet_key] = run.finish.powder
         if run.finish.balance is not None:
             cell.balance_belief = run.finish.balance
 
-    def _dose(self, cell: Cell, run: DoseRun, controller: str) -> Dose:
-        so_far = cell.believed.dosing
-        net_mg, uncertainty_mg = run.finish.estimate_mg, run.finish.uncertainty_mg
+    def _judged(self, cell: Cell, run: DoseRun) -> Dose:
+        """What of this powder is in the container by now, and what is to be said of it."""
+        believed = cell.believed
+        assert believed.bracket is not None
+        so_far, lot = believed.dosing, self._source(cell).sheet_key
+        net = believed.bracket.dosed_mg(lot)
         return Dose(
+            container=believed.bracket.container,
+            lot=lot,
             target_mg=self.mass_mg,
             tolerance_mg=self.tolerance_mg,
-            dispensed_mg=net_mg,
-            uncertainty_mg=uncertainty_mg,
+            dispensed_mg=net.mass_mg,
+            uncertainty_mg=net.uncertainty_mg,
             pulses=so_far.pulses,
             vibration_s=so_far.vibration_s,
             duration_s=cell.clock.now_s - so_far.began_s,
-            controller=controller,
-            verdict=judge(self.mass_mg, self.tolerance_mg, net_mg, uncertainty_mg),
+            controller=self.controller or cell.controller,
+            verdict=judge(self.mass_mg, self.tolerance_mg, net.mass_mg, net.uncertainty_mg),
         )
 
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:

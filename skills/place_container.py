@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from scuhand_bt.cell.weighing import take_container_away, weighing_of
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
@@ -34,11 +35,8 @@ class PlaceContainer(Skill[None]):
     def run(self, cell: Cell) -> Steps[None]:
         self._require_clear(cell)
         believed = cell.believed
-        believed.changing_container()
         yield from self._refill(cell)
-        yield from cell.changer.take_away()
-        believed.removed()
-        bare = yield from cell.balance.stable_mean()
+        bare = yield from take_container_away(cell)
         yield from cell.changer.bring(self.container)
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
         loaded = yield from cell.balance.stable_mean()
@@ -64,7 +62,7 @@ class PlaceContainer(Skill[None]):
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
-        believed.placed(loaded.value_mg)
+        believed.placed(weighing_of(bare), weighing_of(loaded))
 
     @staticmethod
     def _refill(cell: Cell) -> Steps[None]:

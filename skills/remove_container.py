@@ -3,15 +3,16 @@
 from collections.abc import Mapping
 from typing import Any
 
+from scuhand_bt.cell.weighing import take_container_away
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Forecast, Skill, Steps
 
 
 class RemoveContainer(Skill[None]):
-    """Take the container off the pan."""
+    """Take the container off the pan, and weigh the bare pan: that closes the bracket about what was dosed into it."""
 
-    devices = ("changer",)
-    typical_s = 6.0
+    devices = ("changer", "balance")
+    typical_s = 9.0
     interrupted = "repeat"
 
     @classmethod
@@ -20,6 +21,4 @@ class RemoveContainer(Skill[None]):
         return Forecast(60.0 if by_hand else cls.typical_s, "take the container off the pan" if by_hand else None)
 
     def run(self, cell: Cell) -> Steps[None]:
-        cell.believed.changing_container()
-        yield from cell.changer.take_away()
-        cell.believed.removed()
+        yield from take_container_away(cell)

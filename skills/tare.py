@@ -1,6 +1,10 @@
 """The software tare: the stable gross before the first powder."""
 
+from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
 from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
+
+STILL_DIGITS = 2.0
+"""A container that comes to rest changes its weight by no more than this from one weighing to the next."""
 
 
 class Tare(Skill[Milligrams]):
@@ -12,9 +16,11 @@ class Tare(Skill[Milligrams]):
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        if cell.believed.weighed_container is None:
+        bracket = cell.believed.bracket
+        if cell.believed.weighed_container is None or bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")
-        mean = yield from cell.balance.stable_mean()
-        cell.believed.tared(mean.value_mg, cell.clock.now_s)
+        allowed_mg = STILL_DIGITS * cell.spec.balance.readability_mg
+        _, mean = yield from weigh_until_still(cell, bracket.last, allowed_mg)
+        cell.believed.tared(weighing_of(mean))
         cell.record.event(Tared(**dict(mean.written()), balance=cell.balance.identity))
         return mean.value_mg

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scuhand_bt.dosing.bracket import (
     Closed,
     Drift,
+    Gross,
     Net,
-    Weighing,
     close,
     dose_between,
     mean_drift,
@@ -31,9 +31,9 @@ class Scale:
         self.zero = zero
         self.rng = None if seed is None else np.random.default_rng(seed)
 
-    def weigh(self, time_s: float, load_mg: float) -> Weighing:
+    def weigh(self, time_s: float, load_mg: float) -> Gross:
         noise_mg = 0.0 if self.rng is None else NOISE_MG * self.rng.standard_normal()
-        return Weighing(load_mg + self.zero(time_s) + noise_mg, NOISE_MG, time_s)
+        return Gross(load_mg + self.zero(time_s) + noise_mg, NOISE_MG, time_s)
 
 
 def dosed(scale: Scale, true_mg: float, late_mg: float = 0.0) -> tuple[Net, Closed]:
@@ -82,10 +82,10 @@ def test_what_drips_after_the_last_weighing_opens_the_bracket(late_mg: float) ->
 @pytest.mark.parametrize("force_mg", [8.0, -8.0, 4.0])
 def test_a_force_on_the_container_that_fades_is_flagged_or_stays_within_its_uncertainty(force_mg: float) -> None:
     class Warm(Scale):
-        def weigh(self, time_s: float, load_mg: float) -> Weighing:
+        def weigh(self, time_s: float, load_mg: float) -> Gross:
             one = super().weigh(time_s, load_mg)
             fading_mg = force_mg * math.exp(-time_s / 150.0) if load_mg else 0.0
-            return Weighing(one.gross_mg + fading_mg, one.uncertainty_mg, time_s)
+            return Gross(one.gross_mg + fading_mg, one.uncertainty_mg, time_s)
 
     _, closed = dosed(Warm(lambda t: 0.0), 50.0)
     (adjusted,) = closed.doses

@@ -1,12 +1,10 @@
 """In tolerance or not: the guard band, and the uncertainty that makes it."""
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scuhand_bt.dosing.verdict import acceptance_mg, judge, net_uncertainty_mg
+from scuhand_bt.dosing.verdict import acceptance_mg, judge
 
 masses = st.floats(-50.0, 5000.0)
 tolerances = st.floats(0.1, 50.0)
@@ -49,10 +47,3 @@ def test_what_is_not_accepted_is_named_by_its_side(
     verdict = judge(target_mg, tolerance_mg, target_mg + error_mg, uncertainty_mg)
     if abs(error_mg) > acceptance_mg(tolerance_mg, uncertainty_mg) + 1e-9:
         assert verdict == ("over" if target_mg + error_mg > target_mg else "under")
-
-
-def test_a_net_mass_carries_both_weighings_and_a_wandering_zero() -> None:
-    assert net_uncertainty_mg(0.03, 0.1, 0.0) == pytest.approx(0.03 * math.sqrt(2.0))
-    assert net_uncertainty_mg(0.0, 0.1, 60.0) == pytest.approx(0.05)
-    assert net_uncertainty_mg(0.0, 0.1, 240.0) == pytest.approx(0.1)
-    assert net_uncertainty_mg(0.03, 0.1, 60.0) == pytest.approx(math.hypot(0.03 * math.sqrt(2.0), 0.05))

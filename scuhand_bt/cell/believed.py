@@ -11,6 +11,7 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -18,6 +19,7 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator, PlainSerializer
 
+from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.specs import Container, Source
 
 _AS_WRITTEN = PlainSerializer(dict)
@@ -25,6 +27,8 @@ _READ_ONLY = AfterValidator(MappingProxyType)
 Counts: TypeAlias = Annotated[Mapping[str, int], _READ_ONLY, _AS_WRITTEN]
 Masses: TypeAlias = Annotated[Mapping[str, float], _READ_ONLY, _AS_WRITTEN]
 """Masses [mg] by name; read-only, as the rest of what is believed."""
+Nets: TypeAlias = Annotated[Mapping[str, Net], _READ_ONLY, _AS_WRITTEN]
+"""Doses by powder lot (`Source.sheet_key`)."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,42 @@ class DoseSoFar:
     """What is being dispensed towards now; None while nothing may flow into the container."""
     is_unweighed: bool = False
     """A dose broke off: what had left the cone then was not weighed by a stable mean yet."""
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """The weighings about what is dosed into one container (`dosing/bracket.py`)."""
+
+    container: str
+    bare: Gross
+    """The pan before the container came."""
+    loaded: Gross
+    """With the empty container, the hand away."""
+    last: Gross
+    """The last weighing of what stands there, whether with the hand in place or without."""
+    doses: Nets = field(default_factory=lambda: MappingProxyType({}))
+    drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
+    """What was seen about the last dose."""
+    before: Gross | None = None
+    """With the hand in place, just before the valve opened; None while nothing is unweighed."""
+    lot: str = ""
+    """What is being dosed from there on."""
+    lifted: Gross | None = None
+    """The filled container, the hand away, before it is taken off the pan."""
+
+    def dosed_mg(self, lot: str) -> Net:
+        """What was dosed of a powder lot until now."""
+        return self.doses.get(lot, Net(0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class ClosedBracket:
+    """What came out when a container had gone: its doses, and whether they may be believed."""
+
+    container: str
+    doses: Nets
+    closes: bool
+    detail: str
 
 
 @dataclass(frozen=True)
@@ -63,6 +103,10 @@ class Believed:
     """The last stable gross with that container; None while containers are changed."""
     sources_mg: Masses = field(default_factory=lambda: MappingProxyType({}))
     dosing: DoseSoFar = field(default_factory=DoseSoFar)
+    bracket: Bracket | None = None
+    """The weighings about the container that stands on the pan, or stood there until the bare pan is weighed again."""
+    closed: tuple[ClosedBracket, ...] = ()
+    """What containers that have gone came to; until the batch has noted it."""
 
     @property
     def weighed_container(self) -> Container | None:
@@ -145,11 +189,23 @@ class Believed:
             containers_used={**self.containers_used, kind: self.containers_used.get(kind, 0) + 1},
         )
 
-    def placed(self, gross_mg: float) -> None:
+    def placed(self, bare: Gross, loaded: Gross) -> None:
         """The container on the pan has the weight that its kind has. ValueError without one."""
         if self.pan is None:
             raise ValueError("no container stands on the pan")
-        self._set(pan_gross_mg=gross_mg)
+        self._set(pan_gross_mg=loaded.gross_mg, bracket=Bracket(self.pan.id, bare, loaded, loaded))
+
+    def lifted(self, weighing: Gross) -> None:
+        """What is about to be taken off the pan weighs so much, the hand away. ValueError without a bracket."""
+        self._set(bracket=replace(self._open_bracket, lifted=weighing))
+
+    def bracket_closed(self, closed: ClosedBracket | None) -> None:
+        """The bare pan was weighed after a container; None where nothing was dosed into it."""
+        self._set(bracket=None, closed=self.closed if closed is None else (*self.closed, closed))
+
+    def noted(self, closed: ClosedBracket) -> None:
+        """The batch has noted what a container came to."""
+        self._set(closed=tuple(one for one in self.closed if one is not closed))
 
     def slots_refilled(self) -> None:
         """Every slot of the changer holds a container again."""
@@ -165,16 +221,27 @@ class Believed:
         """What is counted for a dose begins anew."""
         self._set(dosing=DoseSoFar(began_s=now_s))
 
-    def tared(self, gross_mg: float, now_s: float) -> None:
+    def tared(self, weighing: Gross) -> None:
         """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
         if self.weighed_container is None:
             raise ValueError("no container on the pan was weighed")
-        self._set(pan_empty_mg=gross_mg, pan_gross_mg=gross_mg)
-        self.dose_began(now_s)
+        bracket = self._open_bracket
+        loaded = bracket.loaded if bracket.doses else weighing
+        self._set(
+            pan_empty_mg=weighing.gross_mg,
+            pan_gross_mg=weighing.gross_mg,
+            bracket=replace(bracket, loaded=loaded, last=weighing),
+        )
+        self.dose_began(weighing.time_s)
 
-    def dosing_towards(self, target_mg: float) -> None:
-        """The valve may open from now on; what leaves the cone is not weighed yet."""
-        self._set(dosing=replace(self.dosing, target_mg=_mass(target_mg), is_unweighed=True))
+    def dosing_towards(self, target_mg: float, lot: str, before: Gross) -> None:
+        """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet."""
+        bracket = self._open_bracket
+        self._set(
+            dosing=replace(self.dosing, target_mg=_mass(target_mg), is_unweighed=True),
+            pan_empty_mg=before.gross_mg - bracket.dosed_mg(lot).mass_mg,
+            bracket=replace(bracket, before=before, last=before, lot=lot),
+        )
 
     def dosing_ended(self, arrived_mg: float, gross_mg: float) -> None:
         """The valve is shut; by the last reading so much has arrived. A stable mean is still to come."""
@@ -182,10 +249,10 @@ class Believed:
         self._weighed(gross_mg)
         self._set(dosing=replace(self.dosing, target_mg=None))
 
-    def dosed(self, gross_mg: float, pulses: int, vibration_s: float) -> None:
-        """The container was weighed by a stable mean after a dose that took this many pulses, and vibration."""
+    def dosed(self, gained: Net, drift: Drift, now: Gross, pulses: int, vibration_s: float) -> None:
+        """The container has gained so much by a dose that took this many pulses, and vibration; it weighs so much."""
         so_far = self.dosing
-        self._weighed(gross_mg)
+        self._gained(gained, drift, now)
         self._set(
             dosing=replace(
                 so_far,
@@ -195,24 +262,42 @@ class Believed:
             )
         )
 
-    def reweighed(self, gross_mg: float) -> None:
-        """The container was weighed after a dose broke off: what it has gained has left the cone.
+    def reweighed(self, gained: Net, now: Gross) -> None:
+        """The container was weighed after a dose broke off: what it has gained since has left the cone.
 
         ValueError without an earlier gross.
         """
         if self.pan_gross_mg is None:
             raise ValueError("no container on the pan was weighed before")
-        self._left_cone(gross_mg - self.pan_gross_mg)
-        self._weighed(gross_mg)
+        self._left_cone(now.gross_mg - self.pan_gross_mg)
+        self._gained(gained, self._open_bracket.drift, now)
         self._set(dosing=replace(self.dosing, is_unweighed=False))
 
-    def zero_moved(self, drift_mg: float, gross_mg: float) -> None:
+    def zero_moved(self, drift_mg: float, now: Gross) -> None:
         """The container's gross is this now, and so much of the difference comes from the balance's zero."""
-        self._weighed(gross_mg)
+        self._weighed(now.gross_mg)
         if self.pan_empty_mg is not None:
             self._set(pan_empty_mg=self.pan_empty_mg + drift_mg)
+        if (bracket := self.bracket) is not None:
+            before = _shifted(bracket.before, drift_mg) if bracket.before is not None else None
+            bare, loaded = _shifted(bracket.bare, drift_mg), _shifted(bracket.loaded, drift_mg)
+            self._set(bracket=replace(bracket, bare=bare, loaded=loaded, before=before, last=now))
 
     # --- within
+
+    @property
+    def _open_bracket(self) -> Bracket:
+        if self.bracket is None:
+            raise ValueError("no container on the pan was weighed")
+        return self.bracket
+
+    def _gained(self, gained: Net, drift: Drift, now: Gross) -> None:
+        bracket = self._open_bracket
+        before = bracket.dosed_mg(bracket.lot)
+        total = Net(before.mass_mg + gained.mass_mg, math.hypot(before.uncertainty_mg, gained.uncertainty_mg))
+        doses = MappingProxyType({**bracket.doses, bracket.lot: total})
+        self._weighed(now.gross_mg)
+        self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now, before=None))
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""
@@ -227,6 +312,10 @@ class Believed:
     def _set(self, **changes: Any) -> None:
         for name, value in changes.items():
             object.__setattr__(self, name, MappingProxyType(value) if isinstance(value, dict) else value)
+
+
+def _shifted(weighing: Gross, by_mg: float) -> Gross:
+    return replace(weighing, gross_mg=weighing.gross_mg + by_mg)
 
 
 def _mass(mass_mg: float) -> float:

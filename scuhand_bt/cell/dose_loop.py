@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
+from scuhand_bt.dosing.bracket import Gross, Reference
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
-from scuhand_bt.dosing.verdict import net_uncertainty_mg
 from scuhand_bt.events import Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
@@ -39,6 +39,8 @@ class DoseRun:
     """What a dose came to."""
 
     finish: Finish
+    last: Gross
+    """The last weighing of it: what the finish goes by, where the controller verified it."""
     pulses: int
     vibration_s: float
     duration_s: float
@@ -69,9 +71,9 @@ def silence_s(period_s: float) -> float:
 
 
 def run_dose(
-    controller: Controller, hand: Hand, balance: Balance, clock: Clock, record: Record, empty_mg: float
+    controller: Controller, hand: Hand, balance: Balance, clock: Clock, record: Record, reference: Reference
 ) -> Steps[DoseRun]:
-    """Run a controller to its `Finish`. `empty_mg` is the gross before the container's first powder.
+    """Run a controller to its `Finish`; net masses are against `reference`, weighed with the hand in place.
 
     SkillFailed from the balance: device.lost, balance.unstable, balance.overload; container.moved.
     """
@@ -80,6 +82,7 @@ def run_dose(
     curve: list[CurvePoint] = []
     pulses, vibration_s = 0, 0.0
     streaming = False
+    last = reference.before
     most_mg, below = -math.inf, 0
 
     def require_nothing_lost(seen: Observation) -> None:
@@ -93,13 +96,14 @@ def run_dose(
     def note(opening_mm: float, vibration: float) -> None:
         """A moment of a pulse; what the hand does in it is known from the command."""
         if balance.latest is not None:
-            net_mg = balance.latest.value_mg - empty_mg
+            net_mg = balance.latest.value_mg - reference.zero_mg
             curve.append(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
 
     def weighed(mean: StableMean) -> Observation:
-        """The net mass; the gross before was a stable mean too, and the zero has wandered since."""
-        u_mg = net_uncertainty_mg(mean.uncertainty_mg, balance.spec.readability_mg, clock.now_s - begin_s)
-        return Observation(mean.time_s, mean.value_mg - empty_mg, u_mg, True, hand.opening_mm)
+        nonlocal last
+        last = Gross(mean.value_mg, mean.uncertainty_mg, mean.time_s)
+        net_mg, u_mg = mean.value_mg - reference.zero_mg, reference.uncertainty_mg(last)
+        return Observation(mean.time_s, net_mg, u_mg, True, hand.opening_mm)
 
     try:
         command = controller.decide(None)
@@ -120,7 +124,7 @@ def run_dose(
                 reading = yield from balance.next_reading(silence_s(period_s))
                 seen = Observation(
                     reading.time_s,
-                    reading.value_mg - empty_mg,
+                    reading.value_mg - reference.zero_mg,
                     balance.spec.readability_mg / math.sqrt(12.0),
                     False,
                     hand.opening_mm,
@@ -152,7 +156,7 @@ def run_dose(
             )
     finally:
         hand.stop()
-    return DoseRun(command, pulses, vibration_s, clock.now_s - begin_s, curve)
+    return DoseRun(command, last, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
 def _pulsed(command: Pulse | Weigh, seen: Observation, acted_s: float, mean: StableMean) -> Pulsed:

@@ -26,12 +26,15 @@ from dataclasses import dataclass
 
 AGREEMENT = 4.0
 """Standard deviations of their difference by which two results of one thing may be apart: by chance 1 in 16 000 are."""
+SOUND_DIGITS_PER_S = 0.05
+"""A sound balance that has warmed up drifts no faster (standard deviation), in digits: 3 in a minute. One that does is
+seen by A-B-A: the drift is in D and N with opposite signs."""
 WALK_DIGITS = 1.0
 """Random walk of a sound balance's zero: standard deviation after a minute, in digits."""
 
 
 @dataclass(frozen=True, slots=True)
-class Weighing:
+class Gross:
     """The gross mass at a time: a stable mean with its standard uncertainty."""
 
     gross_mg: float
@@ -60,16 +63,23 @@ def walk_mg(readability_mg: float, duration_s: float) -> float:
     return WALK_DIGITS * readability_mg * math.sqrt(max(0.0, duration_s) / 60.0)
 
 
-def apart_mg(before: Weighing, after: Weighing, readability_mg: float) -> float:
+def apart_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     """The standard deviation of the difference of two weighings of one thing."""
     walked_mg = walk_mg(readability_mg, after.time_s - before.time_s)
     return math.hypot(before.uncertainty_mg, after.uncertainty_mg, walked_mg)
 
 
-def drift_between(before: Weighing, after: Weighing, readability_mg: float) -> Drift:
+def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
     """By two weighings of one thing at different times."""
     duration_s = after.time_s - before.time_s
     return Drift((after.gross_mg - before.gross_mg) / duration_s, apart_mg(before, after, readability_mg) / duration_s)
+
+
+def significant(drift: Drift, readability_mg: float) -> Drift:
+    """A drift that is no more than chance (two standard deviations) is none, or no faster than a sound balance's."""
+    if abs(drift.rate) > 2.0 * drift.uncertainty:
+        return drift
+    return Drift(0.0, min(drift.uncertainty, SOUND_DIGITS_PER_S * readability_mg))
 
 
 def mean_drift(before: Drift, after: Drift) -> Drift:
@@ -85,23 +95,43 @@ def mean_drift(before: Drift, after: Drift) -> Drift:
     return Drift(rate, before.uncertainty * after.uncertainty / chance)
 
 
-def dose_between(
-    earlier: Weighing, before: Weighing, after: Weighing, later: Weighing, readability_mg: float
-) -> tuple[Net, Drift]:
+def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, readability_mg: float) -> tuple[Net, Drift]:
     """What came between `before` and `after`, and the drift that was taken out.
 
-    `earlier` and `before` weigh the same, and so do `after` and `later`. A drift that is no more than chance
-    (two standard deviations) is not taken out, as a zero that walks has none; its doubt stays.
+    `earlier` and `before` weigh the same, and so do `after` and `later`. A drift that is not significant is not taken
+    out, as a zero that walks has none; its doubt stays.
     """
-    drift = mean_drift(drift_between(earlier, before, readability_mg), drift_between(after, later, readability_mg))
+    seen = mean_drift(drift_between(earlier, before, readability_mg), drift_between(after, later, readability_mg))
+    drift = significant(seen, readability_mg)
     duration_s = later.time_s - before.time_s
     mass_mg = later.gross_mg - before.gross_mg
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)
-    if abs(drift.rate) <= 2.0 * drift.uncertainty:
-        return Net(mass_mg, u_mg), Drift(0.0, drift.uncertainty)
+    if drift.rate == 0.0:
+        return Net(mass_mg, u_mg), drift
     # The weighing before the dose is in the drift too: its error counts for both.
     twice_mg = before.uncertainty_mg * math.sqrt(2.0 * duration_s / (before.time_s - earlier.time_s))
     return Net(mass_mg - drift.rate * duration_s, math.hypot(u_mg, twice_mg)), drift
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What a dose is weighed against, just before the valve opens: a net mass reads 0 at `zero_mg`."""
+
+    before: Gross
+    drift: Drift
+    """Before the dose."""
+    earlier: Net
+    """What the same powder has brought into this container by earlier doses."""
+    readability_mg: float
+
+    @property
+    def zero_mg(self) -> float:
+        return self.before.gross_mg - self.earlier.mass_mg
+
+    def uncertainty_mg(self, now: Gross) -> float:
+        """The standard uncertainty to be expected of a net mass weighed now, by the drift before the dose."""
+        drifted_mg = self.drift.uncertainty * (now.time_s - self.before.time_s)
+        return math.hypot(apart_mg(self.before, now, self.readability_mg), drifted_mg, self.earlier.uncertainty_mg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,10 +156,10 @@ class Closed:
 def close(
     doses: Sequence[Net],
     drift: Drift,
-    bare_before: Weighing,
-    loaded_before: Weighing,
-    loaded_after: Weighing,
-    bare_after: Weighing,
+    bare_before: Gross,
+    loaded_before: Gross,
+    loaded_after: Gross,
+    bare_after: Gross,
     readability_mg: float,
 ) -> Closed:
     """Hold the doses into a container against what it has gained by the bare pan.

@@ -92,6 +92,8 @@ class DoseRequest:
     """What the cone is believed to hold."""
     cone_doubt_mg: float = 750.0
     """How far that belief may be off: scoops vary."""
+    uncertainty_mg: float = 0.1
+    """The standard uncertainty to be expected of the net mass that is judged in the end."""
     as_printed: bool = False
     """The paper's rules to the letter: its strict comparison knows no uncertainty of a reading."""
     streaming: bool = True

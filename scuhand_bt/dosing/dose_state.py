@@ -120,7 +120,7 @@ class Knowledge:
 
     @property
     def _guard_mg(self) -> float:
-        return COVERAGE * math.sqrt(2.0) * max(0.5 * self.noise_mg, self.request.readability_mg / math.sqrt(12.0))
+        return COVERAGE * self.request.uncertainty_mg
 
     @property
     def enough_mg(self) -> float:

@@ -6,14 +6,10 @@ W* target, T tolerance, W net mass, u(W) its standard uncertainty [mg]. What is 
 measurement may be off by its expanded uncertainty: a guard band as wide as that uncertainty (JCGM 106:2012, 8.3.2).
 """
 
-import math
-
 from scuhand_bt.specs import Verdict
 
 COVERAGE = 2.0
 """k: so many standard uncertainties of the tolerance are left to the measurement; about 95 % (JCGM 100:2008, 6.3.3)."""
-DRIFT_DIGITS = 0.5
-"""How far a balance's zero is taken to wander in a minute, in digits (standard deviation)."""
 
 
 def judge(target_mg: float, tolerance_mg: float, net_mg: float, uncertainty_mg: float) -> Verdict:
@@ -27,9 +23,3 @@ def judge(target_mg: float, tolerance_mg: float, net_mg: float, uncertainty_mg: 
 def acceptance_mg(tolerance_mg: float, uncertainty_mg: float) -> float:
     """How far from the target a net mass may be; negative where the measurement cannot tell the tolerance."""
     return tolerance_mg - COVERAGE * uncertainty_mg
-
-
-def net_uncertainty_mg(mean_uncertainty_mg: float, readability_mg: float, elapsed_s: float) -> float:
-    """The standard uncertainty of a net mass: of two stable means, and of the zero that wanders between them."""
-    drift_mg = DRIFT_DIGITS * readability_mg * math.sqrt(elapsed_s / 60.0)
-    return math.hypot(math.sqrt(2.0) * mean_uncertainty_mg, drift_mg)

@@ -12,7 +12,7 @@ from scuhand_bt.events import SKILL_EVENTS, Event, Text, Values, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.specs import Verdict
 
-SampleVerdict = Literal[Verdict, "no dose", "skipped", "interrupted", "not run"]
+SampleVerdict = Literal[Verdict, "not as asked", "no dose", "skipped", "interrupted", "not run"]
 
 
 # --- the run
@@ -210,8 +210,30 @@ class JobEnded(Event):
         return SkillFailed(self.code, self.detail or "") if self.code else None
 
 
+class DoseResult(Values):
+    """What one powder lot came to in one container of a sample."""
+
+    container: Text
+    lot: Text
+    target_mg: float
+    tolerance_mg: float
+    dispensed_mg: float
+    uncertainty_mg: float
+    verdict: Verdict
+    bracket: Literal["open", "closed", "does not close"] = "open"
+    """Whether the bare pan after the container confirms what was dosed into it."""
+
+    @property
+    def is_good(self) -> bool:
+        """In tolerance, and confirmed."""
+        return self.verdict == "in tolerance" and self.bracket == "closed"
+
+
 class SampleResult(Event):
-    """A sample has its result: one line of the table at the end."""
+    """A sample has its result: one line of the table at the end.
+
+    It comes again when the sample's container has gone, and the bare pan was weighed.
+    """
 
     KIND: ClassVar = "sample"
 
@@ -234,11 +256,14 @@ class SampleResult(Event):
     true_mg: float | None
     """The simulation's, for judging; None on a real cell."""
     attempt: int = 1
+    doses: tuple[DoseResult, ...] = ()
+    """Every powder lot in every container; what stands above is of the one that the recipe asks for, or the last."""
 
     @property
     def is_good(self) -> bool:
-        """A dose in tolerance, or a workflow that was to dose nothing; and no failure."""
-        return self.code is None and self.verdict == ("no dose" if self.target_mg is None else "in tolerance")
+        """All doses in tolerance and confirmed, or a workflow that was to dose nothing; and no failure."""
+        wanted = "no dose" if self.target_mg is None else "in tolerance"
+        return self.code is None and self.verdict == wanted and all(dose.is_good for dose in self.doses)
 
 
 class Chosen(Event):

@@ -45,7 +45,7 @@ class JobHistory:
     outcome: str | None = None
     """None: interrupted without a word."""
     failure: SkillFailed | None = None
-    dose: Dose | None = None
+    doses: list[Dose] = field(default_factory=list)
     actions: dict[Key, Recorded] = field(default_factory=dict)
     decisions: dict[Key, Decision] = field(default_factory=dict)
     _last_failed: tuple[dict[Key, Any], Key, SkillFailed] | None = None
@@ -160,7 +160,7 @@ def _note(
         case JobResumed():
             job.outcome = job.failure = None
         case Dose():
-            job.dose = event
+            job.doses.append(event)
         case ActionStarted():
             key = event.path, event.visit
             started[seq] = job, key

@@ -9,7 +9,7 @@ import sqlite3
 import time
 import zlib
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -83,8 +83,8 @@ class Journal:
         self.job: int | None = None
         self.action: int | None = None
         """The action that is acting now; what devices record is its doing."""
-        self.last_dose: Dose | None = None
-        """The last dose of the current job."""
+        self.doses: list[Dose] = []
+        """The doses of the current job."""
         self._lost = False
         self._state: Mapping[str, JsonValue] | None = None
         self._readings: deque[Reading] = deque()
@@ -108,17 +108,18 @@ class Journal:
     def event(self, event: Event | Note) -> None:
         """Anything that happens within the job and the action that are at work, or beside them."""
         if isinstance(event, Dose):
-            self.last_dose = event
+            self.doses.append(event)
         self._append(event)
         self.heard(event)
 
     def job_started(self, event: JobStarted) -> None:
-        self.job = self.action = self.last_dose = None
+        self.job = self.action = None
+        self.doses = []
         self.job = self._append(event)
 
-    def job_resumed(self, job: int, dose: Dose | None) -> None:
+    def job_resumed(self, job: int, doses: Sequence[Dose]) -> None:
         """Go on with a job of this journal."""
-        self.job, self.action, self.last_dose = job, None, dose
+        self.job, self.action, self.doses = job, None, list(doses)
         self._append(JobResumed())
 
     def job_ended(self, event: JobEnded) -> None:

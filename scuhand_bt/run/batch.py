@@ -1,7 +1,7 @@
 """The batch: a plan's jobs one after the other, what to do when one fails, and a verdict for every sample."""
 
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -19,7 +19,7 @@ from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.outcome import BatchResult, Outcome
+from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, inputs_for, sample_result
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
@@ -94,7 +94,8 @@ class Batch:
                 ending = _ended(ExitCode.CELL_FAULT, reason, complete=ending.is_complete)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
-                    self._note(self._result(job.sample, None, "not run", None, 0.0, 1))
+                    self._note(self._result(job.sample, (), "not run", None, 0.0, 1))
+            self._note_open_brackets()
             in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
@@ -135,10 +136,10 @@ class Batch:
         while True:
             before = self._history.jobs.get((job.name, attempt))
             began_s = self._cell.clock.now_s if before is None else before.began_s
-            outcome = self._run_job(job, _inputs_for(sample, attempt), sample.id, attempt)
+            outcome = self._run_job(job, inputs_for(sample, attempt), sample.id, attempt)
             failure = outcome.failure
             if outcome.interrupted is not None:
-                self._note(self._result(sample, self._journal.last_dose, "interrupted", failure, began_s, attempt))
+                self._note(self._result(sample, self._journal.doses, "interrupted", failure, began_s, attempt))
                 if failure is not None:
                     return _ended(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
                 return _ended(ExitCode.INTERRUPTED, "interrupted")
@@ -150,7 +151,7 @@ class Batch:
             if recorded is not None and before is not None and before.is_over:
                 self._show(recorded)
             else:
-                self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt))
+                self._note(self._result(sample, self._journal.doses, verdict, failure, began_s, attempt))
             if failure is None:
                 return None
             if action == "stop":
@@ -192,7 +193,7 @@ class Batch:
         """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""
         journal, before = self._journal, self._history.jobs.get((job.name, attempt))
         if before is not None and before.is_over:
-            journal.last_dose = before.dose
+            journal.doses = before.doses
             return Outcome(before.failure)
         if before is None:
             self._cell.begin_sample(sample_id or job.name, attempt)
@@ -200,7 +201,7 @@ class Batch:
             journal.job_started(JobStarted(name=job.name, sample=sample_id, attempt=attempt, workflow=job.workflow))
             replay = Replay()
         else:
-            journal.job_resumed(before.seq, before.dose)
+            journal.job_resumed(before.seq, before.doses)
             replay = before.replay(self._history.state.get("joints_rad"))
         while True:
             try:
@@ -218,7 +219,7 @@ class Batch:
                 return Outcome(interrupted="stopped")
             history = read_history(journal.path)
             again = history.jobs[job.name, attempt]
-            journal.job_resumed(again.seq, again.dose)
+            journal.job_resumed(again.seq, again.doses)
             replay = again.replay(history.state.get("joints_rad"))
 
     def _note_outcome(self, sample_id: str | None, outcome: Outcome) -> None:
@@ -232,42 +233,50 @@ class Batch:
             word = STOPPED if stops else "failed"
         code, detail = (failure.code, failure.detail) if failure is not None else (None, None)
         self._journal.job_ended(JobEnded(outcome=word, code=code, detail=detail))
+        self._note_brackets()
         self._after_job()
 
     def _result(
         self,
         sample: Sample,
-        dose: Dose | None,
+        doses: Sequence[Dose],
         verdict: SampleVerdict | None,
         failure: SkillFailed | None,
         began_s: float,
         attempt: int,
     ) -> SampleResult:
-        container = _inputs_for(sample, attempt).get("container") if sample.container else None
+        containers = [value for value in inputs_for(sample, attempt).values() if isinstance(value, Container)]
         was_run = verdict != "not run"
         true_mg = None
-        if self._true_mass_mg is not None and isinstance(container, Container) and was_run:
-            true_mg = self._true_mass_mg(container.id)
+        if self._true_mass_mg is not None and containers and was_run:
+            true_mg = self._true_mass_mg(containers[0].id)
         believed = self._cell.believed.dosing
-        return SampleResult(
-            id=sample.id,
-            container=sample.container.name if sample.container else None,
-            target_mg=dose.target_mg if dose else sample.mass_mg,
-            dispensed_mg=dose.dispensed_mg if dose else None,
-            error_mg=dose.error_mg if dose else None,
-            uncertainty_mg=dose.uncertainty_mg if dose else None,
-            tolerance_mg=dose.tolerance_mg if dose else sample.tolerance_mg,
-            pulses=dose.pulses if dose else 0,
+        return sample_result(
+            sample,
+            doses,
+            verdict,
+            failure,
             scoops=believed.scoops if was_run else 0,
-            vibration_s=dose.vibration_s if dose else 0.0,
             duration_s=self._cell.clock.now_s - began_s if was_run else 0.0,
-            controller=dose.controller if dose else None,
-            verdict=verdict or (dose.verdict if dose else "no dose"),
-            code=failure.code if failure else None,
-            detail=failure.detail if failure else None,
             true_mg=true_mg,
             attempt=attempt,
         )
+
+    def _note_brackets(self) -> None:
+        """Say of each sample whose container has gone what it came to by the bare pan."""
+        believed = self._cell.believed
+        for closed in believed.closed:
+            for result in list(self._results.values()):
+                if any(dose.container == closed.container for dose in result.doses):
+                    self._note(confirmed(result, closed))
+            believed.noted(closed)
+
+    def _note_open_brackets(self) -> None:
+        """Flag every dose whose container was not seen to go."""
+        for result in list(self._results.values()):
+            if result.code is None and any(dose.bracket == "open" for dose in result.doses):
+                what = "its container was not taken off the pan, and that not weighed bare, after the dose"
+                self._note(result.model_copy(update={"code": Code.BALANCE_BRACKET_OPEN, "detail": what}))
 
     def _note(self, result: SampleResult) -> None:
         self._journal.event(result)
@@ -281,13 +290,3 @@ class Batch:
 def _ended(exit_code: int, reason: str, *, complete: bool = False) -> Ended:
     """Why a batch ends before its last job, or with a code of its own."""
     return Ended(exit_code=exit_code, reason=reason, complete=complete)
-
-
-def _inputs_for(sample: Sample, attempt: int) -> dict[str, Any]:
-    """The sample's inputs; a second attempt is for a new container."""
-    inputs = dict(sample.inputs)
-    if attempt > 1:
-        for name, value in inputs.items():
-            if isinstance(value, Container):
-                inputs[name] = value.model_copy(update={"id": f"{value.id}.{attempt}"})
-    return inputs

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.clock import Steps
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import ArmMoved, PanCompared, Settled
@@ -88,4 +89,4 @@ def _compare_pan(journal: Journal, cell: Cell, gross_mg: float) -> Steps[None]:
             raise SkillFailed(Code.OPERATOR_REFUSED, f"the pan shows {drift_mg:+.1f} mg against before")
         if answer == "powder":
             drift_mg = 0.0
-    cell.believed.zero_moved(drift_mg, mean.value_mg)
+    cell.believed.zero_moved(drift_mg, weighing_of(mean))

@@ -1,0 +1,89 @@
+"""Gross on the cell's balance so that a mass can be told: again until it stays, and by the bare pan afterwards."""
+
+from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.devices.interfaces import StableMean
+from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close
+from scuhand_bt.events import BracketClosed, LotDosed
+from scuhand_bt.failures import Code, SkillFailed
+
+PATIENCE_S = 60.0
+"""So long two weighings in a row may go on differing."""
+PAUSE_S = 1.5
+"""Between two weighings that are to agree."""
+
+
+def weighing_of(mean: StableMean) -> Gross:
+    """A stable mean as a weighing."""
+    return Gross(mean.value_mg, mean.uncertainty_mg, mean.time_s)
+
+
+def weigh_until_still(
+    cell: Cell, last: Gross, allowed_mg: float, pause_s: float = 0.0
+) -> Steps[tuple[Gross, StableMean]]:
+    """The first two weighings in a row that differ by no more than allowed or by chance, from `last` on.
+
+    The next one comes after `pause_s`. A step of the zero is passed by it, and what creeps or drifts is not:
+    SkillFailed balance.drifting after `PATIENCE_S`.
+    """
+    begin_s, digit_mg = cell.clock.now_s, cell.spec.balance.readability_mg
+    while True:
+        end_s = cell.clock.now_s + pause_s
+        while cell.clock.now_s < end_s:
+            yield Wake(end_s)
+        mean = yield from cell.balance.stable_mean()
+        now = weighing_of(mean)
+        changed_mg = now.gross_mg - last.gross_mg
+        if abs(changed_mg) <= max(allowed_mg, 2.0 * apart_mg(last, now, digit_mg)):
+            return last, mean
+        if now.time_s - begin_s > PATIENCE_S:
+            rate = changed_mg / (now.time_s - last.time_s)
+            raise SkillFailed(
+                Code.BALANCE_DRIFTING, f"after {PATIENCE_S:g} s the reading still changes by {rate:+.2f} mg/s"
+            )
+        last, pause_s = now, PAUSE_S
+
+
+def take_container_away(cell: Cell) -> Steps[StableMean]:
+    """Clear the pan, and weigh it bare: that closes the bracket about what was dosed into the container.
+
+    Whether it closes is for the batch to say of its sample.
+    """
+    believed = cell.believed
+    bracket = believed.bracket
+    if bracket is not None and bracket.doses and bracket.lifted is None:
+        believed.lifted(weighing_of((yield from cell.balance.stable_mean())))
+    believed.changing_container()
+    yield from cell.changer.take_away()
+    bare = yield from cell.balance.stable_mean()
+    bracket = believed.bracket
+    believed.removed()
+    if bracket is None or bracket.lifted is None:
+        believed.bracket_closed(None)
+        return bare
+    doses = list(bracket.doses.values())
+    digit_mg = cell.spec.balance.readability_mg
+    closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
+    adjusted = dict(zip(bracket.doses, closed.doses, strict=True))
+    cell.record.event(
+        BracketClosed(
+            container=bracket.container,
+            net_mg=closed.net.mass_mg,
+            uncertainty_mg=closed.net.uncertainty_mg,
+            difference_mg=closed.difference_mg,
+            allowance_mg=closed.allowance_mg,
+            zero_mg=closed.zero_mg,
+            closes=closed.closes,
+            doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
+        )
+    )
+    believed.bracket_closed(ClosedBracket(bracket.container, adjusted, closed.closes, _in_words(closed)))
+    return bare
+
+
+def _in_words(closed: Closed) -> str:
+    return (
+        f"by the bare pan before and after it the container has gained {closed.net.mass_mg:.2f} mg, "
+        f"{closed.difference_mg:+.2f} mg against what was dosed; {closed.allowance_mg:.2f} mg are allowed"
+    )
