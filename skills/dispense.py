@@ -14,7 +14,17 @@ from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import Gross, Net, Reference, apart_mg, dose_between, drift_between, significant
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
-    Cell, Code, Dose, DoseCurve, DoseWeighed, Milligrams, Reweighed, Skill, SkillFailed, Source, Steps
+    Cell,
+    Code,
+    Dose,
+    DoseCurve,
+    DoseWeighed,
+    Milligrams,
+    Reweighed,
+    Skill,
+    SkillFailed,
+    Source,
+    Steps,
 )
 
 ASIDE_MM = 2.0
@@ -25,7 +35,7 @@ WATCHED_SHARE = 0.25
 """Of the tolerance: the pan is watched after a dose until the drift in it is known to this."""
 SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
 FINE_S = 12.0
-"""What a dose takes beside its full flow: by its end the uncertainty is reckoned that its controller leaves room for."""
+"""What a dose takes beside its full flow: its controller leaves room for the uncertainty that there is by then."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 SCOOP_DOUBT = 0.15
@@ -148,7 +158,6 @@ class Dispense(Skill[Dose]):
         arrived_mg = now.gross_mg - bracket.before.gross_mg
         cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=arrived_mg))
         believed.reweighed(Net(arrived_mg, apart_mg(bracket.before, now, cell.spec.balance.readability_mg)), now)
-
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""

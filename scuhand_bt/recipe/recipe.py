@@ -282,7 +282,10 @@ class _Reader:
                     known=[*workflow.inputs, *RECIPE_WORDS],
                 )
                 continue
-            value = self._read_value(declared, node, sample_id, sources)
+            # One container is known by its sample's id; several need one each, and no sample can have an id like it.
+            several = sum(one.type.python is Container for one in workflow.inputs.values()) > 1
+            container_id = f"{sample_id}/{declared.name}" if several else sample_id
+            value = self._read_value(declared, node, container_id, sources)
             if value is not None:
                 inputs[key] = value
         for declared in workflow.inputs.values():
@@ -329,7 +332,7 @@ class _Reader:
         self.workflows[name] = workflows[name]
         return workflows[name]
 
-    def _read_value(self, declared: Input, node: Node, sample_id: str, sources: Mapping[str, Source]) -> Any:
+    def _read_value(self, declared: Input, node: Node, container_id: str, sources: Mapping[str, Source]) -> Any:
         library = self.lab.library
         named: dict[type, tuple[Collection[str], str]] = {
             Source: (self.source_marks, "source"),
@@ -344,7 +347,7 @@ class _Reader:
                 return None
             if python is Source:
                 return sources.get(name)  # None for one that is wrong itself, and reported
-            return Container.model_construct(**{**library.containers[name].__dict__, "id": sample_id})
+            return Container.model_construct(**{**library.containers[name].__dict__, "id": container_id})
         try:
             return literal(declared.name, declared.type, node, library)
         except ValueError as error:

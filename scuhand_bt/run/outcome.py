@@ -1,8 +1,9 @@
 """How a job, a sample, and a whole run came out."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.dosing.verdict import judge
@@ -11,7 +12,7 @@ from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import DoseResult, SampleResult, SampleVerdict
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.specs import Container
+from scuhand_bt.specs import Container, Verdict
 
 Interruption = Literal["stopped", "paused", "tripped"]
 
@@ -66,15 +67,16 @@ def sample_result(
     The last dose of a lot into a container counts for both, as doses add up. What the recipe asks for, its mass
     within its tolerance, is held against the dose with that target.
     """
-    last = {(dose.container, dose.lot): dose for dose in doses}
-    found = [_dose_result(dose, sample) for dose in last.values()]
-    asked = sample.mass_mg is None or any(_is_asked(dose, sample) for dose in last.values())
-    told = [(dose, one) for dose, one in zip(found, last.values(), strict=True)]
-    main, of_main = next((pair for pair in reversed(told) if _is_asked(pair[1], sample)), told[-1] if told else (None, None))
+    last = list({(dose.container, dose.lot): dose for dose in doses}.values())
+    found = tuple(_dose_result(dose, sample) for dose in last)
+    asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
+    number = asked[-1] if asked else len(found) - 1
+    main, of_main = (found[number], last[number]) if found else (None, None)
+    is_asked = sample.mass_mg is None or bool(asked)
     return SampleResult(
         id=sample.id,
         container=sample.container.name if sample.container else None,
-        target_mg=main.target_mg if main and asked else sample.mass_mg,
+        target_mg=main.target_mg if main and is_asked else sample.mass_mg,
         dispensed_mg=main.dispensed_mg if main else None,
         error_mg=main.dispensed_mg - main.target_mg if main else None,
         uncertainty_mg=main.uncertainty_mg if main else None,
@@ -84,10 +86,74 @@ def sample_result(
         vibration_s=of_main.vibration_s if of_main else 0.0,
         duration_s=duration_s,
         controller=of_main.controller if of_main else None,
-        verdict=verdict or _verdict(found, asked=asked),
+        verdict=verdict or _verdict(found, is_asked=is_asked),
         code=failure.code if failure else None,
         detail=failure.detail if failure else None,
         true_mg=true_mg,
         attempt=attempt,
-        doses=tuple(found),
+        doses=found,
     )
+
+
+def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
+    """The result after one of its containers has gone: adjusted to the bare pan's word, and flagged if that differs."""
+    doses = tuple(_confirmed(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
+    changes: dict[str, Any] = {"doses": doses}
+    main = next((d for d, before in zip(doses, result.doses, strict=True) if _is_main(before, result)), None)
+    if main is not None:
+        changes |= {
+            "dispensed_mg": main.dispensed_mg,
+            "error_mg": main.dispensed_mg - main.target_mg,
+            "uncertainty_mg": main.uncertainty_mg,
+        }
+    if result.verdict in get_args(Verdict):
+        changes["verdict"] = _verdict(doses, is_asked=True)
+    if not closed.closes and result.code in (None, Code.BALANCE_BRACKET_OPEN):
+        changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": closed.detail}
+    elif result.code == Code.BALANCE_BRACKET_OPEN and all(dose.bracket == "closed" for dose in doses):
+        changes |= {"code": None, "detail": None}
+    return result.model_copy(update=changes)
+
+
+def _is_asked(dose: DoseResult, sample: Sample) -> bool:
+    return sample.mass_mg is not None and math.isclose(dose.target_mg, sample.mass_mg, rel_tol=1e-9)
+
+
+def _is_main(dose: DoseResult, result: SampleResult) -> bool:
+    return (dose.target_mg, dose.dispensed_mg) == (result.target_mg, result.dispensed_mg)
+
+
+def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
+    tolerance_mg = dose.tolerance_mg
+    if sample.tolerance_mg is not None and sample.mass_mg is not None and dose.target_mg == sample.mass_mg:
+        tolerance_mg = min(tolerance_mg, sample.tolerance_mg)  # the recipe's word, whatever the workflow made of it
+    return DoseResult(
+        container=dose.container,
+        lot=dose.lot,
+        target_mg=dose.target_mg,
+        tolerance_mg=tolerance_mg,
+        dispensed_mg=dose.dispensed_mg,
+        uncertainty_mg=dose.uncertainty_mg,
+        verdict=judge(dose.target_mg, tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg),
+    )
+
+
+def _confirmed(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
+    net = closed.doses[dose.lot]
+    return dose.model_copy(
+        update={
+            "dispensed_mg": net.mass_mg,
+            "uncertainty_mg": net.uncertainty_mg,
+            "verdict": judge(dose.target_mg, dose.tolerance_mg, net.mass_mg, net.uncertainty_mg),
+            "bracket": "closed" if closed.closes else "does not close",
+        }
+    )
+
+
+def _verdict(doses: Sequence[DoseResult], *, is_asked: bool) -> SampleVerdict:
+    """The worst of its doses; a sample that was to be dosed and was dosed otherwise is not as asked."""
+    if not doses:
+        return "no dose"
+    if not is_asked:
+        return "not as asked"
+    return next((dose.verdict for dose in doses if dose.verdict != "in tolerance"), "in tolerance")
