@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.verdicts import is_untrue
+from harness.verdicts import is_untrue
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner

@@ -34,7 +34,7 @@ from rich.table import Table
 
 from benchmarks.mutants import Mutant, mutant, originals
 from benchmarks.structures import structures
-from benchmarks.verdicts import is_untrue
+from harness.verdicts import is_untrue
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab, without_driver
