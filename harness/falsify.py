@@ -102,6 +102,8 @@ class Tally:
     """Runs that ended in a bug."""
     duration_s: float = 0.0
     """Of all doses, in the world's time."""
+    true_error_mg: float = 0.0
+    """The sum of their true errors, without signs."""
 
     @property
     def worst_mg(self) -> float:
@@ -123,6 +125,7 @@ class Tally:
             return is_true
         self.doses += 1
         self.duration_s += result.duration_s
+        self.true_error_mg += abs(true_mg - target_mg)
         if result.is_good and is_true:
             self.good += 1
         elif result.is_good:
@@ -147,14 +150,15 @@ class Falsifier:
         tally, seed, runs = Tally(world.name), first_seed, 0
         while tally.doses < doses and runs < max(len(self._made), RUNS_PER_DOSE * doses):
             for recipe in self._made:
-                self._run_once(world, recipe, seed, tally)
+                self.run_once(world, recipe, seed, tally)
                 runs += 1
                 if tally.doses >= doses:
                     break
             seed += 1
         return tally
 
-    def _run_once(self, world: HostileWorld, recipe: str, seed: int, tally: Tally) -> None:
+    def run_once(self, world: HostileWorld, recipe: str, seed: int, tally: Tally) -> None:
+        """One run of one recipe, into the tally."""
         plan, motion = self._made[recipe]
         motion.set_container(None)
         motion.set_cone_diameter(0.090)

@@ -53,6 +53,25 @@ class Step(Ill):
 
 
 @dataclass
+class Between(Ill):
+    """Something pushes from one moment of a container until another, and not a milligram of it stays."""
+
+    first: str
+    last: str
+    sizes_mg: Sequence[float] = (-3.0, 3.0)
+    _seen_s: float | None = None
+    _size_mg: float = 0.0
+
+    def force_mg(self, bench: Bench, dt_s: float) -> float:
+        came_s = bench.at.get(self.first)
+        if came_s is None or self.last in bench.at:
+            return 0.0
+        if came_s != self._seen_s:
+            self._seen_s, self._size_mg = came_s, float(bench.rng.choice(self.sizes_mg))
+        return self._size_mg
+
+
+@dataclass
 class Drift(Ill):
     """The zero wanders at a rate, of either sign; it turns round every `turns_s`."""
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from harness.bench import Ill
 from harness.ills_balance import (
     Adaptive,
+    Between,
     Coarse,
     Decay,
     Delay,
@@ -60,11 +61,8 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("step-at-leaving", "0.5 to 5 mg as the hand leaves", lambda: [Step("leaving", (0.0, 1.0))]),
     W("step-bare", "0.5 to 5 mg on the bare pan", lambda: [Step("bare", (0.0, 6.0))]),
     W("step-and-back", "up, and down again seconds later", lambda: [Step("placed", ANY_TIME_S, back_s=(1.0, 20.0))]),
-    W(
-        "step-for-the-dose",
-        "from the first opening until the hand leaves, and gone when the bare pan is weighed",
-        lambda: [Step("opened", (0.0, 0.5), (-3.0, 3.0)), Step("leaving", (0.0, 0.5), (-3.0, 3.0))],
-    ),
+    W("push-in-the-dose", "3 mg from the first opening until the hand leaves", lambda: [Between("opened", "leaving")]),
+    W("push-at-the-end", "3 mg from near the dose's end until the hand is away", lambda: [Between("near", "gone")]),
     W("steps-small", "0.5 to 1 mg at three moments", lambda: [Step(m, (0, 5), (-1, -0.5, 0.5, 1)) for m in SMALL]),
     # The container, or the hand, brings a force.
     W("warm-quick", "warm or cold containers: 2 to 8 mg within 60 to 120 s", lambda: [Decay((2, 8), (60, 120))]),
@@ -157,12 +155,28 @@ WORLDS: tuple[HostileWorld, ...] = (
     ),
     W("held-leak", "a display that holds 1 mg, over a leak", lambda: [Hold(1.0), Leak(0.05)]),
     W("tracked-leak", "zero tracking, over a leak", lambda: [ZeroTracking(1.0, 0.3), Leak(0.1)]),
+    W(
+        "held-drip",
+        "a display that holds 3 mg, over drips of 2.5 mg",
+        lambda: [Hold(3.0), Drip("shut", 2.5, (0.3, 5.0))],
+    ),
+    W(
+        "frozen-drip",
+        "frozen after a shutting, and 4 mg drip",
+        lambda: [Frozen("shut", (0.5, 3.0), (10, 60), chance=0.3), Drip("near", 4.0, (1.0, 6.0))],
+    ),
     W("slow-drips", "a moving mean of 4 s, over drips", lambda: [MovingMean(4.0), Drips(15.0, 3.0)]),
     # What no weighing of the container can tell.
     W("exchanged", "pairs of containers are exchanged", lambda: [Exchanged()], limit="one container weighs as another"),
     W("leftover", "5 to 50 mg are in the container", lambda: [Leftover((5, 50))], limit="it came with the container"),
     W("outside", "5 % stick to the outside", lambda: [Astray(0.05, outside=True)], limit="it goes with the container"),
     W("span", "powder weighs 0.5 % too much", lambda: [Span(share=0.005)], limit="a check weight tells, no zero"),
+    W(
+        "touching",
+        "the container leans on something from the first opening until it is lifted: 3 mg",
+        lambda: [Between("opened", "bare")],
+        limit="the force comes with the powder and goes with the container",
+    ),
     W(
         "loss-in-the-changer",
         "3 to 8 mg are lost as the changer lifts it",
