@@ -19,10 +19,11 @@ from statistics import quantiles
 from py_trees.behaviour import Behaviour
 
 from benchmarks.figures import show
+from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import Job, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver, SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.session import Options, Session
 

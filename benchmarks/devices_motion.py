@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.devices_wires import Figures, comes
+from benchmarks.devices_wires import Figures, Swaying, comes
 from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import Signal, Wake
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
@@ -40,7 +40,7 @@ FIRMWARE = starter_lab() / "robot" / "firmware"
 STREAMED_S = 60.0
 BLOWS = 20
 """Of each kind."""
-SWAY_RAD, SWAY_PER_S = 0.25, 2.0
+SWAY_RAD = 0.25
 FAST_RAD_PER_S = 0.2
 """A blow falls while the arm goes at least so fast: one that stands stops at once."""
 STANDS_COUNTS = 1.2
@@ -99,7 +99,7 @@ def streaming() -> Figures:
     chain.open()
     start = group.positions_rad
     with Written() as written:
-        group.move(lambda t: start + SWAY_RAD * (1 - np.cos(SWAY_PER_S * t)), STREAMED_S)
+        group.move(Swaying(start, 2 * SWAY_RAD, STREAMED_S))
         time.sleep(STREAMED_S)
     chain.close()
     ours.send("end")
@@ -202,7 +202,7 @@ def host(bus_url: str, hand_url: str) -> None:
     hand.set_vibration(1.0)
     start = group.positions_rad
     clock = WallClock(liveness.beat)
-    group.move(lambda t: start + SWAY_RAD * (1 - np.cos(SWAY_PER_S * t)), 600.0)
+    group.move(Swaying(start, 2 * SWAY_RAD, 600.0))
     while True:
         clock.wait([Wake.on(news, clock.now_s + 0.1)])
 

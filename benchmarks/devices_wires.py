@@ -258,7 +258,7 @@ def _bus(count: int) -> Figures:
         chain.open()
         for _ in range(count):
             start = group.positions_rad
-            group.move(_sway(start), 60.0)
+            group.move(Swaying(start, np.clip(-start, -0.3, 0.3), 60.0))
             time.sleep(cycles.rng.uniform(0.0, 0.3))
             server.unplug()
             cycles.lost += comes(lambda: chain.lost is not None) and chain.lost.code == "device.lost"
@@ -269,9 +269,15 @@ def _bus(count: int) -> Figures:
     return cycles.figures(count)
 
 
-def _sway(start: np.ndarray[Any, Any]) -> Callable[[float], np.ndarray[Any, Any]]:
-    # There and back around the middle, wherever the last cycle has left the arm.
-    return lambda t: start + (np.clip(-start, -0.3, 0.3)) * np.sin(2.0 * t) ** 2
+class Swaying:
+    """From where the arm is by `sway_rad` and back, again and again; something else than a stop ends it."""
+
+    def __init__(self, start: np.ndarray[Any, Any], sway_rad: Any, duration_s: float) -> None:
+        self.duration_s = duration_s
+        self._start, self._sway_rad = start, sway_rad
+
+    def sample(self, time_s: float) -> np.ndarray[Any, Any]:
+        return self._start + self._sway_rad * np.sin(time_s) ** 2
 
 
 def _holds(twin: DynamixelTwin) -> bool:

@@ -16,12 +16,13 @@ from rich.console import Console
 from rich.table import Table
 
 from harness.verdicts import is_untrue
+from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver, SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.fault_rules import KINDS, parse_faults
@@ -43,6 +44,7 @@ RECOVERS = "recovers"
 CODES: Mapping[str, set[str]] = {
     "balance.silent": {"device.lost"},
     "balance.garbage": {RECOVERS, "device.lost"},
+    "balance.bit_flips": {RECOVERS},
     "balance.unstable": {"balance.unstable"},
     "balance.overload": {"balance.overload"},
     "balance.drifting": {"balance.unstable", "hand.leak"},
@@ -136,8 +138,6 @@ class Matrix:
             yield f"of {was_mg:.1f} mg of powder {session.world.matter.total_mg:.1f} mg are left"
 
     def _session(self, seed: int, faults: str | None) -> Session:
-        self._motion.set_container(None)
-        self._motion.set_cone_diameter(0.090)
         simulation = DryRun(seed, faults=parse_faults(faults, "matrix") if faults is not None else None)
         return Session(
             self._plan, self._lab, Options(simulation, self._controller, self._folder / "runs"), self._motion

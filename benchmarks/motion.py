@@ -74,7 +74,7 @@ class Bench:
         mortar = lab.library.mortars["agate_mortar"]
         mortars = {"mortar_bay": mortar, "mortar_bay_2": mortar}
         self.planner = MotionPlanner(lab.urdf, lab.cell, mortars, threads=threads)
-        self.planner.set_container(lab.library.containers["alumina_crucible"])
+        self.planner.set_geometry(container=lab.library.containers["alumina_crucible"])
         self.cell = lab.cell
         self.scene = self.planner.scene()
         self.rates = self.planner.rates

@@ -35,6 +35,7 @@ from rich.table import Table
 from benchmarks.mutants import Mutant, mutant, originals
 from benchmarks.structures import structures
 from harness.verdicts import is_untrue
+from scuhand_bt.journal.events import SampleResult, SampleVerdict
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab, without_driver
@@ -42,7 +43,7 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver, SampleResult, SampleVerdict
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.inventory_conflicts import conflicts
 from scuhand_bt.run.make_cell import DryRun, places_of, prepared_motion
 from scuhand_bt.run.session import Options, Session
@@ -170,10 +171,7 @@ class Judge:
         self._planners.move_to_end(key)
         if len(self._planners) > PLANNERS:
             self._planners.popitem(last=False)
-        planner = self._planners[key]
-        planner.set_container(None)
-        planner.set_cone_diameter(0.090)
-        return planner
+        return self._planners[key]
 
 
 class _Watch(BatchObserver):

@@ -15,6 +15,7 @@ from scuhand_bt.dosing.adaptive import WATCH_LAGS
 from scuhand_bt.dosing.dose_state import SLACK_S
 from scuhand_bt.dosing.risk import within
 from scuhand_bt.dosing.valve import FlowShape
+from scuhand_bt.sim.mass_ledger import FLIGHT
 from scuhand_bt.sim.world import World
 
 LOOK_S = 0.02
@@ -84,7 +85,7 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
     reason = "step_limit"
 
     def left_mg() -> float:
-        return world.true_mass(container) + world.masses_mg["flight"]
+        return world.true_mass(container) + world.matter.masses_mg[FLIGHT]
 
     while openings < 25:
         openings += 1

@@ -22,15 +22,16 @@ from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import new_controller
 from scuhand_bt.dosing.verdict import judge
+from scuhand_bt.events import Dose, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import BalanceBelief, Container, Dose, Mortar, Powder, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, Container, Mortar, Powder, PowderBelief, Source
 
 DOSES_PER_RUN = 10
 TOLERANCE_MG = 2.0
@@ -112,13 +113,16 @@ def run_of_doses(
     return trials
 
 
-class DoseRecord(NoRecord):
+class DoseRecord(Record):
     """Keeps the last dose."""
 
-    last: Dose | None = None
+    def __init__(self) -> None:
+        super().__init__(self._hear)
+        self.last: Dose | None = None
 
-    def dose(self, dose: Dose) -> None:
-        self.last = dose
+    def _hear(self, event: SkillEvent | Note) -> None:
+        if isinstance(event, Dose):
+            self.last = event
 
 
 class Bench:
@@ -149,7 +153,9 @@ class Bench:
         self.world.load_cone("store", load_mg)
         self.cell.spec = spec.model_copy(update={"hand": setting.believed_hand or setting.hand})
         believed = self.cell.believed
-        believed.pan, believed.cone_source, believed.cone_mg = DISH, "store", load_mg
+        believed.cone_holds(source, load_mg)
+        believed.brought(DISH, from_changer=False)
+        believed.placed(self.drive(self.cell.balance.stable_mean(60.0)).value_mg)
 
     def drive(self, steps: Steps[T]) -> T:
         """Run a generator to its end."""

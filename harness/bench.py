@@ -14,6 +14,7 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.hand import SimulatedHand
+from scuhand_bt.sim.mass_ledger import CONE, Compartment, in_container
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.sim.world import World
@@ -117,11 +118,18 @@ class Bench:
 
     def drop(self, mass_mg: float) -> None:
         """Let so much fall from the cone, if it has it, valve or no valve."""
-        self.world.load.drop(self.now_s, min(mass_mg, self.world.masses_mg["cone"]))
+        self.world.load.drop(self.now_s, min(mass_mg, self.world.matter.masses_mg[CONE]))
 
-    def move(self, source: str, target: str, mass_mg: float) -> None:
+    def move(self, source: Compartment, target: Compartment, mass_mg: float) -> None:
         """Move so much powder, or what there is, from one place of the world to another."""
-        self.world.matter.transfer(source, target, max(0.0, min(mass_mg, self.world.masses_mg[source])))
+        matter = self.world.matter
+        matter.transfer(source, target, max(0.0, min(mass_mg, matter.masses_mg[source])))
+
+    @property
+    def inside(self) -> Compartment:
+        """The inside of the container on the pan."""
+        assert self.container is not None
+        return in_container(self.container)
 
     # --- what the virtual clock calls ---
 

@@ -17,16 +17,18 @@ import numpy as np
 from harness.bench import Bench, HostilePlant
 from harness.worlds import HostileWorld
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.run.batch import BatchObserver, SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.sim.mass_ledger import in_container
 from scuhand_bt.sim.world import World
 
 MARGIN_MG = 0.1
@@ -160,8 +162,6 @@ class Falsifier:
     def run_once(self, world: HostileWorld, recipe: str, seed: int, tally: Tally) -> None:
         """One run of one recipe, into the tally."""
         plan, motion = self._made[recipe]
-        motion.set_container(None)
-        motion.set_cone_diameter(0.090)
         bench = Bench(list(world.ills()), np.random.default_rng([seed, zlib.crc32(f"{world.name} {recipe}".encode())]))
         faults = parse_faults(f"faults: [{world.faults}]", world.name) if world.faults is not None else None
         plant = f"{HostilePlant.__module__}:{HostilePlant.__name__}"
@@ -206,4 +206,4 @@ def true_mass_mg(world: World, sample: Sample) -> float:
     """What is in the container that a sample ended in: its second one, if it was redone."""
     assert sample.container is not None
     again = f"{sample.container.id}.2"
-    return world.true_mass(again if f"container:{again}" in world.masses_mg else sample.container.id)
+    return world.true_mass(again if in_container(again) in world.matter.masses_mg else sample.container.id)

@@ -7,6 +7,7 @@ from harness.bench import Bench, Ill
 from scuhand_bt.clock import Signal, Steps
 from scuhand_bt.devices.interfaces import Changer
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.sim.mass_ledger import PAN, SPILLED, Compartment
 from scuhand_bt.specs import Container, PowderFlowSpec
 
 
@@ -108,12 +109,12 @@ class Astray(Ill):
 
     def act(self, bench: Bench, dt_s: float) -> None:
         if bench.container != self._on:
-            bench.move("pan", "spilled", self._outside_mg)
+            bench.move(PAN, SPILLED, self._outside_mg)
             self._on, self._before_mg, self._outside_mg = bench.container, bench.held_mg, 0.0
             self._is_here = bench.rng.random() < self.chance
         landed_mg = bench.held_mg - self._before_mg
         if self._is_here and landed_mg > 0.0:
-            bench.move(f"container:{bench.container}", "pan", self.share * landed_mg)
+            bench.move(bench.inside, PAN, self.share * landed_mg)
             self._outside_mg += self.share * landed_mg if self.outside else 0.0
         self._before_mg = bench.held_mg
 
@@ -126,7 +127,7 @@ class Loss(Ill):
     masses_mg: tuple[float, float]
     delay_s: tuple[float, float] = (0.0, 0.0)
     chance: float = 0.5
-    onto: str = "spilled"
+    onto: Compartment = SPILLED
     _seen_s: float | None = None
     _due_s: float | None = None
 
@@ -138,7 +139,7 @@ class Loss(Ill):
             self._due_s = came_s + bench.rng.uniform(*self.delay_s) if here else None
         if self._due_s is not None and bench.now_s >= self._due_s and bench.container is not None:
             self._due_s = None
-            bench.move(f"container:{bench.container}", self.onto, bench.rng.uniform(*self.masses_mg))
+            bench.move(bench.inside, self.onto, bench.rng.uniform(*self.masses_mg))
 
 
 @dataclass
@@ -154,8 +155,8 @@ class Leftover(Ill):
         if came_s is not None and came_s != self._seen_s and bench.held_mg == 0.0:
             self._seen_s = came_s
             if bench.rng.random() < self.chance:
-                source = next(name for name in bench.world.masses_mg if name.startswith("source:"))
-                bench.move(source, f"container:{bench.container}", bench.rng.uniform(*self.masses_mg))
+                source = next(place for place in bench.world.matter.masses_mg if place.kind == "source")
+                bench.move(source, bench.inside, bench.rng.uniform(*self.masses_mg))
 
 
 class Exchanged(Ill):

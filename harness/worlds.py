@@ -29,6 +29,7 @@ from harness.ills_balance import (
     ZeroTracking,
 )
 from harness.ills_powder import Astray, Drip, Drips, Exchanged, Leak, Leftover, Loss, Sheet, carried, dosed, shaken
+from scuhand_bt.sim.mass_ledger import PAN
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("beside-sometimes", "at some containers 20 % land beside", lambda: [Astray(0.2, chance=0.3)]),
     W("puff-in-the-dose", "3 to 8 mg fly away while it doses", lambda: [Loss("near", (3, 8), (0.0, 3.0))]),
     W("puff-at-leaving", "3 to 8 mg fly away as the hand leaves", lambda: [Loss("leaving", (3, 8), (0.0, 1.0))]),
-    W("knock", "3 to 8 mg jump onto the pan as the hand leaves", lambda: [Loss("leaving", (3, 8), (0, 1), onto="pan")]),
+    W("knock", "3 to 8 mg jump onto the pan as the hand leaves", lambda: [Loss("leaving", (3, 8), (0, 1), onto=PAN)]),
     # The sheet is wrong.
     W("flow-twice", "twice the flow that the sheet says", lambda: [Sheet(2.0)]),
     W("flow-half", "half the flow that the sheet says", lambda: [Sheet(0.5)]),

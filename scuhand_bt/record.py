@@ -1,42 +1,39 @@
-"""What is written down while a run goes on: the Protocol; the journal (`journal/writer.py`) implements it.
+"""What skills write down while a run goes on; everything that happens goes through the journal before anywhere else."""
 
-Everything that happens goes through the record before it goes anywhere else.
-"""
+from collections.abc import Callable, Mapping
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from pydantic import JsonValue
 
-from scuhand_bt.specs import Dose
+from scuhand_bt.events import NOTE_PREFIX, SKILL_EVENTS, Note, SkillEvent
 
 
 class RecordLost(Exception):  # noqa: N818 - it says what happened
     """What happens cannot be written down any more; the run must end, safely."""
 
 
-class Record(Protocol):
-    """Where devices and skills write what they did and saw; times are the run's, in seconds."""
+class Record:
+    """The part of the journal that skills may write, `cell.record`: what they did and weighed, and a lab's own notes.
 
-    def pulse(self, values: Mapping[str, Any]) -> None:
-        """One opening of the valve, or one streamed segment: what was commanded and what was weighed."""
-        ...
+    The run's course and its verdicts are the engine's to write. `keep` is the journal's; without it nothing is kept.
+    """
 
-    def dose(self, dose: Dose) -> None:
-        """The result for one container, in tolerance or not; the last one written for a job is its dose."""
-        ...
+    def __init__(self, keep: Callable[[SkillEvent | Note], None] = lambda event: None) -> None:
+        self._keep = keep
 
-    def event(self, kind: str, values: Mapping[str, Any]) -> None:
-        """Anything else worth keeping: a scoop, a prompt and its answer, a fault."""
-        ...
+    def event(self, event: SkillEvent, *more: object) -> None:
+        """Write an entry of a shipped kind: `cell.record.event(Tared(...))`. Raises TypeError for anything else."""
+        if more or type(event) not in SKILL_EVENTS:
+            what = repr(event) if isinstance(event, str) else type(event).__name__
+            kinds = ", ".join(one.__name__ for one in SKILL_EVENTS)
+            raise TypeError(
+                f"{what} is no entry that a skill may write: write one of {kinds} (from scuhand_bt.skill), "
+                f'or a kind of your own as `cell.record.note("{NOTE_PREFIX}…", {{…}})`'
+            )
+        self._keep(event)
 
+    def note(self, kind: str, values: Mapping[str, JsonValue]) -> None:
+        """Write an entry of a kind of the lab's own: `cell.record.note("lab.sieved", {"mesh_mm": 0.5})`.
 
-class NoRecord:
-    """A record for benchmarks and tests, which keeps nothing."""
-
-    def pulse(self, values: Mapping[str, Any]) -> None:
-        pass
-
-    def dose(self, dose: Dose) -> None:
-        pass
-
-    def event(self, kind: str, values: Mapping[str, Any]) -> None:
-        pass
+        Raises ValueError for a kind without the prefix `lab.`, and for values that are no JSON.
+        """
+        self._keep(Note(kind, values))

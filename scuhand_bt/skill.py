@@ -34,6 +34,21 @@ from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
+from scuhand_bt.events import (
+    BalanceWatched,
+    ContainerPlaced,
+    Discarded,
+    Dose,
+    DoseCurve,
+    Pulsed,
+    Returned,
+    Reweighed,
+    Scooped,
+    SheetSwapped,
+    Tared,
+    ValveChecked,
+    WeightChecked,
+)
 from scuhand_bt.failures import Code, Failure, SkillFailed
 from scuhand_bt.quantity import (
     Degrees,
@@ -44,31 +59,43 @@ from scuhand_bt.quantity import (
     Seconds,
     plain_name,
 )
-from scuhand_bt.specs import Container, Dose, Powder, Source
+from scuhand_bt.specs import Container, Powder, Source
 
 __all__ = [
+    "BalanceWatched",
     "Believed",
     "Cell",
     "Clock",
     "Code",
     "Condition",
     "Container",
+    "ContainerPlaced",
     "Degrees",
+    "Discarded",
     "Dose",
+    "DoseCurve",
     "Failure",
     "Forecast",
     "Milligrams",
     "Millimetres",
     "MillimetresPerSecond",
     "Powder",
+    "Pulsed",
     "Ratio",
+    "Returned",
+    "Reweighed",
+    "Scooped",
     "Seconds",
+    "SheetSwapped",
     "Signal",
     "Skill",
     "SkillFailed",
     "Source",
     "Steps",
+    "Tared",
+    "ValveChecked",
     "Wake",
+    "WeightChecked",
     "pause",
     "until",
 ]

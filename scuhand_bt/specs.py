@@ -200,23 +200,3 @@ class Container(ContainerKind):
 
 Verdict = Literal["in tolerance", "under", "over"]
 """What is said of a dose (`dosing/verdict.py`)."""
-
-
-class Dose(Spec):
-    """The result for one container: what was asked, what the balance says is there, and the verdict."""
-
-    target_mg: float
-    tolerance_mg: float
-    dispensed_mg: float
-    """By a stable mean of the balance: gross now less gross before."""
-    uncertainty_mg: float
-    """Standard uncertainty of `dispensed_mg`."""
-    pulses: int
-    vibration_s: float
-    duration_s: float
-    controller: str
-    verdict: Verdict
-
-    @property
-    def error_mg(self) -> float:
-        return self.dispensed_mg - self.target_mg

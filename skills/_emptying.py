@@ -18,6 +18,8 @@ def empty_cone(cell: Cell) -> Steps[None]:
     flow_mg_per_s = belief.coefficient * max(opening_mm - belief.threshold_mm, 0.1) ** belief.exponent
     most_mg = cell.believed.cone_mg + DOUBT * source.powder.load_limit_mg
     duration_s = min(LONGEST_S, SHAKE_S + SPARE * most_mg / flow_mg_per_s)
-    yield from cell.hand.pulse(opening_mm, duration_s, vibration=1.0)
-    cell.believed.cone_mg = 0.0
-    cell.believed.cone_source = None
+    while duration_s > 0.0:
+        dwell_s = min(duration_s, cell.hand.longest_dwell_s)
+        yield from cell.hand.pulse(opening_mm, dwell_s, vibration=1.0)
+        duration_s -= dwell_s
+    cell.believed.emptied()

@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from scuhand_bt.skill import Cell, Failure, Millimetres, Seconds, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Failure, Millimetres, Seconds, Skill, SkillFailed, Steps, ValveChecked
 
 
 class CheckValve(Skill[Millimetres]):
@@ -27,7 +27,7 @@ class CheckValve(Skill[Millimetres]):
         yield from cell.move_to(cell.spec.station_of_kind("waste").name)
         yield from cell.hand.pulse(self.opening_mm, self.dwell_s, vibration=1.0)
         zero_mm = cell.hand.opening_mm
-        cell.record.event("valve_zero", {"opening_mm": zero_mm})
+        cell.record.event(ValveChecked(opening_mm=zero_mm))
         if abs(zero_mm) > self.limit_mm:
             raise SkillFailed("hand.valve_zero", f"the shut valve stands at {zero_mm:.3f} mm")
         return zero_mm

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.skill import Cell, Code, Failure, Forecast, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Failure, Forecast, Milligrams, Skill, SkillFailed, Steps, WeightChecked
 
 
 class CheckWeight(Skill[Milligrams]):
@@ -37,10 +37,15 @@ class CheckWeight(Skill[Milligrams]):
         yield from self._ask(cell, "Take the check weight off the pan.")
         cell.weight_on_pan(0.0)
         error_mg = loaded.value_mg - bare.value_mg - self.weight_mg
-        weighed = {"weight_mg": self.weight_mg, "error_mg": error_mg, "tolerance_mg": self.tolerance_mg}
         cell.record.event(
-            "check_weight",
-            {**weighed, "balance": cell.balance.identity, "bare": bare.values(), "loaded": loaded.values()},
+            WeightChecked(
+                weight_mg=self.weight_mg,
+                error_mg=error_mg,
+                tolerance_mg=self.tolerance_mg,
+                balance=cell.balance.identity,
+                bare=bare.written(),
+                loaded=loaded.written(),
+            )
         )
         if abs(error_mg) > self.tolerance_mg:
             raise SkillFailed(

@@ -1,6 +1,6 @@
 """What is in the cone goes to waste."""
 
-from scuhand_bt.skill import Cell, Skill, Steps
+from scuhand_bt.skill import Cell, Discarded, Skill, Steps
 
 from ._emptying import empty_cone
 
@@ -18,4 +18,4 @@ class Discard(Skill[None]):
         yield from cell.move_to(cell.spec.station_of_kind("waste").name)
         discarded_mg = cell.believed.cone_mg
         yield from empty_cone(cell)
-        cell.record.event("discarded", {"expected_mg": discarded_mg})
+        cell.record.event(Discarded(expected_mg=discarded_mg))

@@ -9,7 +9,7 @@ from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.dosing.verdict import judge
-from scuhand_bt.skill import Cell, Code, Dose, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Dose, DoseCurve, Milligrams, Reweighed, Skill, SkillFailed, Steps
 
 ASIDE_MM = 2.0
 """The apex is taken to be over the container where it is no farther than this from its place."""
@@ -60,20 +60,17 @@ class Dispense(Skill[Dose]):
         controller = new_controller(self.controller or cell.controller, request)
         before_mg = (yield from cell.balance.next_reading()).value_mg  # no valve opens over a silent balance
         self._require_zero_held(cell, before_mg)
-        cell.believed.dosing.target_mg, cell.believed.dosing.is_unweighed = self.mass_mg, True
+        cell.believed.dosing_towards(self.mass_mg)
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, empty_mg)
         finally:
-            cell.believed.dosing.target_mg = None
             gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before_mg
-            cell.believed.cone_mg = max(0.0, request.cone_mg - (gross_mg - before_mg))
-            cell.believed.pan_gross_mg = gross_mg
-        cell.believed.pan_gross_mg = empty_mg + run.finish.estimate_mg
-        cell.believed.dosing.is_unweighed = False
+            cell.believed.dosing_ended(gross_mg - before_mg, gross_mg)
+        cell.believed.dosed(empty_mg + run.finish.estimate_mg, run.pulses, run.vibration_s)
         self._learn(cell, run)
         dose = self._dose(cell, run, controller.name)
-        cell.record.dose(dose)
-        cell.record.event("dose_curve", {"points": run.rows()})
+        cell.record.event(dose)
+        cell.record.event(DoseCurve(points=run.rows()))
         self._raise_failure(cell, run, dose)
         return dose
 
@@ -87,9 +84,8 @@ class Dispense(Skill[Dose]):
             yield from cell.move_to(place)
         mean = yield from cell.balance.stable_mean()
         arrived_mg = mean.value_mg - believed.pan_gross_mg
-        cell.record.event("reweighed", {**mean.values(), "arrived_mg": arrived_mg})
-        believed.cone_mg = max(0.0, believed.cone_mg - arrived_mg)
-        believed.pan_gross_mg, believed.dosing.is_unweighed = mean.value_mg, False
+        cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=arrived_mg))
+        believed.reweighed(mean.value_mg)
 
     @staticmethod
     def _require_zero_held(cell: Cell, gross_mg: float) -> None:
@@ -146,8 +142,6 @@ class Dispense(Skill[Dose]):
 
     def _dose(self, cell: Cell, run: DoseRun, controller: str) -> Dose:
         so_far = cell.believed.dosing
-        so_far.pulses += run.pulses
-        so_far.vibration_s += run.vibration_s
         net_mg, uncertainty_mg = run.finish.estimate_mg, run.finish.uncertainty_mg
         return Dose(
             target_mg=self.mass_mg,
@@ -165,8 +159,7 @@ class Dispense(Skill[Dose]):
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
         if run.finish.reason == "empty":
             # What the cone was thought to hold still, and did not, never left the mortar.
-            cell.believed.sources_mg[cell.believed.cone_source or ""] += cell.believed.cone_mg
-            cell.believed.cone_mg, cell.believed.cone_source = 0.0, None
+            cell.believed.cone_ran_empty()
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
         if run.finish.reason == "no_flow":
             raise SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, vibrating at full opening")

@@ -25,7 +25,7 @@ class MoveOver(Skill[None]):
     from_above_mm: Annotated[Millimetres, Field(ge=0, le=100)] = 0.0
 
     def run(self, cell: Cell) -> Steps[None]:
-        pan = cell.believed.pan
+        pan = cell.believed.weighed_container
         if pan is None or pan.id != self.container.id:
             there = f"'{pan.id}'" if pan is not None else "nothing"
             raise SkillFailed(Code.CONTAINER_MISSING, f"'{self.container.id}' is not on the pan; there is {there}")

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Code, Container, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
 CLEAR_MM = 90.0
 """The apex must be this far aside from the pan's centre while containers are changed."""
@@ -34,21 +34,25 @@ class PlaceContainer(Skill[None]):
     def run(self, cell: Cell) -> Steps[None]:
         self._require_clear(cell)
         believed = cell.believed
-        believed.pan = believed.pan_empty_mg = believed.pan_gross_mg = None
+        believed.changing_container()
         yield from self._refill(cell)
         yield from cell.changer.take_away()
+        believed.removed()
         bare = yield from cell.balance.stable_mean()
         yield from cell.changer.bring(self.container)
-        believed.slots_used += not cell.changer.needs_person
-        used = believed.containers_used
-        used[self.container.name] = used.get(self.container.name, 0) + 1
-        cell.motion.set_container(self.container.kind)
+        believed.brought(self.container, from_changer=not cell.changer.needs_person)
         loaded = yield from cell.balance.stable_mean()
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
-        weighed = {"container": container.id, "kind": container.name, "mass_mg": mass_mg}
         cell.record.event(
-            "container", {**weighed, "balance": cell.balance.identity, "bare": bare.values(), "loaded": loaded.values()}
+            ContainerPlaced(
+                container=container.id,
+                kind=container.name,
+                mass_mg=mass_mg,
+                balance=cell.balance.identity,
+                bare=bare.written(),
+                loaded=loaded.written(),
+            )
         )
         if mass_mg < container.empty_mass_mg / 10:
             raise SkillFailed(
@@ -60,7 +64,7 @@ class PlaceContainer(Skill[None]):
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
-        believed.pan, believed.pan_gross_mg = container, loaded.value_mg
+        believed.placed(loaded.value_mg)
 
     @staticmethod
     def _refill(cell: Cell) -> Steps[None]:
@@ -72,7 +76,7 @@ class PlaceContainer(Skill[None]):
             answer = yield from cell.operator.ask(f"Fill the changer: {believed.slots_used} containers are used.")
             if answer != "done":
                 raise SkillFailed(Code.OPERATOR_REFUSED, "the changer was not filled")
-            believed.slots_used = 0
+            believed.slots_refilled()
 
     @staticmethod
     def _require_clear(cell: Cell) -> None:

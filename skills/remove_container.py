@@ -20,8 +20,6 @@ class RemoveContainer(Skill[None]):
         return Forecast(60.0 if by_hand else cls.typical_s, "take the container off the pan" if by_hand else None)
 
     def run(self, cell: Cell) -> Steps[None]:
-        believed = cell.believed
-        believed.pan_gross_mg = None
+        cell.believed.changing_container()
         yield from cell.changer.take_away()
-        cell.motion.set_container(None)
-        believed.pan = believed.pan_empty_mg = None
+        cell.believed.removed()

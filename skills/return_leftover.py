@@ -1,6 +1,6 @@
 """What is left in the cone goes back into its mortar."""
 
-from scuhand_bt.skill import Cell, Code, Skill, SkillFailed, Source, Steps
+from scuhand_bt.skill import Cell, Code, Returned, Skill, SkillFailed, Source, Steps
 
 from ._emptying import empty_cone
 
@@ -25,5 +25,5 @@ class ReturnLeftover(Skill[None]):
         yield from cell.move_to(source.station)
         returned_mg = believed.cone_mg
         yield from empty_cone(cell)
-        believed.sources_mg[source.name] += returned_mg
-        cell.record.event("returned", {"source": source.name, "expected_mg": returned_mg})
+        believed.returned(source.name, returned_mg)
+        cell.record.event(Returned(source=source.name, expected_mg=returned_mg))

@@ -23,6 +23,8 @@ from scuhand_bt.skill import (
     Milligrams,
     Millimetres,
     MillimetresPerSecond,
+    Returned,
+    Scooped,
     Skill,
     SkillFailed,
     Source,
@@ -78,8 +80,7 @@ class Scoop(Skill[Milligrams]):
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
         stroke = self._choose_stroke(cell, in_mortar_mg)
         yield from cell.move_to(source.station)
-        believed.sheet = source.sheet_key
-        cell.motion.set_cone_diameter(stroke.open_mm / 1000)
+        believed.touched(source)
         yield from cell.hand.morph(stroke.open_mm)
         press, *follow = self._poses(cell, stroke)
         yield from cell.touch([press], self.speed_mm_per_s, source.station)
@@ -89,7 +90,6 @@ class Scoop(Skill[Milligrams]):
         yield from cell.hand.morph(stroke.closed_mm)
         yield from cell.touch([cell.place(source.station)], self.speed_mm_per_s, source.station)
         yield from cell.hand.morph(CARRY_DIAMETER_MM)
-        cell.motion.set_cone_diameter(CARRY_DIAMETER_MM / 1000)
         return self._believe(cell, stroke, in_mortar_mg)
 
     def settle(self, cell: Cell) -> Steps[None]:
@@ -99,16 +99,14 @@ class Scoop(Skill[Milligrams]):
         aside_mm = math.dist(cell.apex_mm()[:2], above_mm[:2])
         if aside_mm > source.mortar.bore_mm / 2:
             return
-        believed.sheet = source.sheet_key
-        cell.motion.set_cone_diameter(cell.hand.cone_diameter_mm / 1000)
+        believed.touched(source)
         yield from cell.touch([cell.place(source.station)], self.speed_mm_per_s, source.station)
         yield from cell.hand.morph(CARRY_DIAMETER_MM)
-        cell.motion.set_cone_diameter(CARRY_DIAMETER_MM / 1000)
-        held_mg, believed.cone_source = believed.cone_mg, source.name
-        believed.cone_mg = source.powder.load_limit_mg
+        held_mg = believed.cone_mg
+        believed.cone_holds(source, source.powder.load_limit_mg)
         yield from empty_cone(cell)
-        believed.sources_mg[source.name] += held_mg
-        cell.record.event("returned", {"source": source.name, "expected_mg": held_mg})
+        believed.returned(source.name, held_mg)
+        cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
     def _require_clean(self, cell: Cell) -> None:
         believed = cell.believed
@@ -155,18 +153,14 @@ class Scoop(Skill[Milligrams]):
         bed_mm = bed_diameter_mm(source.mortar, in_mortar_mg, source.powder.bulk_density_mg_per_mm3)
         share = collected_share(stroke.open_mm, stroke.closed_mm, self.over_travel_mm, bed_mm)
         taken_mg = share * in_mortar_mg
-        believed.cone_source = source.name
-        believed.cone_mg += taken_mg
-        believed.sources_mg[source.name] -= taken_mg
-        believed.dosing.scoops += 1
+        believed.scooped(source, taken_mg)
         cell.record.event(
-            "scoop",
-            {
-                "source": source.name,
-                "expected_mg": taken_mg,
-                "open_mm": stroke.open_mm,
-                "closed_mm": stroke.closed_mm,
-                "swing_deg": stroke.swing_deg,
-            },
+            Scooped(
+                source=source.name,
+                expected_mg=taken_mg,
+                open_mm=stroke.open_mm,
+                closed_mm=stroke.closed_mm,
+                swing_deg=stroke.swing_deg,
+            )
         )
         return believed.cone_mg

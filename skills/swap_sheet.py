@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Code, Forecast, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Forecast, SheetSwapped, Skill, SkillFailed, Steps
 
 
 class SwapSheet(Skill[None]):
@@ -33,6 +33,5 @@ class SwapSheet(Skill[None]):
         if answer != "done":
             raise SkillFailed(Code.OPERATOR_REFUSED, "the sheet was not swapped")
         cell.sheet_mounted()
-        believed.sheet = None
-        believed.sheets_used += 1
-        cell.record.event("sheet", {"sheets_used": believed.sheets_used})
+        believed.sheet_swapped()
+        cell.record.event(SheetSwapped(sheets_used=believed.sheets_used))

@@ -1,7 +1,6 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.cell.believed import DoseSoFar
-from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps
+from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
 
 
 class Tare(Skill[Milligrams]):
@@ -13,10 +12,9 @@ class Tare(Skill[Milligrams]):
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        if cell.believed.pan is None:
+        if cell.believed.weighed_container is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")
         mean = yield from cell.balance.stable_mean()
-        cell.believed.pan_empty_mg = cell.believed.pan_gross_mg = mean.value_mg
-        cell.believed.dosing = DoseSoFar(began_s=cell.clock.now_s)
-        cell.record.event("tare", {**mean.values(), "balance": cell.balance.identity})
+        cell.believed.tared(mean.value_mg, cell.clock.now_s)
+        cell.record.event(Tared(**dict(mean.written()), balance=cell.balance.identity))
         return mean.value_mg

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from scuhand_bt.cell_spec import CellSpec
-from scuhand_bt.skill import Cell, Code, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
+from scuhand_bt.skill import BalanceWatched, Cell, Code, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
 
 
 class WatchBalance(Skill[Milligrams]):
@@ -31,7 +31,7 @@ class WatchBalance(Skill[Milligrams]):
             reading = yield from cell.balance.next_reading()
             values_mg.append(reading.value_mg)
         span_mg = max(values_mg) - min(values_mg)
-        cell.record.event("balance_watched", {"readings": len(values_mg), "span_mg": span_mg})
+        cell.record.event(BalanceWatched(readings=len(values_mg), span_mg=span_mg))
         if span_mg > self.limit_mg:
             raise SkillFailed(
                 Code.BALANCE_UNSTABLE,

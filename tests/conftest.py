@@ -14,6 +14,7 @@ from wire_helpers import Metronome
 from scuhand_bt import cli
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
@@ -21,10 +22,11 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.recipe.recipe import Recipe, load_recipe
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
-from scuhand_bt.run.runner import Outcome, Runner
+from scuhand_bt.run.outcome import Outcome
+from scuhand_bt.run.runner import Runner
 from scuhand_bt.skill import DEVICES, Skill
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
@@ -197,7 +199,7 @@ class FakeCell:
     devices: Mapping[str, FakeDevice] = field(default_factory=lambda: {name: FakeDevice() for name in DEVICES})
     log: list[Any] = field(default_factory=list)
     believed: Believed = field(default_factory=Believed)
-    record: NoRecord = field(default_factory=NoRecord)
+    record: Record = field(default_factory=Record)
 
     def device(self, name: str) -> FakeDevice:
         return self.devices[name]
@@ -256,7 +258,7 @@ class Bench:
             replay = job.replay(None)
             journal.job_resumed(job.seq, job.dose)
         else:
-            journal.job_started("main", None, 1, "main")
+            journal.job_started(JobStarted(name="main", sample=None, attempt=1, workflow="main"))
         try:
             runner = Runner(self.cell, library, journal, self.control, NoGuards(), self)  # type: ignore[arg-type]
             return runner.run(Job("main", "main", {}), {}, replay)

@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver, BatchResult, SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, places_of, prepared_motion
+from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.fault_rules import parse_faults
 
@@ -31,8 +33,6 @@ def shared_planner(plan: Plan, lab: Lab) -> MotionPlanner:
     key = f"{lab.cell} {sorted(places_of(plan, lab).items())}"
     if key not in _PLANNERS:
         _PLANNERS[key] = prepared_motion(plan, lab)
-    _PLANNERS[key].set_container(None)
-    _PLANNERS[key].set_cone_diameter(0.090)
     return _PLANNERS[key]
 
 

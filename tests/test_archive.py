@@ -12,7 +12,9 @@ from typing import Any
 import pytest
 from conftest import Call
 
+from scuhand_bt.events import Line, Tared
 from scuhand_bt.journal.archive import summaries
+from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, JobStarted, Paused, Resumed, RunBegun
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.journal.writer import Journal
@@ -28,6 +30,7 @@ samples:
   - {id: a, mass: 30 mg}
   - {id: b, mass: 40 mg}
 """
+PLANNED = [{"id": name, "workflow": "fill_xrd_holder", "inputs": {}} for name in ("a", "b")]
 
 
 @pytest.fixture
@@ -54,11 +57,12 @@ def test_runs_are_listed_newest_first_with_their_states(tmp_path: Path, command:
     exit_codes = {"stopped": 130, "fault": 3, "cut": None, "held": None, "rest": None}
     for day, (name, ends) in enumerate(exit_codes.items(), start=5):
         journal = Journal(folder / f"{name}.sqlite", durable=False)
-        journal.describe_run({**HEADER, "started": f"2026-05-{day:02}T08:00:00+02:00", "samples": [{}, {}]})
+        started = f"2026-05-{day:02}T08:00:00+02:00"
+        journal.event(RunBegun.model_validate({**HEADER, "started": started, "samples": PLANNED}))
         if ends is not None:
-            journal.event("ended", {"exit_code": ends, "reason": "a reason", "complete": False})
+            journal.event(Ended(exit_code=ends, reason="a reason", complete=False))
         if name == "rest":
-            journal.event("paused", {})
+            journal.event(Paused())
         journal.close()
     (folder / "broken.sqlite").write_bytes(b"nothing")
     held = [Presence(folder / f"{name}.sqlite") for name in ("held", "rest")]
@@ -104,13 +108,11 @@ def test_show_tells_what_happened(run: Path, command: Call) -> None:
 
 def test_show_tells_of_questions_pauses_and_resumptions(tmp_path: Path, command: Call) -> None:
     journal = write_run(tmp_path / "r.sqlite")
-    journal.event(
-        "resumed", {"last_at": "then", "changes": ["the recipe has changed"], "version": "", "operator": "eve"}
-    )
-    journal.event("asked", {"question": "Is it?", "choices": ["done", "stop"]})
-    journal.event("answered", {"question": "Is it?", "answer": "done"})
-    journal.event("paused", {})
-    journal.event("continued", {})
+    journal.event(Resumed(last_at="then", changes=["the recipe has changed"], version="", operator="eve"))
+    journal.event(Asked(question="Is it?", choices=["done", "stop"]))
+    journal.event(Answered(question="Is it?", answer="done"))
+    journal.event(Paused())
+    journal.event(Continued())
     journal.close()
     out = command("show", journal.path)[1]
     assert "resumed by eve; the last entry before was of then; accepted: the recipe has changed" in out
@@ -229,10 +231,12 @@ def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran
 
 def test_a_text_that_would_be_a_formula_is_none(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "r.sqlite", durable=False)
-    journal.describe_run({**HEADER, "operator": '=HYPERLINK("http://x")', "recipe": "@two", "samples": []})
-    journal.job_started("-1+1", "-1+1", 1, "w")
-    raw = {"value_mg": -5.0, "unit": "g", "stable": True, "time_s": 1.0, "raw": "-  0.0050 g  \r\n"}
-    journal.event("tare", {"gross_mg": -5.0, "readings": [raw], "balance": "+cmd"})
+    journal.event(
+        RunBegun.model_validate({**HEADER, "operator": '=HYPERLINK("http://x")', "recipe": "@two", "samples": []})
+    )
+    journal.job_started(JobStarted(name="-1+1", sample="-1+1", attempt=1, workflow="w"))
+    line = Line(value_mg=-5.0, unit="g", stable=True, time_s=1.0, raw="-  0.0050 g  \r\n")
+    journal.event(Tared(gross_mg=-5.0, readings=(line,), balance="+cmd"))
     journal.close()
     (row,) = record(journal.path)
     assert row["operator"].startswith("'=")

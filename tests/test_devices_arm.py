@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from device_benches import READY, Sway
 from wire_helpers import carry_out, wait_for
 
 from scuhand_bt.cell_spec import ArmSpec
@@ -25,21 +26,6 @@ from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 
 pytestmark = pytest.mark.real_time
-
-READY = np.array([0.0, 0.4, 0.0, -1.6, 0.0, 0.5, 0.0])
-
-
-class Sway:
-    """A smooth motion from where the arm is by `swing_rad` on every joint."""
-
-    def __init__(self, start: Joints, swing_rad: float, duration_s: float) -> None:
-        self.start = start
-        self.swing = np.full(7, swing_rad)
-        self.duration_s = duration_s
-
-    def sample(self, time_s: float) -> Joints:
-        s = min(max(time_s / self.duration_s, 0.0), 1.0)
-        return self.start + self.swing * (10 * s**3 - 15 * s**4 + 6 * s**5)
 
 
 class Bench:
@@ -144,9 +130,8 @@ def test_no_goal_beyond_a_servos_window_is_ever_sent(bench: Bench) -> None:
 
 def test_a_goal_at_the_very_end_of_a_window_is_sent(bench: Bench) -> None:
     straight = bench.arm.positions
-    swing = Sway(straight, 0.0, 1.5)
-    swing.swing[3] = -straight[3] + 1e-9  # joint 4 may go up to 0°
-    carry_out(bench.arm.follow(swing), bench.clock)
+    swing_rad = np.where(np.arange(7) == 3, -straight[3] + 1e-9, 0.0)  # joint 4 may go up to 0°
+    carry_out(bench.arm.follow(Sway(straight, swing_rad, 1.5)), bench.clock)
     assert bench.goal_counts()[3] == 2048
 
 
@@ -204,12 +189,18 @@ import numpy as np
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
-from scuhand_bt.cell_spec import (ArmSpec)
+from scuhand_bt.cell_spec import ArmSpec
+
+class Swaying:
+    duration_s = 60.0
+
+    def sample(self, t):
+        return start + 0.3 * (1 - np.cos(t))
 
 group = AxisGroup(arm_axes(ArmSpec()))
 ServoChain(DynamixelBus(sys.argv[1]), [group]).open()
 start = group.positions_rad
-group.move(lambda t: start + 0.3 * (1 - np.cos(t)), 60.0)
+group.move(Swaying())
 time.sleep(60)
 """
 

@@ -15,7 +15,7 @@ from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.specs import BalanceBelief, Powder, PowderBelief
 
@@ -327,7 +327,7 @@ def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings
 def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> None:
     rig = Bench(BEADS, 500.0, 3, 0, Setting(hand=HandSpec(streaming=streams)))
     controller = new_controller("adaptive", rig.request(BEADS.belief, BalanceBelief()))
-    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, NoRecord(), 25_000.0)
+    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), 25_000.0)
     while rig.world.true_mass("dish") < 30.0:
         rig.clock.wait([next(steps)])
     rig.world.remove()
@@ -340,7 +340,7 @@ def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> No
 def test_the_valve_is_shut_when_a_dose_is_given_up_halfway() -> None:
     rig = Bench(BEADS, 500.0, 3, 0, Setting())
     controller = new_controller("adaptive", rig.request(BEADS.belief, BalanceBelief()))
-    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, NoRecord(), 0.0)
+    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), 0.0)
     for _ in range(40):
         rig.clock.wait([next(steps)])
     steps.close()

@@ -32,7 +32,9 @@ class Guarded:
         self.guards = Guards(self.cell)
         gross_mg = self.rig.drive(self.cell.balance.stable_mean()).value_mg
         believed = self.cell.believed
-        believed.pan, believed.pan_empty_mg, believed.pan_gross_mg = DISH, gross_mg, gross_mg
+        believed.brought(DISH, from_changer=True)
+        believed.placed(gross_mg)
+        believed.tared(gross_mg, self.clock.now_s)
 
     def begin(self, fault: str) -> None:
         """Let a fault come now."""
@@ -121,7 +123,7 @@ def test_a_leak_over_the_pan_is_found_within_four_seconds(monkeypatch: pytest.Mo
 
 
 def test_a_leak_is_found_also_between_the_pulses_of_a_dose(guarded: Guarded) -> None:
-    guarded.cell.believed.dosing.target_mg = 20.0
+    guarded.cell.believed.dosing_towards(20.0)
     guarded.begin("cone.leak")
     assert guarded.watch(1.2, guarded.cell.hand.pulse(0.5, 0.2)) is None
     tripped = guarded.watch(8.0)
@@ -136,7 +138,7 @@ def test_what_falls_onto_the_pan_from_elsewhere_is_no_leak_of_the_cone(guarded: 
 
 
 def test_while_containers_are_changed_nothing_is_a_leak(guarded: Guarded) -> None:
-    guarded.cell.believed.pan_gross_mg = None
+    guarded.cell.believed.changing_container()
     guarded.begin("cone.leak")
     assert guarded.watch(20.0) is None
 
@@ -157,11 +159,11 @@ def _pulses(guarded: Guarded) -> Steps[None]:
 
 def _a_container_comes(guarded: Guarded) -> Iterator[Wake]:
     believed = guarded.cell.believed
-    believed.pan_gross_mg = None
+    believed.changing_container()
     guarded.rig.world.remove()
     yield Wake(guarded.clock.now_s + 2.0)
     guarded.rig.world.place(DISH)
-    believed.pan_gross_mg = 25_000.0  # sooner than any skill would say so
+    believed.placed(25_000.0)  # sooner than any skill would say so
     yield Wake()
 
 
@@ -182,7 +184,7 @@ def test_a_restless_balance_is_no_leak(guarded: Guarded, fault: str) -> None:
 def test_a_dose_that_runs_away_trips_when_the_valve_has_had_time_to_shut(guarded: Guarded) -> None:
     cell, heard = guarded.cell, list[Reading]()
     cell.balance.on_reading = heard.append
-    cell.believed.dosing.target_mg = 20.0
+    cell.believed.dosing_towards(20.0)
     cell.hand.set_opening(1.5)
     tripped = guarded.watch(20.0)
     assert tripped is not None
@@ -193,13 +195,13 @@ def test_a_dose_that_runs_away_trips_when_the_valve_has_had_time_to_shut(guarded
 
 
 def test_a_valve_that_shuts_behind_an_avalanche_is_no_runaway(guarded: Guarded) -> None:
-    guarded.cell.believed.dosing.target_mg = 20.0
+    guarded.cell.believed.dosing_towards(20.0)
     guarded.drop(500.0)
     assert guarded.watch(10.0, guarded.cell.hand.pulse(1.5, 1.0)) is None
 
 
 def test_too_much_behind_a_shut_valve_is_for_the_dose_to_judge(guarded: Guarded) -> None:
-    guarded.cell.believed.dosing.target_mg = 20.0
+    guarded.cell.believed.dosing_towards(20.0)
     guarded.drop(500.0)
     assert guarded.watch(10.0) is None
 

@@ -7,6 +7,7 @@ import pytest
 from harness.bench import MOMENTS, Bench, Ill
 from harness.falsify import Falsifier, Tally
 from harness.worlds import BY_NAME, WORLDS, HostileWorld
+from scuhand_bt.sim.mass_ledger import in_container, in_source
 
 RECIPE = "xrd_holders"
 
@@ -93,7 +94,7 @@ class _Late(Ill):
     def act(self, bench: Bench, dt_s: float) -> None:
         before, self._on = self._on, bench.container
         if before is not None and before != self._on:
-            bench.move("source:mortar-1", f"container:{before}", 10.0)
+            bench.move(in_source("mortar-1"), in_container(before), 10.0)
 
 
 class _Seen(Ill):

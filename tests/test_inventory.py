@@ -23,9 +23,9 @@ from scuhand_bt.lab_state.lab_db import MIGRATIONS, lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchResult
 from scuhand_bt.run.inventory_conflicts import conflicts, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
+from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.session import Options, Session
 
 RECIPE = """\
@@ -149,7 +149,7 @@ def test_only_what_changes_is_added_and_an_operators_entry_stands_until_the_run_
     refilled = inventory.stock(simulated=False)["station", "mortar_bay"]
     assert (refilled.mass_mg, refilled.run) == (9000.0, None)
     assert refilled.operator
-    cell.believed.sources_mg["beads"] -= 100
+    cell.believed.scooped(cell.sources["beads"], 100.0)
     inventory.keep(cell, "r1")
     assert inventory.stock(simulated=False)["station", "mortar_bay"].run == "r1"
 

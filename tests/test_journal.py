@@ -12,6 +12,18 @@ from hypothesis import strategies as st
 
 from benchmarks.mutated_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.events import Dose, Pulsed, Tared
+from scuhand_bt.journal.events import (
+    ActionEnded,
+    ActionStarted,
+    Ended,
+    JobEnded,
+    JobStarted,
+    Paused,
+    Resumed,
+    RunBegun,
+    SampleResult,
+)
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.hash_chain import COLUMNS
 from scuhand_bt.journal.history import read_history
@@ -20,7 +32,6 @@ from scuhand_bt.journal.writer import SCHEMA_VERSION, Journal
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.resume import checked_history
-from scuhand_bt.specs import Dose
 
 STARTED = "2026-05-04T08:00:00+02:00"
 HEADER = {
@@ -43,23 +54,26 @@ def write_run(path: Path) -> Journal:
     journal = Journal(path, durable=False)
     now_s = iter(range(1000))
     journal.now_s = lambda: float(next(now_s))
-    journal.describe_run(HEADER)
-    journal.job_started("a", "a", 1, "fill_xrd_holder")
-    tare = journal.action_started("fill/0/tare", 1, "tare", {})
+    journal.event(RunBegun.model_validate(HEADER))
+    journal.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="fill_xrd_holder"))
+    tare = journal.action_started(ActionStarted(path="fill/0/tare", visit=1, skill="tare", inputs={}))
     journal.action = tare
-    journal.event("tare", {"gross_mg": 9200.0})
-    journal.action_ended(tare, "done", None, 9200.0)
-    dispense = journal.action_started("fill/1/dispense", 1, "dispense", {"mass": 20.0}, weighs=True)
+    journal.event(Tared(gross_mg=9200.0))
+    journal.action_ended(tare, ActionEnded(outcome="done", code=None, result=9200.0))
+    dispense = journal.action_started(
+        ActionStarted(path="fill/1/dispense", visit=1, skill="dispense", inputs={"mass": 20.0}), weighs=True
+    )
     journal.weighed(Reading(9201.5, False, 4.1, "g", b"S D     9.2015 g\r\n"))
     journal.weighed(Reading(9202.5, True, 4.2, "g", b"S S     9.2025 g\r\n"))
     journal.flush()
     journal.action = dispense
-    journal.pulse({"kind": "settle", "net_mg": 20.3, "uncertainty_mg": 0.05})
-    journal.dose(DOSE)
-    journal.action_ended(dispense, "failed", "hand.no_flow", {"detail": "no powder comes"})
-    journal.job_ended("done")
-    journal.event("sample", RESULT)
-    journal.event("ended", {"exit_code": 0, "reason": "", "complete": True})
+    journal.event(Pulsed(kind="settle", net_mg=20.3, uncertainty_mg=0.05))
+    journal.event(DOSE)
+    failed = ActionEnded(outcome="failed", code="hand.no_flow", result={"detail": "no powder comes"})
+    journal.action_ended(dispense, failed)
+    journal.job_ended(JobEnded(outcome="done"))
+    journal.event(SampleResult.model_validate(RESULT))
+    journal.event(Ended(exit_code=0, reason="", complete=True))
     return journal
 
 
@@ -90,9 +104,9 @@ def test_what_is_written_is_read_back_in_order(run: Path) -> None:
 
 def test_a_killed_program_leaves_an_action_started(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "r.sqlite", durable=False)
-    journal.describe_run(HEADER)
-    journal.job_started("a", "a", 1, "w")
-    journal.action_started("w/0/tare", 1, "tare", {})
+    journal.event(RunBegun.model_validate(HEADER))
+    journal.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    journal.action_started(ActionStarted(path="w/0/tare", visit=1, skill="tare", inputs={}))
     history = read_history(journal.path)  # while the program still has it
     journal.close()
     assert history.jobs["a", 1].actions["w/0/tare", 1].outcome == "started"
@@ -115,7 +129,7 @@ def test_a_whole_journal_is_whole_and_its_head_is_what_the_run_printed(tmp_path:
 
 def test_a_journal_goes_on_where_another_program_left_it(run: Path) -> None:
     journal = Journal(run, durable=False)
-    journal.event("resumed", {"last_at": "", "changes": [], "version": ""})
+    journal.event(Resumed(last_at="", changes=[], version=""))
     journal.close()
     assert problem_of(run, journal.head) is None
 
@@ -243,8 +257,8 @@ def test_a_lost_journal_says_so_once(tmp_path: Path) -> None:
     journal = write_run(tmp_path / "r.sqlite")
     journal._db.execute("PRAGMA query_only=ON")  # as a full disk
     with pytest.raises(RecordLost, match="cannot be written any more"):
-        journal.event("asked", {})
-    journal.event("asked", {})
+        journal.event(Paused())
+    journal.event(Paused())
     journal.close()
     assert problem_of(journal.path, journal.head) is None
 

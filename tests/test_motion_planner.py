@@ -23,7 +23,7 @@ def above(station, height_mm):
 
 def new_planner():
     planner = MotionPlanner(LAB.urdf, LAB.cell, {"mortar_bay": MORTAR, "mortar_bay_2": MORTAR})
-    planner.set_container(LAB.library.containers["alumina_crucible"])
+    planner.set_geometry(container=LAB.library.containers["alumina_crucible"])
     for station, height_mm in ABOVE_MM.items():
         planner.add_place(station, above(station, height_mm))
     return planner
@@ -78,9 +78,9 @@ def test_two_planners_answer_the_same_request_with_the_same_motion(planner):
 
 def test_what_stands_on_the_pan_changes_no_motion_that_is_free_of_it():
     planner = new_planner()
-    planner.set_container(None)
+    planner.set_geometry()
     bare = planner.move(posture(planner, "mortar_bay"), "waste")
-    planner.set_container(LAB.library.containers["alumina_crucible"])
+    planner.set_geometry(container=LAB.library.containers["alumina_crucible"])
     past = planner.move(posture(planner, "mortar_bay"), "waste")
     assert past.coefficients.tobytes() == bare.coefficients.tobytes()
     past = planner.move(posture(planner, "mortar_bay"), "balance")
@@ -187,9 +187,9 @@ def test_a_spill_limit_that_is_no_angle_is_refused(planner, limit_deg):
 def test_a_stop_at_no_moment_is_refused_and_one_outside_the_motion_is_at_its_ends(planner):
     motion = planner.move(planner.home(), "balance")
     with pytest.raises(ValueError, match="moment"):
-        planner.stop(motion, float("nan"))
-    assert planner.stop(motion, motion.duration_s + 1).duration_s == 0.0
-    assert planner.stop(motion, -1.0).sample(0.0) == pytest.approx(motion.start)
+        motion.stopped_from(float("nan"))
+    assert motion.stopped_from(motion.duration_s + 1).duration_s == motion.duration_s
+    assert motion.stopped_from(-1.0).sample(0.0) == pytest.approx(motion.start)
 
 
 def test_a_contact_path_without_waypoints_stays_where_it_is(planner):
@@ -245,11 +245,13 @@ def test_only_the_named_mortar_may_be_touched(planner):
 def test_a_stop_comes_to_rest_on_the_path_and_not_after_the_motions_own_end(planner, share, spill_limit_deg):
     motion = planner.move(posture(planner, "mortar_bay"), "balance", spill_limit_deg=spill_limit_deg)
     at_s = share * motion.duration_s
-    stop = planner.stop(motion, at_s)
-    assert stop.sample(0.0) == pytest.approx(motion.sample(at_s), abs=1e-9)
-    assert stop.duration_s <= motion.duration_s - at_s + 1e-9
+    stop = motion.stopped_from(at_s)
+    for time_s in (0.0, at_s / 2, at_s):
+        assert stop.sample(time_s) == pytest.approx(motion.sample(time_s), abs=1e-9)
+    assert stop.duration_s <= motion.duration_s
+    assert stop.stopped_from(at_s + 0.1) is stop
     path = motion.at(np.linspace(at_s, motion.duration_s, 4000))
-    for time_s in np.linspace(0.0, stop.duration_s, 40):
+    for time_s in np.linspace(at_s, stop.duration_s, 40):
         assert np.abs(path - stop.sample(time_s)).max(axis=1).min() < 2e-3
     h = 1e-4
     last = (stop.sample(stop.duration_s) - stop.sample(stop.duration_s - h)) / h
@@ -261,5 +263,5 @@ def test_what_stands_on_the_pan_is_in_the_way():
     low = above("balance", 30)
     with pytest.raises(SkillFailed, match="alumina_crucible on the pan"):
         planner.move(planner.home(), low)
-    planner.set_container(None)
+    planner.set_geometry()
     assert planner.move(planner.home(), low).duration_s > 0

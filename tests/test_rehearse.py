@@ -74,8 +74,7 @@ def load_by_hand(session: Session) -> None:
     """Fill the cone as the paper's experiments did: a scoop takes its time."""
     assert session.world is not None
     session.world.load_cone("beads", 3000.0)
-    session.cell.believed.cone_mg, session.cell.believed.cone_source = 3000.0, "beads"
-    session.cell.believed.sheet = "glass_beads"
+    session.cell.believed.cone_holds(session.cell.sources["beads"], 3000.0)
 
 
 def test_a_rehearsed_dose_has_the_verdict_of_the_dry_run_and_says_what_it_is(tmp_path: Path, lab: Lab) -> None:

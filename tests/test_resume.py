@@ -14,6 +14,8 @@ from running import HEAD, make_lab, shared_planner
 
 from benchmarks.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
+from scuhand_bt.events import Event, Note
+from scuhand_bt.journal.events import Paused
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
@@ -158,6 +160,40 @@ samples:
     assert [skill for skill, outcome in actions(run.journal) if outcome == "done"].count("swap_sheet") == 3
 
 
+TWO_SOURCES = """
+workflow: blend
+inputs: {first: Source, second: Source, container: Container, mass: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $first, container: $container, mass: $mass}
+    - change_powder: {source: $first}
+    - fill: {source: $second, container: $container, mass: $mass}
+    - cone_holds: {powder: $first.powder}   # which it does not
+"""
+
+
+def test_the_cone_of_a_failed_blend_goes_into_one_source_over_a_stop(tmp_path: Path) -> None:
+    sample = "{id: a, workflow: blend, first: beads, second: msg, container: alumina_crucible, mass: 60 mg}"
+    recipe = f"\nrecipe: blends\nsamples: [{sample}]\non_failure: {{otherwise: flag}}\n"
+    run = Run(tmp_path, make_lab(tmp_path / "lab", trees__blend=TWO_SOURCES), recipe)
+
+    class StopOnceEmptied(Watch):
+        """Stop on the way from the mortar, when the cone tells no more what it was filled from."""
+
+        def ticked(self, root: Any) -> None:
+            names = [row["name"] for row in read(run.journal, "job")]
+            if names[-1].startswith("after") and self.session.cell.believed.cone_source is None:
+                self.session.control.wish("stop_now")
+
+    assert run.go(StopOnceEmptied()).exit_code == 130
+    ended = run.go(Watch(), resumes=True)
+    assert (ended.exit_code, ended.samples[0].code) == (1, "hand.wrong_powder")
+    jobs = [(row["name"], row["outcome"]) for row in read(run.journal, "job")]
+    assert jobs == [("a", "failed"), ("after a with msg", "done"), ("finish the batch", "done")]
+
+
 def test_a_complete_run_has_nothing_left_to_do(run: Run) -> None:
     run.go(Watch())
     with pytest.raises(SourceError, match="complete"):
@@ -165,8 +201,8 @@ def test_a_complete_run_has_nothing_left_to_do(run: Run) -> None:
 
 
 def test_a_paused_action_is_settled_and_begun_again(run: Run) -> None:
-    def when_paused(kind: str, values: Any) -> None:
-        if kind == "paused":
+    def when_paused(event: Event | Note) -> None:
+        if isinstance(event, Paused):
             watch.session.control.wish("continue")
 
     watch = Watch("pause_now", 60)
@@ -187,8 +223,8 @@ def test_a_paused_action_is_settled_and_begun_again(run: Run) -> None:
 def test_a_pause_begins_no_action_and_halts_none(run: Run) -> None:
     seen: list[str] = []
 
-    def when_paused(kind: str, values: Any) -> None:
-        if kind == "paused":
+    def when_paused(event: Event | Note) -> None:
+        if isinstance(event, Paused):
             seen.extend(outcome for _, outcome in actions(run.journal))
             watch.session.control.wish("continue")
 
@@ -522,8 +558,8 @@ def test_a_guard_that_trips_in_a_pause_ends_the_run_and_the_sample_is_interrupte
                     control.news.fire()
 
                 heard = self.session.journal.heard
-                self.session.journal.heard = lambda kind, values: (
-                    threading.Timer(0.2, press).start() if kind == "paused" else heard(kind, values)
+                self.session.journal.heard = lambda event: (
+                    threading.Timer(0.2, press).start() if isinstance(event, Paused) else heard(event)
                 )
 
     result = run.go(Pressing())

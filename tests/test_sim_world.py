@@ -14,6 +14,7 @@ from scuhand_bt.devices.balances.mt_sics import DIALECT as MT_SICS
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.kinematics import ApexPose
+from scuhand_bt.sim.mass_ledger import CONE, WASTE
 from scuhand_bt.sim.plant import Plant, PlantError, load_plant
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.randomness import substream
@@ -97,7 +98,7 @@ def test_moving_more_than_there_is_or_nan_is_refused() -> None:
     world = bench().world
     for mass_mg in (1e9, -1.0, math.nan):
         with pytest.raises(ValueError, match="cannot move"):
-            world.matter.transfer("cone", "waste", mass_mg)
+            world.matter.transfer(CONE, WASTE, mass_mg)
 
 
 def test_the_same_seed_gives_the_same_dose_and_another_gives_another() -> None:

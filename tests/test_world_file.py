@@ -3,6 +3,7 @@ import itertools
 import json
 import math
 import os
+import pickle
 import random
 import signal
 import warnings
@@ -22,9 +23,11 @@ from scuhand_bt.devices.interfaces import Joints, Operator
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.problems import SourceError
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim import cell as cell_module
+from scuhand_bt.sim.cone_load import ConeLoad
+from scuhand_bt.sim.mass_ledger import Compartment
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.world import DEAD_MAN_S, OUTAGE_S, SERVO_WATCHDOG_S, World
@@ -49,6 +52,9 @@ class Line:
         joints: Joints = self._begin + share * (self._end - self._begin)
         return joints
 
+    def stopped_from(self, at_s: float) -> "Line":
+        raise AssertionError("nobody stops it")
+
 
 class Bench:
     """A cell of a mortar, a carousel and a balance."""
@@ -63,7 +69,7 @@ class Bench:
             spec,
             {"store": Source(name="store", station="bay", mortar=MORTAR, powder=BEADS, amount_mg=ALL_MG)},
             clock=self.clock,
-            record=NoRecord(),
+            record=Record(),
             motion=cast(MotionPlanner, None),
             operator=cast(Operator, None),
             seed=1,
@@ -242,6 +248,33 @@ def test_a_world_taken_up_is_the_one_that_would_have_been(tmp_path: Path) -> Non
     assert 70.0 < restored.cell.hand.cone_diameter_mm < 90.0
     means = [rig.drive(rig.cell.balance.stable_mean()).value_mg for rig in (bench, restored)]
     assert means[0] == pytest.approx(means[1])
+
+
+def test_the_file_names_its_compartments_in_the_text_that_they_always_had(tmp_path: Path) -> None:
+    path = tmp_path / "run.world"
+    bench = Bench.with_powder(path)
+    bench.cell.hand.set_opening(1.0)
+    bench.let_pass(1.0)
+    bench.world.save()
+    _, state, _ = WorldFile.open(path)
+    (_, _, masses_mg, _), (_, load, *_) = pickle.loads(state)
+    places = {"cone", "sheet", "flight", "pan", "returned", "waste", "spilled", "source:store"}
+    assert {type(name) for name in masses_mg} == {str}
+    assert masses_mg.keys() == places
+    flying = load[ConeLoad.STATE.index("flying")]
+    assert flying
+    assert {(type(place), place) for _, _, place in flying} == {(str, "balance")}
+
+
+@pytest.mark.parametrize("text", ["cone", "source:a mortar: the first", "container:xrd-1", "balance"])
+def test_a_compartments_text_is_read_back_as_it_was_written(text: str) -> None:
+    assert str(Compartment.of_text(text)) == text
+
+
+@pytest.mark.parametrize("text", ["", "mortar", "cones", "a:source"])
+def test_a_text_that_names_no_compartment_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=f"powder is never in '{text}'"):
+        Compartment.of_text(text)
 
 
 def test_the_arm_is_held_where_its_watchdog_stops_it(tmp_path: Path) -> None:

@@ -1,11 +1,33 @@
-"""What a cell is believed to hold, from what was measured and commanded; never the true mass."""
+"""What a cell is believed to hold, from what was measured and commanded; never the true mass.
 
-from dataclasses import dataclass, field
+Everybody reads it; only its verbs change it, each named for something that happened at the cell. They keep these
+invariants, whatever happens in whatever order:
 
-from scuhand_bt.specs import Container
+- no mass is negative, and no count;
+- powder in the cone has a source, and the sheet has touched that source's powder lot (`Source.sheet_key`);
+- an empty pan has no gross and no tare, and only a container of a known gross has a tare;
+- a fresh sheet holds nothing.
+
+A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Annotated, Any, TypeAlias
+
+from pydantic import AfterValidator, PlainSerializer
+
+from scuhand_bt.specs import Container, Source
+
+_AS_WRITTEN = PlainSerializer(dict)
+_READ_ONLY = AfterValidator(MappingProxyType)
+Counts: TypeAlias = Annotated[Mapping[str, int], _READ_ONLY, _AS_WRITTEN]
+Masses: TypeAlias = Annotated[Mapping[str, float], _READ_ONLY, _AS_WRITTEN]
+"""Masses [mg] by name; read-only, as the rest of what is believed."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class DoseSoFar:
     """What the container on the pan has cost until now, over all scoops and attempts."""
 
@@ -19,25 +41,201 @@ class DoseSoFar:
     """A dose broke off: what had left the cone then was not weighed by a stable mean yet."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Believed:
-    """What the cell is believed to hold, from what was measured and commanded; never the true mass."""
+    """What the cell is believed to hold. Frozen to all but its own verbs."""
 
     cone_mg: float = 0.0
     cone_source: str | None = None
-    """The source that the powder in the cone came from."""
+    """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
     sheet: str | None = None
     """The powder lot (`Source.sheet_key`) that this sheet has touched; None for a fresh one."""
     sheets_used: int = 1
     slots_used: int = 0
     """Containers taken from the changer since it was filled."""
-    containers_used: dict[str, int] = field(default_factory=dict)
+    containers_used: Counts = field(default_factory=lambda: MappingProxyType({}))
     """Containers that were put on the pan, by kind."""
     pan: Container | None = None
-    """The container on the pan."""
+    """The container that stands on the pan, whether it was weighed yet or not: the arm keeps clear of it."""
     pan_empty_mg: float | None = None
     """Stable gross with that container, before its first powder: the software tare."""
     pan_gross_mg: float | None = None
     """The last stable gross with that container; None while containers are changed."""
-    sources_mg: dict[str, float] = field(default_factory=dict)
+    sources_mg: Masses = field(default_factory=lambda: MappingProxyType({}))
     dosing: DoseSoFar = field(default_factory=DoseSoFar)
+
+    @property
+    def weighed_container(self) -> Container | None:
+        """The container on the pan, if its weight has shown that it is the right one."""
+        return self.pan if self.pan_gross_mg is not None else None
+
+    # --- the cone and the sources
+
+    def source_holds(self, name: str, mass_mg: float) -> None:
+        """So much is in a source: what a recipe, the inventory or an operator says."""
+        self._set(sources_mg={**self.sources_mg, name: _mass(mass_mg)})
+
+    def cone_holds(self, source: Source, mass_mg: float) -> None:
+        """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
+        self._set(cone_mg=_mass(mass_mg), cone_source=source.name, sheet=source.sheet_key)
+
+    def touched(self, source: Source) -> None:
+        """The sheet has gone into the powder of a source. ValueError while the cone holds another lot."""
+        if self.sheet == source.sheet_key:
+            return
+        if self.cone_mg > 0.0:
+            raise ValueError(f"the cone holds powder of '{self.cone_source}', and is in '{source.name}'")
+        self._set(sheet=source.sheet_key, cone_source=None)
+
+    def scooped(self, source: Source, mass_mg: float) -> None:
+        """A scoop has brought so much of a source into the cone. ValueError while it holds another source's powder."""
+        if self.cone_mg > 0.0 and self.cone_source != source.name:
+            raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
+        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - _mass(mass_mg))
+        self._set(
+            cone_mg=self.cone_mg + mass_mg,
+            cone_source=source.name,
+            sheet=source.sheet_key,
+            sources_mg={**self.sources_mg, source.name: left_mg},
+            dosing=replace(self.dosing, scoops=self.dosing.scoops + 1),
+        )
+
+    def emptied(self) -> None:
+        """Everything has been let out of the cone."""
+        self._set(cone_mg=0.0, cone_source=None)
+
+    def returned(self, source: str, mass_mg: float) -> None:
+        """So much has come back into a source."""
+        self.source_holds(source, self.sources_mg.get(source, 0.0) + _mass(mass_mg))
+
+    def cone_ran_empty(self) -> None:
+        """Nothing comes any more: what the cone was thought to hold still never left its source."""
+        if self.cone_source is not None:
+            self.returned(self.cone_source, self.cone_mg)
+        self.emptied()
+
+    # --- the sheet
+
+    def sheet_swapped(self) -> None:
+        """A fresh sheet is in the hand; what was in the cone went with the old one."""
+        self.sheet_is(None, self.sheets_used + 1)
+
+    def sheet_is(self, lot: str | None, number: int) -> None:
+        """This sheet, by its number, is in the hand, has touched this powder lot (None: it is fresh), and is empty."""
+        self._set(cone_mg=0.0, cone_source=None, sheet=lot, sheets_used=_count(number))
+
+    # --- containers
+
+    def changing_container(self) -> None:
+        """The container on the pan is about to be taken away."""
+        self._set(pan_empty_mg=None, pan_gross_mg=None)
+
+    def removed(self) -> None:
+        """Nothing stands on the pan."""
+        self._set(pan=None, pan_empty_mg=None, pan_gross_mg=None)
+
+    def brought(self, container: Container, *, from_changer: bool) -> None:
+        """A container was put on the pan, and is not weighed yet."""
+        kind = container.name
+        self._set(
+            pan=container,
+            pan_empty_mg=None,
+            pan_gross_mg=None,
+            slots_used=self.slots_used + from_changer,
+            containers_used={**self.containers_used, kind: self.containers_used.get(kind, 0) + 1},
+        )
+
+    def placed(self, gross_mg: float) -> None:
+        """The container on the pan has the weight that its kind has. ValueError without one."""
+        if self.pan is None:
+            raise ValueError("no container stands on the pan")
+        self._set(pan_gross_mg=gross_mg)
+
+    def slots_refilled(self) -> None:
+        """Every slot of the changer holds a container again."""
+        self._set(slots_used=0)
+
+    def containers_taken(self, slots: int, by_kind: Mapping[str, int]) -> None:
+        """So many slots of the changer, and containers by their kind, were used before."""
+        self._set(slots_used=_count(slots), containers_used={kind: _count(used) for kind, used in by_kind.items()})
+
+    # --- weighing and dosing
+
+    def dose_began(self, now_s: float) -> None:
+        """What is counted for a dose begins anew."""
+        self._set(dosing=DoseSoFar(began_s=now_s))
+
+    def tared(self, gross_mg: float, now_s: float) -> None:
+        """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
+        if self.weighed_container is None:
+            raise ValueError("no container on the pan was weighed")
+        self._set(pan_empty_mg=gross_mg, pan_gross_mg=gross_mg)
+        self.dose_began(now_s)
+
+    def dosing_towards(self, target_mg: float) -> None:
+        """The valve may open from now on; what leaves the cone is not weighed yet."""
+        self._set(dosing=replace(self.dosing, target_mg=_mass(target_mg), is_unweighed=True))
+
+    def dosing_ended(self, arrived_mg: float, gross_mg: float) -> None:
+        """The valve is shut; by the last reading so much has arrived. A stable mean is still to come."""
+        self._left_cone(arrived_mg)
+        self._weighed(gross_mg)
+        self._set(dosing=replace(self.dosing, target_mg=None))
+
+    def dosed(self, gross_mg: float, pulses: int, vibration_s: float) -> None:
+        """The container was weighed by a stable mean after a dose that took this many pulses, and vibration."""
+        so_far = self.dosing
+        self._weighed(gross_mg)
+        self._set(
+            dosing=replace(
+                so_far,
+                pulses=so_far.pulses + pulses,
+                vibration_s=so_far.vibration_s + vibration_s,
+                is_unweighed=False,
+            )
+        )
+
+    def reweighed(self, gross_mg: float) -> None:
+        """The container was weighed after a dose broke off: what it has gained has left the cone.
+
+        ValueError without an earlier gross.
+        """
+        if self.pan_gross_mg is None:
+            raise ValueError("no container on the pan was weighed before")
+        self._left_cone(gross_mg - self.pan_gross_mg)
+        self._weighed(gross_mg)
+        self._set(dosing=replace(self.dosing, is_unweighed=False))
+
+    def zero_moved(self, drift_mg: float, gross_mg: float) -> None:
+        """The container's gross is this now, and so much of the difference comes from the balance's zero."""
+        self._weighed(gross_mg)
+        if self.pan_empty_mg is not None:
+            self._set(pan_empty_mg=self.pan_empty_mg + drift_mg)
+
+    # --- within
+
+    def _left_cone(self, mass_mg: float) -> None:
+        """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""
+        if self.cone_source is not None:
+            self._set(cone_mg=max(0.0, self.cone_mg - mass_mg))
+
+    def _weighed(self, gross_mg: float) -> None:
+        """A gross belongs to a container that is known: while containers are changed it says nothing."""
+        if self.weighed_container is not None:
+            self._set(pan_gross_mg=gross_mg)
+
+    def _set(self, **changes: Any) -> None:
+        for name, value in changes.items():
+            object.__setattr__(self, name, MappingProxyType(value) if isinstance(value, dict) else value)
+
+
+def _mass(mass_mg: float) -> float:
+    if not mass_mg >= 0.0:
+        raise ValueError(f"a mass is not negative, as {mass_mg!r} mg is")
+    return mass_mg
+
+
+def _count(number: int) -> int:
+    if number < 0:
+        raise ValueError(f"a count is not negative, as {number} is")
+    return number

@@ -42,6 +42,7 @@ class Cell:
     changer: Changer
     operator: Operator
     motion: "MotionPlanner"
+    """Told by this object, at every motion, how wide the cone is and what stands on the pan."""
     sources: Mapping[str, Source]
     simulated: bool
     places_mm: Mapping[str, Position] = field(default_factory=dict)
@@ -84,7 +85,7 @@ class Cell:
 
         SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision, arm.joint_limit.
         """
-        trajectory = self.motion.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
+        trajectory = self._planner().move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
         yield from self._follow(trajectory)
 
     def lower_to(self, place: str, from_above_mm: float, speed_mm_per_s: float) -> Steps[None]:
@@ -94,7 +95,7 @@ class Cell:
         """
         down = self.place(place)
         yield from self.move_to(ApexPose(down.position_m + np.array([0.0, 0.0, from_above_mm / 1000]), down.axis))
-        trajectory = self.motion.contact(
+        trajectory = self._planner().contact(
             self.arm.positions, [down], speed_mm_per_s / 1000, spill_limit_deg=self._spill_limit_deg()
         )
         yield from self._follow(trajectory)
@@ -105,7 +106,13 @@ class Cell:
 
     def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Trajectory:
         """The trajectory of `touch`, to be started beside another motion."""
-        return self.motion.contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
+        return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
+
+    def _planner(self) -> "MotionPlanner":
+        """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""
+        pan = self.believed.pan
+        self.motion.set_geometry(self.hand.cone_diameter_mm / 1000, pan.kind if pan is not None else None)
+        return self.motion
 
     def _follow(self, trajectory: Trajectory) -> Steps[None]:
         planned_s = self.clock.now_s + PLANNING_S

@@ -6,12 +6,12 @@ the motor off when it ends, however it ends: a reading that does not come for `s
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.dosing.verdict import net_uncertainty_mg
+from scuhand_bt.events import Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
 
@@ -44,9 +44,9 @@ class DoseRun:
     duration_s: float
     curve: list[CurvePoint] = field(default_factory=list)
 
-    def rows(self) -> list[tuple[float, float, float, float, bool, float]]:
+    def rows(self) -> tuple[tuple[float, float, float, float, bool, float], ...]:
         """The curve as plain numbers, rounded to what they mean."""
-        return [
+        return tuple(
             (
                 round(p.time_s, 3),
                 round(p.net_mg, 3),
@@ -56,7 +56,7 @@ class DoseRun:
                 round(p.estimate_mg, 3),
             )
             for p in self.curve
-        ]
+        )
 
 
 LONGEST_S = 1800.0
@@ -109,7 +109,7 @@ def run_dose(
                 hand.stop()
                 mean = yield from balance.stable_mean()
                 ended = weighed(mean)
-                record.pulse(_values(Weigh(0.0), ended, acted_s) | _weighed(mean))
+                record.event(_pulsed(Weigh(0.0), ended, acted_s, mean))
                 command = Finish("step_limit", ended.net_mg, ended.uncertainty_mg)
                 break
             if isinstance(command, Stream):
@@ -144,7 +144,7 @@ def run_dose(
                 mean = yield from balance.stable_mean()
                 seen = weighed(mean)
                 level = 0.0
-                record.pulse(_values(command, seen, acted_s) | _weighed(mean))
+                record.event(_pulsed(command, seen, acted_s, mean))
             require_nothing_lost(seen)
             command = controller.decide(seen)
             curve.append(
@@ -155,16 +155,19 @@ def run_dose(
     return DoseRun(command, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
-def _values(command: Pulse | Weigh, seen: Observation, acted_s: float) -> dict[str, float | str]:
-    values: dict[str, float | str] = {"kind": "settle"}
+def _pulsed(command: Pulse | Weigh, seen: Observation, acted_s: float, mean: StableMean) -> Pulsed:
+    """What was commanded and what was weighed, with the balance's own lines."""
+    commanded: dict[str, float] = {}
     if isinstance(command, Pulse):
-        values = {"kind": "pulse", "opening_mm": command.opening_mm, "dwell_s": command.dwell_s}
-        values["vibration"] = command.vibration
-    values |= {"began_s": acted_s, "ended_s": seen.time_s}
-    return values | {"net_mg": seen.net_mg, "uncertainty_mg": seen.uncertainty_mg}
-
-
-def _weighed(mean: StableMean) -> dict[str, Any]:
-    """The gross mass that a net mass comes from, with the balance's own lines."""
-    values = mean.values()
-    return {"gross_mg": values["gross_mg"], "readings": values["readings"]}
+        commanded = {"opening_mm": command.opening_mm, "dwell_s": command.dwell_s, "vibration": command.vibration}
+    weighed = mean.written()
+    return Pulsed(
+        kind="pulse" if commanded else "settle",
+        **commanded,
+        began_s=acted_s,
+        ended_s=seen.time_s,
+        net_mg=seen.net_mg,
+        uncertainty_mg=seen.uncertainty_mg,
+        gross_mg=weighed.gross_mg,
+        readings=weighed.readings,
+    )

@@ -85,14 +85,14 @@ def show(
 
 
 def _told(story: Any) -> "Iterator[RenderableType]":
+    from scuhand_bt.journal.events import SampleResult
     from scuhand_bt.report.live import doses_table
     from scuhand_bt.report.run_story import chain_line, header_lines, told
-    from scuhand_bt.run.batch import restored
 
     yield from map(Text, header_lines(story))
     yield ""
     if story["samples"]:
-        yield doses_table([restored(values) for values in story["samples"]], out.width)
+        yield doses_table([SampleResult.model_validate(values) for values in story["samples"]], out.width)
         yield ""
     for happened in story["run"]:
         yield from map(Text, told(happened))

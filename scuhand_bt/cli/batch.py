@@ -31,8 +31,8 @@ from scuhand_bt.quantity import format_duration, format_mass
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
     from scuhand_bt.recipe.plan import Plan
-    from scuhand_bt.run.batch import BatchResult
     from scuhand_bt.run.control import Control
+    from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
 
 
@@ -175,7 +175,7 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
             str(number),
             sample.id,
             sample.workflow,
-            sample.source.name if sample.source else "",
+            ", ".join(source.name for source in sample.sources),
             sample.container.name if sample.container else "",
             format_mass(sample.mass_mg) if sample.mass_mg is not None else "",
             f"{sample.tolerance_mg:g} mg" if sample.tolerance_mg is not None else "",
@@ -204,7 +204,8 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
                 "name": job.name,
                 "workflow": job.workflow,
                 "sample": job.sample.id if job.sample else None,
-                "source": job.sample.source.name if job.sample and job.sample.source else None,
+                "source": next((source.name for source in job.sample.sources), None) if job.sample else None,
+                "sources": [source.name for source in job.sample.sources] if job.sample else [],
                 "container": job.sample.container.name if job.sample and job.sample.container else None,
                 "mass_mg": job.sample.mass_mg if job.sample else None,
                 "tolerance_mg": job.sample.tolerance_mg if job.sample else None,

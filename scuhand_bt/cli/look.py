@@ -86,6 +86,7 @@ def plot(
 
     Of a sample that was dosed again, the last container's.
     """
+    from scuhand_bt.events import Dose, DoseCurve
     from scuhand_bt.journal.reader import open_contents
     from scuhand_bt.report.dose_plot import plot_dose
 
@@ -95,18 +96,21 @@ def plot(
     with open_contents(find_journal(run, lab)) as contents:
         jobs = {row["id"]: (row["sample"], row["attempt"]) for row in contents.rows("job")}
         actions = {row["id"]: jobs[row["job"]] for row in contents.rows("action")}
-        events = [row for row in contents.rows("event") if row["kind"] == "dose_curve" and row["action"] in actions]
-        doses = [(jobs[row["job"]], row["payload"]) for row in contents.rows("dose")]
+        curves = [
+            (actions[row["action"]], DoseCurve.model_validate(row["payload"]))
+            for row in contents.rows("event")
+            if row["kind"] == DoseCurve.KIND and row["action"] in actions
+        ]
+        doses = [(jobs[row["job"]], Dose.model_validate(row["payload"])) for row in contents.rows("dose")]
     of_sample = [(attempt, dose) for (name, attempt), dose in doses if name == sample]
     if not of_sample:
         raise unknown("sample with a dose", sample, {name for (name, _), _ in doses if name})
     attempt, dose = of_sample[-1]
-    curves = [event["payload"]["points"] for event in events if actions[event["action"]] == (sample, attempt)]
-    points = [point for curve in curves for point in curve]
+    points = [point for of, curve in curves if of == (sample, attempt) for point in curve.points]
     if not points:
         raise typer.BadParameter(f"the run ended before the curve of '{sample}' was written")
-    title = f"{sample}: {dose['dispensed_mg']:.1f} mg of {dose['target_mg']:g} mg, {dose['controller']}"
-    _write(path, lambda: plot_dose(points, dose["target_mg"], dose["tolerance_mg"], path, title))
+    title = f"{sample}: {dose.dispensed_mg:.1f} mg of {dose.target_mg:g} mg, {dose.controller}"
+    _write(path, lambda: plot_dose(points, dose.target_mg, dose.tolerance_mg, path, title))
 
 
 def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str | None) -> float | None:
@@ -148,7 +152,7 @@ def _planner(lab: "Lab", container: str | None) -> "tuple[MotionPlanner, dict[st
     largest = max(lab.library.mortars.values(), key=lambda mortar: mortar.outer_diameter_mm)
     stations = lab.cell.stations.values()
     planner = lab.motion_planner({s.name: largest for s in stations if s.kind == "mortar"})
-    planner.set_container(kind)
+    planner.set_geometry(container=kind)
     places_m: dict[str, Floats] = {}
     for station in stations:
         if station.kind == "mortar":

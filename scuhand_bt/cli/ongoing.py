@@ -53,7 +53,7 @@ def resume(
         return
     history = checked_history(journal)
     options = options_of(history, journal.parent, journal)
-    plan, its_lab = the_plan(Path(history.run["recipe_path"]), Path(history.run["lab"]))
+    plan, its_lab = the_plan(Path(history.run.recipe_path), Path(history.run.lab))
     found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes)
     for line in what_is_known(history, len(plan.recipe.samples)):
         out.print(Text(line))
@@ -91,7 +91,7 @@ def what_is_known(history: "History", samples: int) -> list[str]:
     believed = history.state.get("believed", {})
     run, done = history.run, {sample for sample, attempt in history.samples if history.jobs[sample, attempt].is_over}
     lines = [
-        f"{run['recipe']} ({run['mode']}): interrupted at {format_duration(history.time_s)} of run time; "
+        f"{run.recipe} ({run.mode}): interrupted at {format_duration(history.time_s)} of run time; "
         f"the last entry is of {history.at}.",
         f"{len(done)} of {samples} samples are finished.",
     ]

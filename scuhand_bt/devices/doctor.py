@@ -242,7 +242,7 @@ def _hand_test(controller: HandController, clock: Clock) -> Iterator[Finding]:
 
 
 def balance(spec: BalanceSpec, clock: Clock) -> Iterator[Finding]:
-    """The balance: what it reads, who it says it is, and whether it settles."""
+    """The balance: what it reads, in which steps, who it says it is, whether it settles, and how clean its line is."""
     try:
         device = connect_balance(spec, clock)
     except SkillFailed as error:
@@ -252,16 +252,27 @@ def balance(spec: BalanceSpec, clock: Clock) -> Iterator[Finding]:
         try:
             reading = _now(device.next_reading(FIRST_READING_S), clock)
             yield Finding("balance", "reading", _grams(reading.value_mg), "a reading", "ok")
+            yield Finding("balance", "readability", f"{spec.readability_mg:g} mg", "as in robot/cell.yaml", "ok")
             yield _identity(spec, device)
             mean = _now(device.stable_mean(), clock)
             found = f"{_grams(mean.value_mg)} ± {mean.uncertainty_mg:.2f} mg"
             yield Finding("balance", "stability", found, "stable readings", "ok")
+            yield _line_of(device)
         except SkillFailed as error:
-            if error.code == Code.DEVICE_LOST:
+            if (odd := device.misfit) is not None:
+                yield judged("balance", "readability", odd.found, odd.expected, False, odd.what_to_do)
+            elif error.code == Code.DEVICE_LOST:
                 yield _lost("balance", error)
             else:
                 remedy = CATALOGUE[error.code].remedy
                 yield judged("balance", "stability", error.detail, "stable readings", False, remedy)
+
+
+def _line_of(device: SerialBalance) -> Finding:
+    found = f"{device.discarded} of {device.lines} lines discarded"
+    do = "look at the balance's cable, its shield and ground, and at `baud` and `bits` in robot/cell.yaml"
+    clean = device.discarded <= 1  # the first one may have begun before the port was open
+    return judged("balance", "line", found, "at most the first", clean, do)
 
 
 def _grams(mass_mg: float) -> str:

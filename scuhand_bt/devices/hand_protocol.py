@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 VERSION = 1
 SEQUENCES = 0x10000
+LONGEST_DWELL_S = 60.0
+"""Of one step: `kLongestDwellMs` in the firmware, which refuses a longer one."""
 FAULTS = {
     "e": "the emergency stop is (or was) pressed",
     "d": "the host was silent for too long and the controller closed the valve",

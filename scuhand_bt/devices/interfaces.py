@@ -1,19 +1,24 @@
 """What a cell's devices can do, whoever makes them: the Protocols that drivers and simulation meet.
 
-Commands start and return at once; generators (`Steps`) wait. `stop()` and `close()` may be called at
-any time, from a halt, and never wait. A device `is_stopped` when nothing of it moves any more: only
-then is its lease freed.
+Commands start and return at once; generators (`Steps`) wait. A generator that is closed before its end
+leaves the device as `stop()` would. `stop()` and `close()` may be called at any time, from a halt, and
+never wait. A device `is_stopped` when nothing of it moves any more: only then is its lease freed.
+
+What a call refuses, it refuses before anything moves, and every device of the kind in the same words
+(`devices/arguments.py`): ValueError for what no skill should ask for, SkillFailed for what may come
+about. tests/test_contract_*.py hold every implementation to what stands here.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scuhand_bt.cell_spec import BalanceSpec, HandSpec
 from scuhand_bt.clock import Signal, Steps
+from scuhand_bt.events import Line, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.specs import Container
 
@@ -30,6 +35,13 @@ class Trajectory(Protocol):
         """Joint positions [rad], shape (7,), at a time since its start (clamped to its ends)."""
         ...
 
+    def stopped_from(self, at_s: float) -> "Trajectory":
+        """The same motion up to `at_s`, and from there its soonest stop along its path, within its limits.
+
+        What stops already is not changed by another stop.
+        """
+        ...
+
 
 class Device(Protocol):
     """What all devices have in common."""
@@ -41,7 +53,7 @@ class Device(Protocol):
 
     @property
     def news(self) -> Signal:
-        """Fires whenever the device reports something."""
+        """Fires whenever the device reports something; at the latest when it has stopped, or a fault comes or goes."""
         ...
 
     @property
@@ -50,12 +62,17 @@ class Device(Protocol):
         ...
 
     def stop(self) -> None:
-        """Bring the device to its safe state; does not wait."""
+        """Bring the device to its safe state; does not wait. Again, while it stops, changes nothing."""
         ...
 
 
 class Arm(Device, Protocol):
-    """The seven joints."""
+    """The seven joints.
+
+    `stop()` brings it to rest along its path as soon as the load's spill angle and the joints' limits allow
+    (`motion/stopping.py`): in well under a second, and never later than the motion itself would end. It
+    then holds. Only a fault ends a motion at once, where the arm is.
+    """
 
     @property
     def positions(self) -> Joints:
@@ -63,19 +80,36 @@ class Arm(Device, Protocol):
         ...
 
     def start(self, trajectory: Trajectory) -> None:
-        """Begin a trajectory that starts where the arm is."""
+        """Begin a trajectory that starts where the arm is.
+
+        SkillFailed device.busy while it still moves or stops, arm.not_following for a trajectory that begins
+        elsewhere, arm.joint_limit for one that leaves the joints' limits; and the fault, if there is one.
+        """
         ...
 
     def follow(self, trajectory: Trajectory) -> Steps[None]:
-        """Start the trajectory and wait for its end; SkillFailed arm.not_following if it was not kept."""
+        """Start the trajectory and wait until the arm is at rest again: at its end, or where a stop has ended it.
+
+        SkillFailed as `start`, or with the fault that ended it early. Closed early, it stops the arm.
+        """
         ...
 
 
 class Hand(Device, Protocol):
-    """The conical sheet, its roller, the valve at the apex and the vibration motor."""
+    """The conical sheet, its roller, the valve at the apex and the vibration motor.
+
+    `stop()` shuts the valve and ends vibration, whatever was still to be done, and holds the sheet as it is.
+    An opening beyond what the valve can have is the nearest that it can; what is no number is a ValueError.
+    Opening and vibrating fail with the device's fault, shutting and stopping never do.
+    """
 
     @property
     def spec(self) -> HandSpec: ...
+
+    @property
+    def longest_dwell_s(self) -> float:
+        """The longest that one pulse may hold the valve open."""
+        ...
 
     @property
     def cone_diameter_mm(self) -> float: ...
@@ -86,23 +120,30 @@ class Hand(Device, Protocol):
         ...
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
-        """Begin to change the cone's rim diameter, at the hand's speed or over `duration_s`."""
+        """Begin to change the cone's rim diameter, over `duration_s`, but no faster than the hand's speed.
+
+        ValueError for a cone that the sheet cannot make or a duration that is none, SkillFailed device.lost.
+        """
         ...
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
-        """Change the cone's rim diameter and wait for it."""
+        """Change the cone's rim diameter and wait for it; closed early, the sheet stays as it is then."""
         ...
 
     def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
-        """The paper's step command: open, hold for `dwell_s`, close; waits until the valve is shut."""
+        """The paper's step command: open, hold for `dwell_s`, close; waits until the valve is shut.
+
+        It takes the valve's way there and back, its dead times, and the dwell. Closed early, it shuts the valve.
+        ValueError for a dwell that is not 0 to `longest_dwell_s`; SkillFailed with what went wrong.
+        """
         ...
 
     def set_opening(self, opening_mm: float) -> None:
-        """Streaming: go to this opening now; 0 closes. Only where `spec.streaming`."""
+        """Streaming: go to this opening now; 0 closes. RuntimeError where the hand has no `spec.streaming`."""
         ...
 
     def set_vibration(self, level: float) -> None:
-        """Vibration motor, 0 (off) to 1."""
+        """Vibration motor, 0 (off) to 1; ValueError for anything else."""
         ...
 
 
@@ -119,16 +160,15 @@ class Reading:
     unit: str = "mg"
     raw: bytes = b""
 
-    def values(self) -> dict[str, Any]:
+    def written(self) -> Line:
         """As it is written down: the line as it came, and what was understood of it."""
-        line = self.raw.decode("latin-1")
-        return {
-            "raw": line,
-            "value_mg": self.value_mg,
-            "unit": self.unit,
-            "stable": self.stable,
-            "time_s": round(self.time_s, 4),
-        }
+        return Line(
+            raw=self.raw.decode("latin-1"),
+            value_mg=self.value_mg,
+            unit=self.unit,
+            stable=self.stable,
+            time_s=round(self.time_s, 4),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,14 +180,17 @@ class StableMean:
     time_s: float
     readings: Sequence[Reading] = ()
 
-    def values(self) -> dict[str, Any]:
+    def written(self) -> Weighing:
         """As it is written down: the mean, and every reading that it is the mean of."""
-        readings = [reading.values() for reading in self.readings]
-        return {"gross_mg": self.value_mg, "uncertainty_mg": self.uncertainty_mg, "readings": readings}
+        readings = tuple(reading.written() for reading in self.readings)
+        return Weighing(gross_mg=self.value_mg, uncertainty_mg=self.uncertainty_mg, readings=readings)
 
 
 class Balance(Device, Protocol):
-    """The balance. It is never tared by command: gross values only (a tare would die with the power)."""
+    """The balance. It is never tared by command: gross values only (a tare would die with the power).
+
+    Nothing of it moves: it `is_stopped` always. `latest` is None while it is lost.
+    """
 
     on_reading: Callable[[Reading], None] | None
     """Told every reading, on the thread where it arrives; must be quick."""
@@ -164,7 +207,7 @@ class Balance(Device, Protocol):
     def latest(self) -> Reading | None: ...
 
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
-        """Wait for the next reading; SkillFailed device.lost if none comes."""
+        """Wait for a reading that comes after now; SkillFailed device.lost if none does, balance.overload."""
         ...
 
     def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
@@ -176,13 +219,19 @@ class Balance(Device, Protocol):
 
 
 class Changer(Device, Protocol):
-    """Puts containers on the pan and takes them away: a carousel; or the operator does."""
+    """Puts containers on the pan and takes them away: a carousel; or the operator does.
+
+    What swings is not stopped: a container is never left hanging. `is_stopped` when the swing is over.
+    """
 
     @property
     def needs_person(self) -> bool: ...
 
     def bring(self, container: Container) -> Steps[None]:
-        """Put this container on the (empty) pan; SkillFailed container.missing, operator.refused."""
+        """Put this container on the empty pan; nothing happens if it stands there already.
+
+        SkillFailed container.missing where another one is known to stand there, operator.refused.
+        """
         ...
 
     def take_away(self) -> Steps[None]:

@@ -9,11 +9,18 @@ import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.arguments import (
+    checked_duration,
+    checked_dwell,
+    checked_vibration,
+    possible_opening,
+    require_streaming,
+)
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.hand_controller import HandController
-from scuhand_bt.devices.hand_protocol import FAULTS
+from scuhand_bt.devices.hand_protocol import FAULTS, LONGEST_DWELL_S
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
@@ -37,6 +44,22 @@ def roller_axis(spec: HandSpec) -> Axis:
     )
 
 
+class Turn:
+    """The roller's even turn from one angle [rad] to another; it may end anywhere, as nothing depends on its path."""
+
+    def __init__(self, begin_rad: float, end_rad: float, duration_s: float) -> None:
+        self.duration_s = duration_s
+        self._begin_rad = begin_rad
+        self._speed_rad_per_s = (end_rad - begin_rad) / duration_s
+
+    def sample(self, time_s: float) -> Joints:
+        return np.array([self._begin_rad + self._speed_rad_per_s * min(time_s, self.duration_s)])
+
+    def stopped_from(self, at_s: float) -> "Turn":
+        until_s = min(max(at_s, 1e-3), self.duration_s)
+        return Turn(self._begin_rad, self._begin_rad + self._speed_rad_per_s * until_s, until_s)
+
+
 class ScuHand:
     """The hand, over a chain and a controller that are already open.
 
@@ -53,6 +76,7 @@ class ScuHand:
         start_diameter_mm: float,
     ) -> None:
         self.spec = spec
+        self.longest_dwell_s = LONGEST_DWELL_S
         self.news: Signal = controller.news
         """The same signal as the chain's."""
         self._controller = controller
@@ -96,7 +120,7 @@ class ScuHand:
         return 0.0 if report is None else max(0.0, report.opening_mm)
 
     def stop(self) -> None:
-        """Close the valve, stop vibrating, and let the roller come to rest."""
+        """Close the valve, stop vibrating, and hold the sheet."""
         self._controller.make_safe()
         self._roller.stop()
 
@@ -105,41 +129,39 @@ class ScuHand:
         self._controller.close()
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
-        """Begin to change the cone's size, no faster than the roller's servo can."""
+        """Begin to change the cone's size, no faster than the hand's speed and than the roller's servo can."""
+        cone, duration_s = self._cone(cone_diameter_mm), checked_duration(duration_s)
         if self._chain.lost is not None:
             raise self._chain.lost
         begin_rad = float(self._roller.goals_rad[0])
-        end_rad = math.radians(self._cone(cone_diameter_mm).roller_deg(self.spec) - self._at_zero_deg)
-        if duration_s is None:
-            duration_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
-        duration_s = max(duration_s, abs(end_rad - begin_rad) / ROLLER_SPEED_RAD_PER_S, 0.02)
-
-        def turn(time_s: float) -> Joints:
-            return np.array([begin_rad + (end_rad - begin_rad) * time_s / duration_s])
-
-        self._roller.move(turn, duration_s)
+        end_rad = math.radians(cone.roller_deg(self.spec) - self._at_zero_deg)
+        fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
+        servo_s = abs(end_rad - begin_rad) / ROLLER_SPEED_RAD_PER_S
+        self._roller.move(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)))
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
         """Change the cone's size and wait for it; SkillFailed with what ended it early."""
         self.start_morph(cone_diameter_mm, duration_s)
-        while True:
-            wake = Wake.on(self.news)
-            if self._roller.fault is not None:
-                raise self._roller.fault
-            if not self._roller.is_moving:
-                return
-            yield wake
+        try:
+            while True:
+                wake = Wake.on(self.news)
+                if self._roller.fault is not None:
+                    raise self._roller.fault
+                if not self._roller.is_moving:
+                    return
+                yield wake
+        finally:
+            self._roller.stop()
 
     def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
         """The step command; returns when the valve is shut. SkillFailed with what went wrong.
 
         Closed early, by a halt or a failure, it closes the valve.
         """
-        if not (math.isfinite(dwell_s) and dwell_s >= 0.0):
-            raise ValueError(f"a dwell is a time of 0 s or more, not {dwell_s!r}")
+        opening_mm = possible_opening(opening_mm, self.spec)
+        dwell_s, vibration = checked_dwell(dwell_s, self.longest_dwell_s), checked_vibration(vibration)
         self._raise_trouble()
-        angle_deg = self._possible(opening_mm) / self._controller.mm_per_deg
-        self._controller.step(angle_deg, dwell_s, _level(vibration))
+        self._controller.step(opening_mm / self._controller.mm_per_deg, dwell_s, vibration)
         deadline_s = self._clock.now_s + dwell_s + MOVE_TIMEOUT_S
         shut = False
         try:
@@ -160,20 +182,18 @@ class ScuHand:
 
     def set_opening(self, opening_mm: float) -> None:
         """Go to this opening now. Opening fails while something is wrong; closing never does."""
+        require_streaming(self.spec)
+        opening_mm = possible_opening(opening_mm, self.spec)
         if opening_mm > 0.0:
             self._raise_trouble()
-        self._controller.set_opening(self._possible(opening_mm))
+        self._controller.set_opening(opening_mm)
 
     def set_vibration(self, level: float) -> None:
         """Vibrate at this level. Starting fails while something is wrong; stopping never does."""
+        level = checked_vibration(level)
         if level > 0.0:
             self._raise_trouble()
-        self._controller.set_vibration(_level(level))
-
-    def _possible(self, opening_mm: float) -> float:
-        if not math.isfinite(opening_mm):
-            raise ValueError(f"an opening is a number of millimetres, not {opening_mm!r}")
-        return min(max(opening_mm, 0.0), self.spec.max_opening_mm)
+        self._controller.set_vibration(level)
 
     @property
     def _roller_deg(self) -> float:
@@ -191,12 +211,6 @@ class ScuHand:
             controller.reset()
         if (wrong := fault or refused) is not None:
             raise wrong
-
-
-def _level(vibration: float) -> float:
-    if not 0.0 <= vibration <= 1.0:
-        raise ValueError(f"vibration is 0 to 1, not {vibration!r}")
-    return vibration
 
 
 FAULT_CODES = {

@@ -5,6 +5,7 @@ The balances and the hand controller speak in lines; this is the part they share
 """
 
 import contextlib
+import re
 import termios
 import threading
 import time
@@ -22,6 +23,9 @@ REOPEN_S = 0.25
 """Between two attempts to open a port that has gone."""
 LINE_LIMIT = 256
 """No device here sends a line longer than this: what does not end is noise."""
+
+SPOILT = b"\0"
+"""Stands where a byte failed the check of its parity or its stop bit. No device here sends it, and no line has it."""
 
 PORT_ERRORS = (OSError, termios.error)
 """What pyserial raises when a port has gone: SerialException is an OSError, termios.error is not."""
@@ -49,6 +53,44 @@ class Framing:
             write_timeout=1.0,
             exclusive=True,
         )
+
+
+def mark_errors(port: "serial.SerialBase") -> bool:
+    """Have the system check parity, and mark the bytes that fail; False where it has no say (`socket://`).
+
+    pyserial sets a parity and switches its check off. Raises OSError if the port does not take it.
+    """
+    fd = getattr(port, "fd", None)
+    if fd is None:
+        return False
+    flags = termios.INPCK | termios.PARMRK
+    settings = termios.tcgetattr(fd)
+    settings[0] = settings[0] & ~(termios.IGNPAR | termios.ISTRIP) | flags
+    with contextlib.suppress(termios.error):  # of a pseudo-terminal without these bits: the flags are set all the same
+        termios.tcsetattr(fd, termios.TCSANOW, settings)
+    if termios.tcgetattr(fd)[0] & flags != flags:
+        raise OSError("the port does not check parity")
+    return True
+
+
+class ErrorMarks:
+    """Takes the marks of PARMRK out of a stream of bytes (termios(3)): FF 00 X becomes `SPOILT`, FF FF becomes FF."""
+
+    _MARK = re.compile(rb"\xff(?:(\xff)|(\x00.)|\x00?\Z)", re.DOTALL)
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> bytes:
+        """The bytes as they were sent, as far as that is known yet."""
+        data, self._rest = self._rest + data, b""
+        return self._MARK.sub(self._meant, data)
+
+    def _meant(self, mark: re.Match[bytes]) -> bytes:
+        if mark[1] is None and mark[2] is None:
+            self._rest = mark[0]  # what it is, is still to come
+            return b""
+        return mark[1] or SPOILT
 
 
 class LineBuffer:
@@ -95,6 +137,8 @@ class SerialLink:
         self._user = user
         self._reopen_s = reopen_s
         self._port: serial.SerialBase | None = None
+        self._lines = LineBuffer()
+        self._marks: ErrorMarks | None = None
         self._writing = threading.Lock()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"link {url}", daemon=True)
@@ -102,10 +146,9 @@ class SerialLink:
     def start(self) -> None:
         """Open the port and begin; SkillFailed device.lost if it cannot be opened now."""
         try:
-            port = self._framing.open(self.url)
+            self._adopt(self._framing.open(self.url))
         except (*PORT_ERRORS, ValueError) as error:
             raise SkillFailed(Code.DEVICE_LOST, why_not_open(self.url, error)) from error
-        self._adopt(port)
         self._thread.start()
 
     def close(self) -> None:
@@ -127,12 +170,18 @@ class SerialLink:
         return True
 
     def discard_input(self) -> None:
-        """Throw away what has come in and was not read yet."""
+        """Throw away what has come in and was not read yet, or not to its line's end. On the link's thread."""
+        self._lines = LineBuffer()
         with contextlib.suppress(*PORT_ERRORS):
             if self._port is not None:
                 self._port.reset_input_buffer()
 
     def _adopt(self, port: "serial.SerialBase") -> None:
+        try:
+            self._marks = ErrorMarks() if mark_errors(port) else None
+        except PORT_ERRORS:
+            port.close()
+            raise
         self._port = port
         self.discard_input()  # bytes from before: readings of another time
 
@@ -172,12 +221,13 @@ class SerialLink:
 
     def _read_lines(self, port: "serial.SerialBase | None") -> None:
         assert port is not None
-        lines = LineBuffer()
         while not self._closing.is_set():
             data = port.read(1)  # wakes with the first byte, so that arrival times are true
             if data:
                 data += port.read(port.in_waiting)
-            for line in lines.feed(data):
+            if self._marks is not None:
+                data = self._marks.feed(data)
+            for line in self._lines.feed(data):
                 self._user.line(line)
             self._user.idle()
 

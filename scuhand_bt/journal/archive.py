@@ -3,21 +3,35 @@
 import json
 import sqlite3
 import zlib
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
+from scuhand_bt.events import DoseCurve
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.journal.events import (
+    ActionEnded,
+    ActionStarted,
+    Continued,
+    Ended,
+    Frames,
+    JobEnded,
+    JobStarted,
+    Paused,
+    Resumed,
+    RunBegun,
+    SampleResult,
+    parsed,
+)
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 RunState = Literal["running", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"]
 
-_KINDS_OF_STATE = ("run", "sample", "ended", "resumed", "paused", "continued")
-_TOLD_ELSEWHERE = ("job_ended", "action_ended", "frames", "dose_curve")
+_KINDS_OF_STATE = tuple(event.KIND for event in (RunBegun, SampleResult, Ended, Resumed, Paused, Continued))
+_TOLD_ELSEWHERE = (JobEnded.KIND, ActionEnded.KIND, Frames.KIND, DoseCurve.KIND)
 _FRAME = ("time_s", "raw", "value_mg", "unit", "stable")
 
 
@@ -57,43 +71,42 @@ def summary(path: Path) -> Summary:
 
 def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
     """One run by its database; a process that has the run now is asked for at its journal's place."""
-    run: dict[str, Any] = {}
-    samples: dict[str, Mapping[str, Any]] = {}
-    ended: dict[str, Any] | None = None
+    run: RunBegun | None = None
+    samples: dict[str, SampleResult] = {}
+    ended: Ended | None = None
     is_paused = False
     marks = ", ".join("?" * len(_KINDS_OF_STATE))
     query = f"SELECT kind, payload FROM entry WHERE kind IN ({marks}) ORDER BY seq"
     for kind, payload in database.execute(query, _KINDS_OF_STATE):
-        values = json.loads(payload)
-        if kind == "run":
-            run = values
-        elif kind == "sample":
-            samples[values["id"]] = values
-        elif kind in ("paused", "continued"):
-            is_paused = kind == "paused"
-        else:
-            ended = values if kind == "ended" else None
-            is_paused = False
+        match event := parsed(kind, json.loads(payload)):
+            case RunBegun():
+                run = event
+            case SampleResult():
+                samples[event.id] = event
+            case Paused() | Continued():
+                is_paused = isinstance(event, Paused)
+            case Ended() | Resumed():
+                ended = event if isinstance(event, Ended) else None
+                is_paused = False
     state: RunState = "interrupted"
     if is_held(path):
         state = "paused" if is_paused else "running"
     elif ended is not None:
-        code = ended["exit_code"]
-        is_complete = ended.get("complete", code <= 1)
-        state = "complete" if is_complete else "stopped" if code == ExitCode.INTERRUPTED else "fault"
-    if not run:
+        stopped: RunState = "stopped" if ended.exit_code == ExitCode.INTERRUPTED else "fault"
+        state = "complete" if ended.is_complete else stopped
+    if run is None:
         return Summary(path.stem, state, "it had not begun")
-    planned = run.get("samples")
+    planned = len(run.samples) if run.samples is not None else None
     return Summary(
         id=path.stem,
         state=state,
-        reason=ended["reason"] if ended is not None else "",
-        recipe=run["recipe"],
-        mode=run["mode"],
-        simulated=run["simulated"],
-        started=datetime.fromisoformat(run["started"]).isoformat(),
-        good=sum(_is_good(values) for values in samples.values()),
-        total=len(planned) if planned is not None else len(samples) if ended is not None else None,
+        reason=ended.reason if ended is not None else "",
+        recipe=run.recipe,
+        mode=run.mode,
+        simulated=run.simulated,
+        started=datetime.fromisoformat(run.started).isoformat(),
+        good=sum(sample.is_good for sample in samples.values()),
+        total=planned if planned is not None else len(samples) if ended is not None else None,
     )
 
 
@@ -111,13 +124,13 @@ def story(contents: Contents) -> dict[str, Any]:
     for row in contents.rows("entry"):
         seq, kind = row["seq"], row["kind"]
         happened = {"seq": seq, "kind": kind, "time_s": row["time_s"], "at": row["at"]}
-        if kind == "run":
+        if kind == RunBegun.KIND:
             header = row["payload"]
-        elif kind == "sample":
+        elif kind == SampleResult.KIND:
             samples[row["payload"]["id"]] = row["payload"]
-        elif kind == "job_started":
+        elif kind == JobStarted.KIND:
             run.append({**happened, "kind": "job", **jobs[seq], "happened": within[seq]})
-        elif kind == "action_started":
+        elif kind == ActionStarted.KIND:
             within[row["job"]].append({**happened, "kind": "action", **actions[seq], "happened": within[seq]})
         elif kind not in _TOLD_ELSEWHERE:
             within.get(row["action"], within.get(row["job"], run)).append({**happened, "values": row["payload"]})
@@ -131,7 +144,7 @@ def frames(contents: Contents, sample: str) -> list[dict[str, Any]]:
     found = [
         {"attempt": jobs[job]["attempt"], "entry": seq, **dict(zip(_FRAME, line, strict=True))}
         for seq, job, packed in contents.database.execute(
-            "SELECT seq, job, frames FROM entry WHERE kind = 'frames' ORDER BY seq"
+            "SELECT seq, job, frames FROM entry WHERE frames IS NOT NULL ORDER BY seq"
         )
         if job in jobs
         for line in json.loads(zlib.decompress(packed))
@@ -141,11 +154,6 @@ def frames(contents: Contents, sample: str) -> list[dict[str, Any]]:
         what = f"no line of the balance was kept for a sample '{sample}'; the samples are {', '.join(known) or 'none'}"
         raise SourceError([Problem(Mark(str(contents.path), 0), what)])
     return found
-
-
-def _is_good(values: Mapping[str, Any]) -> bool:
-    wanted = "no dose" if values["target_mg"] is None else "in tolerance"
-    return values["code"] is None and bool(values["verdict"] == wanted)
 
 
 def _began(path: Path, one: Summary) -> float:

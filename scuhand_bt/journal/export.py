@@ -5,12 +5,16 @@ number of decimals. It is made from the journal.
 """
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from scuhand_bt.events import DoseCurve
+from scuhand_bt.journal.events import KINDS, Ended, Matter, SampleResult
 from scuhand_bt.journal.reader import Contents, open_contents
 
 DECIMALS = 6
+_ELSEWHERE = (SampleResult.KIND, Ended.KIND, Matter.KIND, DoseCurve.KIND)
 RUN_KEYS = ("recipe", "recipe_hash", "seed", "simulated", "mode", "plant", "controller", "version")
 
 
@@ -30,25 +34,31 @@ def _export(contents: Contents) -> dict[str, Any]:
     run = {row["key"]: row["value"] for row in read("run")}
     events = read("event")
     actions = read("action")
-    ends = [event["payload"] for event in events if event["kind"] == "ended"]
-    matter = [event["payload"] for event in events if event["kind"] == "matter"]
+    samples, ends, matter = (
+        [event["payload"] for event in events if event["kind"] == kind.KIND] for kind in (SampleResult, Ended, Matter)
+    )
     export: dict[str, Any] = _rounded(
         {
             "run": {key: run[key] for key in RUN_KEYS if key in run},
-            "samples": list({e["payload"]["id"]: e["payload"] for e in events if e["kind"] == "sample"}.values()),
+            "samples": list({sample["id"]: sample for sample in samples}.values()),
             "end": ends[-1] if ends else None,
             "matter_mg": matter[-1] if matter else None,
             "jobs": [{key: value for key, value in row.items() if key != "id"} for row in read("job")],
             "actions": [{key: value for key, value in row.items() if key not in ("id", "job")} for row in actions],
             "pulses": [{"time_s": row["time_s"], **row["payload"]} for row in read("pulse")],
             "events": [
-                {"time_s": event["time_s"], "kind": event["kind"], **event["payload"]}
+                {"time_s": event["time_s"], "kind": event["kind"], **_values(event)}
                 for event in events
-                if event["kind"] not in ("sample", "ended", "matter", "dose_curve")
+                if event["kind"] not in _ELSEWHERE
             ],
         }
     )
     return export
+
+
+def _values(event: Mapping[str, Any]) -> dict[str, Any]:
+    """A payload beside its time and kind; a lab's own keys are kept from them."""
+    return event["payload"] if event["kind"] in KINDS else {"values": event["payload"]}
 
 
 def _rounded(value: Any) -> Any:

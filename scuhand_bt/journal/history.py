@@ -2,19 +2,38 @@
 
 import json
 import sqlite3
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from scuhand_bt.events import Dose, Event
+from scuhand_bt.journal.events import (
+    ActionEnded,
+    ActionStarted,
+    Chosen,
+    Decided,
+    Ended,
+    JobEnded,
+    JobResumed,
+    JobStarted,
+    NotResumable,
+    Resumed,
+    RunBegun,
+    SampleResult,
+    parsed,
+)
+from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.reader import open_contents
-from scuhand_bt.journal.writer import to_json
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.specs import Dose
 from scuhand_bt.tree.replay import Decision, Key, Recorded, Replay
 
 STOPPED = "stopped"
 """The outcome of a job whose failure ended the run: it is taken up again where it failed."""
+_TOLD_BY = (
+    *(RunBegun, JobStarted, JobResumed, JobEnded, ActionStarted, ActionEnded, Decided, Dose, SampleResult, Chosen),
+    *(NotResumable, Ended, Resumed),
+)
+_KINDS = tuple(event.KIND for event in _TOLD_BY)
 
 
 @dataclass
@@ -53,10 +72,11 @@ class JobHistory:
 class History:
     """One run as its journal has it."""
 
-    run: dict[str, Any] = field(default_factory=dict)
+    begun: RunBegun | None = None
+    """What the run is; None for one that ended before its first word."""
     jobs: dict[tuple[str, int], JobHistory] = field(default_factory=dict)
     """By name and attempt."""
-    samples: dict[tuple[str, int], dict[str, Any]] = field(default_factory=dict)
+    samples: dict[tuple[str, int], SampleResult] = field(default_factory=dict)
     """The results of finished attempts, by sample and attempt."""
     answers: dict[tuple[str, int], str] = field(default_factory=dict)
     """What a person chose for a failed attempt (`on_failure: ask`), by sample and attempt."""
@@ -68,13 +88,20 @@ class History:
     """Wall time of the last entry."""
     lost_world: str = ""
     """Why the simulated world could not be kept; empty where it was."""
-    ended: dict[str, Any] | None = None
+    ended: Ended | None = None
     """How the run ended; None if it did not say."""
+
+    @property
+    def run(self) -> RunBegun:
+        """What the run is. Raises LookupError for one that ended before its first word."""
+        if self.begun is None:
+            raise LookupError("the run had not begun")
+        return self.begun
 
     @property
     def is_complete(self) -> bool:
         """Nothing is left to do."""
-        return self.ended is not None and bool(self.ended.get("complete"))
+        return self.ended is not None and self.ended.is_complete
 
     def unfinished(self) -> tuple[JobHistory, str] | None:
         """The job that was interrupted, and its name."""
@@ -94,60 +121,57 @@ def history_of(database: sqlite3.Connection) -> History:
     history = History()
     started: dict[int, tuple[JobHistory, Key]] = {}
     jobs: dict[int, JobHistory] = {}
-    rows = database.execute("SELECT seq, kind, job, action, time_s, at, payload, state FROM entry ORDER BY seq")
-    for seq, kind, job_seq, action, time_s, at, payload, state in rows:
-        values = json.loads(payload)
+    marks = ", ".join("?" * len(_KINDS))
+    query = f"""SELECT seq, job, action, time_s, at, state, kind, CASE WHEN kind IN ({marks}) THEN payload END
+        FROM entry ORDER BY seq"""
+    for seq, job_seq, action, time_s, at, state, kind, payload in database.execute(query, _KINDS):
         history.time_s, history.at = time_s, at
         if state is not None:
             history.state = json.loads(state)
-        if kind == "run":
-            history.run = values
-        elif kind == "job_started":
-            jobs[seq] = JobHistory(seq, time_s)
-            history.jobs[values["name"], values["attempt"]] = jobs[seq]
-        elif kind == "sample" and values["verdict"] not in ("interrupted", "not run"):
-            history.samples[values["id"], values["attempt"]] = values
-        elif kind == "chosen":
-            history.answers[values["sample"], values["attempt"]] = values["action"]
-        elif kind == "not_resumable":
-            history.lost_world = values["why"]
-        elif kind == "ended":
-            history.ended = values
-        elif kind == "resumed":
-            history.ended = None
-        if job_seq in jobs and kind != "job_started":
-            _note(jobs[job_seq], kind, seq, action, values, started)
+        event = parsed(kind, json.loads(payload)) if payload is not None else None
+        match event:
+            case RunBegun():
+                history.begun = event
+            case JobStarted():
+                jobs[seq] = history.jobs[event.name, event.attempt] = JobHistory(seq, time_s)
+            case SampleResult() if event.verdict not in ("interrupted", "not run"):
+                history.samples[event.id, event.attempt] = event
+            case Chosen():
+                history.answers[event.sample, event.attempt] = event.action
+            case NotResumable():
+                history.lost_world = event.why
+            case Ended():
+                history.ended = event
+            case Resumed():
+                history.ended = None
+        if event is not None and job_seq in jobs:
+            _note(jobs[job_seq], event, seq, action, started)
     return history
 
 
 def _note(
-    job: JobHistory,
-    kind: str,
-    seq: int,
-    action: int | None,
-    values: Mapping[str, Any],
-    started: dict[int, tuple[JobHistory, Key]],
+    job: JobHistory, event: Event, seq: int, action: int | None, started: dict[int, tuple[JobHistory, Key]]
 ) -> None:
     """One entry within a job."""
-    if kind == "job_ended":
-        job.outcome = values["outcome"]
-        job.failure = SkillFailed(values["code"], values["detail"]) if values["code"] else None
-    elif kind == "job_resumed":
-        job.outcome = job.failure = None
-    elif kind == "dose":
-        job.dose = Dose.model_validate(values, by_name=True, by_alias=False)
-    elif kind == "action_started":
-        key = values["path"], values["visit"]
-        started[seq] = job, key
-        job.actions[key] = Recorded(values["skill"], to_json(values["inputs"]), "started")
-    elif kind == "action_ended" and action in started:
-        _, key = started[action]
-        before = job.actions[key]
-        job.actions[key] = Recorded(before.skill, before.inputs, values["outcome"], values["code"], values["result"])
-        if values["outcome"] == "failed":
-            job._last_failed = job.actions, key, SkillFailed(values["code"], values["result"]["detail"])
-    elif kind == "decided":
-        key = values["path"], values["visit"]
-        failure = SkillFailed(values["code"], values["detail"])
-        job.decisions[key] = Decision(failure, values["had_begun"])
-        job._last_failed = job.decisions, key, failure
+    match event:
+        case JobEnded():
+            job.outcome = event.outcome
+            job.failure = event.failure
+        case JobResumed():
+            job.outcome = job.failure = None
+        case Dose():
+            job.dose = event
+        case ActionStarted():
+            key = event.path, event.visit
+            started[seq] = job, key
+            job.actions[key] = Recorded(event.skill, to_json(event.inputs), "started")
+        case ActionEnded() if action in started:
+            _, key = started[action]
+            before = job.actions[key]
+            job.actions[key] = Recorded(before.skill, before.inputs, event.outcome, event.code, event.result)
+            if event.failure is not None:
+                job._last_failed = job.actions, key, event.failure
+        case Decided():
+            key = event.path, event.visit
+            job.decisions[key] = Decision(event.failure, event.had_begun)
+            job._last_failed = job.decisions, key, event.failure

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scuhand_bt.journal.events import NewerShape
 from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
 from scuhand_bt.journal.migrations import MIGRATIONS, in_memory
 from scuhand_bt.journal.writer import SCHEMA_VERSION
@@ -75,6 +76,8 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
                 database.close()
     except (sqlite3.Error, OSError) as error:
         raise _problem(path, f"this is no journal of a run, or it is damaged: {error}") from None
+    except NewerShape as error:
+        raise _problem(path, f"a newer scuhand-bt wrote it ({error}): use that one") from None
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         what = f"it holds what no journal does ({type(error).__name__}: {error})"
         raise _problem(path, f"this is no journal of a run, or it is damaged: {what}") from None

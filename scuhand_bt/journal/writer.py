@@ -5,25 +5,23 @@ reader would rather see (jobs, actions, pulses, doses, events) are views of it.
 """
 
 import json
-import math
 import sqlite3
 import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, is_dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from pydantic import BaseModel
+from pydantic import JsonValue
 
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.events import Dose, Event, Note
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
+from scuhand_bt.journal.plain import to_json
 from scuhand_bt.record import RecordLost
-from scuhand_bt.specs import Container, Dose, Powder, Source
 
 SCHEMA_VERSION = 2
 FLUSH_S = 0.5
@@ -65,43 +63,6 @@ CREATE VIEW event AS SELECT seq AS id, action, time_s, kind, payload FROM entry
 _INSERT = f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})"
 
 
-def plain_value(value: Any) -> Any:
-    """A value as JSON can keep it; things of the lab by their name."""
-    if isinstance(value, Container):
-        return f"{value.id} ({value.name})"
-    if isinstance(value, Source | Powder):
-        return value.name
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json", by_alias=False)
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
-
-
-_to_json = json.JSONEncoder(sort_keys=True, default=plain_value, allow_nan=False).encode
-
-
-def to_json(values: Any) -> str:
-    """Compact JSON with sorted keys; what is no number in JSON (NaN, infinity) by its name."""
-    whole = dict(values) if isinstance(values, Mapping) else plain_value(values)
-    try:
-        return _to_json(whole)
-    except ValueError:
-        return json.dumps(_named_infinities(json.loads(json.dumps(whole, default=plain_value))), sort_keys=True)
-
-
-def _named_infinities(value: Any) -> Any:
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if isinstance(value, dict):
-        return {key: _named_infinities(item) for key, item in value.items()}
-    return [_named_infinities(item) for item in value] if isinstance(value, list) else value
-
-
 class Journal:
     """Writes one run, new or continued. Every call is on disk (committed) when it returns.
 
@@ -115,9 +76,9 @@ class Journal:
         """Called before every write: a simulated world keeps itself, so that it is never older than the journal."""
         self.now_s: Callable[[], float] = lambda: 0.0
         """The run's clock; set once the cell exists."""
-        self.state: Callable[[], Any] = lambda: None
+        self.state: Callable[[], Mapping[str, JsonValue] | None] = lambda: None
         """What the cell is believed to hold now; set once the cell exists."""
-        self.heard: Callable[[str, Mapping[str, Any]], None] = lambda kind, values: None
+        self.heard: Callable[[Event | Note], None] = lambda event: None
         """Told of every event once it is on disk."""
         self.job: int | None = None
         self.action: int | None = None
@@ -125,7 +86,7 @@ class Journal:
         self.last_dose: Dose | None = None
         """The last dose of the current job."""
         self._lost = False
-        self._state: Any = None
+        self._state: Mapping[str, JsonValue] | None = None
         self._readings: deque[Reading] = deque()
         self._weighing: set[int] = set()
         self._flushed_at_s = time.monotonic()
@@ -144,40 +105,39 @@ class Journal:
         """The hash of the last entry: who knows it can tell whether any entry is missing."""
         return self._head.hex()
 
-    def describe_run(self, values: Mapping[str, Any]) -> None:
-        """What the whole run is: recipe, seed, versions, simulated or not; the first entry."""
-        self._append("run", to_json(values))
+    def event(self, event: Event | Note) -> None:
+        """Anything that happens within the job and the action that are at work, or beside them."""
+        if isinstance(event, Dose):
+            self.last_dose = event
+        self._append(event)
+        self.heard(event)
 
-    def job_started(self, name: str, sample: str | None, attempt: int, workflow: str) -> None:
+    def job_started(self, event: JobStarted) -> None:
         self.job = self.action = self.last_dose = None
-        values = {"name": name, "sample": sample, "attempt": attempt, "workflow": workflow}
-        self.job = self._append("job_started", to_json(values))
+        self.job = self._append(event)
 
     def job_resumed(self, job: int, dose: Dose | None) -> None:
         """Go on with a job of this journal."""
         self.job, self.action, self.last_dose = job, None, dose
-        self._append("job_resumed", "{}")
+        self._append(JobResumed())
 
-    def job_ended(self, outcome: str, code: str | None = None, detail: str | None = None) -> None:
+    def job_ended(self, event: JobEnded) -> None:
         self.action = None
-        self._append("job_ended", to_json({"outcome": outcome, "code": code, "detail": detail}))
+        self._append(event)
 
-    def action_started(
-        self, path: str, visit: int, skill: str, inputs: Mapping[str, Any], *, weighs: bool = False
-    ) -> int:
+    def action_started(self, event: ActionStarted, *, weighs: bool = False) -> int:
         """Before the action acts; all readings of one that `weighs` what it lets flow are kept as they came."""
         self.action = None
-        values = {"path": path, "visit": visit, "skill": skill, "inputs": inputs}
-        action = self._append("action_started", to_json(values), with_state=True)
+        action = self._append(event, with_state=True)
         if weighs:
             self._weighing.add(action)
         return action
 
-    def action_ended(self, action: int, outcome: str, code: str | None, result: Any) -> None:
+    def action_ended(self, action: int, event: ActionEnded) -> None:
         self.flush()
         self._weighing.discard(action)
         self.action = action
-        self._append("action_ended", to_json({"outcome": outcome, "code": code, "result": result}), with_state=True)
+        self._append(event, with_state=True)
         self.action = None
 
     def weighed(self, reading: Reading) -> None:
@@ -198,25 +158,13 @@ class Journal:
         lines = [[round(r.time_s, 4), r.raw.decode("latin-1"), r.value_mg, r.unit, r.stable] for r in readings]
         frames = zlib.compress(json.dumps(lines).encode(), 1)
         self.action = max(self._weighing, default=None)
-        self._append("frames", json.dumps({"readings": len(lines)}), frames=frames)
+        self._append(Frames(readings=len(lines)), frames=frames)
 
-    # --- the Record that devices and skills write to
-
-    def pulse(self, values: Mapping[str, Any]) -> None:
-        self._append("pulse", to_json(values))
-
-    def dose(self, dose: Dose) -> None:
-        self.last_dose = dose
-        self._append("dose", dose.model_dump_json(by_alias=False))
-
-    def event(self, kind: str, values: Mapping[str, Any]) -> None:
-        self._append(kind, to_json(values))
-        self.heard(kind, values)
-
-    def _append(self, kind: str, payload: str, *, with_state: bool = False, frames: bytes | None = None) -> int:
+    def _append(self, event: Event | Note, *, with_state: bool = False, frames: bytes | None = None) -> int:
         if self._lost:
             return self._seq
         self.before_commit()  # first, for it may have something to say itself
+        kind, payload = event.entry()
         state = self._changed_state() if with_state else None
         at = datetime.now().astimezone().isoformat(timespec="milliseconds")
         seq = self._seq + 1

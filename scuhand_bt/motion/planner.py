@@ -30,7 +30,7 @@ from scuhand_bt.motion.inverse import along, finest, solutions, swivel_of, unrea
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, apex, checked_joints
 from scuhand_bt.motion.nearest import nearest_reachable
 from scuhand_bt.motion.spill import spill_stretch
-from scuhand_bt.motion.stopping import Rest, Stop, stop
+from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
@@ -43,6 +43,8 @@ RELAXED_RAD = (-0.2, 0.0, -1.6, 0.0, -1.2, 0.0)
 """j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
+SETTLED_DIAMETER_M = 0.0005
+"""The same for the rim of a cone that was formed to the usual diameter."""
 EMPTY_WILL_DO = 1.35
 """The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
 LIMIT_STEP_DEG = 5.0
@@ -98,18 +100,15 @@ class MotionPlanner:
         self._scenes: dict[tuple[Geometry, float], Scene] = {}
         self._places: dict[str, ApexPose] = {}
         self._postures: dict[tuple[str, Geometry], Floats] = {}
-        self._plans: dict[Request, JointTrajectory] = {}
-        self._carries: dict[Request, JointTrajectory] = {}
+        self._plans: dict[Request, StoppableTrajectory] = {}
+        self._carries: dict[Request, StoppableTrajectory] = {}
 
     # What the cell looks like now -------------------------------------------------------------------
 
-    def set_cone_diameter(self, diameter_m: float) -> None:
-        """The hand has formed a cone of this rim diameter: its collision shape follows."""
-        self._geometry = Geometry(round(diameter_m, 4), self._geometry.container)
-
-    def set_container(self, kind: ContainerKind | None) -> None:
-        """This kind of container stands on the balance's pan now, or none."""
-        self._geometry = Geometry(self._geometry.cone_diameter_m, kind)
+    def set_geometry(self, cone_diameter_m: float = CONE_DIAMETER_M, container: ContainerKind | None = None) -> None:
+        """How wide the rim is, and which kind of container stands on the pan, in all that is asked from now on."""
+        is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
+        self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container)
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -136,7 +135,7 @@ class MotionPlanner:
         """
         names, present, carried = list(self._places), self._geometry, list(carries)
         for kind in (None, *containers):
-            self.set_container(kind)
+            self._geometry = Geometry(present.cone_diameter_m, kind)
             for first, second in itertools.combinations(names, 2):
                 self.move(self._posture(first), second)
             for first, second, limit_deg in carried:
@@ -145,7 +144,7 @@ class MotionPlanner:
 
     def move(
         self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None, effort: Effort = LIVE
-    ) -> JointTrajectory:
+    ) -> StoppableTrajectory:
         """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
         begin, goals, name = self._request(start, goal)
         if spill_limit_deg is None:
@@ -154,7 +153,8 @@ class MotionPlanner:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
         key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
         if key not in self._carries:
-            self._carries[key] = self._carried(begin, goals, name, spill_limit_deg, effort)
+            carried = self._carried(begin, goals, name, spill_limit_deg, effort)
+            self._carries[key] = self._stoppable(carried)
         return self._carries[key]
 
     def _carried(
@@ -178,7 +178,7 @@ class MotionPlanner:
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
-    ) -> JointTrajectory:
+    ) -> StoppableTrajectory:
         """The plan of a request, made once. Between two configurations it is made in one direction only."""
         key = (begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg)
         if key not in self._plans:
@@ -186,9 +186,10 @@ class MotionPlanner:
                 self._require_free(begin)
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
                 there = self._kept(goals[0], begin[None, :], "its start", spill_limit_deg, effort)
-                self._plans[key] = there.reversed()
+                self._plans[key] = self._stoppable(there.reversed())
             else:
-                self._plans[key] = self._planned(begin, goals, name, spill_limit_deg, effort)
+                planned = self._planned(begin, goals, name, spill_limit_deg, effort)
+                self._plans[key] = self._stoppable(planned)
         return self._plans[key]
 
     def _planned(
@@ -209,7 +210,7 @@ class MotionPlanner:
     @contextmanager
     def _bare_pan(self) -> Iterator[None]:
         present = self._geometry
-        self.set_container(None)
+        self._geometry = Geometry(present.cone_diameter_m)
         try:
             yield
         finally:
@@ -236,7 +237,7 @@ class MotionPlanner:
         speed_m_per_s: float,
         touching: str | None = None,
         spill_limit_deg: float | None = None,
-    ) -> JointTrajectory:
+    ) -> StoppableTrajectory:
         """A slow motion of the apex in straight lines from `start` through the waypoints, rest to rest.
 
         The sheet may touch the mortar at the station `touching`; nothing else may.
@@ -246,11 +247,11 @@ class MotionPlanner:
         if touching is not None and touching not in self._mortars:
             raise KeyError(f"no mortar stands at {touching!r}; there is one at: {', '.join(self._mortars) or 'none'}")
         if not waypoints:
-            return standing(begin)
+            return self._stoppable(standing(begin))
         poses = [apex(begin, self._offset_m), *waypoints]
         times_s, positions_m, axes = contact_path.apex_path(poses, speed_m_per_s)
         if len(times_s) < 2:
-            return standing(begin)
+            return self._stoppable(standing(begin))
         scene = self.scene(CLOSE_MARGIN_M, touching)
         if scene.hits(begin[None, :])[0]:
             raise SkillFailed(Code.ARM_START_IN_COLLISION, self._touching(scene, begin))
@@ -271,7 +272,7 @@ class MotionPlanner:
                     continue
                 motion = motion.stretched(factor).keeping(spill_limit_deg)
             if scene.proves(motion):
-                return motion
+                return self._stoppable(motion)
             _, samples = scene.proving_samples(motion.at, motion.duration_s, motion.extremes()[1])
             hits = scene.hits(samples)
             if hits.any():
@@ -280,11 +281,10 @@ class MotionPlanner:
             self._require_reachable(pose, "a waypoint")
         raise SkillFailed(Code.ARM_NO_PATH, f"no way through the waypoints: {why}")
 
-    def stop(self, trajectory: JointTrajectory, at_s: float) -> Stop | Rest:
-        """The soonest jerk-limited stop along the path of a trajectory of this planner, from a moment of it."""
-        return stop(trajectory, at_s, self.rates, self._offset_m)
-
     # Within -----------------------------------------------------------------------------------------
+
+    def _stoppable(self, motion: JointTrajectory) -> StoppableTrajectory:
+        return StoppableTrajectory(motion, self.rates, self._offset_m)
 
     def _request(self, start: Floats, goal: str | ApexPose) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""

@@ -91,26 +91,32 @@ def spill_angles_deg(axes: Floats, accelerations: Floats) -> Floats:
 
 
 def worst_spill_deg(axes: Floats, accelerations: Floats) -> float:
-    """The largest spill angle of a motion sampled densely, with what may happen between two samples.
+    """The largest spill angle of a motion sampled densely (m, 3), with what may happen between two samples."""
+    return float(worst_spills_deg(axes[None], accelerations[None])[0])
+
+
+def worst_spills_deg(axes: Floats, accelerations: Floats) -> Floats:
+    """The same of n motions (n, m, 3) at once: shape (n,).
 
     Between neighbours both directions turn by at most their own step, so the angle exceeds the larger
     of the two ends by at most half of both steps together; a tenth is added for the steps' curvature.
     """
     up = _apparent_up(accelerations)
     angles = _between(axes, up)
-    steps = _between(axes[1:], axes[:-1]) + _between(up[1:], up[:-1])
-    return float(np.degrees((np.maximum(angles[1:], angles[:-1]) + 0.55 * steps).max()))
+    steps = _between(axes[:, 1:], axes[:, :-1]) + _between(up[:, 1:], up[:, :-1])
+    worst: Floats = np.degrees((np.maximum(angles[:, 1:], angles[:, :-1]) + 0.55 * steps).max(axis=1))
+    return worst
 
 
 def _apparent_up(accelerations: Floats) -> Floats:
     w = accelerations + np.array([0.0, 0.0, GRAVITY_M_PER_S2])
-    up: Floats = w / np.linalg.norm(w, axis=1)[:, None]
+    up: Floats = w / np.linalg.norm(w, axis=-1, keepdims=True)
     return up
 
 
 def _between(first: Floats, second: Floats) -> Floats:
     # By the chord: exact for small angles, where arccos of a dot product loses half its digits.
-    chord = np.minimum(np.linalg.norm(first - second, axis=1), 2.0)
+    chord = np.minimum(np.linalg.norm(first - second, axis=-1), 2.0)
     angle: Floats = 2 * np.arcsin(chord / 2)
     return angle
 

@@ -10,16 +10,18 @@ times on a grid the earliest end is taken that keeps the load's spill angle and 
 which a stop may use more than a plan does: a motion that is at its limits already could not be slowed
 at all otherwise. Where nothing ends sooner than the motion itself, the motion is followed to its end.
 
-Joints [rad], times [s].
+Joints [rad], times [s]. The grid is looked at many stops at once, by a few samples of each, and proven
+only then: a stop is found in a few milliseconds.
 """
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
 
 from scuhand_bt.motion.kinematics import Floats
-from scuhand_bt.motion.spill import apex_motion, worst_spill_deg
+from scuhand_bt.motion.spill import apex_motion, spill_angles_deg, worst_spills_deg
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
@@ -29,100 +31,128 @@ JERKIER = 4.0
 """Jerk a stop may use, over the plan's."""
 _DELAYS_S = np.arange(0.0, 0.61, 0.04)
 _BRAKING_S = np.geomspace(0.08, 3.0, 28)
-_SAMPLES = 120
+_SHARES = np.linspace(0.0, 1.0, 120)
+"""When a stop is looked at, as shares of its duration."""
+_FIRST_LOOK = _SHARES[::7]
+"""And when it is first: what fails here would fail there."""
+_AT_ONCE, _FEW_AT_ONCE = 48, 8
+"""Stops that are looked at together, and proven together: the soonest that keeps the limits is mostly among them."""
 _TOLERANCE = 1e-9
 
 
+class StoppableTrajectory(JointTrajectory):
+    """A planned motion, with what its stops must keep: the joints' limits, and a load so far [m] from the flange."""
+
+    def __init__(self, motion: JointTrajectory, rates: RateLimits, apex_offset_m: float) -> None:
+        super().__init__(motion.knots_s, motion.coefficients, motion.spill_limit_deg)
+        self._rates = rates
+        self._apex_offset_m = apex_offset_m
+
+    def stopped_from(self, at_s: float) -> "Stop":
+        """The same motion up to `at_s`, and from there its soonest stop along the path, within its limits.
+
+        `at_s` is clamped to the motion; ValueError if it is no number.
+        """
+        if not math.isfinite(at_s):
+            raise ValueError(f"a stop begins at a moment of the motion, not at {at_s!r} s")
+        at_s = min(max(at_s, 0.0), self.duration_s)
+        return self._soonest(at_s) or Stop(self, at_s, math.inf, 1.0)
+
+    def _soonest(self, at_s: float) -> "Stop | None":
+        left_s = self.duration_s - at_s
+        delays_s, brakings_s = (grid.ravel() for grid in np.meshgrid(_DELAYS_S, _BRAKING_S))
+        # Braking runs over half its time of the motion, which must not end before.
+        possible = np.flatnonzero((delays_s + brakings_s / 2 < left_s) & (delays_s + brakings_s < left_s))
+        possible = possible[np.argsort((delays_s + brakings_s)[possible], kind="stable")]
+        for some in _parts(possible, _AT_ONCE):
+            left = some[self._keeps(at_s, delays_s[some, None], brakings_s[some, None], is_proof=False)]
+            for few in _parts(left, _FEW_AT_ONCE):
+                proven = few[self._keeps(at_s, delays_s[few, None], brakings_s[few, None], is_proof=True)]
+                if len(proven):
+                    return Stop(self, at_s, float(delays_s[proven[0]]), float(brakings_s[proven[0]]))
+        return None
+
+    def _keeps(self, at_s: float, delays_s: Floats, brakings_s: Floats, *, is_proof: bool) -> np.ndarray:
+        """Which of n stops, delays and times (n, 1), keep all limits: shape (n,). No speed is above the motion's own.
+
+        Only a proof looks at all of their moments, and at what the load may see between two of them.
+        """
+        course = _course((_SHARES if is_proof else _FIRST_LOOK) * (delays_s + brakings_s), delays_s, brakings_s)
+        n = len(delays_s)
+        q, speed, acceleration, jerk = _along(self, at_s, course.reshape(4, -1))
+        kept = np.all(np.abs(acceleration) <= HARDER * self._rates.acceleration + _TOLERANCE, axis=1)
+        kept &= np.all(np.abs(jerk) <= JERKIER * self._rates.jerk + _TOLERANCE, axis=1)
+        keeps: np.ndarray = np.all(kept.reshape(n, -1), axis=1)
+        if self.spill_limit_deg is not None:
+            axes, accelerations = apex_motion(q, speed, acceleration, self._apex_offset_m)
+            if is_proof:
+                worst_deg = worst_spills_deg(axes.reshape(n, -1, 3), accelerations.reshape(n, -1, 3))
+            else:
+                worst_deg = spill_angles_deg(axes, accelerations).reshape(n, -1).max(axis=1)
+            keeps &= worst_deg <= self.spill_limit_deg
+        return keeps
+
+
 class Stop:
-    """A motion from `at_s` on that comes to rest on its own path."""
+    """A motion that from `at_s` on comes to rest on its own path; what the arm follows from when it is told to stop.
+
+    An infinite delay is none at all: the motion goes on to its own end.
+    """
 
     def __init__(self, motion: JointTrajectory, at_s: float, delay_s: float, braking_s: float) -> None:
         self._motion = motion
-        self._at_s = at_s
+        self.at_s = at_s
         self._delay_s = delay_s
         self._braking_s = braking_s
         self.spill_limit_deg = motion.spill_limit_deg
 
     @property
     def duration_s(self) -> float:
-        return self._delay_s + self._braking_s
+        """Of all of it, the motion before the stop included."""
+        return min(self.at_s + self._delay_s + self._braking_s, self._motion.duration_s)
 
     def sample(self, time_s: float) -> Floats:
-        """Joint positions [rad] at a time since the stop was asked for, shape (7,); clamped to the ends."""
-        time_s = min(max(time_s, 0.0), self.duration_s)
-        return self._motion.sample(float(self.course(np.array([time_s]))[0][0]))
+        """Joint positions [rad] at a time since the motion's start, shape (7,); clamped to its ends."""
+        since_s = min(time_s, self.duration_s) - self.at_s
+        return self._motion.sample(self.at_s + float(_course(np.array(since_s), self._delay_s, self._braking_s)[0]))
+
+    def stopped_from(self, at_s: float) -> "Stop":
+        """Itself: what stops already is not stopped again."""
+        return self
 
     @cached_property
     def end(self) -> Floats:
         """Where it comes to rest, shape (7,)."""
         return self.sample(self.duration_s)
 
-    def course(self, times_s: Floats) -> Floats:
-        """s and its first three derivatives at times (n,): shape (4, n)."""
-        x = np.clip((times_s - self._delay_s) / self._braking_s, 0.0, 1.0)
-        before_s = np.minimum(times_s, self._delay_s)
-        run_s = self._braking_s * (x - 2.5 * x**4 + 3 * x**5 - x**6)
-        return np.stack(
-            [
-                self._at_s + before_s + run_s,
-                1 - x**3 * (10 - 15 * x + 6 * x * x),
-                -(x**2) * (30 - 60 * x + 30 * x * x) / self._braking_s,
-                -x * (60 - 180 * x + 120 * x * x) / self._braking_s**2,
-            ]
-        )
-
     def at(self, times_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Position, speed, acceleration and jerk at times (n,): (n, 7) each."""
-        s, s1, s2, s3 = self.course(times_s)[:, :, None]
-        q, q1, q2, q3 = (self._motion.at(s[:, 0], k) for k in range(4))
-        return q, q1 * s1, q2 * s1**2 + q1 * s2, q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3
+        """Position, speed, acceleration and jerk at times (n,) since the motion's start: (n, 7) each."""
+        return _along(self._motion, self.at_s, _course(times_s - self.at_s, self._delay_s, self._braking_s))
 
 
-class Rest:
-    """What is left of a motion: the stop where none comes sooner than the motion's own end."""
-
-    def __init__(self, motion: JointTrajectory, at_s: float) -> None:
-        self._motion = motion
-        self._at_s = at_s
-
-    @property
-    def duration_s(self) -> float:
-        return self._motion.duration_s - self._at_s
-
-    @property
-    def end(self) -> Floats:
-        """Where it comes to rest, shape (7,)."""
-        return self._motion.end
-
-    def sample(self, time_s: float) -> Floats:
-        """Joint positions [rad] at a time since the stop was asked for, shape (7,); clamped to the ends."""
-        return self._motion.sample(self._at_s + max(time_s, 0.0))
+def _parts(indices: np.ndarray, count: int) -> Iterator[np.ndarray]:
+    return (indices[begin : begin + count] for begin in range(0, len(indices), count))
 
 
-def stop(motion: JointTrajectory, at_s: float, rates: RateLimits, apex_offset_m: float) -> Stop | Rest:
-    """The soonest stop from `at_s` of a motion, along its path and within its limits."""
-    if not math.isfinite(at_s):
-        raise ValueError(f"a stop begins at a moment of the motion, not at {at_s!r} s")
-    at_s = min(max(at_s, 0.0), motion.duration_s)
-    left_s = motion.duration_s - at_s
-    delays_s, brakings_s = (grid.ravel() for grid in np.meshgrid(_DELAYS_S, _BRAKING_S))
-    ends_s = delays_s + brakings_s
-    # Braking runs over half its time of the motion, which must not end before.
-    possible = (delays_s + brakings_s / 2 < left_s) & (ends_s < left_s)
-    for k in np.argsort(ends_s, kind="stable"):
-        if possible[k]:
-            candidate = Stop(motion, at_s, float(delays_s[k]), float(brakings_s[k]))
-            if _keeps(candidate, rates, apex_offset_m):
-                return candidate
-    return Rest(motion, at_s)
+def _course(since_s: Floats, delay_s: Floats | float, braking_s: Floats | float) -> Floats:
+    """How much of the motion has passed at times since the stop was asked for, and its first three derivatives.
+
+    Shapes as broadcast, four of them in one array. Before that moment the motion's time is time itself.
+    """
+    x = np.clip((since_s - delay_s) / braking_s, 0.0, 1.0)
+    run_s = braking_s * (x - 2.5 * x**4 + 3 * x**5 - x**6)
+    return np.stack(
+        [
+            np.minimum(since_s, delay_s) + run_s,
+            1 - x**3 * (10 - 15 * x + 6 * x * x),
+            -(x**2) * (30 - 60 * x + 30 * x * x) / braking_s,
+            -x * (60 - 180 * x + 120 * x * x) / braking_s**2,
+        ]
+    )
 
 
-def _keeps(candidate: Stop, rates: RateLimits, apex_offset_m: float) -> bool:
-    q, speed, acceleration, jerk = candidate.at(np.linspace(0.0, candidate.duration_s, _SAMPLES))
-    allowed = (rates.speed, HARDER * rates.acceleration, JERKIER * rates.jerk)
-    for values, limits in zip((speed, acceleration, jerk), allowed, strict=True):
-        if (np.abs(values) > limits + _TOLERANCE).any():
-            return False
-    if candidate.spill_limit_deg is None:
-        return True
-    return worst_spill_deg(*apex_motion(q, speed, acceleration, apex_offset_m)) <= candidate.spill_limit_deg
+def _along(motion: JointTrajectory, at_s: float, course: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Position, speed, acceleration and jerk (n, 7) where a course (4, n) since `at_s` has come to."""
+    s, s1, s2, s3 = course[:, :, None]
+    q, q1, q2, q3 = (motion.at(at_s + s[:, 0], k) for k in range(4))
+    return q, q1 * s1, q2 * s1**2 + q1 * s2, q3 * s1**3 + 3 * q2 * s1 * s2 + q1 * s3

@@ -7,11 +7,12 @@ from typing import Any
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.recipe import Recipe
-from scuhand_bt.recipe.sample import Sample, demand_mg
+from scuhand_bt.recipe.sample import Demand, Sample, demand_of
+from scuhand_bt.recipe.takes import known
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs
-from scuhand_bt.tree.check import Library, check_workflows, literal, resolve_percent
-from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
+from scuhand_bt.tree.check import Library, check_workflows
+from scuhand_bt.tree.grammar import Branch, Call, Decorator, TreeNode, Workflow
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
@@ -45,15 +46,6 @@ class PersonNeeded:
     def __str__(self) -> str:
         """Reads on after "a person is"."""
         return f"needed at '{self.job}': {self.what}" if self.job is not None else f"perhaps needed: {self.what}"
-
-
-@dataclass(frozen=True)
-class Demand:
-    """What a source has, and what the plan takes from it."""
-
-    source: Source
-    needed_mg: float
-    samples: int
 
 
 @dataclass(frozen=True)
@@ -98,15 +90,20 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     forecaster = _Forecaster(lab)
     forecasts = [forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
-    demands = tuple(
-        Demand(
-            source,
-            demand_mg(recipe.samples, source),
-            sum(1 for sample in recipe.samples if sample.source is not None and sample.source.name == source.name),
-        )
-        for source in recipe.sources.values()
-    )
+    demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
     return Plan(recipe, jobs, demands, persons, sum(f.duration_s for found in forecasts for f in found))
+
+
+def recoveries(sample: Sample) -> list[Job]:
+    """After this sample has failed: a job for each of its sources, as the cone is emptied into one of them.
+
+    A resumed run knows by the job's name which one it was.
+    """
+    name = f"after {sample.id}"
+    return [
+        Job(name if len(sample.sources) == 1 else f"{name} with {source.name}", AFTER_FAILURE, {"source": source})
+        for source in sample.sources
+    ]
 
 
 def check_unattended(plan: Plan) -> None:
@@ -152,24 +149,23 @@ def _jobs(recipe: Recipe, lab: Lab) -> Iterator[Job]:
     """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
     last: Source | None = None
     for sample in _ordered(recipe):
-        source = sample.source
-        if source is not None:
-            if last is not None and source.sheet_key != last.sheet_key:
-                name = f"change powder to {source.powder.name} for {sample.id}"
+        for first in sample.sources[:1]:
+            if last is not None and first.sheet_key != last.sheet_key:
+                name = f"change powder to {first.powder.name} for {sample.id}"
                 yield Job(name, CHANGE_POWDER, {"source": last})
-            last = source
+            last = sample.last_source
         yield Job(sample.id, sample.workflow, sample.inputs, sample)
     if last is not None and FINISH_BATCH in lab.library.workflows:
         yield Job("finish the batch", FINISH_BATCH, {"source": last})
 
 
 def _ordered(recipe: Recipe) -> list[Sample]:
-    """By powder lot, in the order of first mention; within a lot as written."""
+    """By the powder lot that each begins with, in the order of first mention; within a lot as written."""
     if recipe.order == "as_written":
         return list(recipe.samples)
     groups: dict[str, list[Sample]] = {}
     for sample in recipe.samples:
-        groups.setdefault(sample.source.sheet_key if sample.source else "", []).append(sample)
+        groups.setdefault(sample.sources[0].sheet_key if sample.sources else "", []).append(sample)
     return [sample for group in groups.values() for sample in group]
 
 
@@ -217,9 +213,9 @@ class _Forecaster:
             return [*longest, *(replace(expected, duration_s=0.0) for expected in others)]
         if isinstance(node, Decorator):
             times = node.arguments.get("times")
-            count = 1 if times is None else int(self._known(node.arguments, scope).get("times", 1))
+            count = 1 if times is None else int(known(node.arguments, scope, self._library).get("times", 1))
             return [expected.repeated(count) for expected in self._of(node.child, scope)]
-        inputs = self._known(node.arguments, scope, node.name)
+        inputs = known(node.arguments, scope, self._library, node.name)
         if node.name in self._library.skills:
             return [self._of_skill(node, inputs)]
         return self._of_workflow(self._library.workflows[node.name], inputs)
@@ -231,14 +227,3 @@ class _Forecaster:
         except Exception as error:  # the lab's own code
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
             raise SourceError([Problem(node.mark, shorten(what, 200))]) from error
-
-    def _known(self, arguments: Mapping[str, Argument], scope: Scope, name: str | None = None) -> dict[str, Any]:
-        """The arguments whose values are known before the run: literals, and what stems from the job's inputs."""
-        wires = PARAMETERS if name is None else {key: p.wire for key, p in self._library.parameters(name).items()}
-        known: dict[str, Any] = {}
-        for key, argument in arguments.items():
-            if not isinstance(argument, Reference):
-                known[key] = literal(key, wires[key], argument, self._library)
-            elif argument.name in scope.values:
-                known[key] = scope.read(argument)
-        return resolve_percent(known)

@@ -15,6 +15,7 @@ from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
+from scuhand_bt.recipe.takes import Take, sources_of, takes_of
 from scuhand_bt.specs import Container, Positive, Source, Spec
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
@@ -101,6 +102,8 @@ class _Reader:
     """See `Recipe.marks`."""
     workflows: dict[str, Workflow] = field(default_factory=dict)
     """Those that the recipe names."""
+    is_sound: dict[str, bool] = field(default_factory=dict)
+    """By workflow."""
 
     def read(self) -> Recipe | None:
         root = parse(self.text, str(self.path), "a recipe")
@@ -291,9 +294,20 @@ class _Reader:
             self.problems.add(merged["tolerance"].mark, what)
         with suppress(ValueError):  # a wrong default, which is reported where it stands
             inputs = bound_inputs(workflow, inputs, self.lab.library)
-        sample = Sample(entry.mark, sample_id, workflow.name, inputs)
+        sample = Sample(entry.mark, sample_id, workflow.name, inputs, self._takes(workflow, inputs))
         check_sample(sample, entry.values, defaults.values, self.lab.cell.balance, self.problems)
         return sample
+
+    def _takes(self, workflow: Workflow, inputs: Mapping[str, Any]) -> tuple[Take, ...]:
+        """What a sample takes; of several sources nothing by a wrong workflow, which is reported where it stands."""
+        if len(sources_of(inputs)) > 1:
+            if workflow.name not in self.is_sound:
+                wrong = Problems()
+                check_workflows(self.lab.library, [workflow.name], wrong)
+                self.is_sound[workflow.name] = not wrong.found
+            if not self.is_sound[workflow.name]:
+                return ()
+        return takes_of(workflow, inputs, self.lab.library, self.problems)
 
     def _sample_id(self, entry: Entries) -> str:
         node = entry.get("id")

@@ -1,7 +1,6 @@
 """A sample, and what it asks of the lab: room in the container, range of the balance, powder, reach."""
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +11,7 @@ from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.motion import ApexPose, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
+from scuhand_bt.recipe.takes import Take, sources_of
 from scuhand_bt.specs import Container, Source
 from scuhand_bt.yaml_source import Node
 
@@ -24,10 +24,19 @@ class Sample:
     id: str
     workflow: str
     inputs: Mapping[str, Any]
+    takes: tuple[Take, ...]
+    """What it takes from its sources, in the order in which its workflow does."""
 
     @property
-    def source(self) -> Source | None:
-        return next((value for value in self.inputs.values() if isinstance(value, Source)), None)
+    def sources(self) -> tuple[Source, ...]:
+        """All of its sources, in the order in which its workflow takes from them; then those it takes nothing from."""
+        in_order = [take.source for take in self.takes] + sources_of(self.inputs)
+        return tuple({source.name: source for source in in_order}.values())
+
+    @property
+    def last_source(self) -> Source | None:
+        """Whose powder the sheet has touched when its workflow has ended."""
+        return self.takes[-1].source if self.takes else next(iter(self.sources), None)
 
     @property
     def container(self) -> Container | None:
@@ -45,21 +54,21 @@ class Sample:
         value = self.inputs.get(name)
         return value if isinstance(value, float) else None
 
-    @property
-    def scoops(self) -> int:
-        """Loads of the cone that the mass needs, at the least."""
-        if self.source is None or self.mass_mg is None:
-            return 0
-        return math.ceil(self.mass_mg / self.source.powder.load_limit_mg)
+
+@dataclass(frozen=True)
+class Demand:
+    """What a source has, and what samples take from it: their masses, and what each scoop loses."""
+
+    source: Source
+    needed_mg: float
+    samples: int
 
 
-def demand_mg(samples: Iterable[Sample], source: Source) -> float:
-    """The powder that samples take from a source: their masses, and what each scoop loses."""
-    return sum(
-        sample.mass_mg + sample.scoops * source.powder.scoop_loss_mg
-        for sample in samples
-        if sample.source is not None and sample.source.name == source.name and sample.mass_mg is not None
-    )
+def demand_of(samples: Sequence[Sample], source: Source) -> Demand:
+    """What these samples need of a source."""
+    takes = [take for sample in samples for take in sample.takes if take.source.name == source.name]
+    users = sum(any(one.name == source.name for one in sample.sources) for sample in samples)
+    return Demand(source, sum(take.needed_mg for take in takes), users)
 
 
 def check_source(source: Source, mark: Mark, problems: Problems) -> None:
@@ -87,7 +96,7 @@ def check_sample(
         return places[0].mark if places else sample.mark
 
     mass_mg, tolerance_mg = sample.mass_mg, sample.tolerance_mg
-    container, source = sample.container, sample.source
+    container, takes = sample.container, [take for take in sample.takes if take.mass_mg is not None]
     if mass_mg is not None and mass_mg <= 0:
         problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0")
         return
@@ -98,23 +107,30 @@ def check_sample(
         problems.add(
             at("mass", "tolerance"), f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"
         )
-    if mass_mg is None or container is None:
+    for take in takes:
+        if take.mass_mg is not None and take.mass_mg <= 0:
+            problems.add(sample.mark, f"the mass taken from '{take.source.name}' is {take.mass_mg:g} mg", "more than 0")
+            return
+    filled_mg = sum(take.mass_mg or 0.0 for take in takes) if takes else mass_mg
+    if filled_mg is None or container is None:
         return
-    if container.empty_mass_mg + mass_mg > balance.maximum_mg:
-        together = f"'{container.name}' ({format_mass(container.empty_mass_mg)}) and {format_mass(mass_mg)}"
+    if container.empty_mass_mg + filled_mg > balance.maximum_mg:
+        together = f"'{container.name}' ({format_mass(container.empty_mass_mg)}) and {format_mass(filled_mg)}"
         problems.add(
             at("mass", "container"),
             f"{together} are too heavy for the balance",
             f"its maximum is {format_mass(balance.maximum_mg)}",
         )
-    if source is None:
-        return
-    density = source.powder.bulk_density_mg_per_mm3
-    if mass_mg / density > container.capacity_mm3:
-        volume = f"{mass_mg / density / 1000:.2f} cm³"
-        what = f"{format_mass(mass_mg)} of {source.powder.name} ({volume}) does not fit into '{container.name}'"
-        holds = f"{container.capacity_mm3 / 1000:.2f} cm³, {format_mass(container.capacity_mm3 * density)}"
-        problems.add(at("mass", "container"), what, f"it holds {holds}")
+    volume_mm3 = sum((take.mass_mg or 0.0) / take.source.powder.bulk_density_mg_per_mm3 for take in takes)
+    if volume_mm3 > container.capacity_mm3:
+        powders = " and ".join(f"{format_mass(take.mass_mg or 0.0)} of {take.source.powder.name}" for take in takes)
+        fits = "does not fit" if len(takes) == 1 else "do not fit"
+        what = f"{powders} ({volume_mm3 / 1000:.2f} cm³) {fits} into '{container.name}'"
+        holds = f"it holds {container.capacity_mm3 / 1000:.2f} cm³"
+        if len(takes) == 1:
+            density = takes[0].source.powder.bulk_density_mg_per_mm3
+            holds = f"{holds}, {format_mass(container.capacity_mm3 * density)}"
+        problems.add(at("mass", "container"), what, holds)
 
 
 def check_demand(
@@ -122,14 +138,11 @@ def check_demand(
 ) -> None:
     """Each source must hold what its samples need, losses included."""
     for name, source in sources.items():
-        needed_mg = demand_mg(samples, source)
-        if needed_mg > source.amount_mg:
-            users = sum(1 for sample in samples if sample.source is not None and sample.source.name == name)
-            problems.add(
-                marks[name],
-                f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}, but its {users} samples "
-                f"need {format_mass(needed_mg)} with losses",
-            )
+        demand = demand_of(samples, source)
+        if demand.needed_mg > source.amount_mg:
+            holds = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
+            needs = f"its {demand.samples} samples need {format_mass(demand.needed_mg)} with losses"
+            problems.add(marks[name], f"{holds}, but {needs}")
 
 
 def check_reach(

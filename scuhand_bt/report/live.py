@@ -15,10 +15,12 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
-from scuhand_bt.run.batch import BatchObserver, BatchResult, SampleResult
+from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
+from scuhand_bt.run.outcome import BatchResult
 
 REFRESH_S = 0.1
 LAST_DOSES = 8

@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from scuhand_bt.events import Dose, Pulsed
+from scuhand_bt.journal.events import Answered, Asked, Ended, Resumed, RunBegun, parsed
 from scuhand_bt.quantity import format_mass
 
 _LONG = ("readings", "bare", "loaded", "traceback", "rules")
@@ -10,21 +12,21 @@ _LONG = ("readings", "bare", "loaded", "traceback", "rules")
 
 def header_lines(story: Mapping[str, Any]) -> Iterator[str]:
     """What the run was: on what, by whom, with what."""
-    run = story["header"]
+    run = RunBegun.model_validate(story["header"])
     yield f"{story['id']}: {story['mode']}" + (", no powder was moved" if story["simulated"] else "")
     why = f" ({story['reason']})" if story["reason"] else ""
     total = "" if story["total"] is None else f" of {story['total']}"
     yield f"State: {story['state']}{why}; {story['good']}{total} samples good."
-    yield f"Recipe: {run['recipe']} ({run['recipe_path']}, {run['recipe_hash'][:16]}…), controller {run['controller']}."
-    operator = f" by {run['operator']}" if "operator" in run else ""
-    yield f"Started: {run['started']}{operator}, with scuhand_bt {run['version']} on the cell '{run['cell']}'."
+    yield f"Recipe: {run.recipe} ({run.recipe_path}, {run.recipe_hash[:16]}…), controller {run.controller}."
+    operator = f" by {run.operator}" if run.operator is not None else ""
+    yield f"Started: {run.started}{operator}, with scuhand_bt {run.version} on the cell '{run.cell}'."
     if story["simulated"]:
-        yield f"Simulation: seed {run['seed']}, physics {run['plant']}."
-    if (balance := run.get("devices", {}).get("balance")) is not None:
+        yield f"Simulation: seed {run.seed}, physics {run.plant}."
+    if (balance := run.devices.get("balance")) is not None:
         yield f"Balance: {balance['driver']}, readability {balance['readability_mg']:g} mg."
-    for name, source in run.get("sources", {}).items():
-        lot = f", lot {source['lot']}" if source["lot"] else ""
-        yield f"Source '{name}': {source['powder']}{lot}, at {source['station']}."
+    for name, source in run.sources.items():
+        lot = f", lot {source.lot}" if source.lot else ""
+        yield f"Source '{name}': {source.powder}{lot}, at {source.station}."
 
 
 def chain_line(chain: Mapping[str, Any]) -> str:
@@ -61,25 +63,26 @@ def _ending(happened: Mapping[str, Any]) -> str:
 
 
 def _event(kind: str, values: Mapping[str, Any]) -> str:
-    match kind:
-        case "pulse":
+    match event := parsed(kind, values):
+        case Pulsed():
             opened = ""
-            if values["kind"] == "pulse":
-                opened = f"opened {values['opening_mm']:.2f} mm for {values['dwell_s']:.2f} s, "
-                opened += f"vibration {values['vibration']:.2f}; "
-            return f"{opened}net {format_mass(values['net_mg'])} ± {values['uncertainty_mg']:.2f} mg"
-        case "dose":
-            reached = f"{format_mass(values['dispensed_mg'])} of {format_mass(values['target_mg'])}"
-            return f"dose: {reached} ± {values['uncertainty_mg']:.2f} mg, {values['verdict']} ({values['controller']})"
-        case "asked":
-            return f"asked: {values['question']} [{'/'.join(values['choices'])}]"
-        case "answered":
-            return f"answered: {values['answer']}"
-        case "resumed":
-            changes = "".join(f"; accepted: {change}" for change in values["changes"])
-            return f"resumed by {values['operator']}; the last entry before was of {values['last_at']}{changes}"
-        case "ended":
-            return f"the run ended with exit code {values['exit_code']}" + f": {values['reason']}".removesuffix(": ")
+            if event.kind == "pulse":
+                opened = (
+                    f"opened {event.opening_mm:.2f} mm for {event.dwell_s:.2f} s, vibration {event.vibration:.2f}; "
+                )
+            return f"{opened}net {format_mass(event.net_mg)} ± {event.uncertainty_mg:.2f} mg"
+        case Dose():
+            reached = f"{format_mass(event.dispensed_mg)} of {format_mass(event.target_mg)}"
+            return f"dose: {reached} ± {event.uncertainty_mg:.2f} mg, {event.verdict} ({event.controller})"
+        case Asked():
+            return f"asked: {event.question} [{'/'.join(event.choices)}]"
+        case Answered():
+            return f"answered: {event.answer}"
+        case Resumed():
+            changes = "".join(f"; accepted: {change}" for change in event.changes)
+            return f"resumed by {event.operator}; the last entry before was of {event.last_at}{changes}"
+        case Ended():
+            return f"the run ended with exit code {event.exit_code}" + f": {event.reason}".removesuffix(": ")
     rest = ", ".join(f"{key} {_plain(value)}" for key, value in values.items() if key not in _LONG)
     return f"{kind}: {rest}" if rest else kind
 

@@ -6,9 +6,21 @@ formula gets an apostrophe in front.
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from scuhand_bt.events import (
+    ContainerPlaced,
+    Dose,
+    Event,
+    Line,
+    Pulsed,
+    Reweighed,
+    Tared,
+    Weighing,
+    WeightChecked,
+)
+from scuhand_bt.journal.events import JobStarted, PanCompared, Resumed, RunBegun, SourceUsed, parsed
 from scuhand_bt.journal.reader import Contents
 
 CONVENTION = (
@@ -51,26 +63,27 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
     jobs = {row["id"]: row for row in contents.rows("job")}
     codes = {row["id"]: row["code"] for row in contents.rows("action")}
     of_run: dict[str, object] = {}
-    sources: Mapping[str, Mapping[str, Any]] = {}
+    sources: Mapping[str, SourceUsed] = {}
     believed: Mapping[str, Any] = {}
     identity = ""
-    tare: Mapping[str, Any] = {}
-    loaded: Mapping[str, Any] = {}
+    tare: Tared | None = None
+    loaded: Pulsed | None = None
     for row in contents.rows("entry"):
-        kind, values = row["kind"], row["payload"]
         believed = row["state"]["believed"] if row["state"] is not None else believed
-        if kind == "run":
-            sources, of_run = values.get("sources", {}), _of_run(values)
-        elif kind == "resumed":
-            of_run |= {"operator": values.get("operator"), "software": f"scuhand_bt {values['version']}"}
-        elif kind == "job_started":
-            tare = loaded = {}
-        elif kind == "tare":
-            tare = values
-        elif kind == "pulse":
-            loaded = values
-        identity = values.get("balance", identity)
-        if (weighed := _weighed(kind, values, tare, loaded, believed)) is None:
+        match event := parsed(row["kind"], row["payload"]):
+            case RunBegun():
+                sources, of_run = event.sources, _of_run(event)
+            case Resumed():
+                of_run |= {"operator": event.operator, "software": f"scuhand_bt {event.version}"}
+            case JobStarted():
+                tare = loaded = None
+            case Tared():
+                tare = event
+            case Pulsed():
+                loaded = event
+        if isinstance(event, ContainerPlaced | Tared | WeightChecked):
+            identity = event.balance or identity
+        if (weighed := _weighed(event, tare, loaded, believed)) is None:
             continue
         pan = believed.get("pan") or {}
         job = jobs.get(row["job"]) or {}
@@ -85,95 +98,97 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
             "failure_code": codes.get(row["action"]) if row["action"] is not None else job.get("code"),
             "sheet": believed.get("sheets_used"),
             "sheet_powder": believed.get("sheet"),
-            **(_powder(believed, sources) if kind == "dose" else {}),
+            **(_powder(believed, sources) if isinstance(event, Dose) else {}),
             **weighed,
             "entry": row["seq"] if contents.is_chained else None,
             "entry_hash": row["hash"].hex(),
         }
 
 
-def _of_run(header: Mapping[str, Any]) -> dict[str, object]:
-    balance = header.get("devices", {}).get("balance", {})
-    names = ("run", "simulated", "mode", "recipe", "recipe_hash", "operator")
-    return {name: header.get(name) for name in names} | {
+def _of_run(run: RunBegun) -> dict[str, object]:
+    balance = run.devices.get("balance", {})
+    return {
+        "run": run.run,
+        "simulated": run.simulated,
+        "mode": run.mode,
+        "recipe": run.recipe,
+        "recipe_hash": run.recipe_hash,
+        "operator": run.operator,
         "balance_driver": balance.get("driver"),
         "readability_mg": balance.get("readability_mg"),
-        "software": f"scuhand_bt {header['version']}",
+        "software": f"scuhand_bt {run.version}",
     }
 
 
-def _powder(believed: Mapping[str, Any], sources: Mapping[str, Mapping[str, Any]]) -> dict[str, object]:
+def _powder(believed: Mapping[str, Any], sources: Mapping[str, SourceUsed]) -> dict[str, object]:
     """What was in the cone when it was dispensed."""
     name = believed.get("cone_source")
-    source = sources.get(name or "", {})
-    return {"source": name, "powder": source.get("powder"), "lot": source.get("lot")}
+    source = sources.get(name or "")
+    return {"source": name, "powder": source and source.powder, "lot": source and source.lot}
 
 
 def _weighed(
-    kind: str,
-    values: Mapping[str, Any],
-    tare: Mapping[str, Any],
-    loaded: Mapping[str, Any],
-    believed: Mapping[str, Any],
+    event: Event | None, tare: Tared | None, loaded: Pulsed | None, believed: Mapping[str, Any]
 ) -> dict[str, object] | None:
     """What an entry says about a mass; None for one that says nothing."""
-    match kind:
-        case "container":
-            row = _between(values.get("bare", {}), values.get("loaded", {}), values["mass_mg"])
-            return row | {"weighing": "container", "container": values["container"], "container_kind": values["kind"]}
-        case "tare":
-            return _gross(values) | {"weighing": "tare", "standard_uncertainty_mg": values.get("uncertainty_mg")}
-        case "dose":
-            tare_mg = believed.get("pan_empty_mg", tare.get("gross_mg"))
-            return _between({**tare, "gross_mg": tare_mg}, loaded, values["dispensed_mg"]) | {
+    match event:
+        case ContainerPlaced():
+            row = _between(event.bare, event.loaded, event.mass_mg)
+            return row | {"weighing": "container", "container": event.container, "container_kind": event.kind}
+        case Tared():
+            return _gross(event) | {"weighing": "tare", "standard_uncertainty_mg": event.uncertainty_mg}
+        case Dose():
+            tare_mg = believed.get("pan_empty_mg", tare and tare.gross_mg)
+            return _between(tare, loaded, event.dispensed_mg) | {
                 "weighing": "dose",
-                "standard_uncertainty_mg": values["uncertainty_mg"],
-                "target_mg": values["target_mg"],
-                "tolerance_mg": values["tolerance_mg"],
+                "tare_mg": tare_mg,
+                "standard_uncertainty_mg": event.uncertainty_mg,
+                "target_mg": event.target_mg,
+                "tolerance_mg": event.tolerance_mg,
                 "tolerance_convention": CONVENTION,
-                "verdict": values["verdict"],
-                "controller": values["controller"],
+                "verdict": event.verdict,
+                "controller": event.controller,
             }
-        case "reweighed":
-            return _gross(values) | {"weighing": "after an interruption", "net_mg": values["arrived_mg"]}
-        case "pan_compared":
-            return _gross(values) | {"weighing": "zero after an interruption"}
-        case "check_weight":
-            row = _between(values.get("bare", {}), values.get("loaded", {}), values["weight_mg"] + values["error_mg"])
-            return row | {
+        case Reweighed():
+            return _gross(event) | {"weighing": "after an interruption", "net_mg": event.arrived_mg}
+        case PanCompared():
+            return _gross(event) | {"weighing": "zero after an interruption"}
+        case WeightChecked():
+            return _between(event.bare, event.loaded, event.weight_mg + event.error_mg) | {
                 "weighing": "check weight",
-                "target_mg": values["weight_mg"],
-                "tolerance_mg": values.get("tolerance_mg"),
+                "target_mg": event.weight_mg,
+                "tolerance_mg": event.tolerance_mg,
             }
     return None
 
 
-def _gross(weighed: Mapping[str, Any]) -> dict[str, object]:
-    readings = weighed.get("readings", [])
+def _gross(weighed: Weighing | Pulsed | None) -> dict[str, object]:
+    readings = weighed.readings if weighed is not None else ()
     return {
-        "gross_mg": weighed.get("gross_mg"),
+        "gross_mg": weighed.gross_mg if weighed is not None else None,
         "stable": _all_stable(readings),
         "gross_lines": _lines(readings),
-        "lines_unit": readings[0]["unit"] if readings else None,
+        "lines_unit": readings[0].unit if readings else None,
     }
 
 
-def _between(before: Mapping[str, Any], after: Mapping[str, Any], net_mg: float) -> dict[str, object]:
-    """The difference of two weighings."""
-    bare, loaded = before.get("readings", []), after.get("readings", [])
+def _between(before: Weighing | None, after: Weighing | Pulsed | None, net_mg: float) -> dict[str, object]:
+    """The difference of two weighings; in an old journal one of them may be missing."""
+    bare = before.readings if before is not None else ()
+    loaded = after.readings if after is not None else ()
     return _gross(after) | {
-        "tare_mg": before.get("gross_mg"),
+        "tare_mg": before.gross_mg if before is not None else None,
         "net_mg": net_mg,
         "stable": _all_stable([*bare, *loaded]),
         "tare_lines": _lines(bare),
     }
 
 
-def _all_stable(readings: list[Mapping[str, Any]]) -> bool | None:
+def _all_stable(readings: Sequence[Line]) -> bool | None:
     """Whether the balance called all of them stable; None for an old journal, which has none."""
-    return all(reading["stable"] for reading in readings) if readings else None
+    return all(reading.stable for reading in readings) if readings else None
 
 
-def _lines(readings: list[Mapping[str, Any]]) -> str:
+def _lines(readings: Sequence[Line]) -> str:
     """The balance's own lines, one after the other."""
-    return " | ".join(reading["raw"].strip() for reading in readings)
+    return " | ".join(reading.raw.strip() for reading in readings)

@@ -2,83 +2,34 @@
 
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 from py_trees.behaviour import Behaviour
 
-from scuhand_bt.cell.believed import DoseSoFar
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
+from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
+from scuhand_bt.journal.events import Broken, Chosen, Ended, JobEnded, JobStarted, SampleResult, SampleVerdict
 from scuhand_bt.journal.history import STOPPED, History, read_history
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan
+from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.runner import Outcome, Runner
+from scuhand_bt.run.outcome import BatchResult, Outcome
+from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.specs import Container, Dose, Verdict
+from scuhand_bt.specs import Container
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
 from scuhand_bt.tree.replay import Replay
 
-SampleVerdict = Literal[Verdict, "no dose", "skipped", "interrupted", "not run"]
-
 ANSWERS = ("flag", "redo", "skip_sample", "stop")
 """What a person may choose for a failed sample, where the recipe says `ask`."""
-
-
-@dataclass(frozen=True)
-class SampleResult:
-    """One line of the table at the end; `true_mg` is the simulation's, for judging, and None on a real cell."""
-
-    id: str
-    container: str | None
-    target_mg: float | None
-    dispensed_mg: float | None
-    error_mg: float | None
-    uncertainty_mg: float | None
-    tolerance_mg: float | None
-    pulses: int
-    scoops: int
-    vibration_s: float
-    duration_s: float
-    controller: str | None
-    verdict: SampleVerdict
-    code: str | None
-    detail: str | None
-    true_mg: float | None
-
-    @property
-    def is_good(self) -> bool:
-        """A dose in tolerance, or a workflow that was to dose nothing; and no failure."""
-        return self.code is None and self.verdict == ("no dose" if self.target_mg is None else "in tolerance")
-
-
-@dataclass(frozen=True)
-class BatchResult:
-    """How a run ended."""
-
-    samples: tuple[SampleResult, ...]
-    exit_code: int
-    reason: str
-    duration_s: float
-    is_complete: bool
-    """Nothing is left that could be resumed."""
-
-
-@dataclass(frozen=True)
-class _Ending:
-    """Why a batch ends before its last job, or with a code of its own."""
-
-    exit_code: int
-    reason: str
-    is_complete: bool = False
 
 
 class BatchObserver:
@@ -129,27 +80,26 @@ class Batch:
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
-        ending = _Ending(ExitCode.CELL_FAULT, "broken")
+        ending = _ended(ExitCode.CELL_FAULT, "broken")
         try:
             ending = self._run_jobs()
         except (SkillBug, PlantError, RecordLost, SkillFailed) as error:
-            ending = _Ending(ExitCode.CELL_FAULT, str(error))
+            ending = _ended(ExitCode.CELL_FAULT, str(error))
         except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
-            ending = _Ending(ExitCode.CELL_FAULT, f"{type(error).__name__}: {error}")
-            self._journal.event("broken", {"traceback": traceback.format_exc()})
+            ending = _ended(ExitCode.CELL_FAULT, f"{type(error).__name__}: {error}")
+            self._journal.event(Broken(traceback=traceback.format_exc()))
         finally:
             if not self._is_safe():
                 reason = f"{ending.reason}; a device did not stop".lstrip("; ")
-                ending = _Ending(ExitCode.CELL_FAULT, reason, ending.is_complete)
+                ending = _ended(ExitCode.CELL_FAULT, reason, complete=ending.is_complete)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
-                    self._note(self._result(job.sample, None, "not run", None, 0.0, 1), 1)
+                    self._note(self._result(job.sample, None, "not run", None, 0.0, 1))
             in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
                 code = ExitCode.FLAGGED
-            values = {"exit_code": code, "reason": ending.reason, "complete": ending.is_complete}
-            self._journal.event("ended", values)
+            self._journal.event(_ended(code, ending.reason, complete=ending.is_complete))
         return BatchResult(in_order, code, ending.reason, self._cell.clock.now_s, ending.is_complete)
 
     def _is_safe(self) -> bool:
@@ -158,28 +108,28 @@ class Batch:
         except RecordLost:
             return self._runner.make_safe()
         except Exception:  # a simulated world that breaks at every step cannot come to rest
-            self._journal.event("broken", {"traceback": traceback.format_exc()})
+            self._journal.event(Broken(traceback=traceback.format_exc()))
             return False
 
-    def _run_jobs(self) -> _Ending:
+    def _run_jobs(self) -> Ended:
         if self._first is not None:
             self._runner.ask(self._first)
         for number, job in enumerate(self._plan.jobs):
             if self._control.is_stopping:
-                return _Ending(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "stopped")
+                return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "stopped")
             self._observer.job_started(job, number)
             ending = self._run_service(job, 1) if job.sample is None else self._run_sample(job, job.sample)
             if ending is not None:
                 return ending
-        return _Ending(ExitCode.OK, "", is_complete=True)
+        return _ended(ExitCode.OK, "", complete=True)
 
-    def _run_service(self, job: Job, attempt: int) -> _Ending | None:
+    def _run_service(self, job: Job, attempt: int) -> Ended | None:
         outcome = self._run_job(job, job.inputs, None, attempt)
         if outcome.failure is not None:
-            return _Ending(ExitCode.CELL_FAULT, f"{job.name}: {outcome.failure}")
-        return _Ending(ExitCode.INTERRUPTED, "interrupted") if outcome.interrupted else None
+            return _ended(ExitCode.CELL_FAULT, f"{job.name}: {outcome.failure}")
+        return _ended(ExitCode.INTERRUPTED, "interrupted") if outcome.interrupted else None
 
-    def _run_sample(self, job: Job, sample: Sample) -> _Ending | None:
+    def _run_sample(self, job: Job, sample: Sample) -> Ended | None:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
         attempt = 1
         while True:
@@ -188,25 +138,23 @@ class Batch:
             outcome = self._run_job(job, _inputs_for(sample, attempt), sample.id, attempt)
             failure = outcome.failure
             if outcome.interrupted is not None:
-                self._note(
-                    self._result(sample, self._journal.last_dose, "interrupted", failure, began_s, attempt), attempt
-                )
+                self._note(self._result(sample, self._journal.last_dose, "interrupted", failure, began_s, attempt))
                 if failure is not None:
-                    return _Ending(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
-                return _Ending(ExitCode.INTERRUPTED, "interrupted")
+                    return _ended(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
+                return _ended(ExitCode.INTERRUPTED, "interrupted")
             action = "flag" if failure is None else self._action_for(sample, failure, attempt)
             if action == "redo" and attempt > 1:
                 action = "flag"
             verdict: SampleVerdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))
             if recorded is not None and before is not None and before.is_over:
-                self._show(restored(recorded))
+                self._show(recorded)
             else:
-                self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt), attempt)
+                self._note(self._result(sample, self._journal.last_dose, verdict, failure, began_s, attempt))
             if failure is None:
                 return None
             if action == "stop":
-                return _Ending(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
+                return _ended(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
             if (ended := self._recover(sample, attempt)) is not None:
                 return ended
             if action != "redo":
@@ -229,13 +177,16 @@ class Batch:
                     raise
                 return "stop"
             if answer != "stop":  # which is asked anew when the run is resumed
-                self._journal.event("chosen", {"sample": sample.id, "attempt": attempt, "action": answer})
+                self._journal.event(Chosen(sample=sample.id, attempt=attempt, action=answer))
         return answer
 
-    def _recover(self, sample: Sample, attempt: int) -> _Ending | None:
-        if AFTER_FAILURE not in self._library.workflows or sample.source is None:
+    def _recover(self, sample: Sample, attempt: int) -> Ended | None:
+        if AFTER_FAILURE not in self._library.workflows or not sample.sources:
             return None
-        return self._run_service(Job(f"after {sample.id}", AFTER_FAILURE, {"source": sample.source}), attempt)
+        jobs = recoveries(sample)
+        begun = [job for job in jobs if (job.name, attempt) in self._history.jobs]
+        of_cone = [job for job in jobs if job.inputs["source"].name == self._cell.believed.cone_source]
+        return self._run_service([*begun, *of_cone, *jobs][0], attempt)
 
     def _run_job(self, job: Job, inputs: Mapping[str, Any], sample_id: str | None, attempt: int) -> Outcome:
         """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""
@@ -245,8 +196,8 @@ class Batch:
             return Outcome(before.failure)
         if before is None:
             self._cell.begin_sample(sample_id or job.name, attempt)
-            self._cell.believed.dosing = DoseSoFar(began_s=self._cell.clock.now_s)
-            journal.job_started(job.name, sample_id, attempt, job.workflow)
+            self._cell.believed.dose_began(self._cell.clock.now_s)
+            journal.job_started(JobStarted(name=job.name, sample=sample_id, attempt=attempt, workflow=job.workflow))
             replay = Replay()
         else:
             journal.job_resumed(before.seq, before.dose)
@@ -255,7 +206,7 @@ class Batch:
             try:
                 outcome = self._runner.run(job, inputs, replay)
             except BaseException as error:
-                journal.job_ended("broken", None, f"{type(error).__name__}: {error}")
+                journal.job_ended(JobEnded(outcome="broken", detail=f"{type(error).__name__}: {error}"))
                 raise
             self._note_outcome(sample_id, outcome)
             if outcome.interrupted != "paused":
@@ -279,7 +230,8 @@ class Batch:
         else:
             stops = sample_id is None or self._plan.recipe.action_for(failure.code) == "stop"
             word = STOPPED if stops else "failed"
-        self._journal.job_ended(word, *((failure.code, failure.detail) if failure is not None else ()))
+        code, detail = (failure.code, failure.detail) if failure is not None else (None, None)
+        self._journal.job_ended(JobEnded(outcome=word, code=code, detail=detail))
         self._after_job()
 
     def _result(
@@ -314,10 +266,11 @@ class Batch:
             code=failure.code if failure else None,
             detail=failure.detail if failure else None,
             true_mg=true_mg,
+            attempt=attempt,
         )
 
-    def _note(self, result: SampleResult, attempt: int) -> None:
-        self._journal.event("sample", {**asdict(result), "attempt": attempt})
+    def _note(self, result: SampleResult) -> None:
+        self._journal.event(result)
         self._show(result)
 
     def _show(self, result: SampleResult) -> None:
@@ -325,9 +278,9 @@ class Batch:
         self._observer.sample_ended(result)
 
 
-def restored(values: Mapping[str, Any]) -> SampleResult:
-    """A sample's result from its entry in the journal."""
-    return SampleResult(**{name: values[name] for name in SampleResult.__dataclass_fields__})
+def _ended(exit_code: int, reason: str, *, complete: bool = False) -> Ended:
+    """Why a batch ends before its last job, or with a code of its own."""
+    return Ended(exit_code=exit_code, reason=reason, complete=complete)
 
 
 def _inputs_for(sample: Sample, attempt: int) -> dict[str, Any]:

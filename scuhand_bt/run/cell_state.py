@@ -29,8 +29,9 @@ def take_up(cell: Cell, state: Mapping[str, Any]) -> None:
     if not state:
         return
     cell.believed = _BELIEVED.validate_python(state["believed"], by_name=True, by_alias=False)
+    source = cell.sources.get(cell.believed.cone_source or "")
+    if source is not None and cell.believed.sheet is None:  # as it could be in journals of earlier versions
+        cell.believed.cone_holds(source, cell.believed.cone_mg)
     for name, belief in state["powders"].items():
         cell.powder_beliefs[name] = PowderBelief.model_validate(belief, by_name=True, by_alias=False)
     cell.balance_belief = BalanceBelief.model_validate(state["balance"], by_name=True, by_alias=False)
-    cell.motion.set_cone_diameter(cell.hand.cone_diameter_mm / 1000)
-    cell.motion.set_container(cell.believed.pan.kind if cell.believed.pan is not None else None)

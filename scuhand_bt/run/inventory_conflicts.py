@@ -62,20 +62,19 @@ def recall(cell: Cell, stock: Stock) -> None:
     for name, source in cell.sources.items():
         known = stock.get(("station", source.station))
         if known is not None and known.lot_key == source.sheet_key:
-            believed.sources_mg[name] = known.mass_mg or 0.0
-    cone = stock.get(("cone", ""))
-    if cone is not None and (cone.mass_mg or 0.0) < EMPTY_MG:
-        believed.cone_source, believed.cone_mg = None, 0.0
-    elif cone is not None:
-        same = [name for name, source in cell.sources.items() if source.sheet_key == cone.lot_key]
-        if same:
-            believed.cone_source, believed.cone_mg = same[0], cone.mass_mg or 0.0
+            believed.source_holds(name, known.mass_mg or 0.0)
     if (sheet := stock.get(("sheet", ""))) is not None:
-        believed.sheet, believed.sheets_used = sheet.lot_key or None, sheet.used or 1
-    if (changer := stock.get(("changer", ""))) is not None:
-        believed.slots_used = changer.used or 0
+        believed.sheet_is(sheet.lot_key or None, sheet.used or 1)
+    cone = stock.get(("cone", ""))
+    if cone is not None and (mass_mg := cone.mass_mg or 0.0) >= EMPTY_MG:
+        same = [source for source in cell.sources.values() if source.sheet_key == cone.lot_key]
+        if same:
+            believed.cone_holds(same[0], mass_mg)
+    changer = stock.get(("changer", ""))
     containers = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
-    believed.containers_used = containers or believed.containers_used
+    believed.containers_taken(
+        (changer.used or 0) if changer is not None else believed.slots_used, containers or believed.containers_used
+    )
 
 
 def corrections(stock: Stock, since: str) -> Stock:
@@ -143,14 +142,14 @@ def _set(source: Source) -> str:
 
 def _believe_source(name: str, mass_mg: float) -> Resolution:
     def believe(believed: Believed) -> None:
-        believed.sources_mg[name] = mass_mg
+        believed.source_holds(name, mass_mg)
 
     return believe
 
 
 def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
     """The cone must be empty, or hold what comes first; and so the sheet."""
-    first = next((job.sample.source for job in plan.jobs if job.sample is not None and job.sample.source), None)
+    first = next((job.sample.sources[0] for job in plan.jobs if job.sample is not None and job.sample.sources), None)
     mark = plan.recipe.marks[f"sources.{first.name}"] if first is not None else Mark(str(plan.recipe.path))
     needs = f"the first sample needs {first.sheet_key}" if first is not None else "this recipe needs it empty"
     cone, sheet = stock.get(("cone", "")), stock.get(("sheet", ""))
@@ -161,12 +160,7 @@ def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
     if sheet is not None and sheet.powder and first is not None and sheet.lot_key != first.sheet_key:
         what = f"by the inventory the sheet has touched {sheet.lot_key} ({sheet.origin})"
         question = f"The sheet has touched {sheet.lot_key}. Is a fresh one in the hand now?"
-        yield Conflict(mark, f"{what}; {needs}", question, (("fresh", _believe_fresh),))
-
-
-def _believe_fresh(believed: Believed) -> None:
-    believed.sheet = None
-    believed.sheets_used += 1
+        yield Conflict(mark, f"{what}; {needs}", question, (("fresh", Believed.sheet_swapped),))
 
 
 def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
@@ -178,9 +172,5 @@ def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflic
     if used and used + containers > slots:
         what = f"by the inventory {used} of the changer's {slots} slots are used ({changer.origin})"
         question = f"{used} of the changer's {slots} slots are used. Is it filled again now?"
-        mark = Mark(str(plan.recipe.path))
-        yield Conflict(mark, f"{what}; the batch has {containers} containers", question, (("filled", _believe_filled),))
-
-
-def _believe_filled(believed: Believed) -> None:
-    believed.slots_used = 0
+        what = f"{what}; the batch has {containers} containers"
+        yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", Believed.slots_refilled),))

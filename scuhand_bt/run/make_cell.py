@@ -15,6 +15,8 @@ from scuhand_bt.clock import Clock
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.journal.events import NotResumable
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.planner import CONE_DIAMETER_M
@@ -87,7 +89,7 @@ def set_up(
     plan: Plan,
     lab: Lab,
     simulation: Simulation | None,
-    record: Record,
+    journal: Journal,
     motion: MotionPlanner | None = None,
     *,
     unattended: bool = False,
@@ -112,14 +114,15 @@ def set_up(
     motion = motion or motion_of(plan, lab)
     match simulation:
         case DryRun():
-            setup = _dry_run(plan, lab, simulation, record, motion, world_path, resumed_at_s is not None)
+            setup = _dry_run(plan, lab, simulation, journal, motion, world_path, resumed_at_s is not None)
         case Rehearsal():
-            setup = _rehearsal(plan, lab, simulation, record, motion)
+            setup = _rehearsal(plan, lab, simulation, journal, motion)
         case None:
-            setup = _real(plan, lab, record, motion, resumed_at_s or 0.0)
+            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0)
     cell = setup.cell
     cell.places_mm = places_of(plan, lab)
-    cell.believed.sources_mg = {name: source.amount_mg for name, source in plan.recipe.sources.items()}
+    for name, source in plan.recipe.sources.items():
+        cell.believed.source_holds(name, source.amount_mg)
     if plan.recipe.controller is not None:
         cell.controller = plan.recipe.controller
     if unattended:
@@ -132,7 +135,7 @@ def _dry_run(
     plan: Plan,
     lab: Lab,
     dry_run: DryRun,
-    record: Record,
+    journal: Journal,
     motion: MotionPlanner,
     world_path: Path | None,
     restore: bool,
@@ -140,12 +143,12 @@ def _dry_run(
     _find_plants(lab)
     clock = VirtualClock(speed=dry_run.speed)
     faults = _faults(plan, dry_run)
-    operator = SimulatedOperator(clock, record, faults=faults)
+    operator = SimulatedOperator(clock, journal.event, faults=faults)
     cell, world = simulated_cell(
         lab.cell,
         plan.recipe.sources,
         clock=clock,
-        record=record,
+        record=Record(journal.event),
         motion=motion,
         operator=operator,
         seed=dry_run.seed,
@@ -159,7 +162,7 @@ def _dry_run(
     _follow_hands(world, cell)
 
     def tell(why: str) -> None:
-        record.event("not_resumable", {"why": why})
+        journal.event(NotResumable(why=why))
 
     if world_path is not None and restore:
         clock.go_on_from(world.restore(world_path, tell))
@@ -168,7 +171,7 @@ def _dry_run(
     return Setup(cell, world, world.close)
 
 
-def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, record: Record, motion: MotionPlanner) -> Setup:
+def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner) -> Setup:
     _find_plants(lab)
     liveness = Liveness()
 
@@ -192,12 +195,12 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, record: Record, motio
         opened.callback(devices.close)
         opened.callback(liveness.end)
         if has_person:
-            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, record, _show)
+            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, journal.event, _show)
         else:
-            operator = SimulatedOperator(clock, record, REHEARSED_ANSWER_S, faults)
+            operator = SimulatedOperator(clock, journal.event, REHEARSED_ANSWER_S, faults)
         by_hand = lab.cell.changer.driver == "operator"
         changer = OperatorChanger(operator, world.place, world.remove) if by_hand else SimulatedChanger(clock, world)
-        cell = _wired_cell(plan, lab, devices, clock, record, motion, operator, changer, simulated=True)
+        cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=True)
         cell.begin_sample = world.begin_sample
         _follow_hands(world, cell)
         return Setup(cell, world, opened.pop_all().close)
@@ -210,16 +213,16 @@ def _faults(plan: Plan, simulation: Simulation) -> Faults:
     return Faults(simulation.faults.rules, simulation.seed)
 
 
-def _real(plan: Plan, lab: Lab, record: Record, motion: MotionPlanner, began_s: float) -> Setup:
+def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float) -> Setup:
     liveness = Liveness()
     clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
         devices = connect_cell_devices(lab.cell, clock, liveness)
         opened.callback(devices.close)
         opened.callback(liveness.end)
-        operator = TerminalOperator(clock, record, _show)
+        operator = TerminalOperator(clock, journal.event, _show)
         changer = OperatorChanger(operator, may_be_loaded=began_s > 0.0)
-        cell = _wired_cell(plan, lab, devices, clock, record, motion, operator, changer, simulated=False)
+        cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=False)
         return Setup(cell, None, opened.pop_all().close)
 
 
@@ -228,7 +231,7 @@ def _wired_cell(
     lab: Lab,
     devices: Devices,
     clock: Clock,
-    record: Record,
+    journal: Journal,
     motion: MotionPlanner,
     operator: Operator,
     changer: Changer,
@@ -239,7 +242,7 @@ def _wired_cell(
     return Cell(
         spec=lab.cell,
         clock=clock,
-        record=record,
+        record=Record(journal.event),
         arm=devices.arm,
         hand=devices.hand,
         balance=devices.balance,

@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.record import Record
+from scuhand_bt.journal.events import Answered, Asked
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
 
+Tell = Callable[[Asked | Answered], None]
+"""Writes a question or its answer into the journal."""
 ANSWER_S = 60.0
 """Run time that a simulated person takes to do what is asked."""
 
@@ -19,20 +21,20 @@ ANSWER_S = 60.0
 class SimulatedOperator:
     """Does what is asked, in a minute of run time unless told otherwise; refuses where `faults` has it so."""
 
-    def __init__(self, clock: Clock, record: Record, answer_s: float = ANSWER_S, faults: Faults | None = None) -> None:
+    def __init__(self, clock: Clock, tell: Tell, answer_s: float = ANSWER_S, faults: Faults | None = None) -> None:
         self._clock = clock
-        self._record = record
+        self._tell = tell
         self._answer_s = answer_s
         self._faults = faults or Faults()
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
-        self._record.event("asked", {"question": question, "choices": list(choices)})
+        self._tell(Asked(question=question, choices=list(choices)))
         ready_s = self._clock.now_s + self._answer_s
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
         refuses = self._faults.befalls("operator.refuses", self._clock.now_s)
         answer = choices[-1 if refuses else 0]
-        self._record.event("answered", {"question": question, "answer": answer})
+        self._tell(Answered(question=question, answer=answer))
         return answer
 
 
@@ -46,15 +48,15 @@ class Nobody:
 class TerminalOperator:
     """Asks on the terminal; the answer is read on a thread, so that the cell stays watched meanwhile."""
 
-    def __init__(self, clock: Clock, record: Record, show: Callable[[str], None]) -> None:
+    def __init__(self, clock: Clock, tell: Tell, show: Callable[[str], None]) -> None:
         self._clock = clock
-        self._record = record
+        self._tell = tell
         self._show = show
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         if not sys.stdin.isatty():
             raise SkillFailed(Code.OPERATOR_ABSENT, question)
-        self._record.event("asked", {"question": question, "choices": list(choices)})
+        self._tell(Asked(question=question, choices=list(choices)))
         answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         answered = Signal()
         while True:
@@ -64,13 +66,17 @@ class TerminalOperator:
                 yield Wake.on(answered, self._clock.now_s + 60.0)
             answer = answers.get().strip().lower()
             if answer in choices:
-                self._record.event("answered", {"question": question, "answer": answer})
+                self._tell(Answered(question=question, answer=answer))
                 return answer
 
 
 def _read_line(answers: "queue.SimpleQueue[str]", answered: Signal) -> None:
     answers.put(sys.stdin.readline() or "stop")
     answered.fire()
+
+
+UNKNOWN = ""
+"""Whatever an earlier run may have left on the pan."""
 
 
 class OperatorChanger:
@@ -95,21 +101,27 @@ class OperatorChanger:
         self._operator = operator
         self._place = place
         self._remove = remove
-        self._is_loaded = may_be_loaded
+        self._on_pan: str | None = UNKNOWN if may_be_loaded else None
 
     def stop(self) -> None:
         """Nothing moves by itself."""
 
     def bring(self, container: Container) -> Steps[None]:
+        if self._on_pan == container.id:
+            return
+        if self._on_pan not in (None, UNKNOWN):
+            raise SkillFailed(Code.CONTAINER_MISSING, f"the pan is not free: '{self._on_pan}' stands on it")
         yield from self._do(f"Put the empty {container.name} '{container.id}' on the pan.")
         self._place(container)
-        self._is_loaded = True
+        self._on_pan = container.id
+        self.news.fire()
 
     def take_away(self) -> Steps[None]:
-        if self._is_loaded:
+        if self._on_pan is not None:
             yield from self._do("Take the container off the pan.")
             self._remove()
-            self._is_loaded = False
+            self._on_pan = None
+            self.news.fire()
 
     def _do(self, request: str) -> Steps[None]:
         answer = yield from self._operator.ask(request)

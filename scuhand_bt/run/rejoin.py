@@ -7,6 +7,8 @@ import numpy as np
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
 from scuhand_bt.failures import Code
+from scuhand_bt.journal.events import ArmMoved, PanCompared, Settled
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.motion import apex
 from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.tree.replay import Recorded, Replay
@@ -18,38 +20,45 @@ DRIFT_DIGITS = 10.0
 
 
 def rejoin(
-    cell: Cell, replay: Replay, skill: Skill[Any], name: str, recorded: Recorded | None, *, is_same: bool
+    journal: Journal,
+    cell: Cell,
+    replay: Replay,
+    skill: Skill[Any],
+    name: str,
+    recorded: Recorded | None,
+    *,
+    is_same: bool,
 ) -> Steps[bool]:
     """What `tree.leaf.Rejoin` asks for. SkillFailed operator.refused where the operator stops the run."""
     if replay.is_to_rejoin:
         replay.is_to_rejoin = False
-        yield from _return(cell, replay, skill, was_interrupted=recorded is not None)
+        yield from _return(journal, cell, replay, skill, was_interrupted=recorded is not None)
     if recorded is None:
         return True
-    return (yield from _settle(cell, skill, name, None if is_same else recorded)) != "done"
+    return (yield from _settle(journal, cell, skill, name, None if is_same else recorded)) != "done"
 
 
-def _return(cell: Cell, replay: Replay, skill: Skill[Any], *, was_interrupted: bool) -> Steps[None]:
+def _return(journal: Journal, cell: Cell, replay: Replay, skill: Skill[Any], *, was_interrupted: bool) -> Steps[None]:
     """The arm back where it was, if this skill would not move it; the pan compared."""
     there = replay.joints_rad
     if there is not None and "arm" not in skill.devices:
         moved_rad = float(np.abs(np.array(there) - cell.arm.positions).max())
         if moved_rad > MOVED_RAD:
-            cell.record.event("arm_moved", {"moved_rad": moved_rad})
+            journal.event(ArmMoved(moved_rad=moved_rad))
             yield from cell.move_to(apex(np.array(there), cell.spec.hand.apex_offset_mm / 1000))
     gross_mg = cell.believed.pan_gross_mg
     weighs_itself = (was_interrupted and skill.interrupted == "reweigh") or cell.believed.dosing.is_unweighed
     if gross_mg is not None and not weighs_itself and "changer" not in skill.devices:
-        yield from _compare_pan(cell, gross_mg)
+        yield from _compare_pan(journal, cell, gross_mg)
 
 
-def _settle(cell: Cell, skill: Skill[Any], name: str, changed_from: Recorded | None) -> Steps[str]:
+def _settle(journal: Journal, cell: Cell, skill: Skill[Any], name: str, changed_from: Recorded | None) -> Steps[str]:
     """Settle an action that had begun and not ended: "again", or "done" where the operator says so.
 
     `changed_from` is what stood in its place, if the workflow or the recipe has changed since.
     """
     if changed_from is None and skill.interrupted != "ask":
-        cell.record.event("settled", {"skill": name, "by": skill.interrupted})
+        journal.event(Settled(skill=name, by=skill.interrupted))
         yield from skill.settle(cell)
         return "again"
     if changed_from is not None:
@@ -64,12 +73,11 @@ def _settle(cell: Cell, skill: Skill[Any], name: str, changed_from: Recorded | N
     return answer
 
 
-def _compare_pan(cell: Cell, gross_mg: float) -> Steps[None]:
+def _compare_pan(journal: Journal, cell: Cell, gross_mg: float) -> Steps[None]:
     """Nothing can have been dosed since the pan was weighed: what it shows otherwise is the balance's zero."""
-    believed = cell.believed
     mean = yield from cell.balance.stable_mean()
     drift_mg = mean.value_mg - gross_mg
-    cell.record.event("pan_compared", {**mean.values(), "before_mg": gross_mg})
+    journal.event(PanCompared(**dict(mean.written()), before_mg=gross_mg))
     if abs(drift_mg) > max(1.0, DRIFT_DIGITS * cell.spec.balance.readability_mg):
         answer = yield from cell.operator.ask(
             f"The pan shows {drift_mg:+.1f} mg against before the interruption, and nothing was being dosed. Has only "
@@ -80,6 +88,4 @@ def _compare_pan(cell: Cell, gross_mg: float) -> Steps[None]:
             raise SkillFailed(Code.OPERATOR_REFUSED, f"the pan shows {drift_mg:+.1f} mg against before")
         if answer == "powder":
             drift_mg = 0.0
-    if believed.pan_empty_mg is not None:
-        believed.pan_empty_mg += drift_mg
-    believed.pan_gross_mg = mean.value_mg
+    cell.believed.zero_moved(drift_mg, mean.value_mg)

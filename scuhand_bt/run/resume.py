@@ -1,7 +1,7 @@
 """Finding an interrupted run, and whether it may be resumed: that nothing was altered, or changed unnoticed."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.journal.writer import SCHEMA_VERSION
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
-from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.recipe.plan import Plan, recoveries
 
 LAB_FOLDERS = ("robot", "skills", "trees")
 
@@ -58,6 +58,8 @@ def checked_history(path: Path) -> History:
         if contents.verified.problem is not None:
             raise _refused(path, f"the journal is not as it was written: {contents.verified.problem}")
         history = history_of(contents.database)
+    if history.begun is None:
+        raise _refused(path, "nothing had moved when the run ended; start it anew")
     if history.is_complete:
         raise _refused(path, "the run is complete: nothing is left to do")
     if history.lost_world:
@@ -94,7 +96,8 @@ def _overtaken(history: History, plan: Plan) -> Iterator[str]:
     """What had begun, and is no longer the next thing to do in this plan."""
     begun, names = {name for name, _ in history.jobs}, [job.name for job in plan.jobs]
     if (unfinished := history.unfinished()) is not None:
-        name = unfinished[1].removeprefix("after ")  # its recovery is no job of the plan's
+        of_recovery = {after.name: job.name for job in plan.jobs if job.sample for after in recoveries(job.sample)}
+        name = of_recovery.get(unfinished[1], unfinished[1])  # a recovery is no job of the plan's
         if name not in names:
             yield f"'{name}' was under way, and this plan has it no more; put it back, to skip it use `on_failure`"
     new = next((number for number, name in enumerate(names) if name not in begun), len(names))
@@ -103,16 +106,16 @@ def _overtaken(history: History, plan: Plan) -> Iterator[str]:
 
 
 def _changes(history: History, plan: Plan, lab: Lab) -> Iterator[str]:
-    if history.run.get("recipe_hash") != plan.recipe.hash:
+    if history.run.recipe_hash != plan.recipe.hash:
         yield f"the recipe {plan.recipe.path} or one of its tables has changed"
-    before: Mapping[str, str] = history.run.get("lab_files", {})
+    before = history.run.lab_files
     now = lab_files(lab)
     for name in sorted(before.keys() | now.keys()):
         if before.get(name) != now.get(name):
             what = "was added" if name not in before else "is gone" if name not in now else "has changed"
             yield f"the lab's {name} {what}"
-    if history.run.get("version") != scuhand_bt.__version__:
-        yield f"scuhand_bt {history.run.get('version')} became {scuhand_bt.__version__}"
+    if history.run.version != scuhand_bt.__version__:
+        yield f"scuhand_bt {history.run.version} became {scuhand_bt.__version__}"
 
 
 def _refused(path: Path, what: str) -> SourceError:

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar, cast
+from functools import partial
+from typing import Any, Protocol, TypeVar, cast
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -12,10 +12,13 @@ from py_trees.common import Status
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.writer import FLUSH_S, Journal, to_json
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Continued, Decided, Paused
+from scuhand_bt.journal.plain import plain, plain_values, to_json
+from scuhand_bt.journal.writer import FLUSH_S, Journal
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
+from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.rejoin import rejoin
 from scuhand_bt.skill import DEVICES, SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
@@ -26,7 +29,7 @@ from scuhand_bt.tree.nodes import failure_of
 from scuhand_bt.tree.replay import Decision, Replay
 
 SAFE_TIMEOUT_S = 20.0
-"""How long the cell may take to stand still after it was told to stop."""
+"""How long the cell may take to stand still once it is told to: a carousel's swing takes 6 s, an arm's stop 1 s."""
 FALL_S = 0.5
 """After everything stands still, what was falling has landed."""
 MAX_SILENCE_S = 3600.0
@@ -34,19 +37,6 @@ MAX_SILENCE_S = 3600.0
 MAX_TICKS_AT_ONE_TIME = 10_000
 
 T = TypeVar("T")
-Interruption = Literal["stopped", "paused", "tripped"]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a job's tree ended: `failure` is None if it succeeded.
-
-    `interrupted` says what halted the job before its end: a person's stop or pause, or a guard, whose reason
-    `failure` then is.
-    """
-
-    failure: SkillFailed | None = None
-    interrupted: Interruption | None = None
 
 
 class TickObserver(Protocol):
@@ -80,7 +70,8 @@ class Runner:
 
         After an interruption `make_safe` is the caller's to call.
         """
-        shared = Ticking(self._cell, self._leases, _Recorder(self._journal), replay, rejoin)
+        recorder, rejoins = _Recorder(self._journal), partial(rejoin, self._journal)
+        shared = Ticking(self._cell, self._leases, recorder, replay, rejoins)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
         interrupted: Outcome | None = Outcome(interrupted="stopped")
         try:
@@ -129,7 +120,7 @@ class Runner:
 
     def hold(self) -> SkillFailed | None:
         """Stand still until a person continues or stops the run; what a guard found meanwhile, if one tripped."""
-        self._journal.event("paused", {})
+        self._journal.event(Paused())
         while True:
             wish = self._wish()
             if not self._control.is_pausing or self._control.is_stopping:
@@ -137,7 +128,7 @@ class Runner:
             self._cell.clock.hold([wish, *self._guards.wakes()])
             if (fault := self._guards.look()) is not None:
                 return fault
-        self._journal.event("continued", {})
+        self._journal.event(Continued())
         return None
 
     def _wish(self) -> Wake:
@@ -216,7 +207,8 @@ class _Recorder:
 
     def started(self, leaf: SkillLeaf, inputs: Mapping[str, Any]) -> None:
         weighs = {"hand", "balance"} <= set(leaf.skill.devices)
-        self._actions[leaf] = self._journal.action_started(leaf.path, leaf.visits, leaf.name, inputs, weighs=weighs)
+        event = ActionStarted(path=leaf.path, visit=leaf.visits, skill=leaf.name, inputs=plain_values(inputs))
+        self._actions[leaf] = self._journal.action_started(event, weighs=weighs)
 
     def acting(self, leaf: SkillLeaf) -> None:
         self._journal.action = self._actions[leaf]
@@ -224,15 +216,17 @@ class _Recorder:
     def ended(self, leaf: SkillLeaf, outcome: str, result: Any) -> None:
         code = result.code if isinstance(result, SkillFailed) else None
         value = {"detail": result.detail} if isinstance(result, SkillFailed) else result
-        self._journal.action_ended(self._actions.pop(leaf), outcome, code, value)
+        event = ActionEnded(outcome=outcome, code=code, result=plain(value))
+        self._journal.action_ended(self._actions.pop(leaf), event)
 
     def in_words(self, inputs: Mapping[str, Any]) -> str:
-        return to_json(inputs)
+        return to_json(plain_values(inputs))
 
     def decided(self, path: str, visit: int, decision: Decision) -> None:
         failure = decision.failure
-        values = {"path": path, "visit": visit, "code": failure.code, "detail": failure.detail}
-        self._journal.event("decided", {**values, "had_begun": decision.had_begun})
+        self._journal.event(
+            Decided(path=path, visit=visit, code=failure.code, detail=failure.detail, had_begun=decision.had_begun)
+        )
 
 
 def _running(root: Behaviour) -> str:

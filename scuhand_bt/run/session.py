@@ -3,18 +3,31 @@
 import secrets
 import sqlite3
 from collections import Counter
-from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
 
 import scuhand_bt
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.dosing import CONTROLLERS
+from scuhand_bt.events import Event, Note
+from scuhand_bt.journal.events import (
+    Asked,
+    FaultRules,
+    Matter,
+    OptionsGiven,
+    Paused,
+    Resumed,
+    RuleAccount,
+    RunBegun,
+    SamplePlanned,
+    SourceUsed,
+    Trouble,
+)
 from scuhand_bt.journal.history import History
+from scuhand_bt.journal.plain import plain_values
 from scuhand_bt.journal.presence import Held, Presence
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
@@ -24,13 +37,14 @@ from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
-from scuhand_bt.run.batch import Batch, BatchObserver, BatchResult
+from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
+from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.sim.fault_rules import parse_faults
 
@@ -138,12 +152,18 @@ class Session:
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""
         if resumes is None:
-            self.journal.describe_run(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
+            self.journal.event(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
             return
         take_up(self.cell, resumes.history.state)
         recall(self.cell, corrections(self._stock, since=resumes.history.at))
-        values = {"last_at": resumes.history.at, "changes": list(resumes.changes), "version": scuhand_bt.__version__}
-        self.journal.event("resumed", {**values, "operator": user_name()})
+        self.journal.event(
+            Resumed(
+                last_at=resumes.history.at,
+                changes=list(resumes.changes),
+                version=scuhand_bt.__version__,
+                operator=user_name(),
+            )
+        )
 
     @property
     def can_be_resumed(self) -> bool:
@@ -181,9 +201,9 @@ class Session:
             result = batch.run()
         finally:
             if world is not None:
-                self.journal.event("matter", world.masses_mg)
+                self.journal.event(Matter(**world.masses_mg))
                 if world.faults.rules:
-                    self.journal.event("fault_rules", {"rules": world.faults.account()})
+                    self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
             if (problem := self._state.keep(self.cell, self.run_id)) is not None:
                 self._trouble(problem)
             self._keep_inventory()
@@ -209,12 +229,12 @@ class Session:
         if (problem := self._inventory.keep(self.cell, self.run_id)) is not None:
             self._trouble(problem)
 
-    def _heard(self, kind: str, values: Mapping[str, Any]) -> None:
+    def _heard(self, event: Event | Note) -> None:
         """What goes into the journal, and a person who is not here should know."""
-        if kind == "paused":
+        if isinstance(event, Paused):
             self._notifier.tell(self._notice("paused"))
-        elif kind == "asked" and not isinstance(self._options.simulation, DryRun):
-            self._notifier.tell(self._notice("needs person", values["question"]))
+        elif isinstance(event, Asked) and not isinstance(self._options.simulation, DryRun):
+            self._notifier.tell(self._notice("needs person", event.question))
 
     def _notice(self, state: NoticeState, reason: str = "", result: BatchResult | None = None) -> Notice:
         return Notice(
@@ -230,7 +250,7 @@ class Session:
 
     def _trouble(self, what: str) -> None:
         self.notices.append(what)
-        self.journal.event("trouble", {"what": what})
+        self.journal.event(Trouble(what=what))
 
     def close(self) -> None:
         """Close the devices, wait for what is being told of the run, and close the journal."""
@@ -260,59 +280,60 @@ def _check_controller(name: str | None) -> None:
         raise SourceError([Problem(Mark("--controller", 0), problem)])
 
 
-def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> dict[str, object]:
+def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> RunBegun:
     simulation = options.simulation
     faults = simulation.faults if simulation is not None else None
-    return {
-        "run": run_id,
-        "recipe": plan.recipe.name,
-        "recipe_hash": plan.recipe.hash,
-        "recipe_text": plan.recipe.text,
-        "recipe_path": str(plan.recipe.path.absolute()),
-        "lab": str(lab.folder.absolute()),
-        "lab_files": lab_files(lab),
-        "cell": lab.cell.cell,
-        "simulated": simulation is not None,
-        "unattended": options.unattended,
-        "mode": simulation.mode if simulation is not None else "real devices",
-        "seed": simulation.seed if simulation is not None else None,
-        "plant": (simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
-        "controller": cell.controller,
-        "faults_hash": faults.hash if faults is not None else None,
-        "faults_text": faults.text if faults is not None else None,
-        "options": {
-            "controller": options.controller,
-            "plant": simulation.plant if simulation is not None else None,
-            "speed": simulation.speed if isinstance(simulation, DryRun) else None,
-            "faults": faults.marks[0].file if faults is not None else None,
-        },
-        "sources": {
-            name: {"station": source.station, "powder": source.powder.name, "lot": source.lot}
+    return RunBegun(
+        run=run_id,
+        recipe=plan.recipe.name,
+        recipe_hash=plan.recipe.hash,
+        recipe_text=plan.recipe.text,
+        recipe_path=str(plan.recipe.path.absolute()),
+        lab=str(lab.folder.absolute()),
+        lab_files=lab_files(lab),
+        cell=lab.cell.cell,
+        simulated=simulation is not None,
+        unattended=options.unattended,
+        mode=simulation.mode if simulation is not None else "real devices",
+        seed=simulation.seed if simulation is not None else None,
+        plant=(simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
+        controller=cell.controller,
+        faults_hash=faults.hash if faults is not None else None,
+        faults_text=faults.text if faults is not None else None,
+        options=OptionsGiven(
+            controller=options.controller,
+            plant=simulation.plant if simulation is not None else None,
+            speed=simulation.speed if isinstance(simulation, DryRun) else None,
+            faults=faults.marks[0].file if faults is not None else None,
+        ),
+        sources={
+            name: SourceUsed(station=source.station, powder=source.powder.name, lot=source.lot)
             for name, source in plan.recipe.sources.items()
         },
-        "samples": [
-            {"id": sample.id, "workflow": sample.workflow, "inputs": sample.inputs} for sample in plan.recipe.samples
+        samples=[
+            SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
+            for sample in plan.recipe.samples
         ],
-        "operator": user_name(),
-        "devices": {
+        operator=user_name(),
+        devices={
             name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
             for name in ("arm", "hand", "balance", "changer")
         },
-        "version": scuhand_bt.__version__,
-        "libraries": {name: _version(name) for name in LIBRARIES},
-        "started": datetime.now().astimezone().isoformat(timespec="seconds"),
-    }
+        version=scuhand_bt.__version__,
+        libraries={name: _version(name) for name in LIBRARIES},
+        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+    )
 
 
 def options_of(history: History, folder: Path, path: Path) -> Options:
     """The options that an interrupted run was begun with; SourceError for a rehearsal, whose twins ended with it."""
-    run, given = history.run, history.run["options"]
-    if run["mode"] == Rehearsal.mode:
+    run, given = history.run, history.run.options
+    if run.mode == Rehearsal.mode:
         problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
         raise SourceError([Problem(Mark(str(path)), problem)])
-    faults = parse_faults(run["faults_text"], given["faults"]) if run["faults_text"] is not None else None
-    simulation = DryRun(run["seed"], given["plant"], given["speed"], faults) if run["simulated"] else None
-    return Options(simulation, given["controller"], folder, run["unattended"])
+    faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
+    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults) if run.simulated else None
+    return Options(simulation, given.controller, folder, run.unattended)
 
 
 def _version(name: str) -> str:

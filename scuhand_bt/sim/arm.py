@@ -1,4 +1,4 @@
-"""The simulated arm: it is where its trajectory says, at every moment."""
+"""The simulated arm: it is where its trajectory, or the stop of that, says, at every moment."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -6,12 +6,12 @@ from typing import Protocol
 import numpy as np
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.arguments import check_trajectory
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.motion.kinematics import Floats, apex
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, apex
 from scuhand_bt.sim.faults import Faults
 
-START_TOLERANCE_RAD = 0.01
 SHUT_DOWN = {
     "servo.overheat": (Code.SERVO_OVERLOAD, "servo 4 (joint 3) has shut down: it is too hot"),
     "servo.overload": (Code.SERVO_OVERLOAD, "servo 4 (joint 3) has shut down on overload"),
@@ -67,26 +67,31 @@ class SimulatedArm:
         return next((SkillFailed(*SHUT_DOWN[name]) for name in active if name in SHUT_DOWN), None)
 
     def stop(self) -> None:
-        self._hold(self._at(self._clock.now_s))
+        if self._trajectory is not None:
+            self._go_along(self._trajectory.stopped_from(self._clock.now_s - self._begin_s))
 
     def start(self, trajectory: Trajectory) -> None:
-        """Begin; SkillFailed arm.not_following if it does not start where the arm is."""
         if (fault := self.fault) is not None:
             raise fault
         now_s = self._clock.now_s
-        apart_rad = float(np.abs(trajectory.sample(0.0) - self._at(now_s)).max())
-        if apart_rad > START_TOLERANCE_RAD:
-            raise SkillFailed(Code.ARM_NOT_FOLLOWING, f"the motion starts {apart_rad:.3f} rad from where the arm is")
-        self._trajectory = trajectory
-        self._begin_s, self._end_s = now_s, now_s + trajectory.duration_s
+        check_trajectory(trajectory, self._at(now_s), LIMITS_RAD, is_moving=self._trajectory is not None)
+        self._begin_s = now_s
+        self._go_along(trajectory)
         self.faults.chance("motion", now_s)
 
     def follow(self, trajectory: Trajectory) -> Steps[None]:
         self.start(trajectory)
-        while self._trajectory is trajectory:
-            yield Wake.on(self.news, self._end_s)
+        try:
+            while self._trajectory is not None:
+                yield Wake.on(self.news, self._end_s)
+        finally:
+            self.stop()
         if (fault := self.fault) is not None:
             raise fault
+
+    def _go_along(self, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
+        self._end_s = self._begin_s + trajectory.duration_s
 
     @property
     def is_active(self) -> bool:

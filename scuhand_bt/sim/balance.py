@@ -17,7 +17,7 @@ from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.faults import FLIPPED, Faults
 from scuhand_bt.sim.plant import Plant
 
 BAND_DIGITS = 1.5
@@ -149,7 +149,9 @@ class SimulatedBalance:
 
     def _is_silent(self, now_s: float) -> bool:
         """Whether it says nothing that is a reading; after a while that is news."""
-        is_silent = "balance.silent" in self.faults.active or "balance.garbage" in self.faults.active
+        active = self.faults.active
+        is_silent = "balance.silent" in active or "balance.garbage" in active
+        is_silent = is_silent or ("balance.bit_flips" in active and self._readings % FLIPPED == 0)  # not believed
         if self._was_lost != (is_silent and now_s - self._heard_s >= self.spec.lost_after_s):
             self._was_lost = not self._was_lost
             self.latest = None if self._was_lost else self.latest

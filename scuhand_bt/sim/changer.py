@@ -16,9 +16,12 @@ class SimulatedChanger:
     fault = None
 
     def __init__(self, clock: Clock, world: World) -> None:
-        self.news = Signal()
         self._clock = clock
         self._world = world
+
+    @property
+    def news(self) -> Signal:
+        return self._world.pan.news
 
     @property
     def is_stopped(self) -> bool:
@@ -45,8 +48,5 @@ class SimulatedChanger:
             yield from self._rest()
 
     def _rest(self) -> Steps[None]:
-        if not self._world.pan.is_swinging:
-            return
         while self._world.pan.is_swinging:
             yield Wake(max(self._world.pan.swing_ends_s, self._clock.now_s + STEP_S))
-        self.news.fire()

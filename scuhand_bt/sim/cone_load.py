@@ -7,7 +7,7 @@ fall later, on what stands below.
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 from numpy.random import Generator
@@ -16,7 +16,17 @@ from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
-from scuhand_bt.sim.mass_ledger import Matter
+from scuhand_bt.sim.mass_ledger import (
+    BALANCE,
+    CONE,
+    FLIGHT,
+    PAN,
+    SHEET,
+    WASTE,
+    Compartment,
+    Matter,
+    in_source,
+)
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant, PowderFlow
 from scuhand_bt.sim.scoop import BowlStroke
@@ -39,7 +49,7 @@ class ConeLoad:
     STATE: ClassVar[tuple[str, ...]] = (
         "source",
         "_flow",
-        "_flying",
+        "flying",
         "_was_open",
         "_stroke",
         "_stroke_in",
@@ -66,8 +76,8 @@ class ConeLoad:
         self._sources, self._plant = sources, plant
         self._arm, self._hand, self._faults = arm, hand, faults
         self._flow: PowderFlow | None = None
-        self._flying: deque[tuple[float, float, str]] = deque()  # (time of landing, mg, compartment)
-        self._below: tuple[str | None, str, float] | None = None  # container on the pan, compartment, fall time [s]
+        self._flying: deque[tuple[float, float, Compartment]] = deque()  # (time of landing, mg, where)
+        self._below: tuple[str | None, Compartment, float] | None = None  # container on the pan, where, fall time [s]
         self._was_open = False
         self._stroke: BowlStroke | None = None
         self._stroke_in = ""  # the source whose mortar it is in
@@ -85,6 +95,15 @@ class ConeLoad:
         return bool(self._flying) or self._was_open or "cone.leak" in self._faults.active
 
     @property
+    def flying(self) -> list[tuple[float, float, str]]:
+        """The time of landing [s], the mass [mg] and the compartment, in text, of all that is in the air."""
+        return [(time_s, mass_mg, str(place)) for time_s, mass_mg, place in self._flying]
+
+    @flying.setter
+    def flying(self, written: Iterable[tuple[float, float, str]]) -> None:
+        self._flying = deque((time_s, mass_mg, Compartment.of_text(text)) for time_s, mass_mg, text in written)
+
+    @property
     def is_in_the_air(self) -> bool:
         return bool(self._flying)
 
@@ -95,8 +114,8 @@ class ConeLoad:
 
     def throw_away(self) -> None:
         """The cone's sheet goes, with what stuck to it and what it still held."""
-        for place in ("cone", "sheet"):
-            self._matter.transfer(place, "waste", self._masses_mg[place])
+        for place in (CONE, SHEET):
+            self._matter.transfer(place, WASTE, self._masses_mg[place])
         self._flow = self.source = None
 
     def advance(self, end_s: float, dt_s: float, opening_mm: float) -> float:
@@ -104,7 +123,7 @@ class ConeLoad:
         if opening_mm > 0.0 or self._was_open:
             self._leave(end_s, dt_s, opening_mm)
         elif "cone.leak" in self._faults.active:
-            self.drop(end_s, min(LEAK_MG_PER_S * dt_s, self._masses_mg["cone"]))
+            self.drop(end_s, min(LEAK_MG_PER_S * dt_s, self._masses_mg[CONE]))
         if self._arm.is_active:
             self._below = None
             self._pour(end_s, dt_s)
@@ -120,12 +139,12 @@ class ConeLoad:
             below = self._around.below(self._arm.pose(now_s), self._pan.mouth_mm, self.source)
             self._below = (self._pan.container_id, *below)
         _, place, fall_s = self._below
-        self._matter.transfer("cone", "flight", mass_mg)
+        self._matter.transfer(CONE, FLIGHT, mass_mg)
         self._flying.append((now_s + fall_s, mass_mg, place))
 
     def _leave(self, end_s: float, dt_s: float, opening_mm: float) -> None:
         """Powder leaves the apex."""
-        in_cone_mg = self._masses_mg["cone"]
+        in_cone_mg = self._masses_mg[CONE]
         self._was_open = opening_mm > 0.0
         if in_cone_mg <= 0.0 or self._flow is None or self._is_clogged(end_s, dt_s):
             return
@@ -143,7 +162,7 @@ class ConeLoad:
 
     def _pour(self, end_s: float, dt_s: float) -> None:
         """Powder slides over the rim of a cone that is tipped too far, unless the cone lies in a mortar."""
-        in_cone_mg = self._masses_mg["cone"]
+        in_cone_mg = self._masses_mg[CONE]
         if in_cone_mg <= 0.0 or self.source is None:
             return
         pose = self._arm.pose(end_s)
@@ -159,16 +178,16 @@ class ConeLoad:
         flying = self._flying
         while flying and flying[0][0] <= now_s:
             _, mass_mg, place = flying.popleft()
-            mass_mg = min(mass_mg, self._masses_mg["flight"])
-            if place in ("balance", "pan"):
+            mass_mg = min(mass_mg, self._masses_mg[FLIGHT])
+            if place in (BALANCE, PAN):
                 landed_mg += mass_mg
-            if place == "balance":
+            if place == BALANCE:
                 density = self._sources[self.source].powder.bulk_density_mg_per_mm3 if self.source is not None else 0.0
                 self._pan.land(mass_mg, density)
             else:
-                self._matter.transfer("flight", place, mass_mg)
+                self._matter.transfer(FLIGHT, place, mass_mg)
         if not flying:  # the dust of adding and subtracting
-            self._matter.transfer("flight", "waste", self._masses_mg["flight"])
+            self._matter.transfer(FLIGHT, WASTE, self._masses_mg[FLIGHT])
         return landed_mg
 
     def _scoop(self, now_s: float) -> None:
@@ -194,11 +213,11 @@ class ConeLoad:
 
     def _collect(self, stroke: BowlStroke, source: str) -> None:
         mortar, powder = self._sources[source].mortar, self._sources[source].powder
-        place = f"source:{source}"
+        place = in_source(source)
         in_mortar_mg = self._masses_mg[place]
         yields = self._plant.scoop(powder)
         taken_mg = self._plant.collected(yields.collect(stroke, mortar, in_mortar_mg, self._scoop_rng), in_mortar_mg)
-        self._matter.transfer(place, "cone", taken_mg)
-        room_mg = max(0.0, powder.simulation.residue_mg - self._masses_mg["sheet"])
-        self._matter.transfer("cone", "sheet", min(room_mg, STICKING_SHARE * taken_mg))
+        self._matter.transfer(place, CONE, taken_mg)
+        room_mg = max(0.0, powder.simulation.residue_mg - self._masses_mg[SHEET])
+        self._matter.transfer(CONE, SHEET, min(room_mg, STICKING_SHARE * taken_mg))
         self.begin(source)

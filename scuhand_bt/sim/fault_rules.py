@@ -54,6 +54,9 @@ class FaultKind:
 KINDS: Mapping[str, FaultKind] = {
     "balance.silent": FaultKind("The balance sends nothing.", "opening", TO_THE_END, "balance"),
     "balance.garbage": FaultKind("The balance sends bytes that are no reading.", "opening", 1.0, "balance"),
+    "balance.bit_flips": FaultKind(
+        "In every fifth line of the balance a bit is flipped on the way.", "opening", TO_THE_END, "balance"
+    ),
     "balance.unstable": FaultKind("The balance calls no reading stable.", "opening", TO_THE_END, "balance"),
     "balance.overload": FaultKind(
         "The balance says it is loaded beyond its maximum.", "opening", TO_THE_END, "balance"

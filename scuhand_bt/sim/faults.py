@@ -16,6 +16,8 @@ from scuhand_bt.sim.randomness import substream
 
 JUMP_MG = 5.0
 """Standard deviation of a draught's push on the pan."""
+FLIPPED = 5
+"""Of so many lines of the balance, one has a bit flipped, where the cable is bad."""
 JUMPS = 0.5
 """How likely that push is another one at the next reading."""
 

@@ -14,6 +14,14 @@ import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.arguments import (
+    checked_duration,
+    checked_dwell,
+    checked_vibration,
+    possible_opening,
+    require_streaming,
+)
+from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.faults import Faults
@@ -53,6 +61,7 @@ class SimulatedHand:
 
     def __init__(self, spec: HandSpec, clock: Clock) -> None:
         self.spec = spec
+        self.longest_dwell_s = LONGEST_DWELL_S
         self.news = Signal()
         self.vibration = 0.0
         self.cone_diameter_mm = INITIAL_DIAMETER_MM
@@ -100,24 +109,27 @@ class SimulatedHand:
             self.shut(self._clock.now_s)
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
-        self._require_roller()
         Cone(cone_diameter_mm, self.spec.sheet_radius_mm)  # refuses what the sheet cannot make
+        duration_s = checked_duration(duration_s)
+        self._require_roller()
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         begin_s = self._clock.now_s
-        end_s = begin_s + max(fastest_s, duration_s or 0.0, 1e-6)
+        end_s = begin_s + max(fastest_s, duration_s, 1e-6)
         self._morph = (begin_s, end_s, self.cone_diameter_mm, cone_diameter_mm)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
         self.start_morph(cone_diameter_mm, duration_s)
-        while self._morph is not None:
-            yield Wake.on(self.news, self._morph[1])
+        try:
+            while self._morph is not None:
+                yield Wake.on(self.news, self._morph[1])
+        finally:
+            self.hold_sheet()
         self._require_roller()
 
     def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
-        if not (math.isfinite(dwell_s) and dwell_s >= 0.0):
-            raise ValueError(f"a dwell is a time of 0 s or more, not {dwell_s!r}")
+        opening_mm = possible_opening(opening_mm, self.spec)
+        dwell_s, vibration = checked_dwell(dwell_s, self.longest_dwell_s), checked_vibration(vibration)
         self._require_sound()
-        opening_mm = self._possible(opening_mm)
         ramp_s = opening_mm / self.spec.valve_speed_mm_per_s
         begin_s = self._clock.now_s
         self.set_vibration(vibration)
@@ -129,24 +141,23 @@ class SimulatedHand:
             while not is_shut:
                 yield Wake.on(self.news, max(shut_s, self._clock.now_s + self.spec.valve_dead_time_s))
                 self._require_sound()
-                is_shut = self._clock.now_s >= shut_s and self._servo_mm <= SHUT_MM
+                is_over = self._clock.now_s >= shut_s or not self._commands  # or it was told to shut earlier
+                is_shut = is_over and self._servo_mm <= SHUT_MM
         finally:
             if not is_shut and not self._is_lost:
                 self.shut(self._clock.now_s)
         self.set_vibration(0.0)
 
     def set_opening(self, opening_mm: float) -> None:
-        if not self.spec.streaming:
-            raise RuntimeError("this hand takes the step command only: use pulse()")
+        require_streaming(self.spec)
+        opening_mm = possible_opening(opening_mm, self.spec)
         if opening_mm > 0.0:
             self._require_sound()
         if not self._is_lost:
-            self._command(self._possible(opening_mm), self._clock.now_s)
+            self._command(opening_mm, self._clock.now_s)
 
     def set_vibration(self, level: float) -> None:
-        if not 0.0 <= level <= 1.0:
-            raise ValueError(f"vibration is 0 to 1, not {level!r}")
-        if level > 0.0:
+        if checked_vibration(level) > 0.0:
             self._require_sound()
         if not self._is_lost:
             self.vibration = level
@@ -277,11 +288,6 @@ class SimulatedHand:
 
     def _command(self, opening_mm: float, at_s: float) -> None:
         self._commands.append((at_s + self.spec.valve_dead_time_s, opening_mm))
-
-    def _possible(self, opening_mm: float) -> float:
-        if not math.isfinite(opening_mm):
-            raise ValueError(f"an opening is a number of millimetres, not {opening_mm!r}")
-        return min(max(opening_mm, 0.0), self.spec.max_opening_mm)
 
     def _advance_morph(self, now_s: float) -> None:
         assert self._morph is not None

@@ -1,34 +1,78 @@
-"""All the powder of a world, and the one operation that moves it.
-
-source:NAME   in that mortar              container:ID   in that container: the true mass of its dose
-cone          in the cone                 pan            on the balance, beside the container's mouth
-sheet         stuck to the sheet          returned       put back into another powder's mortar
-flight        fallen, not yet landed      waste, spilled
-"""
+"""All the powder of a world: the compartments it can be in, and the one operation that moves it."""
 
 import math
 from collections.abc import Mapping
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 from scuhand_bt.specs import Source
 
-PLACES = ("cone", "sheet", "flight", "pan", "returned", "waste", "spilled")
+Kind: TypeAlias = Literal[
+    "source", "container", "cone", "sheet", "flight", "balance", "pan", "returned", "waste", "spilled"
+]
+
+
+class Compartment(NamedTuple):
+    """A place that powder can be in; of sources and containers there are many, each with a name."""
+
+    kind: Kind
+    name: str = ""
+
+    def __str__(self) -> str:
+        """As the journal's `matter` entry and the world's file write it: `cone`, `source:NAME`."""
+        return f"{self.kind}:{self.name}" if self.name else self.kind
+
+    @classmethod
+    def of_text(cls, text: str) -> "Compartment":
+        """What `str` has written. ValueError for what it never wrote."""
+        kind, _, name = text.partition(":")
+        for known in get_args(Kind):
+            if kind == known:
+                return cls(known, name)
+        raise ValueError(f"powder is never in '{text}'")
+
+
+CONE = Compartment("cone")
+SHEET = Compartment("sheet")
+"""Stuck to the sheet."""
+FLIGHT = Compartment("flight")
+"""Fallen, and not landed yet."""
+PAN = Compartment("pan")
+"""On the balance, beside the container's mouth."""
+RETURNED = Compartment("returned")
+"""Put back into another powder's mortar."""
+WASTE = Compartment("waste")
+SPILLED = Compartment("spilled")
+BALANCE = Compartment("balance")
+"""Where powder falls to that will meet a mouth: it lands in the container that stands there then, or on the pan."""
+
+
+def in_source(name: str) -> Compartment:
+    """The mortar of a source."""
+    return Compartment("source", name)
+
+
+def in_container(container_id: str) -> Compartment:
+    """The inside of a container: the true mass of its dose."""
+    return Compartment("container", container_id)
 
 
 class Matter:
     """Masses in compartments that never go negative; only `transfer` changes them."""
 
     def __init__(self, sources: Mapping[str, Source]) -> None:
-        self.masses_mg: dict[str, float] = dict.fromkeys(PLACES, 0.0)
+        self.masses_mg: dict[Compartment, float] = dict.fromkeys(
+            (CONE, SHEET, FLIGHT, PAN, RETURNED, WASTE, SPILLED), 0.0
+        )
         """By compartment; those of containers come as the containers do."""
         for name, source in sources.items():
-            self.masses_mg[f"source:{name}"] = source.amount_mg
+            self.masses_mg[in_source(name)] = source.amount_mg
 
     @property
     def total_mg(self) -> float:
         """All there is; the same at all times."""
         return math.fsum(self.masses_mg.values())
 
-    def transfer(self, source: str, target: str, mass_mg: float) -> None:
+    def transfer(self, source: Compartment, target: Compartment, mass_mg: float) -> None:
         """Move powder. ValueError for NaN, a negative mass, or more than there is."""
         there_mg = self.masses_mg[source]
         if not 0.0 <= mass_mg <= there_mg:

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.clock import Signal
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.mass_ledger import Matter
+from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, Matter, in_container
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.specs import Container
 
@@ -30,6 +31,8 @@ class Pan:
 
     def __init__(self, matter: Matter, seed: int, faults: Faults) -> None:
         self.container_id: str | None = None
+        self.news = Signal()
+        """Fires at the end of a swing."""
         self.log: Callable[[Known], None] = lambda known: None
         """Told of a container that comes, and again of what it holds when it goes: meanwhile only it can change."""
         self._matter, self._seed, self._faults = matter, seed, faults
@@ -74,14 +77,15 @@ class Pan:
             self.remove()
         else:
             self.place(self._containers[container_id][0], end_s)
+        self.news.fire()
 
     # --- what the balance and the falling powder meet ---
 
     def gross_mg(self, landing_mg: float) -> float:
         """What the balance carries without `landing_mg` of it [mg]."""
         masses_mg = self._matter.masses_mg
-        on_pan_mg = self._empty_mg + masses_mg["pan"] - landing_mg
-        return on_pan_mg if self.container_id is None else on_pan_mg + masses_mg[f"container:{self.container_id}"]
+        on_pan_mg = self._empty_mg + masses_mg[PAN] - landing_mg
+        return on_pan_mg if self.container_id is None else on_pan_mg + masses_mg[in_container(self.container_id)]
 
     @property
     def mouth_mm(self) -> float:
@@ -91,19 +95,19 @@ class Pan:
     def land(self, mass_mg: float, density_mg_per_mm3: float) -> None:
         """Let powder from the air fall into the container's mouth; what it has no room for lies beside it."""
         if self.container_id is not None:
-            into = f"container:{self.container_id}"
+            into = in_container(self.container_id)
             capacity_mg = self._containers[self.container_id][0].capacity_mm3 * density_mg_per_mm3
             into_mg = min(mass_mg, max(0.0, capacity_mg - self._matter.masses_mg[into]))
-            self._matter.transfer("flight", into, into_mg)
+            self._matter.transfer(FLIGHT, into, into_mg)
             mass_mg -= into_mg
-        self._matter.transfer("flight", "pan", mass_mg)
+        self._matter.transfer(FLIGHT, PAN, mass_mg)
 
     # --- for the world's file ---
 
     @property
     def held_mg(self) -> float:
         """What is in the container, 0 without one [mg]."""
-        return self._matter.masses_mg[f"container:{self.container_id}"] if self.container_id is not None else 0.0
+        return self._matter.masses_mg[in_container(self.container_id)] if self.container_id is not None else 0.0
 
     def log_all(self) -> None:
         """Tell of every container again."""
@@ -114,13 +118,13 @@ class Pan:
         """Know these containers; the one on the pan by now holds `held_mg`."""
         for container, empty_mg, mass_mg in containers:
             self._containers[container.id] = (container, empty_mg)
-            self._matter.masses_mg[f"container:{container.id}"] = mass_mg
+            self._matter.masses_mg[in_container(container.id)] = mass_mg
         if self.container_id is not None:
-            self._matter.masses_mg[f"container:{self.container_id}"] = held_mg
+            self._matter.masses_mg[in_container(self.container_id)] = held_mg
         self._put(self.container_id)
 
     def _known(self, container_id: str) -> Known:
-        return (*self._containers[container_id], self._matter.masses_mg[f"container:{container_id}"])
+        return (*self._containers[container_id], self._matter.masses_mg[in_container(container_id)])
 
     def _know(self, container: Container, now_s: float) -> None:
         if container.id in self._containers:
@@ -132,7 +136,7 @@ class Pan:
         spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
         empty_mg = container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0))
         self._containers[container.id] = (container, max(1.0, empty_mg) + wrong_mg)
-        self._matter.masses_mg[f"container:{container.id}"] = 0.0
+        self._matter.masses_mg[in_container(container.id)] = 0.0
         self.log(self._known(container.id))
 
     def _put(self, container_id: str | None) -> None:

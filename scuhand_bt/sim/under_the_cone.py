@@ -8,6 +8,7 @@ import numpy as np
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import Pose
+from scuhand_bt.sim.mass_ledger import BALANCE, PAN, RETURNED, SPILLED, WASTE, Compartment, in_source
 from scuhand_bt.specs import Source
 
 GRAVITY_MM_PER_S2 = 9810.0
@@ -24,8 +25,8 @@ class Surroundings:
         self._station_of = {name: spec.stations[source.station] for name, source in sources.items()}
         self._pan = spec.station_of_kind("balance")
 
-    def below(self, pose: Pose, mouth_mm: float, cone_source: str | None) -> tuple[str, float]:
-        """What lies under the apex ("balance": the container on the pan), and the fall time to it [s].
+    def below(self, pose: Pose, mouth_mm: float, cone_source: str | None) -> tuple[Compartment, float]:
+        """What lies under the apex, and the fall time to it [s].
 
         `mouth_mm` is that container's, 0 without one; `cone_source` names the mortar that its powder goes back to.
         """
@@ -40,16 +41,16 @@ class Surroundings:
         off_centre_mm = aside_mm(self._pan)
         if off_centre_mm <= PAN_RADIUS_MM:
             inside = mouth_mm > 0.0 and off_centre_mm <= mouth_mm / 2.0
-            return "balance" if inside else "pan", fall_s(self._pan.position_mm[2])
+            return BALANCE if inside else PAN, fall_s(self._pan.position_mm[2])
         for name, station in self._station_of.items():
             mortar = self._sources[name].mortar
             if aside_mm(station) <= mortar.bore_mm / 2.0:
-                place = f"source:{name}" if name == cone_source else "returned"
+                place = in_source(name) if name == cone_source else RETURNED
                 return place, fall_s(station.position_mm[2] + mortar.height_mm - mortar.depth_mm)
         for station in self._stations.values():
             if station.kind == "waste" and aside_mm(station) <= WASTE_RADIUS_MM:
-                return "waste", fall_s(station.position_mm[2])
-        return "spilled", fall_s(0.0)
+                return WASTE, fall_s(station.position_mm[2])
+        return SPILLED, fall_s(0.0)
 
     def mortar(self, pose: Pose) -> str | None:
         """The source whose mortar the apex is in: over its bore and below its rim."""

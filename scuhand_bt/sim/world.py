@@ -18,7 +18,7 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
-from scuhand_bt.sim.mass_ledger import Matter
+from scuhand_bt.sim.mass_ledger import CONE, Compartment, Matter, in_container, in_source
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
@@ -58,7 +58,7 @@ class World:
         self.load = ConeLoad(self.matter, self.pan, Surroundings(spec, sources), sources, plant, arm, hand, self.faults)
         self._seed, self._sources = seed, sources
         self._arm, self._hand, self._balance = arm, hand, balance
-        self._compartments = tuple(self.matter.masses_mg)
+        self._compartments = tuple((str(compartment), compartment) for compartment in self.matter.masses_mg)
         self._memory = Memory(
             (self.pan, self.load, hand, balance, *([self.faults] if self.faults.rules else [])), plant.name
         )
@@ -69,12 +69,12 @@ class World:
 
     @property
     def masses_mg(self) -> dict[str, float]:
-        """What is in every compartment [mg]; see `scuhand_bt.sim.mass_ledger`."""
-        return self.matter.masses_mg
+        """What is in every compartment [mg], by its text (`scuhand_bt.sim.mass_ledger`)."""
+        return {str(compartment): mass_mg for compartment, mass_mg in self.matter.masses_mg.items()}
 
     def true_mass(self, container_id: str) -> float:
         """What is in this container [mg]."""
-        return self.matter.masses_mg.get(f"container:{container_id}", 0.0)
+        return self.matter.masses_mg.get(in_container(container_id), 0.0)
 
     @property
     def is_open(self) -> bool:
@@ -108,7 +108,7 @@ class World:
 
     def load_cone(self, source: str, mass_mg: float) -> None:
         """Put powder of a source into the cone by hand, as the paper's experiments did."""
-        self.matter.transfer(f"source:{source}", "cone", mass_mg)
+        self.matter.transfer(in_source(source), CONE, mass_mg)
         self.load.begin(source)
 
     def swap_sheet(self) -> None:
@@ -154,7 +154,7 @@ class World:
             self.close()
             raise broken(path, f"powder of '{self.load.source}', which the recipe no longer has, is in the cone")
         self.pan.recall(containers, held_mg)
-        self.matter.masses_mg.update(masses_mg)
+        self.matter.masses_mg.update({Compartment.of_text(text): mass_mg for text, mass_mg in masses_mg.items()})
         self._arm.hold(joints)
         self._sit_out()
         self.save()
@@ -165,7 +165,7 @@ class World:
         if not self._memory.is_kept:
             return
         joints = self._arm.held_at(self.now_s + SERVO_WATCHDOG_S)
-        masses_mg = {name: self.matter.masses_mg[name] for name in self._compartments}
+        masses_mg = {text: self.matter.masses_mg[compartment] for text, compartment in self._compartments}
         self._memory.save((self.now_s, joints, masses_mg, self.pan.held_mg))
 
     def close(self) -> None:

@@ -77,6 +77,11 @@ class Conversation:
             self._read_on()
         return True
 
+    def misheard(self) -> None:
+        """Note a broken line that is as long as an answer: it was the answer, and no other is to be waited for."""
+        if self.state is Phase.ASKED:
+            self.state = Phase.RESTING
+
     def go_on(self, patience_s: float) -> None:
         """Say what is due. `patience_s`: how long a stream may pause before it is started again."""
         waited_s = self._now() - self._since_s

@@ -1,8 +1,8 @@
 """The driver of all balances: streams readings on its own thread, and never makes one up.
 
-A reading is what one line of the balance said, at the time its last byte came. A line without a unit
-takes the unit this balance last sent, and one without a sign of stability is not stable. No tare or
-zero is ever sent: a dose is the difference of two gross values.
+A reading is what one line of the balance said, at the time its last byte came, and is believed only if it is
+plausible (`plausibility`). A line without a unit takes the unit this balance last sent, and one without a sign
+of stability is not stable. No tare or zero is ever sent: a dose is the difference of two gross values.
 """
 
 import math
@@ -14,14 +14,17 @@ from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.balances.conversation import Conversation, Phase
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, Frame, OutOfRange, Weight
+from scuhand_bt.devices.balances.plausibility import CONFIRMATIONS, Misfit, Plausibility, misfit
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.devices.serial_link import REOPEN_S, Framing, SerialLink, Silence
+from scuhand_bt.devices.serial_link import REOPEN_S, SPOILT, Framing, SerialLink, Silence
 from scuhand_bt.failures import Code, SkillFailed
 
 ADJUSTMENT_S = 300.0
 """How long an internal adjustment may keep the balance silent."""
 AVERAGED = 5
 """Readings of one stable mean."""
+MISFITS = 5
+"""Lines of another form than robot/cell.yaml says, one after the other, which no noise makes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,10 @@ class SerialBalance:
         self.on_reading: Callable[[Reading], None] | None = None
         self.identity = ""
         """What the balance answered when asked who it is; empty where it did not."""
+        self.misfit: Misfit | None = None
+        """How what it shows again and again differs from robot/cell.yaml; no reading is given out then."""
+        self.lines = 0
+        """Lines that have come since the port was opened."""
         self._dialect = dialect
         self._others = [other for other in others if other is not dialect]
         self._clock = clock
@@ -61,6 +68,10 @@ class SerialBalance:
         self._link = SerialLink(spec.port, framing, self, reopen_s)
         self._talk = Conversation(dialect, self._link.write, self._link.discard_input, spec.period_s)
         self._unit = ""
+        self._plausibility = Plausibility(spec)
+        self._misfits = 0
+        self._broken = 0
+        self._answer_length = 0
         self._unread = b""
         """The last line that said nothing in this dialect, since one that did."""
         self._silence = Silence()
@@ -79,6 +90,11 @@ class SerialBalance:
         trouble = self._trouble
         return self._failure(trouble) if trouble is not None and trouble.code == Code.DEVICE_LOST else None
 
+    @property
+    def discarded(self) -> int:
+        """Lines since the port was opened that were no reading: broken, spoilt, or not believed."""
+        return self._broken + self._plausibility.discarded
+
     def open(self) -> None:
         """Open the port and begin to read; SkillFailed device.lost if it cannot be opened."""
         self._link.start()
@@ -88,10 +104,16 @@ class SerialBalance:
         self._link.close()
 
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
-        """Wait for the next reading; SkillFailed device.lost if none comes, balance.overload."""
+        """Wait for the next reading; SkillFailed device.lost if none comes, balance.overload.
+
+        A balance whose line is held back is not silent: it is waited for until that line is confirmed, or not.
+        """
         deadline_s = self._clock.now_s + timeout_s
+        held_until_s = deadline_s + CONFIRMATIONS * self.spec.period_s
         seen = self.latest
         while True:
+            if self._plausibility.is_holding:
+                deadline_s = held_until_s
             wake = Wake.on(self.news, deadline_s)  # made before looking, so that no news falls between
             latest, trouble = self.latest, self._trouble
             if latest is not None and latest is not seen:
@@ -129,11 +151,15 @@ class SerialBalance:
         self._silence.broken()
         self._unread = b""
         self._unit = self.spec.options.unit or ""  # it may be another balance now, in another unit
+        self._plausibility = Plausibility(self.spec)
+        self.misfit = None
+        self._misfits = self._broken = self.lines = 0
         self._talk.begin()
 
     def line(self, raw: bytes) -> None:
         """Take one line of the balance."""
         now_s = self._clock.now_s
+        self.lines += 1
         frame = self._dialect.parse(raw)
         if not isinstance(frame, Weight):
             for other in self._others:
@@ -143,6 +169,9 @@ class SerialBalance:
                     return
         if frame is None:
             self._unread = raw
+            self._broken += 1
+            if len(raw) == self._answer_length:
+                self._talk.misheard()
             return  # noise, or half a line; if that is all there is, it is said with the silence
         self._silence.broken()
         self._unread = b""
@@ -169,17 +198,42 @@ class SerialBalance:
         self._say(_Trouble(Code.DEVICE_LOST, why))
 
     def _weighed(self, weight: Weight, raw: bytes, now_s: float) -> None:
-        self._unit = weight.unit or self._unit
-        value_mg = weight.milligrams(self._unit)
-        if value_mg is None:
-            shown = f"'{self._unit}', which is no mass" if self._unit else "no unit, and was not stable before"
-            self._say(_Trouble("", f"it shows {shown}; set it to g, or give `options: {{unit: g}}` in robot/cell.yaml"))
+        self._answer_length = len(raw)
+        unit = weight.unit or self._unit
+        if not unit:
+            shown = "it shows no unit, and was not stable before"
+            self._say(_Trouble("", f"{shown}; set it to g, or give `options: {{unit: g}}` in robot/cell.yaml"))
             return
-        self.latest = Reading(value_mg, weight.stable, now_s, weight.unit, raw)
-        self._trouble = None
+        if (odd := misfit(weight, unit, self.spec)) is not None:
+            self._broken += 1
+            self._misfits += 1
+            self._mistrust(odd, is_certain=self._misfits >= MISFITS)
+            return
+        self._misfits = 0
+        self._unit = unit
+        value_mg = weight.milligrams(unit)
+        assert value_mg is not None
+        line, reading = self._plausibility.judge(Reading(value_mg, weight.stable, now_s, weight.unit, raw))
         if self.on_reading is not None:
-            self.on_reading(self.latest)
-        self.news.fire()
+            self.on_reading(line)
+        if reading is not None:
+            self._believe(reading)
+
+    def _believe(self, reading: Reading) -> None:
+        if (coarse := self._plausibility.coarser(reading)) is not None:
+            self._mistrust(coarse, is_certain=True)
+        elif (beyond := self._plausibility.beyond(reading)) is not None:
+            self._explained(beyond)
+        else:
+            self.latest, self._trouble, self.misfit = reading, None, None
+            self.news.fire()
+
+    def _mistrust(self, odd: Misfit, *, is_certain: bool) -> None:
+        """Say what is odd: one such line may be noise, and then only explains a silence."""
+        if is_certain:
+            self.misfit = odd
+        if is_certain or self._trouble is None:
+            self._say(_Trouble(Code.DEVICE_LOST if is_certain else "", str(odd)))
 
     def _explained(self, frame: Frame) -> None:
         if isinstance(frame, OutOfRange):
@@ -191,6 +245,8 @@ class SerialBalance:
     def _why_silent(self) -> str:
         if not self._unread:
             return "it is silent; is it switched on, and are speed and parity as in robot/cell.yaml?"
+        if SPOILT in self._unread:
+            return "its bytes fail the check of their parity; correct `bits` in robot/cell.yaml, or look at its cable"
         shown = repr(self._unread[:40].strip())[2:-1]
         return (
             f"it sends what is no line of {self._dialect.name}, such as '{shown}'; set the balance to that format, or "

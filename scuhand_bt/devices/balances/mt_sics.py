@@ -9,8 +9,10 @@ import re
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, Frame, OutOfRange, Refused, Weight, number
 from scuhand_bt.devices.serial_link import Framing
 
-_WEIGHT = re.compile(rb"S ([SD]) ([ 0-9.\-]{10,12}) ([A-Za-z%]{1,5})\r\n")
-_STATUS = re.compile(rb"([A-Z]{1,3}\d{0,2}) ([ABIL+\-])(?: ([ -~]*))?\r\n")
+# The value stands right-aligned in ten characters (more on comparators), its sign beside the digits.
+_WEIGHT = re.compile(rb"S ([SD]) (?=.{10,12} [A-Za-z%])( *-?[0-9.]+) ([A-Za-z%]{1,5})\r\n")
+# Only A and B say more: a weight whose status was damaged is no overload.
+_STATUS = re.compile(rb"([A-Z]{1,3}\d{0,2}) ([ABIL+\-])(?:(?<=[AB]) ([ -~]*))?\r\n")
 _SAID_TARE = re.compile(rb"(?:T|TI|TA) [SDA] [ 0-9.\-]{10,12} [A-Za-z%]{1,5}\r\n")
 _SAID_ZERO = re.compile(rb"ZI [SD]\r\n")
 _FAULTY = re.compile(rb"S S Error +([0-9A-Za-z]{1,4})\r\n")

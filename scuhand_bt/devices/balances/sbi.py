@@ -12,7 +12,7 @@ from scuhand_bt.devices.serial_link import Framing
 _ID = rb"(?P<id>N     |Stat  |G#    |T     |Qnt   )?"
 # Sign, nine characters of value (eight and a space on newer models), space, three of unit. Brackets
 # mark a digit beyond verified resolution.
-_WEIGHT = re.compile(_ID + rb"(?P<value>[+\- ][ 0-9.,\[\]]{9}) (?P<unit>[A-Za-z% ]{3})\r\n")
+_WEIGHT = re.compile(_ID + rb"(?P<value>(?=.{10} )[+\- ] *[0-9.,]+(?:\[[0-9.,]+\])?) (?P<unit>[A-Za-z% ]{3})\r\n")
 _SPECIAL = re.compile(_ID + rb" {0,9}(?P<word>High|Low|H|L|Cal\.Ext\.|Cal\.Int\.|Calib\.|--) *\r\n")
 _ERROR = re.compile(_ID + rb" {0,9}(?P<code>(?:Err|ERR) *\d{1,3}|(?:APP|DIS|PRT)\.ERR) *\r\n")
 _TEXT = re.compile(rb"[A-Za-z0-9][ -~]{2,31}\r\n")

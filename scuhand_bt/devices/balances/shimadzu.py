@@ -10,7 +10,7 @@ import re
 from scuhand_bt.devices.balances.frames import Dialect, Frame, OutOfRange, Weight, number
 from scuhand_bt.devices.serial_link import Framing
 
-_WEIGHT = re.compile(rb"(?P<letter>[SU]?)(?P<sign>[ +\-])(?P<digits>[ 0-9.]{8})(?P<unit>[A-Za-z%][A-Za-z% ]{1,2})\r\n?")
+_WEIGHT = re.compile(rb"(?P<letter>[SU]?)(?P<sign>[ +\-])(?P<digits>[ 0-9.]{8})(?P<unit>[A-Za-z%][A-Za-z% ])\r\n?")
 _OVERLOAD = re.compile(rb"[SU]?(?P<sign>[ +\-]) {0,8}(?:oL|OL) {0,8}\r\n?")
 
 

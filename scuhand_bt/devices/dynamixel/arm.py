@@ -10,11 +10,12 @@ import numpy as np
 
 from scuhand_bt.cell_spec import ArmSpec
 from scuhand_bt.clock import Signal, Steps, Wake
+from scuhand_bt.devices.arguments import check_trajectory
 from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.registers import XM430, XM540
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.interfaces import Joints, Trajectory
-from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.failures import SkillFailed
 
 FIRST_SERVO = 2
 GAINS = (
@@ -27,8 +28,6 @@ GAINS = (
     (800, 100, 200),
 )
 """P, I and D of joints 1 to 7."""
-START_LIMIT_RAD = math.radians(3.0)
-"""How far from the arm a trajectory may begin."""
 
 
 def arm_axes(spec: ArmSpec) -> list[Axis]:
@@ -77,29 +76,27 @@ class DynamixelArm:
         self._chain.close()
 
     def stop(self) -> None:
-        """Slow down to rest on the path, and hold there."""
+        """Come to rest along the path as the trajectory tells, and hold there."""
         self._group.stop()
 
     def start(self, trajectory: Trajectory) -> None:
-        """Begin a trajectory; SkillFailed arm.not_following if it does not begin where the arm is."""
+        """Begin a trajectory that starts where the arm is."""
         if self._chain.lost is not None:
             raise self._chain.lost
-        off_rad = np.abs(trajectory.sample(0.0) - self.positions)
-        if off_rad.max() > START_LIMIT_RAD:
-            joint = int(off_rad.argmax())
-            raise SkillFailed(
-                Code.ARM_NOT_FOLLOWING,
-                f"the trajectory begins {np.degrees(off_rad[joint]):.1f}° from where joint {joint + 1} stands",
-            )
-        self._group.move(trajectory.sample, trajectory.duration_s)
+        windows_rad = np.array([state.window_rad for state in self._group.states]).T
+        check_trajectory(trajectory, self.positions, windows_rad, is_moving=self._group.is_streaming)
+        self._group.move(trajectory)
 
     def follow(self, trajectory: Trajectory) -> Steps[None]:
-        """Start the trajectory and wait for its end; SkillFailed with the fault that ended it early."""
+        """Start the trajectory and wait until the arm is at rest; SkillFailed with the fault that ended it early."""
         self.start(trajectory)
-        while True:
-            wake = Wake.on(self.news)
-            if self._group.fault is not None:
-                raise self._group.fault
-            if not self._group.is_moving:
-                return
-            yield wake
+        try:
+            while True:
+                wake = Wake.on(self.news)
+                if self._group.fault is not None:
+                    raise self._group.fault
+                if not self._group.is_moving:
+                    return
+                yield wake
+        finally:
+            self._group.stop()

@@ -1,17 +1,18 @@
 """The thread that owns the bus: streams goals at 100 Hz, reads the servos at 50 Hz, and guards them.
 
 Everything moves by streaming: a motion is a function from time to joint angles, sampled in every cycle.
-Stopping slows the motion's own time down to zero, so that the arm stops on its path. A fault freezes the
-goals where the servos are. Torque is never dropped: the arm has no brakes.
+A stop is a motion too: the one under way tells how it comes to rest along its path (`motion/stopping.py`), and is
+replaced by that. A fault freezes the goals where the servos are. Torque is never dropped: the arm has no brakes.
 """
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from scuhand_bt.clock import Signal
+from scuhand_bt.devices.arguments import HALF_COUNT_RAD
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.axes import (
     BLOCK_LENGTH,
@@ -24,19 +25,19 @@ from scuhand_bt.devices.dynamixel.axes import (
     shut_down,
 )
 from scuhand_bt.devices.dynamixel.bus import BusError, BusLost, DynamixelBus, NoAnswer, Status
-from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.serial_link import REOPEN_S, why_not_open
 from scuhand_bt.failures import Code, SkillFailed
 
 PERIOD_S = 0.01
 """Of the stream of goals; the servos are read in every second cycle."""
-STOPPING_S = 0.25
-"""From full speed to rest along the path, and back to speed."""
+STOP_LEAD_S = 0.05
+"""A stop is found for a moment so far ahead, on the caller's thread, while the motion goes on: it takes 3 to 40 ms."""
+SPEEDING_UP_S = 0.25
+"""From rest to full speed along the path, after a pause of this computer."""
 RESUME_LIMIT_S = 0.5
 """A motion goes on by itself after a pause of this computer that was shorter."""
-HALF_COUNT_RAD = 0.5 / r.COUNTS_PER_RAD
-"""A goal this little beyond a limit is sent as the limit itself."""
 LONGEST_STEP_S = 0.02
 """Of a motion's time in one cycle: after a late one the arm falls behind its time, not off its path."""
 MISSED_LIMIT = 5
@@ -45,9 +46,6 @@ FAR_LIMIT_S = 0.15
 """How long a servo may be too far from its goal."""
 HOT_MARGIN_C = 5
 """Below the temperature at which a servo shuts itself down (and the arm falls)."""
-
-Path = Callable[[float], Joints]
-"""Joint angles [rad] at a time [s] since the motion's start."""
 
 
 class AxisGroup:
@@ -61,11 +59,9 @@ class AxisGroup:
         self.goals_rad: Joints = np.zeros(len(axes))
         self.fault: SkillFailed | None = None
         """Why the last motion ended early, or what has befallen the servos since, at rest."""
-        self._path: Path | None = None
-        self._duration_s = 0.0
+        self._motion: Trajectory | None = None
         self._at_s = 0.0
         self._rate = 1.0
-        self._stopping = False
         self._lock = threading.Lock()
 
     @property
@@ -75,23 +71,34 @@ class AxisGroup:
     @property
     def is_moving(self) -> bool:
         """A motion is under way, or a servo still turns."""
-        return self._path is not None or not all(state.is_still for state in self.states)
+        return self._motion is not None or not all(state.is_still for state in self.states)
 
     @property
     def is_streaming(self) -> bool:
-        return self._path is not None
+        return self._motion is not None
 
-    def move(self, path: Path, duration_s: float) -> None:
+    def move(self, motion: Trajectory) -> None:
         """Begin a motion; takes the place of one that is under way."""
         with self._lock:
             self.fault = None
-            self._path, self._duration_s, self._at_s = path, duration_s, 0.0
-            self._rate, self._stopping = 1.0, False
+            self._motion, self._at_s, self._rate = motion, 0.0, 1.0
 
     def stop(self) -> None:
-        """Slow down to rest on the path."""
+        """Come to rest along the path, as the motion tells."""
         with self._lock:
-            self._stopping = True
+            motion, now_s = self._motion, self._at_s
+        lead_s = STOP_LEAD_S
+        while motion is not None:
+            from_s = now_s + lead_s
+            stopped = motion.stopped_from(from_s)  # without the lock: the motion goes on meanwhile
+            with self._lock:
+                if self._motion is not motion:
+                    return  # it has ended, or stops already
+                now_s = self._at_s
+                if now_s <= from_s:
+                    self._motion = stopped
+                    return
+            lead_s *= 2.0  # a busy computer: the moment that the stop was found for has passed
 
     def rest(self) -> None:
         """Stand still for a moment, and come up to speed again from here."""
@@ -101,20 +108,20 @@ class AxisGroup:
     def freeze(self, fault: SkillFailed) -> None:
         """End the motion at once, where the servos are."""
         with self._lock:
-            self.fault, self._path = fault, None
+            self.fault, self._motion = fault, None
             self.goals_rad = self.positions_rad
 
     def advance(self, dt_s: float) -> None:
-        """Go on along the path by `dt_s`; ends the motion at its end or when it has come to rest."""
+        """Go on along the path by `dt_s`; ends the motion at its end."""
         with self._lock:
-            if self._path is None:
+            if self._motion is None:
                 return
-            change = -dt_s / STOPPING_S if self._stopping else dt_s / STOPPING_S
-            self._rate = min(1.0, max(0.0, self._rate + change))
+            self._rate = min(1.0, self._rate + dt_s / SPEEDING_UP_S)
             self._at_s += self._rate * dt_s
-            self.goals_rad = np.asarray(self._path(min(self._at_s, self._duration_s)), dtype=float)
-            if self._at_s >= self._duration_s or (self._stopping and self._rate == 0.0):
-                self._path = None
+            duration_s = self._motion.duration_s
+            self.goals_rad = np.asarray(self._motion.sample(min(self._at_s, duration_s)), dtype=float)
+            if self._at_s >= duration_s:
+                self._motion = None
 
     def goal_of(self, axis: Axis) -> float:
         """The present goal of one of its servos [rad]."""

@@ -6,7 +6,7 @@ What befalls matter (a clog, a leak, an empty scoop, a wrong container, a dead m
 
 from collections.abc import Callable
 
-from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.faults import FLIPPED, Faults
 from scuhand_bt.sim.hand import SLOW
 from scuhand_bt.sim.wire.balances import BalanceTwin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
@@ -37,6 +37,7 @@ class WireFaults:
         self._switches: dict[str, Callable[[bool], None]] = {
             "balance.silent": lambda on: setattr(balance, "paused", on),
             "balance.garbage": lambda on: setattr(balance.misbehaviour, "drop", MANY * on),
+            "balance.bit_flips": lambda on: setattr(balance.misbehaviour, "flip_every", FLIPPED * on),
             "valve.stuck_open": lambda on: setattr(valve, "can_close", not on),
             "valve.stuck_closed": lambda on: setattr(valve, "can_open", not on),
             "valve.slow": lambda on: setattr(valve, "speed_ratio", SLOW if on else 1.0),

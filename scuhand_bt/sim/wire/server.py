@@ -3,13 +3,15 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Generic, Protocol, TypeVar
 
 from scuhand_bt.sim.wire.port import Port
 
 TICK_S = 0.002
+FLIP_STRIDE = 37
+"""From one flipped bit to the next: a prime, so that in the end every bit of a line is hit."""
 
 
 class Twin(Protocol):
@@ -30,6 +32,8 @@ class Misbehaviour:
     drop: int = 0
     garble: int = 0
     """Messages in which one bit is flipped."""
+    flip_every: int = 0
+    """Of so many messages, one has a bit flipped, another bit each time; none if 0."""
     duplicate: int = 0
     delay: int = 0
     """Messages that are sent `delay_s` later than they should be."""
@@ -38,6 +42,7 @@ class Misbehaviour:
     """Messages whose second half comes `delay_s` after the first."""
     noise: bytes = b""
     """Sent once, before the next message."""
+    _sent: int = field(default=0, init=False)
 
     def afflict(self, message: bytes, now_s: float) -> list[tuple[float, bytes]]:
         """What is sent instead of a message, and when."""
@@ -45,6 +50,10 @@ class Misbehaviour:
             return []
         if self._takes("garble"):
             message = message[:-3] + bytes([message[-3] ^ 0x10]) + message[-2:]
+        self._sent += 1
+        if self.flip_every and self._sent % self.flip_every == 0:
+            place, bit = divmod(self._sent // self.flip_every * FLIP_STRIDE % (8 * len(message)), 8)
+            message = message[:place] + bytes([message[place] ^ 1 << bit]) + message[place + 1 :]
         noise, self.noise = self.noise, b""
         message = noise + message
         if self._takes("duplicate"):

@@ -1,0 +1,78 @@
+"""What arms and hands accept: one rule and one sentence for each, whoever makes the device.
+
+A ValueError is a mistake of whoever calls; a SkillFailed may befall a sound skill. Nothing has moved then.
+"""
+
+import math
+
+import numpy as np
+
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.devices.interfaces import Joints, Trajectory
+from scuhand_bt.failures import Code, SkillFailed
+
+START_LIMIT_RAD = math.radians(3.0)
+"""How far from the arm a trajectory may begin: a servo under load stands a little off its goal."""
+LOOK_S = 0.02
+"""Between two looks at where a trajectory would lead the joints."""
+HALF_COUNT_RAD = math.pi / 4096
+"""Half a servo's count: what is so little beyond a limit is sent as the limit itself."""
+
+
+def check_trajectory(trajectory: Trajectory, positions: Joints, limits_rad: Joints, *, is_moving: bool) -> None:
+    """SkillFailed device.busy, arm.not_following (it begins elsewhere), arm.joint_limit.
+
+    `positions` (7,) is where the arm stands, `limits_rad` (2, 7) what its joints allow.
+    """
+    if is_moving:
+        raise SkillFailed(Code.DEVICE_BUSY, "the arm is still moving; a motion begins where the one before has ended")
+    off_rad = np.abs(trajectory.sample(0.0) - positions)
+    if not (off_rad <= START_LIMIT_RAD).all():
+        joint = int(off_rad.argmax())
+        raise SkillFailed(
+            Code.ARM_NOT_FOLLOWING,
+            f"the trajectory begins {math.degrees(off_rad[joint]):.1f}° from where joint {joint + 1} stands",
+        )
+    low, high = limits_rad + np.array([[-HALF_COUNT_RAD], [HALF_COUNT_RAD]])
+    looks = max(2, math.ceil(trajectory.duration_s / LOOK_S) + 1)
+    joints = np.array([trajectory.sample(time_s) for time_s in np.linspace(0.0, trajectory.duration_s, looks).tolist()])
+    beyond = ~((joints >= low) & (joints <= high))
+    if beyond.any():
+        look, joint = (int(index) for index in np.argwhere(beyond)[0])
+        goes_to = f"joint {joint + 1} would go to {math.degrees(joints[look, joint]):.1f}°"
+        low_deg, high_deg = np.degrees(limits_rad[:, joint])
+        raise SkillFailed(Code.ARM_JOINT_LIMIT, f"{goes_to}, and may go from {low_deg:.1f}° to {high_deg:.1f}°")
+
+
+def checked_dwell(dwell_s: float, longest_s: float) -> float:
+    """The dwell of a pulse; ValueError unless it is from 0 to the hand's longest."""
+    if not 0.0 <= dwell_s <= longest_s:
+        raise ValueError(f"a dwell is 0 to {longest_s:g} s, not {dwell_s!r}; a longer one takes several pulses")
+    return dwell_s
+
+
+def possible_opening(opening_mm: float, spec: HandSpec) -> float:
+    """The opening that the valve can have, 0 to `max_opening_mm`; ValueError for what is no number."""
+    if not math.isfinite(opening_mm):
+        raise ValueError(f"an opening is a number of millimetres, not {opening_mm!r}")
+    return min(max(opening_mm, 0.0), spec.max_opening_mm)
+
+
+def checked_vibration(level: float) -> float:
+    """The level of the motor; ValueError unless it is 0 to 1."""
+    if not 0.0 <= level <= 1.0:
+        raise ValueError(f"vibration is 0 to 1, not {level!r}")
+    return level
+
+
+def checked_duration(duration_s: float | None) -> float:
+    """How long a morph is to take at least, 0 for None; ValueError for what is no time."""
+    if duration_s is not None and not 0.0 <= duration_s < math.inf:
+        raise ValueError(f"a duration is a time of 0 s or more, not {duration_s!r}")
+    return duration_s or 0.0
+
+
+def require_streaming(spec: HandSpec) -> None:
+    """RuntimeError for a hand that takes the step command only."""
+    if not spec.streaming:
+        raise RuntimeError("this hand takes the step command only: use pulse()")

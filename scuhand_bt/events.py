@@ -1,0 +1,292 @@
+"""What skills write into a run's journal: one model for each kind of entry, and notes for all that a lab invents.
+
+The engine's own kinds (the run, its jobs and actions, verdicts, questions) are in `journal/events.py`. An entry's
+payload is the model as JSON: what was not set is not written, and what a reader does not know is passed over.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, TypeAdapter, ValidationError
+
+from scuhand_bt.problems import shorten
+from scuhand_bt.specs import Verdict
+
+
+def readable(text: str) -> str:
+    """A text from outside (a path, an answer) may hold what UTF-8 cannot: that is written as an escape."""
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
+
+
+Text = Annotated[str, BeforeValidator(lambda text: readable(text) if isinstance(text, str) else text)]
+
+
+class Values(BaseModel):
+    """A part of an entry."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", ser_json_inf_nan="strings")
+
+
+class Event(Values):
+    """An entry of the journal."""
+
+    KIND: ClassVar[str]
+    SHAPE: ClassVar[int] = 1
+    """The version of the kind's payload: one more when a reader of before would misread it. Written from 2 on."""
+
+    def entry(self) -> tuple[str, str]:
+        """Kind and payload (JSON), as the journal keeps them."""
+        payload = self.model_dump_json(exclude_unset=True)
+        return self.KIND, payload if self.SHAPE == 1 else json.dumps({**json.loads(payload), "shape": self.SHAPE})
+
+
+class SkillEvent(Event):
+    """An entry that a skill may write."""
+
+
+# --- weighings
+
+
+class Line(Values):
+    """One line of the balance."""
+
+    raw: str
+    """As it came, one character for each byte (latin-1)."""
+    value_mg: float
+    unit: str
+    """The unit that the balance showed."""
+    stable: bool
+    time_s: float = 0.0
+    """The run's time."""
+
+
+class Weighing(Values):
+    """A mean of stable readings of the balance."""
+
+    gross_mg: float
+    uncertainty_mg: float | None = None
+    """Standard uncertainty of the mean."""
+    readings: tuple[Line, ...] = ()
+    """What it is the mean of."""
+
+
+class ContainerPlaced(SkillEvent):
+    """A container was put on the pan, and weighed."""
+
+    KIND: ClassVar = "container"
+
+    container: Text
+    """Its id."""
+    kind: Text
+    """Its name in `containers.yaml`."""
+    mass_mg: float
+    balance: Text = ""
+    """What the balance answered when asked who it is."""
+    bare: Weighing | None = None
+    """The pan before."""
+    loaded: Weighing | None = None
+
+
+class Tared(SkillEvent, Weighing):
+    """The container was weighed before its first powder."""
+
+    KIND: ClassVar = "tare"
+
+    balance: Text = ""
+
+
+class Reweighed(SkillEvent, Weighing):
+    """After an interruption in a dose: what had arrived by then."""
+
+    KIND: ClassVar = "reweighed"
+
+    arrived_mg: float
+
+
+class WeightChecked(SkillEvent):
+    """A check weight was put on the pan, and weighed."""
+
+    KIND: ClassVar = "check_weight"
+
+    weight_mg: float
+    error_mg: float
+    tolerance_mg: float | None = None
+    balance: Text = ""
+    bare: Weighing | None = None
+    loaded: Weighing | None = None
+
+
+class BalanceWatched(SkillEvent):
+    """The balance was read for a while with nothing changing on its pan."""
+
+    KIND: ClassVar = "balance_watched"
+
+    readings: int
+    """How many there were."""
+    span_mg: float
+    """How far they went apart."""
+
+
+# --- dosing
+
+
+class Pulsed(SkillEvent):
+    """One opening of the valve while dosing, or a rest (`settle`), and the weighing after it."""
+
+    KIND: ClassVar = "pulse"
+
+    kind: Literal["pulse", "settle"]
+    opening_mm: float | None = None
+    """Commanded, as `dwell_s` and `vibration`; absent where the valve stayed shut."""
+    dwell_s: float | None = None
+    vibration: float | None = None
+    """0 (off) to 1."""
+    began_s: float | None = None
+    ended_s: float | None = None
+    net_mg: float
+    """What is in the container."""
+    uncertainty_mg: float
+    """Standard uncertainty of `net_mg`."""
+    gross_mg: float | None = None
+    readings: tuple[Line, ...] = ()
+
+
+class Dose(SkillEvent):
+    """The result for one container, in tolerance or not; the last one written for a job is its dose."""
+
+    KIND: ClassVar = "dose"
+
+    target_mg: float
+    tolerance_mg: float
+    dispensed_mg: float
+    """By a stable mean of the balance: gross now less gross before."""
+    uncertainty_mg: float
+    """Standard uncertainty of `dispensed_mg`."""
+    pulses: int
+    vibration_s: float
+    duration_s: float
+    controller: str
+    verdict: Verdict
+
+    @property
+    def error_mg(self) -> float:
+        return self.dispensed_mg - self.target_mg
+
+
+class DoseCurve(SkillEvent):
+    """A dose has ended: its course, for a plot."""
+
+    KIND: ClassVar = "dose_curve"
+
+    points: tuple[tuple[float, float, float, float, bool, float], ...]
+    """Time [s], net [mg], opening [mm], vibration (0 to 1), stable, the controller's estimate [mg]."""
+
+
+# --- powder, sheet and valve
+
+
+class Scooped(SkillEvent):
+    """Powder was scooped into the cone."""
+
+    KIND: ClassVar = "scoop"
+
+    source: Text
+    expected_mg: float
+    """What the stroke should have collected."""
+    open_mm: float
+    """The rim's diameter at the stroke's beginning."""
+    closed_mm: float
+    swing_deg: float
+    """How far from upright the stroke began."""
+
+
+class Returned(SkillEvent):
+    """What was in the cone went back into its mortar."""
+
+    KIND: ClassVar = "returned"
+
+    source: Text
+    expected_mg: float
+
+
+class Discarded(SkillEvent):
+    """What was in the cone went to waste."""
+
+    KIND: ClassVar = "discarded"
+
+    expected_mg: float
+
+
+class SheetSwapped(SkillEvent):
+    """A fresh sheet is in the hand."""
+
+    KIND: ClassVar = "sheet"
+
+    sheets_used: int
+
+
+class ValveChecked(SkillEvent):
+    """The valve was opened and shut over the waste bin."""
+
+    KIND: ClassVar = "valve_zero"
+
+    opening_mm: float
+    """Where the shut valve stands."""
+
+
+SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
+    ContainerPlaced,
+    Tared,
+    Pulsed,
+    Dose,
+    DoseCurve,
+    Reweighed,
+    WeightChecked,
+    BalanceWatched,
+    Scooped,
+    Returned,
+    Discarded,
+    SheetSwapped,
+    ValveChecked,
+)
+"""All that skills write, beside a lab's own notes."""
+
+# --- a lab's own
+
+NOTE_PREFIX = "lab."
+NOTE_KIND = r"lab(\.[a-z][a-z0-9_]*)+"
+_JSON: TypeAdapter[dict[str, JsonValue]] = TypeAdapter(dict[str, JsonValue], config=ConfigDict(allow_inf_nan=False))
+
+
+@dataclass(frozen=True)
+class Note:
+    """An entry of a kind that a lab's skill invents: `lab.` and a name, with any JSON as `values`.
+
+    Raises ValueError for a kind without the prefix, and for values that are no JSON.
+    """
+
+    kind: str
+    values: Mapping[str, JsonValue]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.kind, str) or not re.fullmatch(NOTE_KIND, self.kind):
+            name = (
+                re.sub(r"[^a-z0-9_.]+", "_", str(self.kind).lower().removeprefix(NOTE_PREFIX)).strip("_.") or "sieved"
+            )
+            example = f'`cell.record.note("{NOTE_PREFIX}{name}", {{…}})`'
+            raise ValueError(f"{self.kind!r} is no kind that a lab may write: write {example}")
+        try:
+            _JSON.validate_python(self.values, strict=True)
+        except ValidationError as error:
+            wrong = error.errors(include_url=False)[0]
+            raise ValueError(
+                f"{shorten(repr(wrong['input']))} among the values of {self.kind!r} is no JSON: write finite numbers, "
+                "texts, True, False, None, and lists and dicts (with texts as keys) of these"
+            ) from None
+
+    def entry(self) -> tuple[str, str]:
+        """Kind and payload (JSON), as the journal keeps them."""
+        return self.kind, _JSON.dump_json(dict(self.values)).decode()

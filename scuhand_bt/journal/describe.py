@@ -1,0 +1,95 @@
+"""The description of all kinds of entries, made from their models: `python -m scuhand_bt.journal.describe docs`.
+
+It brings the tables of `journal.md` and `journal.schema.json` in that folder up to date.
+"""
+
+import ast
+import inspect
+import json
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from pydantic.json_schema import models_json_schema
+
+from scuhand_bt import events as of_skills
+from scuhand_bt.events import NOTE_KIND, SKILL_EVENTS, Event
+from scuhand_bt.journal import events as of_engine
+from scuhand_bt.journal.events import ENGINE_EVENTS, KINDS
+
+_BEGIN, _END = "<!-- {} entries, made by scuhand_bt.journal.describe -->", "<!-- end -->"
+
+
+def with_tables(text: str) -> str:
+    """The text of `journal.md` with its tables of kinds as the models have them. Raises ValueError without places."""
+    for name, kinds in (("engine", ENGINE_EVENTS), ("skill", SKILL_EVENTS)):
+        begin, end = _BEGIN.format(name), _END
+        before, found, rest = text.partition(begin)
+        _, ended, after = rest.partition(end)
+        if not found or not ended:
+            raise ValueError(f"there is no '{begin}' … '{end}' in the text")
+        text = f"{before}{begin}\n{_table(kinds)}\n{end}{after}"
+    return text
+
+
+def schema() -> str:
+    """JSON Schema (2020-12) of every kind's payload, by kind."""
+    _, made = models_json_schema([(model, "validation") for model in KINDS.values()])
+    defs = made["$defs"]
+    for name, docs in _docs().items():
+        for field, description in docs.items():
+            if name in defs:
+                defs[name]["properties"][field]["description"] = description
+    whole = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "The payloads of a journal's entries, by kind",
+        "type": "object",
+        "properties": {kind: {"$ref": f"#/$defs/{model.__name__}"} for kind, model in KINDS.items()},
+        "patternProperties": {f"^{NOTE_KIND}$": {"type": "object", "description": "A lab's own."}},
+        "additionalProperties": False,
+        "$defs": defs,
+    }
+    return json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
+
+
+def _table(kinds: Sequence[type[Event]]) -> str:
+    rows = ["| kind | model | what | fields |", "| --- | --- | --- | --- |"]
+    for model in kinds:
+        what = " ".join((inspect.getdoc(model) or "").split())
+        fields = ", ".join(f"`{name}`" for name in model.model_fields)
+        rows.append(f"| `{model.KIND}` | `{model.__name__}` | {what} | {fields} |")
+    return "\n".join(rows)
+
+
+def _docs() -> Mapping[str, Mapping[str, str]]:
+    """What stands below the fields of each model: pydantic would read it too, but whenever a program starts."""
+    found = {}
+    for module in (of_skills, of_engine):
+        for node in ast.parse(inspect.getsource(module)).body:
+            if isinstance(node, ast.ClassDef):
+                found[node.name] = dict(_docs_of(node.body))
+    return found
+
+
+def _docs_of(body: Sequence[ast.stmt]) -> Iterator[tuple[str, str]]:
+    for field, below in pairwise(body):
+        match field, below:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(text))),
+            ) if re.fullmatch("[a-z][a-z_]*", name):
+                yield name, " ".join(text.split())
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Write both into the folder that is named."""
+    folder = Path(*arguments)
+    page = folder / "journal.md"
+    page.write_text(with_tables(page.read_text(encoding="utf-8")), encoding="utf-8")
+    (folder / "journal.schema.json").write_text(schema(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

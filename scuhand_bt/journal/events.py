@@ -1,0 +1,421 @@
+"""The engine's own kinds of entries, and the registry of all kinds; those that skills write are in `events.py`.
+
+Fields with a default are absent in journals of before they were written.
+"""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, JsonValue, ValidationError
+
+from scuhand_bt.events import SKILL_EVENTS, Event, Text, Values, Weighing
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.specs import Verdict
+
+SampleVerdict = Literal[Verdict, "no dose", "skipped", "interrupted", "not run"]
+
+
+# --- the run
+
+
+class SourceUsed(Values):
+    """A source of the recipe."""
+
+    station: str
+    powder: str
+    lot: str
+
+
+class SamplePlanned(Values):
+    """A sample of the recipe, with its inputs as `action_started` has them."""
+
+    id: Text
+    workflow: str
+    inputs: dict[str, JsonValue]
+
+
+class OptionsGiven(Values):
+    """What the command line said, as a resumed run needs it."""
+
+    controller: str | None = None
+    plant: str | None = None
+    speed: float | None = None
+    faults: Text | None = None
+    """The fault file's name."""
+
+
+class RunBegun(Event):
+    """The first entry: what the whole run is, before anything moves."""
+
+    KIND: ClassVar = "run"
+
+    run: Text
+    """Its id."""
+    recipe: Text
+    recipe_hash: str
+    """SHA-256 of the recipe and its tables."""
+    recipe_text: Text = ""
+    recipe_path: Text
+    lab: Text = ""
+    """Its folder."""
+    lab_files: dict[Text, str] = Field(default_factory=dict)
+    """SHA-256 of each of the lab's files."""
+    cell: str
+    simulated: bool
+    unattended: bool = False
+    mode: str
+    """In words: real devices, SIMULATED, REHEARSAL."""
+    seed: int | None = None
+    plant: str | None = None
+    """The simulated physics."""
+    controller: str
+    faults_hash: str | None = None
+    """SHA-256 of the fault file."""
+    faults_text: Text | None = None
+    options: OptionsGiven = OptionsGiven()
+    sources: dict[str, SourceUsed] = Field(default_factory=dict)
+    samples: list[SamplePlanned] | None = None
+    operator: Text | None = None
+    devices: dict[str, dict[str, JsonValue]] = Field(default_factory=dict)
+    """Each device as `cell.yaml` has it."""
+    version: str
+    """Of scuhand_bt."""
+    libraries: dict[str, str] = Field(default_factory=dict)
+    started: str
+    """ISO 8601 with its offset from UTC."""
+
+
+class Resumed(Event):
+    """An interrupted run goes on."""
+
+    KIND: ClassVar = "resumed"
+
+    last_at: str
+    """Wall time of the last entry before."""
+    changes: list[Text]
+    """What had changed since, and was accepted."""
+    version: str
+    operator: Text | None = None
+
+
+class Paused(Event):
+    """The run stands still because a person wished it."""
+
+    KIND: ClassVar = "paused"
+
+
+class Continued(Event):
+    """A person let the paused run go on."""
+
+    KIND: ClassVar = "continued"
+
+
+class Ended(Event):
+    """The run has ended, and said so; a run without this entry after its last `resumed` was interrupted."""
+
+    KIND: ClassVar = "ended"
+
+    exit_code: int
+    reason: Text
+    """Empty where all went well."""
+    complete: bool | None = None
+    """Nothing is left that could be resumed."""
+
+    @property
+    def is_complete(self) -> bool:
+        return self.exit_code <= 1 if self.complete is None else self.complete
+
+
+class NotResumable(Event):
+    """The simulated world could not be kept: the dry run cannot be resumed."""
+
+    KIND: ClassVar = "not_resumable"
+
+    why: Text
+
+
+class Matter(Event):
+    """A simulated run has ended: what its world holds, one key for each compartment [mg]."""
+
+    KIND: ClassVar = "matter"
+    model_config = ConfigDict(extra="allow")
+
+    __pydantic_extra__: dict[str, float]
+
+
+class RuleAccount(Values):
+    """A rule of the fault file, and when its fault came."""
+
+    fault: str
+    came_s: list[float]
+
+
+class FaultRules(Event):
+    """A run with a fault file has ended: when each rule's fault came."""
+
+    KIND: ClassVar = "fault_rules"
+
+    rules: list[RuleAccount]
+
+
+class Trouble(Event):
+    """Something beside the batch failed: a notification, or keeping what was learnt."""
+
+    KIND: ClassVar = "trouble"
+
+    what: Text
+
+
+class Broken(Event):
+    """The program has a fault: where it broke."""
+
+    KIND: ClassVar = "broken"
+
+    traceback: Text
+
+
+# --- jobs and samples
+
+
+class JobStarted(Event):
+    """A job of the plan begins."""
+
+    KIND: ClassVar = "job_started"
+
+    name: Text
+    sample: Text | None
+    attempt: int
+    workflow: str
+
+
+class JobResumed(Event):
+    """A job that was interrupted is taken up again."""
+
+    KIND: ClassVar = "job_resumed"
+
+
+class JobEnded(Event):
+    """A job has ended, or was interrupted."""
+
+    KIND: ClassVar = "job_ended"
+
+    outcome: str
+    """done, failed, stopped (failed, and ended the run), interrupted or broken."""
+    code: str | None = None
+    """The failure's."""
+    detail: Text | None = None
+
+    @property
+    def failure(self) -> SkillFailed | None:
+        return SkillFailed(self.code, self.detail or "") if self.code else None
+
+
+class SampleResult(Event):
+    """A sample has its result: one line of the table at the end."""
+
+    KIND: ClassVar = "sample"
+
+    id: Text
+    container: Text | None
+    target_mg: float | None
+    dispensed_mg: float | None
+    error_mg: float | None
+    uncertainty_mg: float | None
+    tolerance_mg: float | None
+    pulses: int
+    scoops: int
+    vibration_s: float
+    duration_s: float
+    controller: str | None
+    verdict: SampleVerdict
+    code: str | None
+    """Of the failure, if there was one."""
+    detail: Text | None
+    true_mg: float | None
+    """The simulation's, for judging; None on a real cell."""
+    attempt: int = 1
+
+    @property
+    def is_good(self) -> bool:
+        """A dose in tolerance, or a workflow that was to dose nothing; and no failure."""
+        return self.code is None and self.verdict == ("no dose" if self.target_mg is None else "in tolerance")
+
+
+class Chosen(Event):
+    """A person chose what a sample's failure means (`on_failure: ask`)."""
+
+    KIND: ClassVar = "chosen"
+
+    sample: Text
+    attempt: int
+    action: str
+
+
+# --- actions
+
+
+class ActionStarted(Event):
+    """A skill is about to act."""
+
+    KIND: ClassVar = "action_started"
+
+    path: str
+    """Its place in the job's tree."""
+    visit: int
+    """How often the tree has come to this place, this time included."""
+    skill: str
+    inputs: dict[str, JsonValue]
+    """Its parameters; things of the lab by their names."""
+
+
+class ActionEnded(Event):
+    """A skill has ended, or was halted."""
+
+    KIND: ClassVar = "action_ended"
+
+    outcome: str
+    """done, failed, halted (by its tree), interrupted (by the run) or broken."""
+    code: str | None
+    """The failure's."""
+    result: JsonValue
+    """What it gave; of a failure its `detail`."""
+
+    @property
+    def failure(self) -> SkillFailed | None:
+        """None for any other outcome than `failed`."""
+        if self.outcome != "failed":
+            return None
+        return SkillFailed(self.code or "", str(self.result["detail"]) if isinstance(self.result, dict) else "")
+
+
+class Frames(Event):
+    """Lines of the balance, as they came while a skill with hand and balance was at work.
+
+    They are in the entry's own column, compressed: zlib of a JSON list of [time_s, raw, value_mg, unit, stable].
+    At most the last half second is lost with the power.
+    """
+
+    KIND: ClassVar = "frames"
+
+    readings: int
+    """How many lines."""
+
+
+class Decided(Event):
+    """A node of the tree that is no skill has failed on its own account: a timeout, a `while`."""
+
+    KIND: ClassVar = "decided"
+
+    path: str
+    visit: int
+    code: str
+    detail: Text
+    had_begun: bool
+    """Whether its child had begun."""
+
+    @property
+    def failure(self) -> SkillFailed:
+        return SkillFailed(self.code, self.detail)
+
+
+# --- taking up what was interrupted
+
+
+class ArmMoved(Event):
+    """The arm does not stand where it stood before the interruption, and is moved back."""
+
+    KIND: ClassVar = "arm_moved"
+
+    moved_rad: float
+    """The farthest any joint has moved."""
+
+
+class PanCompared(Event, Weighing):
+    """The pan was weighed after an interruption in which nothing can have been dosed."""
+
+    KIND: ClassVar = "pan_compared"
+
+    before_mg: float
+    """Its gross before."""
+
+
+class Settled(Event):
+    """An action that had begun and not ended begins again, as its skill declares."""
+
+    KIND: ClassVar = "settled"
+
+    skill: str
+    by: str
+    """repeat or reweigh."""
+
+
+# --- the person at the cell
+
+
+class Asked(Event):
+    """A person is asked."""
+
+    KIND: ClassVar = "asked"
+
+    question: Text
+    choices: list[str]
+
+
+class Answered(Event):
+    """A person has answered."""
+
+    KIND: ClassVar = "answered"
+
+    question: Text
+    answer: str
+
+
+ENGINE_EVENTS: tuple[type[Event], ...] = (
+    RunBegun,
+    Resumed,
+    Paused,
+    Continued,
+    Ended,
+    NotResumable,
+    Matter,
+    FaultRules,
+    Trouble,
+    Broken,
+    JobStarted,
+    JobResumed,
+    JobEnded,
+    SampleResult,
+    Chosen,
+    ActionStarted,
+    ActionEnded,
+    Frames,
+    Decided,
+    ArmMoved,
+    PanCompared,
+    Settled,
+    Asked,
+    Answered,
+)
+KINDS: Mapping[str, type[Event]] = {event.KIND: event for event in (*ENGINE_EVENTS, *SKILL_EVENTS)}
+"""All kinds that this program writes, beside a lab's notes."""
+
+
+class NewerShape(Exception):  # noqa: N818 - it says what was found
+    """An entry of a shape that only a newer program knows."""
+
+
+def parsed(kind: str, values: Mapping[str, Any]) -> Event | None:
+    """An entry's payload as its model; None for a kind that is not of `KINDS` (a lab's, or a newer program's).
+
+    Raises NewerShape, and ValueError for what no program wrote.
+    """
+    if (model := KINDS.get(kind)) is None:
+        return None
+    if (shape := values.get("shape", 1)) > model.SHAPE:
+        raise NewerShape(f"'{kind}' of shape {shape}; this one reads up to {model.SHAPE}")
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        where = ".".join(map(str, wrong["loc"]))
+        raise ValueError(f"'{kind}' has at '{where}': {wrong['msg'].lower()}") from None

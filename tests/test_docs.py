@@ -1,0 +1,204 @@
+"""What README and docs say is so: examples run or are read, names and links exist, the picture is of today."""
+
+import ast
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from conftest import REPOSITORY, LabFolder
+
+from scuhand_bt import cli
+from scuhand_bt.problems import Problems, SourceError
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.tree.check import check_workflows
+
+PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted(REPOSITORY.glob("docs/**/*.md"))]
+ARCHITECTURE = (REPOSITORY / "docs" / "architecture.md").read_text(encoding="utf-8")
+WALKED = sorted(set(re.findall(r"`([\w/.]+\.\w+):([\w.]+)`", ARCHITECTURE)))
+COMMANDS: Any = typer.main.get_command(cli.app)
+
+
+def blocks(language: str) -> list[Any]:
+    """The code blocks of a language on all pages, each under its page and number."""
+    found = []
+    for page in PAGES:
+        matches = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
+        found += [pytest.param(text, id=f"{page.name}-{number}") for number, text in enumerate(matches, 1)]
+    return found
+
+
+def texts(language: str) -> list[str]:
+    return [block.values[0] for block in blocks(language)]
+
+
+# --- the architecture
+
+
+@pytest.mark.parametrize(("file", "name"), WALKED, ids=[f"{file}:{name}" for file, name in WALKED])
+def test_every_step_of_a_walk_exists(file: str, name: str) -> None:
+    path = next((path for path in (REPOSITORY / "scuhand_bt" / file, REPOSITORY / file) if path.is_file()), None)
+    assert path is not None, f"{file} is gone"
+    inside: Any = ast.parse(path.read_text(encoding="utf-8"))
+    for part in name.split("."):
+        inside = next((node for node in inside.body if part in _names(node)), None)
+        assert inside is not None, f"{file} has no {name}"
+
+
+def _names(node: ast.stmt) -> list[str]:
+    if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+        return [node.name]
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return [target.id for target in targets if isinstance(target, ast.Name)]
+
+
+def test_the_walks_are_there() -> None:
+    assert len(WALKED) > 80
+
+
+def test_every_file_that_the_architecture_names_exists() -> None:
+    named = set(re.findall(r"`((?:[\w.]+/)+(?:[\w.]+\.(?:py|cpp|md|yaml))?)`", ARCHITECTURE))
+    assert len(named) > 30
+    missing = [n for n in sorted(named) if not any((REPOSITORY / home / n).exists() for home in ("", "scuhand_bt"))]
+    assert [name for name in missing if "NAME" not in name] == []
+
+
+def test_the_table_of_rooms_is_that_of_the_contract() -> None:
+    contracts = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+    layers = contracts["contracts"][0]["layers"]
+    said = re.findall(r"^\| (\d+) \| `(\w+)` \|", ARCHITECTURE, re.M)
+    for number, layer in enumerate(reversed(layers), 1):
+        assert {room for at, room in said if at == str(number)} == set(re.findall(r"\w+", layer))
+    assert len({at for at, _ in said}) == len(layers)
+
+
+def test_the_picture_of_the_rooms_is_of_today(tmp_path: Path) -> None:
+    drawn = tmp_path / "rooms.svg"
+    subprocess.run([sys.executable, REPOSITORY / "docs" / "draw_rooms.py", "-o", drawn], check=True)
+    assert drawn.read_text() == (REPOSITORY / "docs" / "rooms.svg").read_text(), "run `python docs/draw_rooms.py`"
+
+
+# --- examples
+
+
+@pytest.mark.parametrize("text", blocks("yaml"))
+def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> None:
+    lab_folder.write("recipes/holders.csv", texts("csv")[0])
+    kind = text.split(":", 1)[0]
+    if kind == "recipe":
+        recipe = load_recipe(lab_folder.write("recipes/example.yaml", text), lab_folder.load())
+        assert recipe.samples
+    elif kind == "workflow":
+        name = text.split()[1]
+        lab_folder.write(f"trees/{name}.yaml", text)
+        problems = Problems()
+        check_workflows(lab_folder.load().library, [name], problems)
+        problems.raise_any()
+    elif kind == "faults":
+        assert parse_faults(text, "faults.yaml").rules
+    else:
+        assert kind == "notify", "an example of a new kind: say here how it is read"
+        cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+        for line in text.splitlines():
+            lab_folder.write("robot/cell.yaml", f"{cell}\n{line}\n")
+            assert lab_folder.load().cell.notify is not None
+
+
+def test_the_mistakes_that_recipes_md_shows_are_told_in_those_words(lab_folder: LabFolder) -> None:
+    page = (REPOSITORY / "docs" / "recipes.md").read_text(encoding="utf-8")
+    shown = page.split("$ scuhand-bt check my.yaml\n")[1].split("```")[0].splitlines()
+    recipe = texts("yaml")[0].replace("titanium_dioxide,", "titanium_dioxid,").replace("mass: 50 mg", "mass: 50 s")
+    rows = "".join(f"xrd-{7 if number == 12 else number - 1:02d},xrd_holder,30\n" for number in range(2, 13))
+    lab_folder.write("recipes/holders.csv", "id,container,mass [mg]\n" + rows.replace("xrd-01", "xrd-99"))
+    path = lab_folder.write("recipes/my.yaml", recipe)
+    with pytest.raises(SourceError) as raised:
+        load_recipe(path, lab_folder.load())
+    told = [str(problem).removeprefix(f"{path.parent}/") for problem in raised.value.problems]
+    told.append(f"{len(told)} problems; nothing was moved.")
+    for line, expected in zip(told, shown, strict=True):
+        assert re.fullmatch(re.escape(expected).replace("…", ".*"), line)
+
+
+@pytest.mark.parametrize("text", blocks("python"))
+def test_every_python_example_is_python(text: str) -> None:
+    ast.parse(text)
+
+
+@pytest.mark.parametrize("text", [block for block in blocks("python") if "(Skill" in block.values[0]])
+def test_every_skill_example_is_loaded_and_called_as_the_page_says(text: str, lab_folder: LabFolder) -> None:
+    name = re.findall(r"^class (\w+)\(Skill", text, re.M)[0].lower()
+    lab_folder.write(f"skills/{name}.py", text)
+    call = next(call for page in PAGES for call in re.findall(rf"`- ({name}: .*?)`", page.read_text(encoding="utf-8")))
+    lab_folder.write("trees/example.yaml", f"workflow: example\ntree:\n  sequence:\n    - {call}\n")
+    library = lab_folder.load().library
+    problems = Problems()
+    check_workflows(library, ["example"], problems)
+    problems.raise_any()
+    assert library.skills[name].summary()
+
+
+# --- commands
+
+
+def said_commands() -> Iterator[Any]:
+    """Every `scuhand-bt …` of the pages: lines of shell blocks, of shown terminals, and within sentences."""
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        lines = re.findall(r"`scuhand-bt ([^`]*)`", text)
+        for block in re.findall(r"^```(?:sh|text)\n(.*?)^```", text, re.M | re.S):
+            lines += re.findall(r"^(?:\$ )?(?:.*/)?scuhand-bt (.*)$", block, re.M)
+        for line in dict.fromkeys(lines):
+            words = shlex.split(line.replace("[", "").replace("]", ""), comments=True)
+            yield pytest.param(words, id=f"{page.name}: {' '.join(words)}")
+
+
+@pytest.mark.parametrize("words", list(said_commands()))
+def test_every_command_that_is_said_exists_with_its_options(words: list[str]) -> None:
+    command = COMMANDS
+    while words and words[0] in getattr(command, "commands", {}):
+        command, words = command.commands[words[0]], words[1:]
+    assert command is not COMMANDS, "no such command"
+    assert not hasattr(command, "commands") or not words or words[0].startswith("-"), "no such command of this group"
+    if words:  # else it is only spoken of
+        placeholder = {"N": "1", "…": "x"}
+        command.make_context(command.name, [placeholder.get(word, word) for word in words])
+        for word in words:
+            assert not word.startswith("recipes/") or (REPOSITORY / word).is_file()
+
+
+def test_every_option_that_is_said_is_one_of_some_command() -> None:
+    def options(command: Any) -> set[str]:
+        inner = getattr(command, "commands", {}).values()
+        return {option for p in command.params for option in p.opts}.union(*map(options, inner))
+
+    known = options(COMMANDS) | {"--help"}
+    for page in [REPOSITORY / "README.md", *sorted(REPOSITORY.glob("docs/*.md"))]:
+        said = set(re.findall(r"`(--[a-z-]+)", page.read_text(encoding="utf-8")))
+        assert said <= known, page.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_and_module_that_a_page_names_exists(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
+        assert target.startswith("http") or (page.parent / target).exists(), target
+    for module in re.findall(r"python -m (benchmarks[\w.]*)", text):
+        assert REPOSITORY.joinpath(*module.split(".")).with_suffix(".py").is_file(), module
+    for script in re.findall(r"python (docs/\w+\.py)", text):
+        assert (REPOSITORY / script).is_file(), script
+
+
+def test_ci_finds_the_two_commands_of_the_readme_and_each_makes_its_own_environment() -> None:
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()
+    wanted = re.findall(r"readme_command '(.+?)'", (REPOSITORY / ".ci" / "run").read_text(encoding="utf-8"))
+    assert len(wanted) == 2
+    for end in wanted:
+        command = next(line for line in readme if line.endswith(end))
+        assert command.startswith("python3 -m venv .venv && .venv/bin/pip install --quiet ")
