@@ -8,6 +8,7 @@ can tell are shown below the others, and not counted.
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -36,8 +37,7 @@ def _run(name: str, doses: int, first_seed: int) -> Tally:
 
 def show(tallies: list[Tally], console: Console) -> None:
     """The table, in the order of the registry."""
-    per_dose = {tally.world: tally.duration_s / tally.doses for tally in tallies if tally.doses}
-    sound_s = per_dose.get("sound")
+    sound_s = next((tally.seconds_per_dose for tally in tallies if tally.world == "sound"), math.nan)
     columns = ("world", "doses", "good", "FALSE GOOD", "worst beyond", "flagged (truly good)", "no dose", "time")
     for title, has_limit in (("Worlds", False), ("Beyond any weighing", True)):
         table = Table(*columns, "codes", title=title, show_edge=False)
@@ -45,7 +45,7 @@ def show(tallies: list[Tally], console: Console) -> None:
             if (BY_NAME[tally.world].limit is not None) != has_limit:
                 continue
             false = f"{len(tally.false_goods)}" + f", {len(tally.false_zeros)} runs" * bool(tally.false_zeros)
-            slower = f"{per_dose[tally.world] / sound_s:.2f}" if sound_s and tally.world in per_dose else ""
+            slower = tally.seconds_per_dose / sound_s
             table.add_row(
                 tally.world,
                 str(tally.doses),
@@ -54,7 +54,7 @@ def show(tallies: list[Tally], console: Console) -> None:
                 f"{tally.worst_mg:.1f} mg" if tally.false_goods else "",
                 f"{tally.flagged.total()} ({tally.good_flagged})",
                 str(tally.failed.total()),
-                slower,
+                "" if math.isnan(slower) else f"{slower:.2f}",
                 ", ".join(f"{code} {count}" for code, count in (tally.flagged + tally.failed).most_common(4)),
             )
         if table.row_count:

@@ -4,6 +4,7 @@ A container that is reported good and is not within its tolerance is a false goo
 has ended, of the container that the sample ended in: what fell into it or out of it after its result counts.
 """
 
+import math
 import tempfile
 import zlib
 from collections import Counter
@@ -62,8 +63,6 @@ OWN = {
     + "  - {id: again, source: msg, container: xrd_holder, mass: 30 mg, repeat: 5}\non_failure: {otherwise: redo}\n",
 }
 RECIPES = (*SHIPPED, *OWN)
-RUNS_PER_DOSE = 1.0
-"""Runs of a world in which hardly a dose is begun, at the most."""
 
 
 @dataclass(frozen=True)
@@ -103,9 +102,15 @@ class Tally:
     broken: list[str] = field(default_factory=list)
     """Runs that ended in a bug."""
     duration_s: float = 0.0
-    """Of all doses, in the world's time."""
+    """The sum over all that was dispensed, in the world's time."""
     true_error_mg: float = 0.0
-    """The sum of their true errors, without signs."""
+    """The sum of the true errors of all that was dispensed, without signs."""
+
+    @property
+    def seconds_per_dose(self) -> float:
+        """What a dose takes; NaN without any."""
+        dispensed = self.doses - self.failed.total()
+        return self.duration_s / dispensed if dispensed else math.nan
 
     @property
     def worst_mg(self) -> float:
@@ -126,8 +131,9 @@ class Tally:
         if result.verdict == "not run":
             return is_true
         self.doses += 1
-        self.duration_s += result.duration_s
-        self.true_error_mg += abs(true_mg - target_mg)
+        if result.dispensed_mg is not None:
+            self.duration_s += result.duration_s
+            self.true_error_mg += abs(true_mg - target_mg)
         if result.is_good and is_true:
             self.good += 1
         elif result.is_good:
@@ -148,9 +154,9 @@ class Falsifier:
         self._made: Mapping[str, tuple[Plan, MotionPlanner]] = {name: self._make(name) for name in recipes}
 
     def run(self, world: HostileWorld, doses: int, first_seed: int = 0) -> Tally:
-        """Every recipe with seed after seed, until so many doses were begun."""
+        """Every recipe with seed after seed, until so many doses were begun, or so many runs have begun hardly any."""
         tally, seed, runs = Tally(world.name), first_seed, 0
-        while tally.doses < doses and runs < max(len(self._made), RUNS_PER_DOSE * doses):
+        while tally.doses < doses and runs < max(len(self._made), doses):
             for recipe in self._made:
                 self.run_once(world, recipe, seed, tally)
                 runs += 1

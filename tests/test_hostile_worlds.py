@@ -50,6 +50,13 @@ def test_a_redone_sample_is_judged_by_its_second_container(falsifier: Falsifier)
     assert (tally.doses, tally.good, len(tally.false_goods)) == (5, 5, 0)
 
 
+def test_a_run_that_ends_in_a_bug_is_told(falsifier: Falsifier) -> None:
+    tally = Tally("bug")
+    falsifier.run_once(HostileWorld("bug", "breaks", lambda: [_Breaking()]), RECIPE, 0, tally)
+    assert len(tally.broken) == 1
+    assert "ZeroDivisionError" in tally.broken[0]
+
+
 def test_every_moment_comes_in_a_run(falsifier: Falsifier) -> None:
     seen = _Seen()
     falsifier.run(HostileWorld("seen", "looks on", lambda: [seen]), 1)
@@ -95,6 +102,13 @@ class _Late(Ill):
         before, self._on = self._on, bench.container
         if before is not None and before != self._on:
             bench.move(in_source("mortar-1"), in_container(before), 10.0)
+
+
+class _Breaking(Ill):
+    """A physics that breaks in mid-run."""
+
+    def act(self, bench: Bench, dt_s: float) -> None:
+        _ = 1 / ("opened" not in bench.at)
 
 
 class _Seen(Ill):
