@@ -16,7 +16,7 @@ from typing import Any
 from unittest.mock import patch
 
 from benchmarks.figures import show
-from benchmarks.mutated_journals import mutations
+from harness.damaged_journals import mutations
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.reader import read

@@ -1,15 +1,13 @@
 """Shared by the tests: commands in this process, labs that can be changed, and a bench for trees."""
 
-import os
 import shutil
 import sys
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-from wire_helpers import Metronome
 
 from scuhand_bt import cli
 from scuhand_bt.cell.believed import Believed
@@ -33,26 +31,8 @@ from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.yaml_source import parse
 
+pytest_plugins = ["pytester", "real_time"]
 REPOSITORY = Path(__file__).parent.parent
-LATE_MS = 20.0
-"""A computer that wakes a thread so late, or has more to do than cores, is no measure of times."""
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Generator[None, Any, Any]:
-    """A test in real time that fails on a computer too busy for it is skipped, and says so."""
-    if pyfuncitem.get_closest_marker("real_time") is None:
-        return (yield)
-    with Metronome() as metronome:
-        try:
-            return (yield)
-        except (Exception, pytest.fail.Exception):
-            load, late_ms = os.getloadavg()[0], metronome.latest_s * 1000
-            if late_ms <= LATE_MS and load <= (os.cpu_count() or 1):
-                raise
-            return pytest.skip(
-                f"this computer was too busy for a test in real time: load {load}, {late_ms:.0f} ms late"
-            )
 
 
 def problems_of(action: Callable[[], object]) -> list[str]:

@@ -6,11 +6,11 @@ from dataclasses import FrozenInstanceError, fields
 from typing import Any
 
 import pytest
+from dose_bench import DISH, MORTAR, shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from benchmarks.rig import DISH, MORTAR, shipped_powders
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.specs import Source
 

@@ -10,7 +10,7 @@ from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.motion import ApexPose
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
@@ -32,7 +32,7 @@ class Bench:
             lab.cell,
             {},
             clock=self.clock,
-            record=NoRecord(),
+            record=Record(),
             motion=motion,
             operator=cast(Operator, None),
             seed=1,

@@ -12,7 +12,7 @@ from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.operator import OperatorChanger
 from scuhand_bt.sim.cell import simulated_cell
@@ -51,7 +51,7 @@ class ChangerBench(DeviceBench):
             CellSpec(cell="bench", stations={"balance": PAN}),
             {},
             clock=self.clock,
-            record=NoRecord(),
+            record=Record(),
             motion=cast(MotionPlanner, None),
             operator=cast(Operator, self.person),
             seed=1,

@@ -3,11 +3,11 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, PacketHandler, PortHandler, Protocol2PacketHandler
+from dynamixel_sdk import COMM_PORT_BUSY, PacketHandler, PortHandler
 
 from scuhand_bt.devices.dynamixel import registers as r
-from scuhand_bt.devices.dynamixel.bus import BusLost, DynamixelBus, NoAnswer, ServoRefused, _Packets
-from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7, packet
+from scuhand_bt.devices.dynamixel.bus import BusLost, DynamixelBus, NoAnswer, ServoRefused
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 
@@ -51,33 +51,6 @@ def test_a_payload_that_looks_like_a_header_is_stuffed_on_its_way_out(bus: Dynam
     bus.sync_write(r.GOAL_POSITION, {9: 0})
     bus.sync_write(r.GOAL_POSITION, {9: goal})
     assert bus.read(9, r.GOAL_POSITION) == goal
-
-
-class Recorder:
-    """A port that keeps what is sent."""
-
-    is_using = False
-    sent = b""
-
-    def clearPort(self) -> None:  # noqa: N802
-        self.sent = b""
-
-    def writePort(self, packet: list[int]) -> int:  # noqa: N802
-        self.sent = bytes(packet)
-        return len(packet)
-
-
-def test_the_sdk_alone_loses_the_stuffing() -> None:
-    """Why `_Packets` exists: when this fails the SDK has been mended."""
-    goal = [0xFF, 0xFF, 0xFD, 0xFF]
-    sent = {}
-    for packets in (PacketHandler(2.0), _Packets()):
-        port = Recorder()
-        packets.txPacket(port, [0, 0, 0, 0, 9, 9, 0, 3, 116, 0, *goal, 0, 0])
-        sent[type(packets)] = port.sent
-    assert sent[_Packets] == packet(9, 3, bytes([116, 0, *goal]))
-    assert b"\xff\xff\xfd\xfd\xff" in sent[_Packets]
-    assert sent[Protocol2PacketHandler] != sent[_Packets]
 
 
 def test_a_late_answer_is_never_taken_for_the_next_questions(bus: DynamixelBus, twin: Line) -> None:
@@ -221,43 +194,3 @@ def test_no_false_value_comes_out_of_a_line_that_misbehaves_at_random(bus: Dynam
             failed += 1
     assert wrong == 0
     assert failed > 5
-
-
-class NoisyPort:
-    """A port on which bytes come in that nobody controls; time passes with every read."""
-
-    def __init__(self, noise: bytes) -> None:
-        self.noise = noise
-        self.at = 0
-        self.is_using = False
-        self._reads = 0
-
-    def readPort(self, length: int) -> bytes:  # noqa: N802
-        self._reads += 1
-        self.at += length
-        return self.noise[self.at - length : self.at]
-
-    def isPacketTimeout(self) -> bool:  # noqa: N802
-        return self._reads > 200 or self.at >= len(self.noise)
-
-    def begin(self) -> None:
-        self._reads = 0
-
-
-def test_a_million_random_and_mutated_bytes_give_no_packet_with_a_wrong_checksum() -> None:
-    rng = random.Random(8)
-    good = [packet(i, 0x55, b"\0" + rng.randbytes(n)) for i in (2, 3, 9) for n in (0, 1, 4, 25)]
-    noise = bytearray()
-    while len(noise) < 1_000_000:
-        chunk = bytearray(rng.choice(good) if rng.random() < 0.7 else rng.randbytes(rng.randrange(60)))
-        if chunk and rng.random() < 0.5:
-            chunk[rng.randrange(len(chunk))] = rng.randrange(256)
-        noise += chunk
-    port, packets, accepted = NoisyPort(bytes(noise)), _Packets(), 0
-    while port.at < len(noise):
-        port.begin()
-        received, result = packets.rxPacket(port, False)
-        if result == COMM_SUCCESS:
-            accepted += 1
-            assert packet(received[4], received[7], bytes(received[8:-2])) in noise
-    assert accepted > 1000

@@ -3,10 +3,10 @@ from collections import deque
 
 import numpy as np
 import pytest
+from dose_bench import Bench, Setting, shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.rig import Bench, Setting, run_of_doses, shipped_powders
 from scuhand_bt.cell.dose_loop import run_dose
 from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
@@ -211,10 +211,9 @@ def test_a_valve_that_slips_open_is_seen_before_much_has_fallen(target_mg: float
     belief, balance = BEADS.belief, BalanceBelief()
     for dose in range(4):
         bench = Bench(BEADS, target_mg, 21, dose, Setting() if dose < 3 else slips)
-        trial, run = bench.dose("adaptive", belief, balance)
-        assert run is not None
-        belief, balance = run.finish.powder or belief, run.finish.balance or balance
-    assert trial.true_error_mg <= 6.0
+        dosed = bench.dose("adaptive", belief, balance)
+        belief, balance = dosed.learnt(belief, balance)
+    assert dosed.true_error_mg <= 6.0
 
 
 class MovingMean:
@@ -238,10 +237,9 @@ def test_a_balance_of_another_filter_is_not_overshot() -> None:
     belief, balance = BEADS.belief, BalanceBelief()
     for dose in range(4):
         bench = Bench(BEADS, 500.0, 5, dose, Setting(plant=f"{__name__}:MovingMean"))
-        trial, run = bench.dose("adaptive", belief, balance)
-        assert trial.true_error_mg <= 2.0
-        assert run is not None
-        belief, balance = run.finish.powder or belief, run.finish.balance or balance
+        dosed = bench.dose("adaptive", belief, balance)
+        assert dosed.true_error_mg <= 2.0
+        belief, balance = dosed.learnt(belief, balance)
     assert balance.lag_s == pytest.approx((0.6 + 0.128) / 2.0, rel=0.15), "half the window, and the fall"
 
 
@@ -261,10 +259,9 @@ class Unshaken:
 @pytest.mark.parametrize(("plant", "pauses"), [(f"{__name__}:Unshaken", False), (None, True)])
 def test_a_powder_that_need_not_be_shaken_is_found_out_in_its_first_dose(plant: str | None, pauses: bool) -> None:
     powder = POWDERS["titanium_dioxide_fine"]
-    _, run = Bench(powder, 500.0, 2, 0, Setting(plant=plant)).dose("adaptive", powder.belief, BalanceBelief())
-    assert run is not None
-    assert run.finish.powder is not None
-    assert run.finish.powder.pauses is pauses
+    learnt = Bench(powder, 500.0, 2, 0, Setting(plant=plant)).dose("adaptive").run.finish.powder
+    assert learnt is not None
+    assert learnt.pauses is pauses
 
 
 def test_the_filter_sees_through_the_lag() -> None:
@@ -282,10 +279,9 @@ def test_the_filter_sees_through_the_lag() -> None:
 def test_adaptive_meets_the_tolerance_with_free_flowing_powders(powder: str, target_mg: float) -> None:
     belief, balance = POWDERS[powder].belief, BalanceBelief()
     for dose in range(3):
-        trial, run = Bench(POWDERS[powder], target_mg, 7, dose, Setting()).dose("adaptive", belief, balance)
-        assert abs(trial.true_error_mg) <= 2.0
-        assert run is not None
-        belief, balance = run.finish.powder or belief, run.finish.balance or balance
+        dosed = Bench(POWDERS[powder], target_mg, 7, dose).dose("adaptive", belief, balance)
+        assert abs(dosed.true_error_mg) <= 2.0
+        belief, balance = dosed.learnt(belief, balance)
     assert balance.fits > 0, "the first good pulse of a run tells the balance's lag"
     assert balance.lag_s == pytest.approx(0.3, rel=0.2)
     assert belief.doses == 3
@@ -293,9 +289,9 @@ def test_adaptive_meets_the_tolerance_with_free_flowing_powders(powder: str, tar
 
 def test_adaptive_doses_with_step_commands_where_the_hand_cannot_stream() -> None:
     rig = Bench(BEADS, 50.0, 3, 0, Setting(hand=HandSpec(streaming=False)))
-    trial, run = rig.dose("adaptive", BEADS.belief, BalanceBelief())
-    assert abs(trial.true_error_mg) <= 2.0
-    assert run is not None
+    dosed = rig.dose("adaptive")
+    run = dosed.run
+    assert abs(dosed.true_error_mg) <= 2.0
     assert sum(point.opening_mm > 0.0 for point in run.curve) == run.pulses, "every opening is one step command"
     assert run.finish.powder is not None
     assert run.finish.powder.doses == 1, "steps tell the flow too"
@@ -303,9 +299,9 @@ def test_adaptive_doses_with_step_commands_where_the_hand_cannot_stream() -> Non
 
 def test_adaptive_asks_for_another_scoop_when_the_cone_runs_empty() -> None:
     rig = Bench(BEADS, 50.0, 3, 0, Setting(load_ratio=0.004))
-    trial, _ = rig.dose("adaptive", BEADS.belief, BalanceBelief())
-    assert trial.reason == "empty"
-    assert trial.true_error_mg < -25.0
+    dosed = rig.dose("adaptive")
+    assert dosed.run.finish.reason == "empty"
+    assert dosed.true_error_mg < -25.0
 
 
 @settings(max_examples=60, deadline=None)
@@ -326,7 +322,7 @@ def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings
 @pytest.mark.parametrize("streams", [True, False])
 def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> None:
     rig = Bench(BEADS, 500.0, 3, 0, Setting(hand=HandSpec(streaming=streams)))
-    controller = new_controller("adaptive", rig.request(BEADS.belief, BalanceBelief()))
+    controller = new_controller("adaptive", rig.request())
     steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), 25_000.0)
     while rig.world.true_mass("dish") < 30.0:
         rig.clock.wait([next(steps)])
@@ -338,8 +334,8 @@ def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> No
 
 
 def test_the_valve_is_shut_when_a_dose_is_given_up_halfway() -> None:
-    rig = Bench(BEADS, 500.0, 3, 0, Setting())
-    controller = new_controller("adaptive", rig.request(BEADS.belief, BalanceBelief()))
+    rig = Bench(BEADS, 500.0, 3)
+    controller = new_controller("adaptive", rig.request())
     steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), 0.0)
     for _ in range(40):
         rig.clock.wait([next(steps)])
@@ -355,8 +351,8 @@ def test_the_valve_is_shut_when_a_dose_is_given_up_halfway() -> None:
 @pytest.mark.parametrize("name", sorted(CONTROLLERS))
 def test_every_controller_ends_every_dose(name: str) -> None:
     for powder in POWDERS.values():
-        trial, _ = Bench(powder, 20.0, 11, 0, Setting()).dose(name, powder.belief, BalanceBelief())
-        assert trial.reason in {"reached", "overshoot", "step_limit", "empty", "no_flow"}
+        reason = Bench(powder, 20.0, 11).dose(name).run.finish.reason
+        assert reason in {"reached", "overshoot", "step_limit", "empty", "no_flow"}
 
 
 def test_beliefs_survive_being_written_and_read() -> None:
@@ -379,23 +375,13 @@ def test_adaptive_adds_nothing_to_a_container_that_already_holds_its_dose(stream
     assert command.reason == "reached"
 
 
-def test_a_redone_dose_is_judged_by_its_second_attempt_and_takes_both_their_times() -> None:
-    powder = POWDERS["titanium_dioxide_fine"]
-    once = run_of_doses(powder, 20.0, "paper", 5, Setting(), 4)
-    twice = run_of_doses(powder, 20.0, "paper", 5, Setting(redo=True), 4)
-    for first, last in zip(once, twice, strict=True):
-        assert last == first if first.accepted else last.duration_s > first.duration_s
-    assert not all(trial.accepted for trial in once)
-
-
 def test_a_noisy_balance_does_not_make_the_lag_or_the_lumps_look_larger() -> None:
     noisy = Setting(balance=BalanceSpec(simulation=BalanceResponseSpec(noise_mg=0.32)))
     belief, balance = POWDERS["monosodium_glutamate"].belief, BalanceBelief()
     for dose in range(4):
         bench = Bench(POWDERS["monosodium_glutamate"], 500.0, 3, dose, noisy)
-        trial, run = bench.dose("adaptive", belief, balance)
-        assert run is not None
-        belief, balance = run.finish.powder or belief, run.finish.balance or balance
-        assert abs(trial.true_error_mg) <= 3.0
+        dosed = bench.dose("adaptive", belief, balance)
+        belief, balance = dosed.learnt(belief, balance)
+        assert abs(dosed.true_error_mg) <= 3.0
     assert balance.lag_s < 0.5, "the true lag is 0.3 s"
     assert belief.surge_mg < 2.0

@@ -1,9 +1,7 @@
 from pathlib import Path
 
 import pytest
-
-from benchmarks.rig import Bench, Setting, shipped_powders
-from scuhand_bt.specs import BalanceBelief
+from dose_bench import Bench, shipped_powders
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg"])
@@ -11,9 +9,7 @@ def test_a_dose_is_plotted_from_its_recorded_curve(tmp_path: Path, suffix: str) 
     pytest.importorskip("matplotlib")
     from scuhand_bt.report.dose_plot import plot_dose
 
-    powder = shipped_powders()["glass_beads"]
-    _, run = Bench(powder, 50.0, 3, 0, Setting()).dose("adaptive", powder.belief, BalanceBelief())
-    assert run is not None
+    run = Bench(shipped_powders()["glass_beads"], 50.0, 3).dose("adaptive").run
     path = tmp_path / f"dose.{suffix}"
     plot_dose(run.rows(), 50.0, 2.0, path)
     assert path.stat().st_size > 5000
@@ -27,9 +23,7 @@ def test_a_dose_without_a_curve_is_refused(tmp_path: Path) -> None:
 
 
 def test_pulses_are_in_the_curve_with_their_opening() -> None:
-    powder = shipped_powders()["glass_beads"]
-    _, run = Bench(powder, 50.0, 3, 0, Setting()).dose("paper", powder.belief, BalanceBelief())
-    assert run is not None
+    run = Bench(shipped_powders()["glass_beads"], 50.0, 3).dose("paper").run
     openings_mm = [point.opening_mm for point in run.curve]
     opened = [index for index, opening_mm in enumerate(openings_mm) if opening_mm > 0.0]
     assert len(opened) == run.pulses > 3

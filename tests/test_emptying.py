@@ -11,7 +11,7 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.lab import Lab
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.record import NoRecord
+from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.specs import Source
@@ -34,7 +34,7 @@ def test_a_cone_that_empties_slowly_takes_several_pulses_and_each_is_one_that_th
         CellSpec(cell="bench", stations=STATIONS),
         {"store": source},
         clock=clock,
-        record=NoRecord(),
+        record=Record(),
         motion=cast(MotionPlanner, None),
         operator=cast(Operator, None),
         seed=1,

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dose_bench import DISH, PAN, Bench, Setting, shipped_powders
 from running import dry_run, make_lab
 
-from benchmarks.rig import DISH, PAN, Bench, Setting, shipped_powders
 from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading
@@ -26,7 +26,7 @@ class Guarded:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, powder: str = "glass_beads", **setting: Any) -> None:
         self.apex_mm: tuple[float, float, float] = (PAN.position_mm[0], PAN.position_mm[1] + 5.0, 140.0)
-        self.rig = Bench(POWDERS[powder], 20.0, 1, 0, Setting(**setting))
+        self.rig = Bench(POWDERS[powder], 20.0, setting=Setting(**setting))
         self.cell, self.clock = self.rig.cell, self.rig.clock
         monkeypatch.setattr(self.cell, "apex_mm", lambda: self.apex_mm)
         self.guards = Guards(self.cell)

@@ -80,7 +80,7 @@ def test_a_database_of_a_newer_program_is_refused_and_left_alone(tmp_path: Path)
     assert (tmp_path / "lab.db").read_bytes() == before
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_damaged_database_is_one_clear_problem_or_still_read(tmp_path: Path, data: st.DataObject) -> None:
     for path in tmp_path.glob("lab.db*"):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.mutated_journals import Judge, mutations
+from harness.damaged_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events import Dose, Pulsed, Tared
 from scuhand_bt.journal.events import (

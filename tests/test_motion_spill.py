@@ -87,3 +87,85 @@ def test_slowing_keeps_the_spill_limit_and_tilt_alone_cannot_be_slowed_away():
     assert factor > 1.2
     assert spill_stretch(motion.stretched(factor), OFFSET_M, tilt_deg + 3.0) == pytest.approx(1.0, abs=0.01)
     assert spill_stretch(motion, OFFSET_M, max(tilt_deg - 1.0, 0.0)) is None
+
+
+def test_a_load_keeps_a_margin_of_five_degrees_unless_told_otherwise():
+    liquid_deg = liquid_spill_deg(64.0, 45.0, 3000.0)
+    assert spill_limit_deg(64.0, 45.0, 3000.0, 25.0, 18.0) == pytest.approx(liquid_deg + 18.0 - 5.0)
+    assert spill_limit_deg(64.0, 45.0, 3000.0, 12.0, 18.0) == pytest.approx(liquid_deg + 12.0 - 5.0)
+
+
+def test_a_load_that_needs_the_whole_margin_is_refused_and_one_with_half_a_degree_left_is_not():
+    full_mm3 = math.pi * 45**3 / (3 * math.tan(math.radians(64)))
+    with pytest.raises(ValueError, match="within the margin of 5 deg"):
+        spill_limit_deg(64, 45, full_mm3, 5.0, 18.0)
+    assert spill_limit_deg(64, 45, full_mm3, 5.5, 18.0) == pytest.approx(0.5)
+
+
+class Shove:
+    """A motion that begins with a level cone, at rest, and is shoved evenly about the base; where it is looked at."""
+
+    duration_s = 0.9995
+
+    def __init__(self, acceleration):
+        self.acceleration = acceleration
+        self.looked_s = None
+
+    def at(self, times_s, order=0):
+        self.looked_s = times_s
+        values = {0: [0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0], 1: [0.0] * 7, 2: [self.acceleration, *[0.0] * 6]}
+        return np.tile(values[order], (len(times_s), 1))
+
+    def worst_deg(self, share):
+        times_s = np.linspace(0.0, self.duration_s, 7)
+        axes, accelerations = apex_motion(self.at(times_s), self.at(times_s, 1), self.at(times_s, 2), OFFSET_M)
+        return worst_spill_deg(axes, share * accelerations)
+
+
+def test_a_motion_is_looked_at_every_five_milliseconds_from_its_begin_to_its_end():
+    shove = Shove(0.1)
+    spill_stretch(shove, OFFSET_M, 30.0)
+    assert (shove.looked_s[0], shove.looked_s[-1]) == (0.0, shove.duration_s)
+    assert len(shove.looked_s) == 201
+    assert np.diff(shove.looked_s).max() <= 0.005
+
+
+def test_a_motion_at_its_very_limit_is_not_slowed_and_beyond_it_by_the_root_of_its_share_of_acceleration():
+    shove = Shove(3.0)
+    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(1.0)) == 1.0
+    for share in (0.5, 0.3, 0.01):
+        expected = math.sqrt(1024 / math.floor(1024 * share))
+        assert spill_stretch(shove, OFFSET_M, shove.worst_deg(share) + 1e-9) == pytest.approx(expected)
+
+
+def test_a_cone_whose_tilt_is_its_limit_is_not_moved_and_less_than_a_thousandth_is_no_motion():
+    shove = Shove(1000.0)
+    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(0.0)) is None
+    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(1.5 / 1024)) is None
+    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(2.5 / 1024)) == pytest.approx(math.sqrt(1024 / 2))
+
+
+def test_between_two_samples_half_of_both_steps_and_a_tenth_more_may_come_on_top():
+    def leaning(*degrees):
+        angles = np.radians(degrees)
+        return np.stack([np.sin(angles), np.zeros_like(angles), np.cos(angles)], axis=1)
+
+    still = np.zeros((3, 3))
+    assert worst_spill_deg(leaning(10.0, 12.0, 11.0), still) == pytest.approx(12.0 + 0.55 * 2.0)
+    pushed = 9.81 * np.tan(np.radians([[10.0], [14.0], [14.0]])) * np.array([[-1.0, 0.0, 0.0]])
+    assert worst_spill_deg(leaning(0.0, 0.0, 0.0), pushed) == pytest.approx(14.0 + 0.55 * 4.0)
+    assert worst_spill_deg(leaning(0.0, 2.0, 2.0), pushed) == pytest.approx(16.0 + 0.55 * (2.0 + 4.0))
+
+
+def test_opposite_directions_are_half_a_turn_apart():
+    down = np.array([[0.0, 0.0, -1.0]])
+    assert spill_angles_deg(down, np.zeros((1, 3))) == pytest.approx([180.0])
+    almost = np.array([[0.0, 1e-9, -(1.0 + 1e-12)]])
+    assert spill_angles_deg(almost, np.zeros((1, 3))) == pytest.approx([180.0])
+
+
+def test_volumes_below_nothing_and_beyond_the_full_cone_are_refused_and_the_bounds_are_not():
+    full_mm3 = math.pi * 45**3 / (3 * math.tan(math.radians(64)))
+    for load_mm3 in (-1e-9, full_mm3 * (1 + 1e-12)):
+        with pytest.raises(ValueError, match="cannot carry"):
+            liquid_spill_deg(64, 45, load_mm3)

@@ -1,13 +1,13 @@
-"""Some hundred mutated recipes, tables, workflows, cells and fault files; `benchmarks.mutations` has the thousands."""
+"""Some mutated recipes, tables, workflows, cells and fault files; `benchmarks.mutations` has the thousands."""
 
 from pathlib import Path
 
 import pytest
 
-import benchmarks.mutations
-from benchmarks.mutants import Mutant, mutant
-from benchmarks.mutations import Judge
-from benchmarks.structures import structures
+from harness import mutant_judge
+from harness.mutant_judge import Judge
+from harness.mutants import Mutant, mutant
+from harness.structures import structures
 from scuhand_bt.lab import Lab
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.sim.world import World
@@ -18,14 +18,15 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> Judge:
     return Judge(tmp_path_factory.mktemp("mutants") / "lab")
 
 
-@pytest.mark.parametrize("first", range(0, 160, 40))
+@pytest.mark.parametrize("first", [0, *(pytest.param(first, marks=pytest.mark.slow) for first in (40, 80, 120))])
 def test_a_changed_file_is_a_clean_error_or_a_correct_run(judge: Judge, first: int) -> None:
     outcomes = [judge.judge(mutant(number, judge.originals)) for number in range(first, first + 40)]
     assert [outcome for outcome in outcomes if outcome.wrong] == []
 
 
-def test_a_workflow_put_together_at_random_is_a_clean_error_or_a_correct_run(judge: Judge) -> None:
-    outcomes = [judge.judge(each) for each in structures(0, 40)]
+@pytest.mark.parametrize("count", [10, pytest.param(40, marks=pytest.mark.slow)])
+def test_a_workflow_put_together_at_random_is_a_clean_error_or_a_correct_run(judge: Judge, count: int) -> None:
+    outcomes = [judge.judge(each) for each in structures(0, count)]
     assert [outcome for outcome in outcomes if outcome.wrong] == []
     assert any(not outcome.end.startswith("refused") for outcome in outcomes)
 
@@ -57,7 +58,7 @@ def test_the_judge_sees_an_error_that_is_not_clean(judge: Judge, monkeypatch: py
     def broken(path: Path, lab: Lab) -> Recipe:
         raise KeyError("unforeseen")
 
-    monkeypatch.setattr(benchmarks.mutations, "load_recipe", broken)
+    monkeypatch.setattr(mutant_judge, "load_recipe", broken)
     outcome = judge.judge(Mutant("bytes", "none", "recipes/small.yaml", {}))
     assert outcome.end == "broken"
     assert "KeyError at test_mutations.py" in outcome.wrong[0]

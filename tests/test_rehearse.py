@@ -77,6 +77,7 @@ def load_by_hand(session: Session) -> None:
     session.cell.believed.cone_holds(session.cell.sources["beads"], 3000.0)
 
 
+@pytest.mark.slow
 def test_a_rehearsed_dose_has_the_verdict_of_the_dry_run_and_says_what_it_is(tmp_path: Path, lab: Lab) -> None:
     verdicts = []
     for simulation in (DryRun(seed=2), Rehearsal(seed=2)):
@@ -125,7 +126,7 @@ class Bench(WireBench):
         return {"bus": turning, "hand": self.hand.twin.opening_mm > 0.5, "balance": True}[device]
 
 
-@pytest.mark.parametrize("device", ["bus", "hand", "balance"])
+@pytest.mark.parametrize("device", ["bus", pytest.param("hand", marks=pytest.mark.slow), "balance"])
 def test_a_device_that_is_unplugged_at_work_is_named_and_the_cell_ends_safe(
     tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch, device: str
 ) -> None:

@@ -12,7 +12,7 @@ import pytest
 from conftest import Bench
 from running import HEAD, make_lab, shared_planner
 
-from benchmarks.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
+from harness.kill import Tally, at_any_time, at_ticks, kill_until_done, make_batch
 from scuhand_bt.clock import Steps
 from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.events import Paused
@@ -94,20 +94,25 @@ def actions(journal: Path) -> list[tuple[str, str]]:
     return [(row["skill"], row["outcome"]) for row in read(journal, "action")]
 
 
-def test_a_batch_that_is_killed_again_and_again_ends_with_every_dose_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kills_in_all", "at_any_time_too"), [(10, False), pytest.param(40, True, marks=pytest.mark.slow)]
+)
+def test_a_batch_that_is_killed_again_and_again_ends_with_every_dose_once(
+    tmp_path: Path, kills_in_all: int, at_any_time_too: bool
+) -> None:
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(RECIPE + HEAD, encoding="utf-8")
     rng, tally = random.Random(5), Tally()
     motion = None
     for seed in range(20):
-        if tally.kills >= 30:
+        if tally.kills >= kills_in_all:
             break
         batch = make_batch(recipe, tmp_path / f"runs-{seed}", seed, motion)
         motion = batch.motion
-        kills = at_any_time(rng, 1.0, 10) if seed == 0 else at_ticks(rng, 250, 10)
+        kills = at_any_time(rng, 1.0, 10) if at_any_time_too and seed == 0 else at_ticks(rng, 250, 10)
         kill_until_done(batch, kills, tally)
     assert not tally.problems
-    assert tally.kills >= 30
+    assert tally.kills >= kills_in_all
     assert tally.while_dosing
     assert tally.while_resuming
 

@@ -55,6 +55,7 @@ def test_the_picture_is_a_png(tmp_path: Path) -> None:
     assert (tmp_path / "move.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_station_out_of_reach_is_marked_on_the_map() -> None:
     far = LAB.cell.stations["waste"].model_copy(update={"position_mm": (0.0, 590.0, 100.0)})
     cell = LAB.cell.model_copy(update={"stations": {**LAB.cell.stations, "waste": far}})

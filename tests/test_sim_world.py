@@ -3,29 +3,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dose_bench import DISH, Bench, Setting, shipped_powders
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.rig import BAY, DISH, PAN, Bench, Setting, shipped_powders
 from scuhand_bt.cell_spec import BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.balances.mt_sics import DIALECT as MT_SICS
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.sim.mass_ledger import CONE, WASTE
 from scuhand_bt.sim.plant import Plant, PlantError, load_plant
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.randomness import substream
-from scuhand_bt.specs import BalanceBelief, Powder
+from scuhand_bt.specs import Powder
 
 POWDERS = shipped_powders()
 BEADS = POWDERS["glass_beads"]
 
 
 def bench(powder: Powder = BEADS, seed: int = 1, **setting: Any) -> Bench:
-    return Bench(powder, 50.0, seed, 0, Setting(**setting))
+    return Bench(powder, seed=seed, setting=Setting(**setting))
 
 
 def let_pass(rig: Bench, duration_s: float) -> None:
@@ -102,7 +101,7 @@ def test_moving_more_than_there_is_or_nan_is_refused() -> None:
 
 
 def test_the_same_seed_gives_the_same_dose_and_another_gives_another() -> None:
-    first, again, other = (bench(seed=seed).dose("adaptive", BEADS.belief, BalanceBelief())[0] for seed in (5, 5, 6))
+    first, again, other = (bench(seed=seed).dose("adaptive") for seed in (5, 5, 6))
     assert first == again
     assert first != other
 
@@ -213,10 +212,3 @@ def test_a_plant_of_nan_is_refused_before_anything_moves() -> None:
         Plant(Broken(), "test plant").probe(BEADS, BalanceSpec())
     with pytest.raises(PlantError, match="flow let nan mg"):
         bench(plant=f"{__name__}:Broken")
-
-
-def test_the_bench_stands_where_its_stations_are() -> None:
-    assert PAN.kind == "balance"
-    assert BAY.kind == "mortar"
-    assert isinstance(bench().cell.arm.positions, np.ndarray)
-    assert ApexPose(np.array([0.33, 0.0, 0.14])).tilt_deg == 0.0

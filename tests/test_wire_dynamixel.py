@@ -5,46 +5,20 @@ from collections.abc import Iterator
 
 import dynamixel_sdk as sdk
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, PacketReader, crane_x7, fast_status, packet
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7, packet
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import ACCESS_ERROR, LIMIT_ERROR, RANGE_ERROR, XM430, Servo
 
-pytestmark = pytest.mark.real_time
 
-
-def test_packets_are_those_of_the_manual() -> None:
-    assert packet(1, 1, b"") == bytes.fromhex("fffffd00 01 0300 01 194e")
-    assert packet(1, 2, bytes([132, 0, 4, 0])) == bytes.fromhex("fffffd00 01 0700 02 8400 0400 1d15")
-    three = fast_status([(3, 0, b"\xa6\0\0\0"), (7, 0, b"\x1f\x08\0\0"), (4, 0, b"\xff\x03\0\0")])
-    assert three[:16] == bytes.fromhex("fffffd00 fe 1900 55 00 03 a6000000 8408")
-    assert three[16:24] == bytes.fromhex("00 07 1f080000 16ca")
-
-
-def test_what_looks_like_a_header_is_stuffed_and_comes_out_again() -> None:
-    data = b"\xff\xff\xfd\xff\xff\xfd\xfd\xff\xff\xff\xfd"
-    assert b"\xff\xff\xfd\xfd" in packet(1, 3, data)
-    assert list(PacketReader().feed(packet(1, 3, data))) == [(1, 3, data, True)]
-
-
-@given(st.lists(st.binary(max_size=30), max_size=5), st.integers(0, 200))
-def test_packets_come_out_of_any_stream_however_it_is_cut(payloads: list[bytes], cut: int) -> None:
-    stream = b"".join(packet(1, 3, payload) for payload in payloads)
-    reader = PacketReader()
-    seen = [*reader.feed(stream[:cut]), *reader.feed(stream[cut:])]
-    assert [parameters for _, _, parameters, _ in seen] == payloads
-
-
-def test_a_million_random_and_mutated_bytes_do_not_hang_the_twin_or_move_a_servo_wrongly() -> None:
+def test_random_and_mutated_bytes_do_not_hang_the_twin_or_move_a_servo_wrongly() -> None:
     rng = random.Random(7)
     twin = DynamixelTwin(crane_x7())
     good = [packet(2, 3, bytes([116, 0, 0, 8, 0, 0])), packet(254, 0x83, bytes([116, 0, 4, 0, 3, 0, 8, 0, 0]))]
     good += [packet(i, code, rng.randbytes(8)) for i in (2, 3, 99) for code in (1, 2, 5, 8, 16, 0x55, 0x92)]
     fed = 0
-    while fed < 1_000_000:
+    while fed < 300_000:
         chunk = bytearray(rng.choice(good) if rng.random() < 0.8 else rng.randbytes(300))
         for _ in range(rng.randrange(3)):
             chunk[rng.randrange(len(chunk))] = rng.randrange(256)
@@ -136,6 +110,7 @@ Twin = TwinServer[DynamixelTwin]
 ph = sdk.PacketHandler(2.0)
 
 
+@pytest.mark.real_time
 def test_the_raw_sdk_finds_reads_and_writes_the_servos(twin: Twin, port: sdk.PortHandler) -> None:
     assert ph.ping(port, 2)[:2] == (1020, sdk.COMM_SUCCESS)
     assert ph.ping(port, 3)[:2] == (1120, sdk.COMM_SUCCESS)
@@ -148,6 +123,7 @@ def test_the_raw_sdk_finds_reads_and_writes_the_servos(twin: Twin, port: sdk.Por
     assert ph.read4ByteTxRx(port, 2, 132) == (2048, sdk.COMM_SUCCESS, 0)
 
 
+@pytest.mark.real_time
 def test_the_raw_sdk_reads_and_writes_many_at_once(twin: Twin, port: sdk.PortHandler) -> None:
     write = sdk.GroupSyncWrite(port, ph, 116, 4)
     read = sdk.GroupSyncRead(port, ph, 116, 4)
@@ -171,6 +147,7 @@ def test_the_raw_sdk_reads_and_writes_many_at_once(twin: Twin, port: sdk.PortHan
     assert ph.read1ByteTxRx(port, 4, 65)[0] == 1
 
 
+@pytest.mark.real_time
 def test_the_raw_sdk_registers_acts_and_reboots(twin: Twin, port: sdk.PortHandler) -> None:
     assert ph.regWriteTxRx(port, 2, 116, 4, list((1900).to_bytes(4, "little"))) == (sdk.COMM_SUCCESS, 0)
     assert ph.read1ByteTxRx(port, 2, 69)[0] == 1

@@ -12,10 +12,10 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 import pytest
+from dose_bench import BAY, DISH, MORTAR, PAN, shipped_powders
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from benchmarks.rig import BAY, DISH, MORTAR, PAN, shipped_powders
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake

@@ -1,7 +1,7 @@
 """The hand controller's line protocol, version 1, as the host speaks it: `docs/protocols/hand_controller.md`.
 
-17 open 1.250*8C5E          17 ok open 1.248 0.000 - 31*3F9A
-18 step 12.000 0.350 0.000* 18 no fault closed 0.000 0.000 e 30*…
+17 open 1.250*3ECE                17 ok open 1.248 0.000 - 31*CD5E
+18 step 12.000 0.350 0.000*5E64   18 no fault closed 0.000 0.000 e 30*5FFC
 """
 
 import re

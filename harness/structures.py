@@ -7,7 +7,7 @@ import yaml
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
-from benchmarks.mutants import SOURCES, Mutant
+from harness.mutants import SOURCES, Mutant
 
 _MASS = st.sampled_from(["$mass"] * 8 + ["5 mg", "50 mg", "20 mg", "$dose.error"])
 _TOLERANCE = st.sampled_from(["$tolerance", "$tolerance", "3 mg", "10 mg"])

@@ -1,8 +1,12 @@
+"""The benchmarks' own code; no other test imports it."""
+
 import pytest
+from dose_bench import shipped_powders
 
 from benchmarks.calibration import TABLES, Result, agrees, count
-from benchmarks.rig import Trial
+from benchmarks.rig import Setting, Trial, run_of_doses
 
+pytestmark = pytest.mark.slow
 BEADS = TABLES[0]
 MSG_20 = next(cell for cell in TABLES if cell.misprint == "time")
 
@@ -30,3 +34,12 @@ def test_a_misprinted_figure_is_marked_and_not_held_against_the_simulation() -> 
     result = Result.of(MSG_20, [Trial(0.0, 0.0, True, 14, 100.0, "reached")])
     assert result.far == []
     assert "100.0 (49†)" in result.row()
+
+
+def test_a_redone_dose_is_judged_by_its_second_attempt_and_takes_both_their_times() -> None:
+    powder = shipped_powders()["titanium_dioxide_fine"]
+    once = run_of_doses(powder, 20.0, "paper", 5, Setting(), 4)
+    twice = run_of_doses(powder, 20.0, "paper", 5, Setting(redo=True), 4)
+    for first, last in zip(once, twice, strict=True):
+        assert last == first if first.accepted else last.duration_s > first.duration_s
+    assert not all(trial.accepted for trial in once)

@@ -1,0 +1,125 @@
+"""A bench for doses: a loaded cone that stands still above a dish on the simulated balance."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import yaml
+
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
+from scuhand_bt.clock import Steps, T
+from scuhand_bt.devices.interfaces import Operator
+from scuhand_bt.dosing import DoseRequest, new_controller
+from scuhand_bt.motion import MotionPlanner
+from scuhand_bt.motion.kinematics import ApexPose
+from scuhand_bt.record import Record
+from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.sim.cell import simulated_cell
+from scuhand_bt.sim.world import World
+from scuhand_bt.specs import BalanceBelief, Container, Mortar, Powder, PowderBelief, Source
+
+ROBOT = Path(__file__).parent.parent / "robot"
+PAN = Station(name="balance", kind="balance", position_mm=(330.0, 0.0, 60.0))
+BAY = Station(name="bay", kind="mortar", position_mm=(0.0, 300.0, 0.0))
+MORTAR = Mortar(name="store", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0)
+DISH = Container(
+    id="dish", name="petri_dish", mouth_mm=55.0, height_mm=15.0, capacity_mm3=20_000.0, empty_mass_mg=25_000.0
+)
+UNSEEN = BalanceBelief()
+"""What is believed of a balance that nothing is known of."""
+APEX = ApexPose(np.array([0.330, 0.0, 0.140]))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is other than usual."""
+
+    plant: str | None = None
+    hand: HandSpec = field(default_factory=HandSpec)
+    balance: BalanceSpec = field(default_factory=BalanceSpec)
+    load_ratio: float = 1.0
+    """Filling of the cone, as a share of the powder's load limit."""
+
+
+@dataclass(frozen=True)
+class Dosed:
+    """What a dose came to; the error is the true mass's."""
+
+    true_error_mg: float
+    run: DoseRun
+
+    def learnt(self, powder: PowderBelief, balance: BalanceBelief) -> tuple[PowderBelief, BalanceBelief]:
+        """What is believed after it, of what was believed before."""
+        return self.run.finish.powder or powder, self.run.finish.balance or balance
+
+
+def shipped_powders() -> dict[str, Powder]:
+    """The powders of `robot/powders.yaml`."""
+    read = yaml.safe_load((ROBOT / "powders.yaml").read_text(encoding="utf-8"))
+    return {name: Powder.model_validate({"name": name, **values}) for name, values in read.items()}
+
+
+class Bench:
+    """One loaded cone above one dish; `dose` and `seed` choose the draws."""
+
+    def __init__(
+        self, powder: Powder, target_mg: float = 50.0, seed: int = 1, dose: int = 0, setting: Setting = Setting()
+    ) -> None:
+        spec = CellSpec(cell="bench", hand=setting.hand, balance=setting.balance, stations={"balance": PAN, "bay": BAY})
+        self.powder, self.target_mg = powder, target_mg
+        self.load_mg = powder.load_limit_mg * setting.load_ratio
+        source = Source(name="store", station="bay", mortar=MORTAR, powder=powder, amount_mg=10_000.0)
+        self.clock = VirtualClock()
+        self.cell: Cell
+        self.world: World
+        self.cell, self.world = simulated_cell(
+            spec,
+            {"store": source},
+            clock=self.clock,
+            record=Record(),
+            motion=cast(MotionPlanner, None),
+            operator=cast(Operator, None),
+            seed=seed,
+            plant=setting.plant,
+            apex_of=lambda joints: APEX,
+        )
+        self.clock.process = self.world
+        self.world.begin_sample(f"{powder.name} {target_mg:g}", dose)
+        self.world.place(DISH)
+        self.world.load_cone("store", self.load_mg)
+
+    def request(self, belief: PowderBelief | None = None, balance: BalanceBelief = UNSEEN) -> DoseRequest:
+        """What a controller is asked for, by one who believes this of the powder and of the balance."""
+        hand, spec = self.cell.spec.hand, self.cell.spec.balance
+        return DoseRequest(
+            target_mg=self.target_mg,
+            tolerance_mg=2.0,
+            gain=self.powder.gain,
+            max_opening_mm=min(self.powder.max_opening_mm, hand.max_opening_mm),
+            valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
+            valve_dead_time_s=hand.valve_dead_time_s,
+            readability_mg=spec.readability_mg,
+            balance_period_s=spec.period_s,
+            cone_mg=self.load_mg,
+            streaming=hand.streaming,
+            powder=belief or self.powder.belief,
+            balance=balance,
+        )
+
+    def drive(self, steps: Steps[T]) -> T:
+        """Run a generator to its end."""
+        try:
+            while True:
+                self.clock.wait([next(steps)])
+        except StopIteration as end:
+            return cast(T, end.value)
+
+    def dose(self, name: str, belief: PowderBelief | None = None, balance: BalanceBelief = UNSEEN) -> Dosed:
+        """One dose by a controller's name."""
+        empty_mg = self.drive(self.cell.balance.stable_mean(60.0)).value_mg
+        controller = new_controller(name, self.request(belief, balance))
+        run = self.drive(run_dose(controller, self.cell.hand, self.cell.balance, self.clock, Record(), empty_mg))
+        return Dosed(self.world.true_mass(DISH.id) - self.target_mg, run)

@@ -1,0 +1,173 @@
+"""The loop that carries a controller's commands out: what it measures, and when it gives up."""
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any, cast
+
+import pytest
+
+from scuhand_bt.cell.dose_loop import DoseRun, run_dose, silence_s
+from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
+from scuhand_bt.dosing import Command, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.record import Record
+from scuhand_bt.run.clock import VirtualClock
+
+EMPTY_MG = 25_000.0
+MEAN_UNCERTAINTY_MG = 0.1
+
+
+class Scripted:
+    """A controller that says these commands, and keeps what it is told."""
+
+    name = "scripted"
+    estimate_mg = 0.0
+
+    def __init__(self, commands: Iterable[Command]) -> None:
+        self._commands = iter(commands)
+        self.seen: list[Observation] = []
+
+    def decide(self, seen: Observation | None) -> Command:
+        if seen is not None:
+            self.seen.append(seen)
+        return next(self._commands, Finish("reached", 0.0, 0.0))
+
+
+class Pan:
+    """A balance that shows these net masses, one after the other, every 0.1 s."""
+
+    def __init__(self, clock: VirtualClock, net_mg: Iterable[float]) -> None:
+        self.spec = BalanceSpec(readability_mg=0.1)
+        self.latest: Reading | None = None
+        self.timeouts_s: list[float] = []
+        self._clock, self._net_mg = clock, iter(net_mg)
+
+    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
+        self.timeouts_s.append(timeout_s)
+        end_s = self._clock.now_s + 0.1
+        while self._clock.now_s < end_s:
+            yield Wake(end_s)
+        self.latest = Reading(EMPTY_MG + next(self._net_mg), False, self._clock.now_s)
+        return self.latest
+
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+        yield from ()
+        return StableMean(EMPTY_MG + next(self._net_mg), MEAN_UNCERTAINTY_MG, self._clock.now_s)
+
+
+class Valve:
+    """A hand that notes what it is told."""
+
+    opening_mm = 0.0
+
+    def __init__(self) -> None:
+        self.told: list[Any] = []
+
+    def stop(self) -> None:
+        self.told.append("stop")
+
+    def set_opening(self, opening_mm: float) -> None:
+        self.told.append(opening_mm)
+
+    def set_vibration(self, level: float) -> None:
+        """Not of interest."""
+
+    def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
+        self.told.append(("pulse", opening_mm))
+        yield from ()
+
+
+class Loop:
+    """Runs the loop on a scripted controller and balance."""
+
+    def __init__(self, commands: Iterable[Command], net_mg: Iterable[float]) -> None:
+        self.clock = VirtualClock()
+        self.controller, self.valve, self.pan = Scripted(commands), Valve(), Pan(self.clock, net_mg)
+
+    def run(self) -> DoseRun:
+        hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
+        steps = run_dose(self.controller, hand, balance, self.clock, Record(), EMPTY_MG)
+        try:
+            while True:
+                self.clock.wait([next(steps)])
+        except StopIteration as end:
+            return cast(DoseRun, end.value)
+
+
+def streaming(*net_mg: float) -> Loop:
+    return Loop([Stream(1.0)] * len(net_mg), net_mg)
+
+
+def test_a_net_mass_is_the_difference_of_two_means_and_has_the_uncertainty_of_both() -> None:
+    loop = Loop([Weigh()], [10.0])
+    loop.run()
+    (seen,) = loop.controller.seen
+    assert (seen.net_mg, seen.stable) == (10.0, True)
+    assert seen.uncertainty_mg == pytest.approx(math.sqrt(2.0) * MEAN_UNCERTAINTY_MG, rel=1e-9)
+
+
+def test_the_balances_zero_wanders_with_the_square_root_of_time() -> None:
+    loop = Loop([Weigh(240.0)], [10.0])
+    loop.run()
+    half_a_digit_a_minute_mg = 0.5 * 0.1 * math.sqrt(240.0 / 60.0)
+    both_mg = math.hypot(math.sqrt(2.0) * MEAN_UNCERTAINTY_MG, half_a_digit_a_minute_mg)
+    assert loop.controller.seen[0].uncertainty_mg == pytest.approx(both_mg, rel=1e-9)
+
+
+def test_a_single_reading_is_as_uncertain_as_its_rounding() -> None:
+    loop = streaming(5.0)
+    loop.run()
+    (seen,) = loop.controller.seen
+    assert (seen.net_mg, seen.stable) == (5.0, False)
+    assert seen.uncertainty_mg == pytest.approx(0.1 / math.sqrt(12.0))
+
+
+def test_a_pan_that_loses_what_a_lump_may_have_feigned_goes_on() -> None:
+    streaming(0.0, 100.0, 50.0, 50.0, 50.0, 50.0).run()
+
+
+def test_a_pan_that_loses_more_three_times_running_has_lost_its_container() -> None:
+    loop = streaming(0.0, 100.0, 49.0, 49.0, 49.0, 49.0)
+    with pytest.raises(SkillFailed, match=r"container\.moved: the pan shows 51 mg less than it has shown in this dose"):
+        loop.run()
+    assert len(loop.pan.timeouts_s) == 5, "at the third reading"
+    assert loop.valve.told[-1] == "stop"
+
+
+def test_two_low_readings_are_a_knock() -> None:
+    streaming(100.0, 0.0, 0.0, 100.0, 0.0, 0.0, 100.0).run()
+
+
+def test_one_stable_mean_too_low_is_enough() -> None:
+    with pytest.raises(SkillFailed, match=r"container\.moved"):
+        Loop([Weigh(), Weigh(), Weigh()], [100.0, 49.0, 100.0]).run()
+    Loop([Weigh(), Weigh()], [100.0, 50.0]).run()
+
+
+def test_openings_are_counted_and_the_valve_is_shut_at_the_end() -> None:
+    loop = Loop([Stream(1.0), Stream(0.5), Weigh(), Stream(0.4), Pulse(0.3, 0.1)], [float(mg) for mg in range(9)])
+    assert loop.run().pulses == 3
+    assert loop.valve.told[-1] == "stop"
+
+
+def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
+    def for_ever() -> Iterator[Command]:
+        while True:
+            yield Weigh(60.0)
+
+    loop = Loop(for_ever(), [7.0] * 100)
+    run = loop.run()
+    assert (run.finish.reason, run.finish.estimate_mg) == ("step_limit", 7.0)
+    assert run.finish.uncertainty_mg >= math.sqrt(2.0) * MEAN_UNCERTAINTY_MG
+    assert 1800.0 < run.duration_s <= 1861.0
+
+
+@pytest.mark.parametrize(("period_s", "expected_s"), [(0.05, 0.3), (0.1, 0.3), (0.2, 0.6), (1.0, 3.0)])
+def test_an_open_valve_waits_three_periods_for_a_reading(period_s: float, expected_s: float) -> None:
+    assert silence_s(period_s) == pytest.approx(expected_s)
+    loop = streaming(1.0)
+    loop.pan.spec = BalanceSpec(period_s=period_s)
+    loop.run()
+    assert loop.pan.timeouts_s == [pytest.approx(expected_s)]

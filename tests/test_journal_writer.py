@@ -1,0 +1,357 @@
+"""The writer of journals: what becomes of each call, and of each kind of value."""
+
+import json
+import math
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dose_bench import DISH, MORTAR, shipped_powders
+from pydantic import BaseModel, Field
+
+from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.journal import writer
+from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
+from scuhand_bt.journal.writer import FLUSH_S, SCHEMA_VERSION, Journal, plain_value, to_json
+from scuhand_bt.record import RecordLost
+from scuhand_bt.specs import Dose, Source
+
+BEADS = shipped_powders()["glass_beads"]
+DOSE = Dose(
+    target_mg=20.0,
+    tolerance_mg=2.0,
+    dispensed_mg=20.3,
+    uncertainty_mg=0.05,
+    pulses=3,
+    vibration_s=1.5,
+    duration_s=30.0,
+    controller="paper",
+    verdict="in tolerance",
+)
+
+
+@dataclass
+class Point:
+    x_mm: float
+    on: BaseModel | None = None
+
+
+class Aliased(BaseModel):
+    mass_mg: float = Field(alias="mass")
+    path: Path = Path("a/b")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "new" / "folder" / "r.sqlite"
+
+
+@pytest.fixture
+def journal(path: Path) -> Iterator[Journal]:
+    journal = Journal(path, durable=False)
+    yield journal
+    journal.close()
+
+
+def rows(path: Path, columns: str = "kind, job, action") -> list[tuple[Any, ...]]:
+    with closing(sqlite3.connect(path)) as database:
+        return database.execute(f"SELECT {columns} FROM entry ORDER BY seq").fetchall()
+
+
+def payloads(path: Path) -> list[Any]:
+    return [json.loads(payload) for (payload,) in rows(path, "payload")]
+
+
+# --- values
+
+
+@pytest.mark.parametrize(
+    ("value", "plain"),
+    [
+        (DISH, "dish (petri_dish)"),
+        (BEADS, "glass_beads"),
+        (Source(name="store", station="bay", mortar=MORTAR, powder=BEADS, amount_mg=1.0), "store"),
+        (Aliased(mass=2.5), {"mass_mg": 2.5, "path": "a/b"}),
+        (Point(1.5), {"x_mm": 1.5, "on": None}),
+        (np.array([[1.0, 2.0]]), [[1.0, 2.0]]),
+        (np.float64(0.5), 0.5),
+        (np.int64(7), 7),
+        ("text", "text"),
+        (3, 3),
+        (0.25, 0.25),
+        (True, True),
+        (None, None),
+        (Path("a/b"), "a/b"),
+        (Point, str(Point)),
+    ],
+)
+def test_each_kind_of_value_is_kept_as_json_can_keep_it(value: Any, plain: Any) -> None:
+    assert plain_value(value) == plain
+    assert type(plain_value(value)) is type(plain)
+    assert json.loads(to_json({"value": value})) == {"value": plain}
+
+
+def test_keys_are_sorted_and_what_is_no_mapping_is_kept_too() -> None:
+    assert to_json({"b": 1, "a": [2]}) == '{"a": [2], "b": 1}'
+    assert to_json(Point(1.5)) == '{"on": null, "x_mm": 1.5}'
+    assert to_json(Aliased(mass=2.5)) == '{"mass_mg": 2.5, "path": "a/b"}'
+
+
+def test_what_is_no_number_is_kept_by_its_name_wherever_it_stands() -> None:
+    value = {"b": [math.nan, 1.5, {"c": -math.inf}], "a": math.inf, "d": DISH, "e": 2.0, "f": "nan"}
+    assert json.loads(to_json(value)) == {
+        "a": "inf",
+        "b": ["nan", 1.5, {"c": "-inf"}],
+        "d": "dish (petri_dish)",
+        "e": 2.0,
+        "f": "nan",
+    }
+    assert to_json(value).startswith('{"a"'), "sorted all the same"
+    assert json.loads(to_json(Point(math.nan))) == {"x_mm": "nan", "on": None}
+
+
+# --- the file
+
+
+@pytest.mark.parametrize(("durable", "synchronous"), [(True, 2), (False, 0)])
+def test_a_real_run_is_on_disk_when_a_call_returns_and_a_dry_one_need_not(
+    path: Path, durable: bool, synchronous: int
+) -> None:
+    journal = Journal(path, durable=durable)
+    assert journal._db.execute("PRAGMA synchronous").fetchone() == (synchronous,)
+    assert journal._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    assert journal._db.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,) == (2,)
+    journal.close()
+
+
+def test_every_call_is_committed_when_it_returns(journal: Journal, path: Path) -> None:
+    journal.event("asked", {"n": 1})
+    assert rows(path, "kind, time_s") == [("asked", 0.0)], "seen by another connection; no clock runs yet"
+
+
+def test_a_closed_journal_is_one_file_and_a_discarded_one_none(journal: Journal, path: Path) -> None:
+    journal.event("asked", {})
+    assert len(list(path.parent.iterdir())) == 3
+    journal.close()
+    assert [file.name for file in path.parent.iterdir()] == ["r.sqlite"]
+    other = Journal(path.with_name("other.sqlite"), durable=False)
+    other.event("asked", {})
+    reader = sqlite3.connect(other.path)  # keeps the write-ahead log
+    reader.execute("SELECT * FROM entry").fetchone()
+    other.discard()
+    assert [file.name for file in path.parent.iterdir()] == ["r.sqlite"]
+    reader.close()
+    with pytest.raises(sqlite3.ProgrammingError):
+        other._db.execute("SELECT 1")
+
+
+def test_a_second_program_goes_on_with_number_and_chain(journal: Journal, path: Path) -> None:
+    assert journal.head == GENESIS.hex()
+    journal.event("first", {})
+    first = journal.head
+    journal.close()
+    again = Journal(path, durable=False)
+    assert again.head == first
+    again.event("second", {})
+    again.close()
+    assert rows(path, "seq, kind") == [(1, "first"), (2, "second")]
+    with closing(sqlite3.connect(path)) as database:
+        assert verify(database, again.head) == verify(database)
+        assert verify(database).problem is None
+        assert (verify(database).entries, verify(database).head) == (2, again.head)
+
+
+# --- jobs, actions, and what belongs to them
+
+
+def test_what_happens_belongs_to_the_job_and_the_action_that_are_under_way(journal: Journal, path: Path) -> None:
+    journal.describe_run({"run": "r"})
+    journal.job_started("a", "s", 2, "fill")
+    tare = journal.action_started("fill/0/tare", 1, "tare", {"mass": 1.0})
+    assert tare == 3
+    journal.event("between", {})
+    journal.action = tare
+    journal.pulse({"kind": "settle"})
+    journal.dose(DOSE)
+    journal.action_ended(tare, "done", None, DISH)
+    journal.event("after", {})
+    journal.action = tare
+    journal.job_ended("failed", "hand.no_flow", "no powder")
+    assert rows(path) == [
+        ("run", None, None),
+        ("job_started", None, None),
+        ("action_started", 2, None),
+        ("between", 2, None),
+        ("pulse", 2, 3),
+        ("dose", 2, 3),
+        ("action_ended", 2, 3),
+        ("after", 2, None),
+        ("job_ended", 2, None),
+    ]
+    said = payloads(path)
+    assert said[1] == {"name": "a", "sample": "s", "attempt": 2, "workflow": "fill"}
+    assert said[2] == {"path": "fill/0/tare", "visit": 1, "skill": "tare", "inputs": {"mass": 1.0}}
+    assert said[4] == {"kind": "settle"}
+    assert said[5]["dispensed_mg"] == 20.3
+    assert said[6] == {"outcome": "done", "code": None, "result": "dish (petri_dish)"}
+    assert said[8] == {"outcome": "failed", "code": "hand.no_flow", "detail": "no powder"}
+
+
+def test_a_new_action_and_a_new_job_begin_with_nothing_of_the_old(journal: Journal, path: Path) -> None:
+    journal.job_started("a", None, 1, "w")
+    journal.action = journal.action_started("w/0", 1, "one", {})
+    journal.dose(DOSE)
+    assert journal.last_dose == DOSE
+    journal.action_started("w/1", 1, "two", {})
+    journal.job_started("b", None, 1, "w")
+    assert journal.last_dose is None
+    assert rows(path)[-2:] == [("action_started", 1, None), ("job_started", None, None)]
+
+
+def test_a_job_that_is_resumed_goes_on_as_itself_with_its_dose(journal: Journal, path: Path) -> None:
+    journal.action = 99
+    journal.job_resumed(5, DOSE)
+    assert (journal.job, journal.last_dose) == (5, DOSE)
+    journal.event("x", {})
+    assert rows(path) == [("job_resumed", 5, None), ("x", 5, None)]
+    assert payloads(path)[0] == {}
+
+
+def test_the_cells_state_is_written_with_an_actions_begin_and_end_where_it_changed(
+    journal: Journal, path: Path
+) -> None:
+    state = {"cone_mg": 0.0}
+    journal.state = lambda: dict(state)
+    action = journal.action_started("w/0", 1, "scoop", {})
+    journal.event("scooped", {})
+    journal.action_ended(action, "done", None, None)
+    state["cone_mg"] = 3000.0
+    action = journal.action_started("w/1", 1, "move", {})
+    journal.action_ended(action, "done", None, None)
+    states = [None if text is None else json.loads(text) for (text,) in rows(path, "state")]
+    assert states == [{"cone_mg": 0.0}, None, None, {"cone_mg": 3000.0}, None]
+
+
+def test_the_world_is_kept_before_an_entry_and_listeners_are_told_after_it(journal: Journal, path: Path) -> None:
+    order: list[tuple[str, int]] = []
+    journal.before_commit = lambda: order.append(("before", len(rows(path))))
+    journal.heard = lambda kind, values: order.append((f"{kind} {values['n']}", len(rows(path))))
+    journal.now_s = lambda: 12.5
+    journal.event("asked", {"n": 4})
+    journal.pulse({})
+    assert order == [("before", 0), ("asked 4", 1), ("before", 1)]
+    assert rows(path, "time_s") == [(12.5,), (12.5,)]
+
+
+# --- readings
+
+
+def reading(number: int) -> Reading:
+    return Reading(9000.0 + number, number % 2 == 0, 1.23456 + number, "g", b"S S 9.00%d g\xff\r\n" % number)
+
+
+def test_readings_are_kept_only_while_an_action_weighs_and_belong_to_it(journal: Journal, path: Path) -> None:
+    journal.weighed(reading(0))
+    still = journal.action_started("w/0", 1, "move", {})
+    journal.weighed(reading(1))
+    journal.action_ended(still, "done", None, None)
+    action = journal.action_started("w/1", 1, "dispense", {}, weighs=True)
+    journal.weighed(reading(2))
+    journal.weighed(reading(3))
+    journal.action_ended(action, "done", None, None)
+    journal.weighed(reading(4))
+    journal.flush()
+    assert [row for row in rows(path) if row[0] == "frames"] == [("frames", None, action)]
+    (frames,) = [frames for (frames,) in rows(path, "frames") if frames is not None]
+    assert json.loads(zlib.decompress(frames)) == [
+        [3.2346, "S S 9.002 g\xff\r\n", 9002.0, "g", True],
+        [4.2346, "S S 9.003 g\xff\r\n", 9003.0, "g", False],
+    ]
+    assert [said for said in payloads(path) if "readings" in said] == [{"readings": 2}]
+    kinds = [kind for kind, *_ in rows(path)]
+    assert kinds.index("frames") < len(kinds) - 1, "before the action's end"
+
+
+def test_readings_wait_for_half_a_second_and_are_written_once(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(writer.time, "monotonic", lambda: now_s)
+    journal = Journal(path, durable=False)
+    journal.action_started("w/0", 1, "dispense", {}, weighs=True)
+    journal.weighed(reading(0))
+    journal.flush()
+    now_s = 100.49
+    journal.weighed(reading(1))
+    journal.flush(FLUSH_S)
+    assert len(rows(path)) == 2, "not yet"
+    now_s = 100.5
+    journal.flush(FLUSH_S)
+    assert len(rows(path)) == 3
+    journal.flush()
+    assert len(rows(path)) == 3, "nothing waits any more"
+    journal.close()
+
+
+def test_of_two_that_weigh_the_later_one_has_the_readings_until_it_ends(journal: Journal, path: Path) -> None:
+    first = journal.action_started("w/0", 1, "watch", {}, weighs=True)
+    second = journal.action_started("w/1", 1, "dispense", {}, weighs=True)
+    journal.weighed(reading(0))
+    journal.action_ended(second, "done", None, None)
+    journal.weighed(reading(1))
+    journal.action_ended(first, "done", None, None)
+    assert [action for kind, _, action in rows(path) if kind == "frames"] == [second, first]
+
+
+# --- a journal that is lost
+
+
+def test_a_lost_journal_says_so_once_and_drops_what_is_told_to_it_then(journal: Journal, path: Path) -> None:
+    journal.event("asked", {})
+    head = journal.head
+    journal._db.execute("PRAGMA query_only=ON")  # as a full disk
+    with pytest.raises(RecordLost, match=r"r\.sqlite cannot be written any more"):
+        journal.event("asked", {})
+    journal.before_commit = lambda: pytest.fail("nothing is kept any more")
+    assert journal.action_started("w/0", 1, "park", {}) == 1, "the last entry there is"
+    journal._db.execute("PRAGMA query_only=OFF")
+    journal.event("asked", {})
+    assert (journal.head, len(rows(path))) == (head, 1)
+
+
+# --- the chain
+
+
+def test_an_entrys_hash_is_over_the_one_before_and_all_of_its_own_values() -> None:
+    entry = Entry(1, "pulse", 2, None, 1.5, "2026-01-01T00:00:00+00:00", '{"a": 1}', None, b"raw")
+    others = [
+        entry._replace(**{name: value})
+        for name, value in {
+            "seq": 2,
+            "kind": "dose",
+            "job": 3,
+            "action": 2,
+            "time_s": 1.25,
+            "at": "",
+            "payload": "{}",
+            "state": "{}",
+            "frames": None,
+        }.items()
+    ]
+    hashes = {digest(GENESIS, one) for one in [entry, *others, entry._replace(frames=b"")]}
+    assert len(hashes) == 11
+    assert digest(b"another", entry) not in hashes
+
+
+def test_the_hash_of_a_known_entry_stays_what_it_is() -> None:
+    """Journals of years ago are checked by it."""
+    entry = Entry(1, "run", None, None, 0.0, "2026-01-01T00:00:00.000+00:00", '{"ü": 1}', None, None)
+    assert digest(GENESIS, entry).hex() == "87bf6e3a3b9fd1d62f940d5b94474378df4106cc8b9ad4dae72366288510d8b6"
+    assert (
+        digest(GENESIS, entry._replace(frames=b"\x00\x01")).hex()
+        == "b052f286880bc5395610e35bbb5ed62076f5437bce03a9a8abe8c45c37340746"
+    )
