@@ -13,8 +13,9 @@ from running import dry_run, make_lab
 from scuhand_bt.events import SKILL_EVENTS, Event, Note, Tared
 from scuhand_bt.journal import describe
 from scuhand_bt.journal.archive import summary
-from scuhand_bt.journal.events import KINDS, Asked, Ended, parsed
+from scuhand_bt.journal.events import Asked, Ended
 from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.kinds import KINDS, parsed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.record import Record
