@@ -128,6 +128,11 @@ samples: [{id: a, mass: 30 mg}, {id: b, mass: 40 mg, source: msg}]
     assert {"run", "action_ended", "pulse", "scoop", "tare", "container", "matter", "fault_rules", "frames"} <= seen
 
 
+def test_an_end_of_before_it_said_whether_it_is_complete_says_so_by_its_code() -> None:
+    assert [Ended(exit_code=code, reason="").is_complete for code in (0, 1, 3, 130)] == [True, True, False, False]
+    assert not Ended(exit_code=0, reason="", complete=False).is_complete
+
+
 def test_what_a_newer_program_adds_to_an_entry_is_passed_over() -> None:
     assert parsed("asked", {"question": "Is it?", "choices": ["yes"], "by": "eve"}) == Asked(
         question="Is it?", choices=["yes"]

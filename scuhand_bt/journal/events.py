@@ -19,9 +19,9 @@ Verdict = Literal["in tolerance", "under", "over", "no dose", "skipped", "interr
 class SourceUsed(Values):
     """A source of the recipe."""
 
-    station: str
-    powder: str
-    lot: str
+    station: Text
+    powder: Text
+    lot: Text
 
 
 class SamplePlanned(Values):
@@ -58,7 +58,7 @@ class RunBegun(Event):
     """Its folder."""
     lab_files: dict[Text, str] = Field(default_factory=dict)
     """SHA-256 of each of the lab's files."""
-    cell: str
+    cell: Text
     simulated: bool
     unattended: bool = False
     mode: str
@@ -71,7 +71,7 @@ class RunBegun(Event):
     """SHA-256 of the fault file."""
     faults_text: Text | None = None
     options: OptionsGiven = OptionsGiven()
-    sources: dict[str, SourceUsed] = Field(default_factory=dict)
+    sources: dict[Text, SourceUsed] = Field(default_factory=dict)
     samples: list[SamplePlanned] | None = None
     operator: Text | None = None
     devices: dict[str, dict[str, JsonValue]] = Field(default_factory=dict)
