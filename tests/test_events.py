@@ -124,7 +124,7 @@ samples: [{id: a, mass: 30 mg}, {id: b, mass: 40 mg, source: msg}]
         assert event is not None, row["kind"]
         kind, payload = event.entry()
         assert (kind, json.loads(payload)) == (row["kind"], row["payload"])
-        assert "opening_mm" not in row["payload"] or row["payload"].get("kind") != "settle"  # what is not so is not said
+        assert "opening_mm" not in row["payload"] or row["payload"].get("kind") != "settle"
         seen.add(kind)
     assert {"run", "action_ended", "pulse", "scoop", "tare", "container", "matter", "fault_rules", "frames"} <= seen
 
