@@ -150,7 +150,8 @@ class Balance(Device, Protocol):
     """The balance. It is never tared by command: gross values only (a tare would die with the power)."""
 
     on_reading: Callable[[Reading], None] | None
-    """Told every reading, on the thread where it arrives; must be quick."""
+    """Told every line that is a weight, also one that is not believed (and then not stable), on the thread where it
+    arrives; must be quick."""
 
     @property
     def spec(self) -> BalanceSpec: ...
