@@ -2,28 +2,36 @@
 
 A self-contained page with the arm moving in 3D among the cell's solids, and the joints' position, speed,
 acceleration and jerk and the cone's spill angle over time, each with its limits; and the same as a PNG.
+The page needs plotly, the PNG matplotlib: both are in the extra `plot`, and are loaded when they are used.
 """
 
-import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import coal
 import numpy as np
-import pinocchio as pin
+from numpy.typing import NDArray
 
-from scuhand_bt.motion.collision import SHAPES, Scene
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats, apex_positions_m
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
-from scuhand_bt.report.motion_panels import COLOURS, Panel, panel_svg, panels, spread
-from scuhand_bt.report.move_viewer import PAGE
+from scuhand_bt.report.cell_mesh import CellMeshes, Indices, Mesh
+from scuhand_bt.report.motion_panels import COLOURS, Panel, panels, spread
 
-FRAMES_PER_S = 40
-_SIDES = 24
+if TYPE_CHECKING:
+    from plotly import graph_objects as go
+
+FRAMES_PER_S = 25
+_COLUMNS = 2
+_SCENE_SHARE = 0.45
+"""Of the page's figure, what the 3D scene takes."""
+_ARM_COLOUR, _STANDING_COLOUR = "#7a98c4", "#8aa0b6"
+_HAND_COLOURS = {"clamps": "#d6b280", "cone": "#ff961e"}
+_EYE = {"x": 1.35, "y": -1.35, "z": 0.85}
+_LIGHT = {"x": 1000.0, "y": -2000.0, "z": 3000.0}
+_PATH_COLOUR, _STATION_COLOUR = "#d6402f", "#2b9a4b"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,24 +54,175 @@ class ShownMove:
 
 
 def move_page(move: ShownMove) -> str:
-    """The motion as a self-contained HTML page."""
-    duration_s = move.motion.duration_s
-    times_s = np.linspace(0.0, duration_s, max(2, int(duration_s * FRAMES_PER_S)))
-    data = {
-        "frames": [_moving(move.scene, q) for q in move.motion.at(times_s)],
-        "solids": _standing(move.scene),
-        "places": {name: np.round(place_m, 4).tolist() for name, place_m in move.places_m.items()},
-        "path": np.round(move.path_m(times_s), 4).tolist(),
-        "duration": duration_s,
-    }
-    # "</" would end the script, whatever it stands in.
-    text = json.dumps(data, separators=(",", ":")).replace("</", "<\\/")
-    plots = "".join(panel_svg(panel) for panel in move.panels())
-    return PAGE.replace("%TITLE%", escape(move.title)).replace("%PLOTS%", plots).replace("%DATA%", text)
+    """The motion as a self-contained HTML page; ImportError without plotly."""
+    from scuhand_bt.report.figure_page import figure_page
+
+    intro = (
+        f"<p>{move.motion.duration_s:.2f} s. Drag to turn, wheel to zoom; click a joint in the legend to hide it. "
+        "Red: the way of the cone's apex. Green: where it stands at the stations.</p>"
+    )
+    return figure_page(move.title, move_figure(move), intro)
+
+
+def move_figure(move: ShownMove) -> "go.Figure":
+    """The 3D scene over the five plots, with a frame of the animation for every 1/25 s."""
+    from plotly import graph_objects as go
+    from plotly.subplots import make_subplots
+
+    shown, meshes = move.panels(), CellMeshes(move.scene)
+    rows = 1 + -(-len(shown) // _COLUMNS)
+    figure = make_subplots(
+        rows=rows,
+        cols=_COLUMNS,
+        specs=[[{"type": "scene", "colspan": _COLUMNS}, None], *[[{}] * _COLUMNS for _ in range(rows - 1)]],
+        row_heights=[_SCENE_SHARE, *[(1 - _SCENE_SHARE) / (rows - 1)] * (rows - 1)],
+        horizontal_spacing=0.16,
+        vertical_spacing=0.075,
+        subplot_titles=["", *(panel.name for panel in shown)],
+    )
+    _draw_cell(figure, meshes, move)
+    for k, panel in enumerate(shown):
+        _draw_panel(figure, panel, 2 + k // _COLUMNS, 1 + k % _COLUMNS, with_legend=k == 0)
+    # What moves comes last: the arm, and a line at the present time in every plot.
+    still = len(figure.data)
+    _draw_arm_and_cursors(figure, meshes.arm(move.motion.start), shown)
+    moving = list(range(still, len(figure.data)))
+    times_s = np.linspace(0.0, move.motion.duration_s, max(2, int(move.motion.duration_s * FRAMES_PER_S)))
+    figure.frames = [
+        go.Frame(
+            name=f"{t:.2f}",
+            data=[go.Mesh3d(**_corners(meshes.arm(q))), *[go.Scatter(x=[t, t])] * len(shown)],
+            traces=moving,
+        )
+        for q, t in zip(move.motion.at(times_s), times_s, strict=True)
+    ]
+    _add_controls(figure, times_s)
+    millimetres = {axis: {"title": f"{axis[0]} [mm]"} for axis in ("xaxis", "yaxis", "zaxis")}
+    figure.update_scenes(**millimetres, aspectmode="data", camera={"eye": _EYE, "center": {"x": 0, "y": 0, "z": -0.15}})
+    legend = {"title": "joint", "x": 0.58, "y": 0.14, "yanchor": "top", "orientation": "h"}
+    figure.update_layout(height=1500, margin={"l": 60, "r": 110, "t": 10, "b": 50}, legend=legend)
+    return figure
+
+
+def _draw_cell(figure: "go.Figure", meshes: CellMeshes, move: ShownMove) -> None:
+    """What stands still, its names, the stations and the apex's way, in millimetres."""
+    from plotly import graph_objects as go
+
+    def add(trace: Any) -> None:
+        figure.add_trace(trace, row=1, col=1)
+
+    for mesh in meshes.standing:
+        add(go.Mesh3d(**_corners([mesh]), **_triangles([mesh]), color=_STANDING_COLOUR, opacity=0.22, flatshading=True, hoverinfo="name",
+                      name=mesh.name))  # fmt: skip
+        ends_mm = np.full((len(mesh.edges), 3, 3), np.nan)
+        ends_mm[:, :2] = 1000 * mesh.points_m[mesh.edges]
+        x, y, z = ends_mm.reshape(-1, 3).T
+        edges = {"mode": "lines", "line": {"color": _STANDING_COLOUR, "width": 2}, "hoverinfo": "skip"}
+        add(go.Scatter3d(x=x, y=y, z=z, **edges, showlegend=False))
+    x, y, z = 1000 * move.path_m(np.linspace(0.0, move.motion.duration_s, 200)).T
+    add(go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": _PATH_COLOUR, "width": 5}, name="apex",
+                     showlegend=False))  # fmt: skip
+    x, y, z = 1000 * np.array(list(move.places_m.values())).T
+    add(go.Scatter3d(x=x, y=y, z=z, mode="markers+text", text=list(move.places_m), textposition="top center",
+                     marker={"color": _STATION_COLOUR, "size": 5}, textfont={"color": _STATION_COLOUR, "size": 12},
+                     name="station", showlegend=False))  # fmt: skip
+
+
+def _corners(meshes: Sequence[Mesh]) -> dict[str, NDArray[np.float32]]:
+    """The corners of solids [mm], as plotly takes them; single precision halves the page."""
+    x, y, z = 1000 * np.vstack([mesh.points_m for mesh in meshes]).T.astype(np.float32)
+    return {"x": x, "y": y, "z": z}
+
+
+def _triangles(meshes: Sequence[Mesh]) -> dict[str, Indices]:
+    """The triangles between these corners."""
+    firsts = np.cumsum([0, *(len(mesh.points_m) for mesh in meshes[:-1])])
+    i, j, k = np.vstack([mesh.triangles + first for mesh, first in zip(meshes, firsts, strict=True)]).T
+    return {"i": i, "j": j, "k": k}
+
+
+def _draw_arm_and_cursors(figure: "go.Figure", arm: Sequence[Mesh], shown: Sequence[Panel]) -> None:
+    """The arm, and a line in every plot at the beginning."""
+    from plotly import graph_objects as go
+
+    colours = [_HAND_COLOURS.get(mesh.name, _ARM_COLOUR) for mesh in arm for _ in mesh.triangles]
+    look = {"facecolor": colours, "flatshading": True, "lighting": {"ambient": 0.65, "diffuse": 0.6, "specular": 0.05}}
+    solid = go.Mesh3d(**_corners(arm), **_triangles(arm), **look, lightposition=_LIGHT, hoverinfo="skip")
+    figure.add_trace(solid, row=1, col=1)
+    for k, panel in enumerate(shown):
+        line = go.Scatter(
+            x=[0, 0],
+            y=panel.span,
+            mode="lines",
+            line={"color": "#888", "width": 2},
+            hoverinfo="skip",
+            showlegend=False,
+        )
+        figure.add_trace(line, row=2 + k // _COLUMNS, col=1 + k % _COLUMNS)
+
+
+def _draw_panel(figure: "go.Figure", panel: Panel, row: int, col: int, *, with_legend: bool) -> None:
+    from plotly import graph_objects as go
+
+    at: dict[str, Any] = {"row": row, "col": col}
+    joints = panel.values.shape[1] > 1
+    for k, (column, colour) in enumerate(zip(panel.values.T, COLOURS, strict=False), start=1):
+        name = f"j{k}" if joints else "spill angle"
+        figure.add_trace(
+            go.Scatter(
+                x=panel.times_s.astype(np.float32),
+                y=column.astype(np.float32),
+                name=name,
+                legendgroup=name,
+                showlegend=joints and with_legend,
+                line={"color": colour, "width": 1.6},
+            ),
+            **at,
+        )
+    low, high = panel.span
+    labels = spread([limit for limit, _ in panel.limits], 0.07 * (high - low))
+    for (limit, whose), label in zip(panel.limits, labels, strict=True):
+        figure.add_trace(
+            go.Scatter(
+                x=panel.times_s[[0, -1]],
+                y=[limit, limit],
+                mode="lines",
+                line={"dash": "dash", "color": "#888", "width": 1},
+                hoverinfo="skip",
+                showlegend=False,
+            ),
+            **at,
+        )
+        text = f"{limit:.3g} {whose}"
+        figure.add_annotation(
+            x=panel.times_s[-1], y=label, text=text, showarrow=False, xanchor="left", font_size=11, **at
+        )
+    figure.update_xaxes(title_text="time [s]", range=[0, float(panel.times_s[-1])], **at)
+    figure.update_yaxes(range=[low, high], **at)
+
+
+def _add_controls(figure: "go.Figure", times_s: Floats) -> None:
+    """Play, pause and a slider under the 3D scene."""
+
+    def how(frame_ms: float) -> dict[str, Any]:
+        frame = {"duration": frame_ms, "redraw": True}
+        return {"frame": frame, "transition": {"duration": 0}, "mode": "immediate", "fromcurrent": True}
+
+    names = [frame.name for frame in figure.frames]
+    steps = [{"method": "animate", "label": name, "args": [[name], how(0.0)]} for name in names]
+    play = {"method": "animate", "label": "play", "args": [None, how(1000 * float(times_s[1]))]}
+    pause = {"method": "animate", "label": "pause", "args": [[None], how(0.0)]}
+    bottom = figure.layout.scene.domain.y[0]
+    figure.update_layout(
+        sliders=[{"steps": steps, "x": 0.14, "len": 0.86, "y": bottom, "pad": {"t": 0},
+                  "currentvalue": {"prefix": "time ", "suffix": " s"}}],
+        updatemenus=[{"type": "buttons", "direction": "left", "buttons": [play, pause], "showactive": False,
+                      "x": 0.0, "xanchor": "left", "y": bottom, "yanchor": "top", "pad": {"t": 20}}],
+    )  # fmt: skip
 
 
 def move_png(move: ShownMove, file: Path) -> None:
-    """The motion's plots, and the arm at five moments, as a PNG; ImportError without matplotlib (extra `plot`)."""
+    """The motion's plots, and the arm at five moments, as a PNG; ImportError without matplotlib."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -90,101 +249,24 @@ def move_png(move: ShownMove, file: Path) -> None:
 
 def _draw_arm(view: Any, move: ShownMove) -> None:
     """The arm at five moments among the cell's solids, in 3D axes of matplotlib."""
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection  # type: ignore[import-untyped]
 
-    def faces(polygons: list[Floats], colour: str, alpha: float, order: float) -> None:
-        edges = {"edgecolor": "#777", "linewidth": 0.4} if order < 0 else {}
-        view.add_collection3d(Poly3DCollection(polygons, facecolor=colour, alpha=alpha, zorder=order, **edges))
-
-    for solid in _standing(move.scene):
-        corners = solid.get("corners")
-        if corners is None:
-            low, high = (_rim(solid, k) for k in (0, 1))
-            # Apart: matplotlib pads polygons of different lengths with whatever memory holds.
-            faces([*np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)], "#a98f6c", 0.25, -1)
-            faces([high], "#a98f6c", 0.25, -1)
-        else:
-            sides = [np.array([corners[k] for k in side]) for side in _SIDES_OF_BOX]
-            faces(sides, "#5b7db1" if solid["arm"] else "#9fb2c4", 0.9 if solid["arm"] else 0.18, -1)
+    meshes = CellMeshes(move.scene)
+    for mesh in meshes.standing:
+        polygons, edges = mesh.points_m[mesh.triangles], mesh.points_m[mesh.edges]
+        view.add_collection3d(Poly3DCollection(polygons, facecolor=_STANDING_COLOUR, alpha=0.15, zorder=-1))
+        view.add_collection3d(Line3DCollection(edges, color=_STANDING_COLOUR, lw=0.5, zorder=-1))
     for share in np.linspace(0.0, 1.0, 5):
-        alpha = 0.12 + 0.7 * share**2
-        for shape in _moving(move.scene, move.motion.sample(share * move.motion.duration_s)):
-            kind, radius_m, first, last = shape
-            if kind == "cone":
-                rim = _rim({"ends": [first, last], "radius": radius_m}, 0)
-                tip = np.broadcast_to(last, (len(rim) - 1, 3))
-                faces([*np.stack([rim[:-1], rim[1:], tip], axis=1)], "#e08a1e", alpha, 1 + share)
-            else:
-                view.plot(
-                    *np.array([first, last]).T,
-                    lw=500 * radius_m,
-                    alpha=alpha,
-                    color="#5b7db1",
-                    solid_capstyle="round" if kind == "capsule" else "butt",
-                    zorder=1 + share,
-                )
+        for mesh in meshes.arm(move.motion.sample(share * move.motion.duration_s)):
+            colour = _HAND_COLOURS.get(mesh.name, _ARM_COLOUR)
+            polygons = mesh.points_m[mesh.triangles]
+            look = {"facecolor": colour, "alpha": 0.06 + 0.5 * share**2, "zorder": 1 + share}
+            view.add_collection3d(Poly3DCollection(polygons, **look))
     times_s = np.linspace(0.0, move.motion.duration_s, 200)
-    view.plot(*move.path_m(times_s).T, color="#c62828", lw=1.6, zorder=3)
+    view.plot(*move.path_m(times_s).T, color=_PATH_COLOUR, lw=1.6, zorder=3)
     for name, place_m in move.places_m.items():
-        view.plot(*place_m[:, None], "o", color="#1a7f37", ms=4, zorder=4)
-        view.text(*place_m, f" {name}", fontsize=7, color="#1a7f37", zorder=4)
+        view.plot(*place_m[:, None], "o", color=_STATION_COLOUR, ms=4, zorder=4)
+        view.text(*place_m, f" {name}", fontsize=7, color=_STATION_COLOUR, zorder=4)
     view.set(xlim=(-0.1, 0.5), ylim=(-0.38, 0.38), zlim=(0, 0.5), xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     view.set_box_aspect((0.6, 0.76, 0.5), zoom=1.25)
     view.view_init(elev=26, azim=-40)
-
-
-def _moving(scene: Scene, q: Floats) -> list[tuple[str, float, list[float], list[float]]]:
-    """The arm's round shapes at a configuration: kind, radius and the two ends of the axis [m]."""
-    data, shapes = scene.model.createData(), pin.GeometryData(scene.shapes)
-    pin.updateGeometryPlacements(scene.model, data, scene.shapes, shapes, q)
-    found = []
-    for thing, placement in zip(scene.shapes.geometryObjects, shapes.oMg, strict=True):
-        shape = thing.geometry
-        if thing.parentJoint == 0 or isinstance(shape, coal.Box):
-            continue
-        kind = "clamps" if thing.name == "clamps" else type(shape).__name__.lower()
-        found.append((kind, float(shape.radius), *_ends(placement, shape.halfLength)))
-    return found
-
-
-def _standing(scene: Scene) -> list[dict[str, Any]]:
-    """Everything that stands still but the table: boxes by their corners, cylinders by their axis and radius [m]."""
-    found: list[dict[str, Any]] = []
-    for k, thing in enumerate(scene.shapes.geometryObjects):
-        if thing.parentJoint != 0 or thing.name == "table":
-            continue
-        shape, arm = thing.geometry, k < SHAPES
-        solid: dict[str, Any] = {"name": "" if arm else thing.name, "arm": arm}
-        if isinstance(shape, coal.Box):
-            signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-            solid["corners"] = [_point(thing.placement, corner) for corner in signs * shape.halfSide]
-        else:
-            solid["ends"], solid["radius"] = _ends(thing.placement, shape.halfLength), float(shape.radius)
-        found.append(solid)
-    return found
-
-
-_SIDES_OF_BOX = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-"""Corners in the order of `_standing`, counter-clockwise from outside; the page knows them too."""
-
-
-def _ends(placement: pin.SE3, half_m: float) -> tuple[list[float], list[float]]:
-    return _point(placement, np.array([0.0, 0.0, -half_m])), _point(placement, np.array([0.0, 0.0, half_m]))
-
-
-def _point(placement: pin.SE3, point_m: Floats) -> list[float]:
-    rounded: list[float] = np.round(placement.act(point_m), 4).tolist()
-    return rounded
-
-
-def _rim(round_solid: Mapping[str, Any], end: int) -> Floats:
-    """A closed circle around one end of a cylinder's or cone's axis: (n, 3)."""
-    first, last = np.array(round_solid["ends"])
-    along = (last - first) / np.linalg.norm(last - first)
-    across = np.cross(along, (1.0, 0.0, 0.0) if abs(along[2]) > 0.9 else (0.0, 0.0, 1.0))
-    across /= np.linalg.norm(across)
-    angles = np.linspace(0.0, 2 * np.pi, _SIDES + 1)[:, None]
-    rim: Floats = (first, last)[end] + round_solid["radius"] * (
-        np.cos(angles) * across + np.sin(angles) * np.cross(along, across)
-    )
-    return rim
