@@ -113,7 +113,7 @@ def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str 
     """What a run would carry a load of a powder within, and no more than `gentle`; None for an empty cone."""
     from scuhand_bt.cell.cell import carrying_limit_deg
     from scuhand_bt.dosing.cone import Cone
-    from scuhand_bt.motion.planner import CONE_DIAMETER_M
+    from scuhand_bt.motion.scenes import CONE_DIAMETER_M
     from scuhand_bt.quantity import ANGLE, MASS, parse
 
     if (load is None) != (powder is None):

@@ -121,15 +121,15 @@ class TimeLaw:
             return None
         return trajectory if result in (Result.Working, Result.Finished) else None
 
-    def chain(self, points: Floats, speeds: Floats) -> list[Trajectory] | None:
-        """The solved pieces from point to point (m, n) with the speeds (m, n) there; None if one fails."""
-        pieces = []
+    def pieces(self, points: Floats, speeds: Floats) -> list[Trajectory] | None:
+        """The optima from point to point (m, n) with the speeds (m, n) there; None if one fails."""
+        solved = []
         for k in range(len(points) - 1):
             piece = self.solve(points[k], speeds[k], points[k + 1], speeds[k + 1])
             if piece is None:
                 return None
-            pieces.append(piece)
-        return pieces
+            solved.append(piece)
+        return solved
 
     def straight(self, points: Floats) -> JointTrajectory:
         """Along a polyline (m, n) exactly, at rest in every vertex."""

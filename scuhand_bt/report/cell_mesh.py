@@ -103,6 +103,4 @@ def _surface_points_m(shape: coal.CollisionGeometry) -> Floats:
 def _rings(rings: list[tuple[float, float]]) -> Floats:
     """Points on circles of these radii at these heights: (n, 3)."""
     angles = np.arange(_AROUND) * 2 * np.pi / _AROUND
-    return np.vstack(
-        [np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(_AROUND, z)]) for r, z in rings]
-    )
+    return np.vstack([np.column_stack([r * np.cos(angles), r * np.sin(angles), np.full(_AROUND, z)]) for r, z in rings])

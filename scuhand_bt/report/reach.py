@@ -41,9 +41,7 @@ def reach_page(cell: CellSpec) -> str:
         f"<th>vertical cone, from the station up</th></tr>{''.join(rows)}</table>"
         "<p>Kinematics only: what stands in the way is looked at when a motion is planned.</p>"
     )
-    return figure_page(
-        f"What the vertical cone can reach: {cell.cell}", _map(cell, heights_mm, offset_m), intro, below
-    )
+    return figure_page(f"What the vertical cone can reach: {cell.cell}", _map(cell, heights_mm, offset_m), intro, below)
 
 
 def _row(station: Station, heights_mm: list[int]) -> str:

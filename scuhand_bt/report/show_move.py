@@ -112,20 +112,43 @@ def _draw_cell(figure: "go.Figure", meshes: CellMeshes, move: ShownMove) -> None
         figure.add_trace(trace, row=1, col=1)
 
     for mesh in meshes.standing:
-        add(go.Mesh3d(**_corners([mesh]), **_triangles([mesh]), color=_STANDING_COLOUR, opacity=0.22, flatshading=True, hoverinfo="name",
-                      name=mesh.name))  # fmt: skip
+        add(
+            go.Mesh3d(
+                **_corners([mesh]),
+                **_triangles([mesh]),
+                color=_STANDING_COLOUR,
+                opacity=0.22,
+                flatshading=True,
+                hoverinfo="name",
+                name=mesh.name,
+            )
+        )
         ends_mm = np.full((len(mesh.edges), 3, 3), np.nan)
         ends_mm[:, :2] = 1000 * mesh.points_m[mesh.edges]
         x, y, z = ends_mm.reshape(-1, 3).T
         edges = {"mode": "lines", "line": {"color": _STANDING_COLOUR, "width": 2}, "hoverinfo": "skip"}
         add(go.Scatter3d(x=x, y=y, z=z, **edges, showlegend=False))
     x, y, z = 1000 * move.path_m(np.linspace(0.0, move.motion.duration_s, 200)).T
-    add(go.Scatter3d(x=x, y=y, z=z, mode="lines", line={"color": _PATH_COLOUR, "width": 5}, name="apex",
-                     showlegend=False))  # fmt: skip
+    add(
+        go.Scatter3d(
+            x=x, y=y, z=z, mode="lines", line={"color": _PATH_COLOUR, "width": 5}, name="apex", showlegend=False
+        )
+    )
     x, y, z = 1000 * np.array(list(move.places_m.values())).T
-    add(go.Scatter3d(x=x, y=y, z=z, mode="markers+text", text=list(move.places_m), textposition="top center",
-                     marker={"color": _STATION_COLOUR, "size": 5}, textfont={"color": _STATION_COLOUR, "size": 12},
-                     name="station", showlegend=False))  # fmt: skip
+    add(
+        go.Scatter3d(
+            x=x,
+            y=y,
+            z=z,
+            mode="markers+text",
+            text=list(move.places_m),
+            textposition="top center",
+            marker={"color": _STATION_COLOUR, "size": 5},
+            textfont={"color": _STATION_COLOUR, "size": 12},
+            name="station",
+            showlegend=False,
+        )
+    )
 
 
 def _corners(meshes: Sequence[Mesh]) -> dict[str, NDArray[np.float32]]:
@@ -214,11 +237,30 @@ def _add_controls(figure: "go.Figure", times_s: Floats) -> None:
     pause = {"method": "animate", "label": "pause", "args": [[None], how(0.0)]}
     bottom = figure.layout.scene.domain.y[0]
     figure.update_layout(
-        sliders=[{"steps": steps, "x": 0.14, "len": 0.86, "y": bottom, "pad": {"t": 0},
-                  "currentvalue": {"prefix": "time ", "suffix": " s"}}],
-        updatemenus=[{"type": "buttons", "direction": "left", "buttons": [play, pause], "showactive": False,
-                      "x": 0.0, "xanchor": "left", "y": bottom, "yanchor": "top", "pad": {"t": 20}}],
-    )  # fmt: skip
+        sliders=[
+            {
+                "steps": steps,
+                "x": 0.14,
+                "len": 0.86,
+                "y": bottom,
+                "pad": {"t": 0},
+                "currentvalue": {"prefix": "time ", "suffix": " s"},
+            }
+        ],
+        updatemenus=[
+            {
+                "type": "buttons",
+                "direction": "left",
+                "buttons": [play, pause],
+                "showactive": False,
+                "x": 0.0,
+                "xanchor": "left",
+                "y": bottom,
+                "yanchor": "top",
+                "pad": {"t": 20},
+            }
+        ],
+    )
 
 
 def move_png(move: ShownMove, file: Path) -> None:

@@ -17,7 +17,7 @@ from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
-from scuhand_bt.motion.planner import CONE_DIAMETER_M
+from scuhand_bt.motion.scenes import CONE_DIAMETER_M
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
