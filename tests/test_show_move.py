@@ -17,7 +17,7 @@ OFFSET_M = LAB.cell.hand.apex_offset_mm / 1e3
 
 def shown(speed_ratio: float = 1.0, spill_limit_deg: float | None = None) -> ShownMove:
     arm = LAB.cell.arm.model_copy(update={"speed_ratio": speed_ratio})
-    planner = MotionPlanner(LAB.urdf, LAB.cell.model_copy(update={"arm": arm}), threads=1)
+    planner = MotionPlanner(LAB.urdf, LAB.cell.model_copy(update={"arm": arm}))
     home = planner.home()
     over = np.array(LAB.cell.stations["mortar_bay"].position_mm) / 1e3 + (0.0, 0.0, 0.1)
     motion = planner.move(home, ApexPose(over), spill_limit_deg=spill_limit_deg)

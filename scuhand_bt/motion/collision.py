@@ -173,13 +173,11 @@ class Scene:
         shapes: pin.GeometryModel,
         solids: Sequence[Solid],
         margin_m: float,
-        threads: int,
         may_touch: Iterable[str] = (),
     ) -> None:
         if margin_m < SMALLEST_MARGIN_M:
             raise ValueError("coal misses penetrations when its security margin is zero")
         self.margin_m = margin_m
-        self.threads = threads
         self.model = arm.model
         self.rates = arm.rates
         self.bound = SweptBound(shapes, arm.model)
@@ -208,7 +206,7 @@ class Scene:
         return self._pooled(self._foremost, self.margin_m)
 
     def _pooled(self, shapes: pin.GeometryModel, margin_m: float) -> Pool:
-        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, shapes, self.threads)
+        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, shapes, 1)
         for data in pool.getGeometryDatas():
             for request in data.collisionRequests:
                 request.security_margin = margin_m
@@ -235,9 +233,8 @@ class Scene:
         return bool(_outside(q).any() or self._nearer(self._pool, q, until_first=True).any())
 
     def _nearer(self, pool: Pool, q: Floats, until_first: bool = False) -> NDArray[np.bool_]:
-        threads = self.threads if len(q) >= 8 else 1
         columns = np.ascontiguousarray(q.T)
-        return np.asarray(pin.computeCollisionsInParallel(threads, pool, columns, True, until_first), dtype=bool)
+        return np.asarray(pin.computeCollisionsInParallel(1, pool, columns, True, until_first), dtype=bool)
 
     def clearance_m(self, q: Floats) -> tuple[float, str]:
         """Exact distance of the closest pair at one configuration, negative inside, and the two names."""

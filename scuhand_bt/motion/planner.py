@@ -61,21 +61,18 @@ def _seed(request: Request) -> int:
 class MotionPlanner:
     """Plans the arm's motions in one cell, and keeps what it has planned.
 
-    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name. More than one of
-    `threads` gains something only where cores are idle.
+    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name.
     ValueError for a URDF or a cell that does not describe this arm, KeyError for an unknown station.
     """
 
-    def __init__(
-        self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None, *, threads: int = 1
-    ) -> None:
+    def __init__(self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None) -> None:
         self.urdf = urdf
         arm = Arm(urdf)
         self._cell = cell
         self._offset_m = cell.hand.apex_offset_mm / 1e3
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         self._geometry = Geometry()
-        self._scenes = Scenes(arm, cell, mortars or {}, threads)
+        self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, self.rates, self._offset_m)
         self._plans: dict[Request, JointTrajectory] = {}
         self._carries: dict[Request, JointTrajectory] = {}

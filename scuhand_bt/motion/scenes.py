@@ -28,12 +28,11 @@ class Geometry:
 class Scenes:
     """Every scene of one cell. KeyError for mortars at stations that the cell does not have."""
 
-    def __init__(self, arm: Arm, cell: CellSpec, mortars: Mapping[str, Mortar], threads: int) -> None:
+    def __init__(self, arm: Arm, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
         self._arm = arm
         self._cell = cell
         self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
         self._bench = cell_solids.bench(cell)
-        self._threads = threads
         self._scenes: dict[tuple[Geometry, float, str | None], Scene] = {}
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
@@ -45,7 +44,7 @@ class Scenes:
                 hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3, geometry.cone_diameter_m
             )
             solids, touchable = self._solids(geometry, touching)
-            self._scenes[key] = Scene(self._arm, shapes, solids, margin_m, self._threads, touchable)
+            self._scenes[key] = Scene(self._arm, shapes, solids, margin_m, touchable)
         return self._scenes[key]
 
     def _solids(self, geometry: Geometry, touching: str | None) -> tuple[list[Solid], list[str]]:
