@@ -13,8 +13,7 @@ from plotly import io
 
 _STYLE = """
 :root { color-scheme: light dark; }
-body { font: 15px system-ui, sans-serif; margin: 20px auto; padding: 0 16px; max-width: 1200px;
-  background: light-dark(#fff, #111); color: light-dark(#222, #ddd); }
+body { font: 15px system-ui, sans-serif; margin: 20px auto; padding: 0 16px; max-width: 1200px; }
 h1 { font-size: 24px; }
 td, th { padding: 2px 18px 2px 0; text-align: left; }
 """
@@ -31,7 +30,8 @@ def figure_page(title: str, figure: go.Figure, intro: str = "", below: str = "")
     script = _FOLLOW_THE_READER
     for word, template in (("LIGHT", "plotly_white"), ("DARK", "plotly_dark")):
         script = script.replace(word, _json(io.templates[template].to_plotly_json()))
-    figure.update_layout(paper_bgcolor="rgba(0,0,0,0)", font_family="system-ui, sans-serif")
+    transparent = "rgba(0,0,0,0)"
+    figure.update_layout(paper_bgcolor=transparent, plot_bgcolor=transparent, font_family="system-ui, sans-serif")
     config = {"displaylogo": False, "responsive": True}
     drawn = figure.to_html(
         full_html=False, include_plotlyjs=True, include_mathjax=False, config=config, post_script=script
