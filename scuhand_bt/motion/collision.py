@@ -179,7 +179,6 @@ class Scene:
             raise ValueError("coal misses penetrations when its security margin is zero")
         self.margin_m = margin_m
         self.model = arm.model
-        self.rates = arm.rates
         self.bound = SweptBound(shapes, arm.model)
         self.shapes = pin.GeometryModel(shapes)
         moving = self.shapes.ngeoms
