@@ -42,11 +42,11 @@ def move_figure(move: ShownMove) -> go.Figure:
     """The 3D scene over the five plots, with a frame of the animation for every 1/25 s."""
     shown, meshes = move.panels(), CellMeshes(move.scene)
     rows = 1 + -(-len(shown) // _COLUMNS)
-    cells = [{} if k < len(shown) else None for k in range((rows - 1) * _COLUMNS)]
+    plots = [[{} if c + _COLUMNS * r < len(shown) else None for c in range(_COLUMNS)] for r in range(rows - 1)]
     figure = make_subplots(
         rows=rows,
         cols=_COLUMNS,
-        specs=[[{"type": "scene", "colspan": _COLUMNS}, None], *np.reshape(cells, (-1, _COLUMNS)).tolist()],
+        specs=[[{"type": "scene", "colspan": _COLUMNS}, None], *plots],
         row_heights=[_SCENE_SHARE, *[(1 - _SCENE_SHARE) / (rows - 1)] * (rows - 1)],
         horizontal_spacing=0.16,
         vertical_spacing=0.075,
