@@ -15,6 +15,8 @@ _STYLE = """
 :root { color-scheme: light dark; }
 body { font: 15px system-ui, sans-serif; margin: 20px auto; padding: 0 16px; max-width: 1200px; }
 h1 { font-size: 24px; }
+.figure { overflow-x: auto; }
+.plotly-graph-div { min-width: 860px; }
 td, th { padding: 2px 18px 2px 0; text-align: left; }
 """
 _FOLLOW_THE_READER = """
@@ -39,7 +41,7 @@ def figure_page(title: str, figure: go.Figure, intro: str = "", below: str = "")
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         f'<meta name="viewport" content="width=device-width"><title>{escape(title)}</title><style>{_STYLE}</style>'
-        f"</head><body><h1>{escape(title)}</h1>{intro}{drawn}{below}</body></html>\n"
+        f'</head><body><h1>{escape(title)}</h1>{intro}<div class="figure">{drawn}</div>{below}</body></html>\n'
     )
 
 

@@ -1,5 +1,6 @@
 """A motion as a self-contained page, by plotly (extra `plot`): the arm moves in 3D over plots that follow it."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +26,7 @@ FRAMES_PER_S = 25
 _COLUMNS = 2
 _SCENE_SHARE = 0.45
 """Of the figure's height, what the 3D scene takes."""
+_ROOM_MM = 20.0
 _EYE = {"x": 1.35, "y": -1.35, "z": 0.85}
 _LIGHT = {"x": 1000.0, "y": -2000.0, "z": 3000.0}
 
@@ -42,6 +44,7 @@ def move_figure(move: ShownMove) -> go.Figure:
     """The 3D scene over the five plots, with a frame of the animation for every 1/25 s."""
     shown, meshes = move.panels(), CellMeshes(move.scene)
     rows = 1 + -(-len(shown) // _COLUMNS)
+    plots: list[list[dict[str, str] | None]]
     plots = [[{} if c + _COLUMNS * r < len(shown) else None for c in range(_COLUMNS)] for r in range(rows - 1)]
     figure = make_subplots(
         rows=rows,
@@ -60,17 +63,25 @@ def move_figure(move: ShownMove) -> go.Figure:
     _draw_arm_and_cursors(figure, meshes.arm(move.motion.start), shown)
     moving = list(range(still, len(figure.data)))
     times_s = np.linspace(0.0, move.motion.duration_s, max(2, int(move.motion.duration_s * FRAMES_PER_S)))
+    arms = [meshes.arm(q) for q in move.motion.at(times_s)]
     figure.frames = [
         go.Frame(
             name=str(k),
-            data=[go.Mesh3d(**_corners(meshes.arm(q))), *[go.Scatter(x=[t, t])] * len(shown)],
+            data=[go.Mesh3d(**_corners(arm)), *[go.Scatter(x=[t, t])] * len(shown)],
             traces=moving,
         )
-        for k, (q, t) in enumerate(zip(move.motion.at(times_s), times_s, strict=True))
+        for k, (arm, t) in enumerate(zip(arms, times_s, strict=True))
     ]
     _add_controls(figure, times_s)
-    millimetres = {axis: {"title": f"{axis[0]} [mm]"} for axis in ("xaxis", "yaxis", "zaxis")}
-    figure.update_scenes(**millimetres, aspectmode="data", camera={"eye": _EYE, "center": {"x": 0, "y": 0, "z": -0.15}})
+    # Of everything at all times: otherwise the scene would be scaled anew with every frame.
+    solids_m = [mesh.points_m for mesh in itertools.chain(meshes.standing, *arms)]
+    points_mm = 1000 * np.vstack([*solids_m, *move.places_m.values()])
+    lows_mm, highs_mm = points_mm.min(axis=0) - _ROOM_MM, points_mm.max(axis=0) + _ROOM_MM
+    axes = {
+        f"{name}axis": {"title": f"{name} [mm]", "range": [low, high]}
+        for name, low, high in zip("xyz", lows_mm, highs_mm, strict=True)
+    }
+    figure.update_scenes(**axes, aspectmode="data", camera={"eye": _EYE, "center": {"x": 0, "y": 0, "z": -0.15}})
     legend = {"title": "joint", "x": 0.58, "y": 0.14, "yanchor": "top", "orientation": "h"}
     figure.update_layout(height=1500, margin={"l": 60, "r": 110, "t": 10, "b": 50}, legend=legend)
     return figure
