@@ -18,7 +18,7 @@ OFFSET_M = 0.12
 
 
 def direct(law, q0, q1):
-    return cubics(law.chain(np.array([q0, q1]), np.zeros((2, 7))))
+    return cubics(law.pieces(np.array([q0, q1]), np.zeros((2, 7))))
 
 
 def liquid_left_mm3(half_angle_deg, rim_mm, tilt_deg, cells=120):
