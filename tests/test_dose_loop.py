@@ -12,6 +12,7 @@ from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing import Command, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.dosing.verdict import net_uncertainty_mg
 from scuhand_bt.events import Note, Pulsed, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
@@ -182,7 +183,7 @@ def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
     assert (run.finish.reason, run.finish.estimate_mg) == ("step_limit", 7.0)
     assert 1800.0 < run.duration_s <= 1800.2
     assert loop.valve.told[-3:] == [0.0, "stop", "stop"], "shut before the balance is asked"
-    assert run.finish.uncertainty_mg == pytest.approx(math.sqrt(2.0) * MEAN_UNCERTAINTY_MG)
+    assert run.finish.uncertainty_mg == pytest.approx(net_uncertainty_mg(MEAN_UNCERTAINTY_MG, 0.1, run.duration_s))
     last = loop.record.pulses[-1]
     assert (last["kind"], last["net_mg"], last["gross_mg"]) == ("settle", 7.0, EMPTY_MG + 7.0)
 
@@ -227,12 +228,12 @@ def test_the_curve_has_every_reading_and_both_ends_of_a_pulse_in_plain_numbers()
     loop = Loop([Stream(1.0, 0.5678), Pulse(0.3, 0.2504, 1.0)], [1.23456, 3.0])
     loop.valve.opening_mm, loop.controller.estimate_mg = 0.98765, 5.43219
     loop.pan.latest = None
-    assert loop.run().rows() == [
+    assert loop.run().rows() == (
         (BEGAN_S + 0.1, 1.235, 0.988, 0.57, False, 5.432),
         (BEGAN_S + 0.1, 1.235, 0.3, 1.0, False, 5.432),
         (BEGAN_S + 0.35, 1.235, 0.0, 0.0, False, 5.432),
         (BEGAN_S + 0.35, 3.0, 0.988, 0.0, True, 5.432),
-    ]
+    )
 
 
 def test_a_pulse_before_any_reading_is_no_point_of_the_curve() -> None:
