@@ -111,7 +111,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.DEVICE_BUSY: Failure(
-        "A device did not stop in the time it should.",
+        "A device did not stop in the time it should, or is still at work.",
         "Look at the cell; if it stands still, start again.",
         ("devices", "tree", "run"),
     ),
@@ -141,8 +141,9 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.CONTAINER_MISSING: Failure(
-        "No container stands on the pan.",
+        "No container stands on the pan, or another one than should.",
         "Put the container on the pan, or fill the changer's slot.",
+        ("run",),
     ),
     Code.CONTAINER_MOVED: Failure(
         "The pan lost mass while a dose was going on.",

@@ -8,10 +8,10 @@ import pytest
 from dose_bench import DISH, Bench, shipped_powders
 
 from scuhand_bt.dosing import CONTROLLERS, Command, DoseRequest, Finish, Observation, Pulse, Weigh, new_controller
+from scuhand_bt.events import Dose, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record
-from scuhand_bt.specs import Dose
 
 BEADS = shipped_powders()["glass_beads"]
 TARGET_MG, TOLERANCE_MG, UNCERTAINTY_MG = 50.0, 2.0, 0.25
@@ -40,8 +40,11 @@ def rig() -> Bench:
     rig = Bench(BEADS, TARGET_MG)
     gross_mg = rig.drive(rig.cell.balance.stable_mean()).value_mg
     believed = rig.cell.believed
-    believed.pan, believed.pan_empty_mg, believed.pan_gross_mg = DISH, gross_mg, gross_mg
-    believed.cone_mg, believed.cone_source, believed.sources_mg = 3000.0, "store", {"store": 7000.0}
+    believed.brought(DISH, from_changer=False)
+    believed.placed(gross_mg)
+    believed.tared(gross_mg, rig.clock.now_s)
+    believed.source_holds("store", 7000.0)
+    believed.cone_holds(rig.cell.sources["store"], 3000.0)
     return rig
 
 
@@ -92,13 +95,13 @@ def test_a_measurement_worse_than_the_tolerance_is_never_in_it(
 
 
 def test_too_much_for_the_tolerance_is_an_overshoot_and_the_dose_is_recorded_as_over(
-    dispense: Dispense, monkeypatch: pytest.MonkeyPatch
+    dispense: Dispense, rig: Bench
 ) -> None:
-    doses: list[Dose] = []
-    monkeypatch.setattr(Record, "dose", lambda record, dose: doses.append(dose))
+    written: list[SkillEvent | Note] = []
+    rig.cell = replace(rig.cell, record=Record(written.append))
     with pytest.raises(SkillFailed, match=r"dose\.overshoot: 52\.0 mg of 50 mg: 2\.0 mg too much"):
         dispense(TOLERANCE_MG + 0.001)
-    assert [dose.verdict for dose in doses] == ["over"]
+    assert [event.verdict for event in written if isinstance(event, Dose)] == ["over"]
 
 
 @pytest.mark.parametrize(
@@ -122,13 +125,14 @@ def test_a_cone_that_ran_empty_holds_nothing_and_what_it_was_thought_to_hold_is_
 
 
 def test_a_dose_says_what_was_asked_what_is_there_and_what_it_took_in_all(dispense: Dispense, rig: Bench) -> None:
-    so_far = rig.cell.believed.dosing
-    so_far.pulses, so_far.vibration_s, so_far.began_s = 3, 1.5, rig.clock.now_s - 20.0
+    believed, began_s = rig.cell.believed, rig.clock.now_s - 20.0
+    believed.dose_began(began_s)
+    believed.dosed(believed.pan_gross_mg or 0.0, pulses=3, vibration_s=1.5)
     dose = dispense(0.5)
     assert (dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg) == (50.0, 2.0, 50.5, 0.25)
     assert (dose.pulses, dose.controller) == (4, "last_word")
     assert dose.vibration_s == pytest.approx(1.5 + 0.7, abs=0.1)
-    assert dose.duration_s == pytest.approx(rig.clock.now_s - so_far.began_s)
+    assert dose.duration_s == pytest.approx(rig.clock.now_s - began_s)
     assert dose.duration_s > 20.0
 
 

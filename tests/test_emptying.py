@@ -40,7 +40,7 @@ def test_a_cone_that_empties_slowly_takes_several_pulses_and_each_is_one_that_th
         seed=1,
     )
     clock.process = world
-    cell.believed.cone_mg, cell.believed.cone_source = 3000.0, "store"
+    cell.believed.cone_holds(source, 3000.0)
     slow = powder.belief.coefficient * flow_factor
     cell.powder_beliefs[source.sheet_key] = powder.belief.model_copy(update={"coefficient": slow})
     world.load_cone("store", 3000.0)

@@ -105,7 +105,8 @@ def test_a_devices_fault_is_told_though_no_reading_has_come(scene: Scene, device
 
 
 def opened(scene: Scene, target_mg: float, opening_mm: float = 0.06) -> Scene:
-    scene.hand.opening_mm, scene.believed.dosing.target_mg = opening_mm, target_mg
+    scene.hand.opening_mm = opening_mm
+    scene.believed.dosing_towards(target_mg)
     return scene
 
 
@@ -169,11 +170,13 @@ def test_without_a_target_or_an_empty_mass_nothing_runs_away_and_the_two_seconds
     opened(scene, 20.0)
     assert scene.trips([500.0] * 15) is None
     if unknown == "target":
-        scene.believed.dosing.target_mg = None
+        scene.believed.dosing_ended(0.0, EMPTY_MG)
     else:
-        scene.believed.pan_empty_mg = None
+        scene.believed.brought(DISH, from_changer=False)
+        scene.believed.placed(EMPTY_MG)
     assert scene.trips([500.0] * 40) is None
-    scene.believed.dosing.target_mg, scene.believed.pan_empty_mg = 20.0, EMPTY_MG
+    scene.believed.tared(EMPTY_MG, scene.now_s)
+    scene.believed.dosing_towards(20.0)
     assert scene.trips([500.0] * 16) is None
     assert scene.trips([500.0]) is not None
 
@@ -286,9 +289,9 @@ def test_a_reading_that_is_seen_again_counts_once(scene: Scene) -> None:
 
 def test_while_containers_are_changed_nothing_is_watched_and_then_it_begins_anew(scene: Scene) -> None:
     assert scene.trips(blocks(0.0, 1.0, 2.0, 3.0)) is None
-    scene.believed.pan_gross_mg = None
+    scene.believed.changing_container()
     assert scene.trips(rising(1.5, 4.0)) is None
-    scene.believed.pan_gross_mg = EMPTY_MG
+    scene.believed.placed(EMPTY_MG)
     assert scene.trips(rising(1.5)) == pytest.approx(FOUND_S)
 
 

@@ -16,11 +16,14 @@ from dose_bench import DISH, MORTAR, shipped_powders
 from pydantic import BaseModel, Field
 
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.events import Dose, Note, Pulsed, SheetSwapped
 from scuhand_bt.journal import writer
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted, Trouble
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
-from scuhand_bt.journal.writer import FLUSH_S, SCHEMA_VERSION, Journal, plain_value, to_json
+from scuhand_bt.journal.plain import plain, to_json
+from scuhand_bt.journal.writer import FLUSH_S, SCHEMA_VERSION, Journal
 from scuhand_bt.record import RecordLost
-from scuhand_bt.specs import Dose, Source
+from scuhand_bt.specs import Source
 
 BEADS = shipped_powders()["glass_beads"]
 DOSE = Dose(
@@ -34,6 +37,16 @@ DOSE = Dose(
     controller="paper",
     verdict="in tolerance",
 )
+SETTLE = Pulsed(kind="settle", net_mg=20.3, uncertainty_mg=0.05)
+DONE = ActionEnded(outcome="done", code=None, result=None)
+
+
+def begun(skill: str, path: str = "w/0") -> ActionStarted:
+    return ActionStarted(path=path, visit=1, skill=skill, inputs={})
+
+
+def job(name: str) -> JobStarted:
+    return JobStarted(name=name, sample=None, attempt=1, workflow="w")
 
 
 @dataclass
@@ -72,7 +85,7 @@ def payloads(path: Path) -> list[Any]:
 
 
 @pytest.mark.parametrize(
-    ("value", "plain"),
+    ("value", "kept"),
     [
         (DISH, "dish (petri_dish)"),
         (BEADS, "glass_beads"),
@@ -91,10 +104,10 @@ def payloads(path: Path) -> list[Any]:
         (Point, str(Point)),
     ],
 )
-def test_each_kind_of_value_is_kept_as_json_can_keep_it(value: Any, plain: Any) -> None:
-    assert plain_value(value) == plain
-    assert type(plain_value(value)) is type(plain)
-    assert json.loads(to_json({"value": value})) == {"value": plain}
+def test_each_kind_of_value_is_kept_as_json_can_keep_it(value: Any, kept: Any) -> None:
+    assert plain(value) == kept
+    assert type(plain(value)) is type(kept)
+    assert json.loads(to_json({"value": value})) == {"value": kept}
 
 
 def test_keys_are_sorted_and_what_is_no_mapping_is_kept_too() -> None:
@@ -131,17 +144,18 @@ def test_a_real_run_is_on_disk_when_a_call_returns_and_a_dry_one_need_not(
 
 
 def test_every_call_is_committed_when_it_returns(journal: Journal, path: Path) -> None:
-    journal.event("asked", {"n": 1})
-    assert rows(path, "kind, time_s") == [("asked", 0.0)], "seen by another connection; no clock runs yet"
+    journal.event(SheetSwapped(sheets_used=2))
+    assert rows(path, "kind, time_s") == [("sheet", 0.0)], "seen by another connection; no clock runs yet"
 
 
 def test_a_closed_journal_is_one_file_and_a_discarded_one_none(journal: Journal, path: Path) -> None:
-    journal.event("asked", {})
+    journal.event(SheetSwapped(sheets_used=2))
     assert len(list(path.parent.iterdir())) == 3
     journal.close()
     assert [file.name for file in path.parent.iterdir()] == ["r.sqlite"]
+    Journal(path.with_name("another.sqlite"), durable=False).discard()
     other = Journal(path.with_name("other.sqlite"), durable=False)
-    other.event("asked", {})
+    other.event(SheetSwapped(sheets_used=2))
     reader = sqlite3.connect(other.path)  # keeps the write-ahead log
     reader.execute("SELECT * FROM entry").fetchone()
     other.discard()
@@ -153,14 +167,14 @@ def test_a_closed_journal_is_one_file_and_a_discarded_one_none(journal: Journal,
 
 def test_a_second_program_goes_on_with_number_and_chain(journal: Journal, path: Path) -> None:
     assert journal.head == GENESIS.hex()
-    journal.event("first", {})
+    journal.event(Note("lab.first", {}))
     first = journal.head
     journal.close()
     again = Journal(path, durable=False)
     assert again.head == first
-    again.event("second", {})
+    again.event(Note("lab.second", {}))
     again.close()
-    assert rows(path, "seq, kind") == [(1, "first"), (2, "second")]
+    assert rows(path, "seq, kind") == [(1, "lab.first"), (2, "lab.second")]
     with closing(sqlite3.connect(path)) as database:
         assert verify(database, again.head) == verify(database)
         assert verify(database).problem is None
@@ -171,45 +185,45 @@ def test_a_second_program_goes_on_with_number_and_chain(journal: Journal, path: 
 
 
 def test_what_happens_belongs_to_the_job_and_the_action_that_are_under_way(journal: Journal, path: Path) -> None:
-    journal.describe_run({"run": "r"})
-    journal.job_started("a", "s", 2, "fill")
-    tare = journal.action_started("fill/0/tare", 1, "tare", {"mass": 1.0})
+    journal.event(Trouble(what="early"))
+    journal.job_started(JobStarted(name="a", sample="s", attempt=2, workflow="fill"))
+    tare = journal.action_started(ActionStarted(path="fill/0/tare", visit=1, skill="tare", inputs={"mass": 1.0}))
     assert tare == 3
-    journal.event("between", {})
+    journal.event(Note("lab.between", {}))
     journal.action = tare
-    journal.pulse({"kind": "settle"})
-    journal.dose(DOSE)
-    journal.action_ended(tare, "done", None, DISH)
-    journal.event("after", {})
+    journal.event(SETTLE)
+    journal.event(DOSE)
+    journal.action_ended(tare, ActionEnded(outcome="done", code=None, result="dish (petri_dish)"))
+    journal.event(Note("lab.after", {}))
     journal.action = tare
-    journal.job_ended("failed", "hand.no_flow", "no powder")
+    journal.job_ended(JobEnded(outcome="failed", code="hand.no_flow", detail="no powder"))
     assert rows(path) == [
-        ("run", None, None),
+        ("trouble", None, None),
         ("job_started", None, None),
         ("action_started", 2, None),
-        ("between", 2, None),
+        ("lab.between", 2, None),
         ("pulse", 2, 3),
         ("dose", 2, 3),
         ("action_ended", 2, 3),
-        ("after", 2, None),
+        ("lab.after", 2, None),
         ("job_ended", 2, None),
     ]
     said = payloads(path)
     assert said[1] == {"name": "a", "sample": "s", "attempt": 2, "workflow": "fill"}
     assert said[2] == {"path": "fill/0/tare", "visit": 1, "skill": "tare", "inputs": {"mass": 1.0}}
-    assert said[4] == {"kind": "settle"}
+    assert said[4] == {"kind": "settle", "net_mg": 20.3, "uncertainty_mg": 0.05}, "and nothing of what was not set"
     assert said[5]["dispensed_mg"] == 20.3
     assert said[6] == {"outcome": "done", "code": None, "result": "dish (petri_dish)"}
     assert said[8] == {"outcome": "failed", "code": "hand.no_flow", "detail": "no powder"}
 
 
 def test_a_new_action_and_a_new_job_begin_with_nothing_of_the_old(journal: Journal, path: Path) -> None:
-    journal.job_started("a", None, 1, "w")
-    journal.action = journal.action_started("w/0", 1, "one", {})
-    journal.dose(DOSE)
+    journal.job_started(job("a"))
+    journal.action = journal.action_started(begun("one"))
+    journal.event(DOSE)
     assert journal.last_dose == DOSE
-    journal.action_started("w/1", 1, "two", {})
-    journal.job_started("b", None, 1, "w")
+    journal.action_started(begun("two", "w/1"))
+    journal.job_started(job("b"))
     assert journal.last_dose is None
     assert rows(path)[-2:] == [("action_started", 1, None), ("job_started", None, None)]
 
@@ -218,8 +232,8 @@ def test_a_job_that_is_resumed_goes_on_as_itself_with_its_dose(journal: Journal,
     journal.action = 99
     journal.job_resumed(5, DOSE)
     assert (journal.job, journal.last_dose) == (5, DOSE)
-    journal.event("x", {})
-    assert rows(path) == [("job_resumed", 5, None), ("x", 5, None)]
+    journal.event(Note("lab.x", {}))
+    assert rows(path) == [("job_resumed", 5, None), ("lab.x", 5, None)]
     assert payloads(path)[0] == {}
 
 
@@ -228,25 +242,29 @@ def test_the_cells_state_is_written_with_an_actions_begin_and_end_where_it_chang
 ) -> None:
     state = {"cone_mg": 0.0}
     journal.state = lambda: dict(state)
-    action = journal.action_started("w/0", 1, "scoop", {})
-    journal.event("scooped", {})
-    journal.action_ended(action, "done", None, None)
+    scoop = journal.action_started(begun("scoop"))
     state["cone_mg"] = 3000.0
-    action = journal.action_started("w/1", 1, "move", {})
-    journal.action_ended(action, "done", None, None)
+    journal.event(Note("lab.scooped", {}))
+    journal.action_ended(scoop, DONE)
+    move = journal.action_started(begun("move", "w/1"))
+    journal.action_ended(move, DONE)
+    state["cone_mg"] = 0.0
+    journal.action_started(begun("park", "w/2"))
     states = [None if text is None else json.loads(text) for (text,) in rows(path, "state")]
-    assert states == [{"cone_mg": 0.0}, None, None, {"cone_mg": 3000.0}, None]
+    assert states == [{"cone_mg": 0.0}, None, {"cone_mg": 3000.0}, None, None, {"cone_mg": 0.0}]
 
 
 def test_the_world_is_kept_before_an_entry_and_listeners_are_told_after_it(journal: Journal, path: Path) -> None:
     order: list[tuple[str, int]] = []
     journal.before_commit = lambda: order.append(("before", len(rows(path))))
-    journal.heard = lambda kind, values: order.append((f"{kind} {values['n']}", len(rows(path))))
+    journal.heard = lambda event: order.append((repr(event), len(rows(path))))
     journal.now_s = lambda: 12.5
-    journal.event("asked", {"n": 4})
-    journal.pulse({})
-    assert order == [("before", 0), ("asked 4", 1), ("before", 1)]
-    assert rows(path, "time_s") == [(12.5,), (12.5,)]
+    swapped, note = SheetSwapped(sheets_used=4), Note("lab.sieved", {"mesh_mm": 0.5})
+    journal.event(swapped)
+    journal.event(note)
+    journal.job_started(job("a"))
+    assert order == [("before", 0), (repr(swapped), 1), ("before", 1), (repr(note), 2), ("before", 2)]
+    assert rows(path, "time_s") == [(12.5,)] * 3
 
 
 # --- readings
@@ -258,13 +276,13 @@ def reading(number: int) -> Reading:
 
 def test_readings_are_kept_only_while_an_action_weighs_and_belong_to_it(journal: Journal, path: Path) -> None:
     journal.weighed(reading(0))
-    still = journal.action_started("w/0", 1, "move", {})
+    still = journal.action_started(begun("move"))
     journal.weighed(reading(1))
-    journal.action_ended(still, "done", None, None)
-    action = journal.action_started("w/1", 1, "dispense", {}, weighs=True)
+    journal.action_ended(still, DONE)
+    action = journal.action_started(begun("dispense", "w/1"), weighs=True)
     journal.weighed(reading(2))
     journal.weighed(reading(3))
-    journal.action_ended(action, "done", None, None)
+    journal.action_ended(action, DONE)
     journal.weighed(reading(4))
     journal.flush()
     assert [row for row in rows(path) if row[0] == "frames"] == [("frames", None, action)]
@@ -282,7 +300,7 @@ def test_readings_wait_for_half_a_second_and_are_written_once(path: Path, monkey
     now_s = 100.0
     monkeypatch.setattr(writer.time, "monotonic", lambda: now_s)
     journal = Journal(path, durable=False)
-    journal.action_started("w/0", 1, "dispense", {}, weighs=True)
+    journal.action_started(begun("dispense"), weighs=True)
     journal.weighed(reading(0))
     journal.flush()
     now_s = 100.49
@@ -298,12 +316,12 @@ def test_readings_wait_for_half_a_second_and_are_written_once(path: Path, monkey
 
 
 def test_of_two_that_weigh_the_later_one_has_the_readings_until_it_ends(journal: Journal, path: Path) -> None:
-    first = journal.action_started("w/0", 1, "watch", {}, weighs=True)
-    second = journal.action_started("w/1", 1, "dispense", {}, weighs=True)
+    first = journal.action_started(begun("watch"), weighs=True)
+    second = journal.action_started(begun("dispense", "w/1"), weighs=True)
     journal.weighed(reading(0))
-    journal.action_ended(second, "done", None, None)
+    journal.action_ended(second, DONE)
     journal.weighed(reading(1))
-    journal.action_ended(first, "done", None, None)
+    journal.action_ended(first, DONE)
     assert [action for kind, _, action in rows(path) if kind == "frames"] == [second, first]
 
 
@@ -311,15 +329,15 @@ def test_of_two_that_weigh_the_later_one_has_the_readings_until_it_ends(journal:
 
 
 def test_a_lost_journal_says_so_once_and_drops_what_is_told_to_it_then(journal: Journal, path: Path) -> None:
-    journal.event("asked", {})
+    journal.event(SheetSwapped(sheets_used=2))
     head = journal.head
     journal._db.execute("PRAGMA query_only=ON")  # as a full disk
     with pytest.raises(RecordLost, match=r"r\.sqlite cannot be written any more"):
-        journal.event("asked", {})
+        journal.event(SheetSwapped(sheets_used=2))
     journal.before_commit = lambda: pytest.fail("nothing is kept any more")
-    assert journal.action_started("w/0", 1, "park", {}) == 1, "the last entry there is"
+    assert journal.action_started(begun("park")) == 1, "the last entry there is"
     journal._db.execute("PRAGMA query_only=OFF")
-    journal.event("asked", {})
+    journal.event(SheetSwapped(sheets_used=2))
     assert (journal.head, len(rows(path))) == (head, 1)
 
 
@@ -355,3 +373,13 @@ def test_the_hash_of_a_known_entry_stays_what_it_is() -> None:
         digest(GENESIS, entry._replace(frames=b"\x00\x01")).hex()
         == "b052f286880bc5395610e35bbb5ed62076f5437bce03a9a8abe8c45c37340746"
     )
+
+
+def test_a_value_of_a_kind_that_no_journal_has_is_an_alteration() -> None:
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.execute(f"CREATE TABLE entry ({', '.join([*Entry._fields, 'hash'])})")
+        entry = Entry(1, "run", None, None, 0.0, "at", "{}", None, None)
+        database.execute(f"INSERT INTO entry VALUES ({', '.join('?' * 10)})", (*entry, digest(GENESIS, entry)))
+        assert verify(database).problem is None
+        database.execute("UPDATE entry SET payload = x'7b7d'")
+        assert verify(database).problem == "entry 1 (run, at) was altered"

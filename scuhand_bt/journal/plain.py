@@ -15,6 +15,8 @@ from scuhand_bt.specs import Container, Powder, Source
 def plain(value: object) -> JsonValue:
     """A value in the types of JSON: things of the lab by their names, what is no number in JSON (NaN, infinity) too."""
     match value:
+        case np.generic():  # before float, which some of them are
+            return plain(value.item())
         case str():
             return readable(value)
         case None | bool() | int():
@@ -29,8 +31,6 @@ def plain(value: object) -> JsonValue:
             return plain(value.model_dump(mode="json", by_alias=False))
         case np.ndarray():
             return plain(value.tolist())
-        case np.generic():
-            return plain(value.item())
         case Mapping():
             return {str(key): plain(item) for key, item in value.items()}
         case list() | tuple():
