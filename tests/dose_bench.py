@@ -9,10 +9,12 @@ import yaml
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import DoseRequest, new_controller
+from scuhand_bt.dosing.bracket import Drift, Net, Reference
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.record import Record
@@ -119,7 +121,8 @@ class Bench:
 
     def dose(self, name: str, belief: PowderBelief | None = None, balance: BalanceBelief = UNSEEN) -> Dosed:
         """One dose by a controller's name."""
-        empty_mg = self.drive(self.cell.balance.stable_mean(60.0)).value_mg
+        empty = weighing_of(self.drive(self.cell.balance.stable_mean(60.0)))
+        against = Reference(empty, Drift(0.0, 0.0), Net(0.0, 0.0), self.cell.spec.balance.readability_mg)
         controller = new_controller(name, self.request(belief, balance))
-        run = self.drive(run_dose(controller, self.cell.hand, self.cell.balance, self.clock, Record(), empty_mg))
+        run = self.drive(run_dose(controller, self.cell.hand, self.cell.balance, self.clock, Record(), against))
         return Dosed(self.world.true_mass(DISH.id) - self.target_mg, run)

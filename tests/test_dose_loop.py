@@ -12,13 +12,14 @@ from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
 from scuhand_bt.dosing import Command, Finish, Observation, Pulse, Stream, Weigh
-from scuhand_bt.dosing.verdict import net_uncertainty_mg
+from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
 from scuhand_bt.events import Note, Pulsed, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 
 EMPTY_MG = 25_000.0
+NOTHING = Net(0.0, 0.0)
 BEGAN_S = 100.0
 MEAN_UNCERTAINTY_MG = 0.1
 
@@ -107,14 +108,19 @@ class Loop:
         self.controller, self.valve, self.pan = Scripted(commands), Valve(self.clock), Pan(self.clock, net_mg)
         self.record = Recorded()
 
-    def run(self) -> DoseRun:
+    def run(self, against: Reference | None = None) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
-        steps = run_dose(self.controller, hand, balance, self.clock, self.record, EMPTY_MG)
+        steps = run_dose(self.controller, hand, balance, self.clock, self.record, against or reference())
         try:
             while True:
                 self.clock.wait([next(steps)])
         except StopIteration as end:
             return cast(DoseRun, end.value)
+
+
+def reference(drift: float = 0.0, earlier: Net = NOTHING) -> Reference:
+    """The empty container, weighed as the loop begins."""
+    return Reference(Gross(EMPTY_MG, MEAN_UNCERTAINTY_MG, BEGAN_S), Drift(0.0, drift), earlier, 0.1)
 
 
 def streaming(*net_mg: float) -> Loop:
@@ -132,9 +138,18 @@ def test_a_net_mass_is_the_difference_of_two_means_and_has_the_uncertainty_of_bo
 def test_the_balances_zero_wanders_with_the_square_root_of_time() -> None:
     loop = Loop([Weigh(240.0)], [10.0])
     loop.run()
-    half_a_digit_a_minute_mg = 0.5 * 0.1 * math.sqrt(240.0 / 60.0)
-    both_mg = math.hypot(math.sqrt(2.0) * MEAN_UNCERTAINTY_MG, half_a_digit_a_minute_mg)
+    a_digit_a_minute_mg = 0.1 * math.sqrt(240.0 / 60.0)
+    both_mg = math.hypot(math.sqrt(2.0) * MEAN_UNCERTAINTY_MG, a_digit_a_minute_mg)
     assert loop.controller.seen[0].uncertainty_mg == pytest.approx(both_mg, rel=1e-9)
+
+
+def test_the_doubt_of_a_drift_grows_with_time_and_earlier_doses_keep_theirs() -> None:
+    loop = Loop([Weigh(60.0)], [10.0])
+    loop.run(reference(drift=0.01, earlier=Net(4.0, 0.3)))
+    (seen,) = loop.controller.seen
+    assert seen.net_mg == 14.0
+    known_mg = math.hypot(math.sqrt(2.0) * MEAN_UNCERTAINTY_MG, 0.1, 0.3)
+    assert seen.uncertainty_mg == pytest.approx(math.hypot(known_mg, 0.6), rel=1e-9)
 
 
 def test_a_single_reading_is_as_uncertain_as_its_rounding() -> None:
@@ -183,7 +198,7 @@ def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
     assert (run.finish.reason, run.finish.estimate_mg) == ("step_limit", 7.0)
     assert 1800.0 < run.duration_s <= 1800.2
     assert loop.valve.told[-3:] == [0.0, "stop", "stop"], "shut before the balance is asked"
-    assert run.finish.uncertainty_mg == pytest.approx(net_uncertainty_mg(MEAN_UNCERTAINTY_MG, 0.1, run.duration_s))
+    assert run.finish.uncertainty_mg == pytest.approx(reference().uncertainty_mg(run.last))
     last = loop.record.pulses[-1]
     assert (last["kind"], last["net_mg"], last["gross_mg"]) == ("settle", 7.0, EMPTY_MG + 7.0)
 

@@ -11,6 +11,7 @@ from scuhand_bt.cell.dose_loop import run_dose
 from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, ValveErrorSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Stream, Weigh, new_controller
+from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
 from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
 from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
@@ -21,6 +22,11 @@ from scuhand_bt.specs import BalanceBelief, Powder, PowderBelief
 
 POWDERS = shipped_powders()
 BEADS = POWDERS["glass_beads"]
+
+
+def against(gross_mg: float) -> Reference:
+    """A pan that was weighed as this, without doubt."""
+    return Reference(Gross(gross_mg, 0.0, 0.0), Drift(0.0, 0.0), Net(0.0, 0.0), 0.1)
 
 
 def request(**changes: object) -> DoseRequest:
@@ -323,7 +329,7 @@ def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings
 def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> None:
     rig = Bench(BEADS, 500.0, 3, 0, Setting(hand=HandSpec(streaming=streams)))
     controller = new_controller("adaptive", rig.request())
-    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), 25_000.0)
+    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), against(25_000.0))
     while rig.world.true_mass("dish") < 30.0:
         rig.clock.wait([next(steps)])
     rig.world.remove()
@@ -336,7 +342,7 @@ def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> No
 def test_the_valve_is_shut_when_a_dose_is_given_up_halfway() -> None:
     rig = Bench(BEADS, 500.0, 3)
     controller = new_controller("adaptive", rig.request())
-    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), 0.0)
+    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), against(0.0))
     for _ in range(40):
         rig.clock.wait([next(steps)])
     steps.close()
