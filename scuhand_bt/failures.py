@@ -129,8 +129,9 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.CONTAINER_MISSING: Failure(
-        "No container stands on the pan.",
+        "No container stands on the pan, or another one than should.",
         "Put the container on the pan, or fill the changer's slot.",
+        ("run",),
     ),
     Code.CONTAINER_MOVED: Failure(
         "The pan lost mass while a dose was going on.",
