@@ -107,9 +107,9 @@ def test_no_reachable_pose_is_much_nearer_than_the_one_that_is_told():
     for position_m in ([0.9, 0.0, 0.1], [0.05, 0.0, 0.15], [0.33, 0.0, 0.35], [0.2, 0.2, 0.3]):
         pose = ApexPose(np.array(position_m))
         told_m = np.linalg.norm(nearest_reachable(pose, OFFSET_M).position_m - pose.position_m)
-        strewn = rng.normal(size=(600, 3))
-        strewn *= (told_m - 0.01) * rng.uniform(size=(600, 1)) ** (1 / 3) / np.linalg.norm(strewn, axis=1)[:, None]
-        assert all(unreachable_reason(ApexPose(pose.position_m + off), OFFSET_M) for off in strewn)
+        points = rng.normal(size=(600, 3))
+        points *= (told_m - 0.01) * rng.uniform(size=(600, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1)[:, None]
+        assert all(unreachable_reason(ApexPose(pose.position_m + off), OFFSET_M) for off in points)
 
 
 def test_a_pose_beyond_a_joints_limit_names_the_joint():

@@ -29,7 +29,7 @@ class Chart(Protocol):
 
     rates: RateLimits
     scatter: Floats
-    """How far random points are strewn, by coordinate: shape (7,)."""
+    """How far random points are scattered, by coordinate: shape (7,)."""
 
     def joints(self, c: Floats) -> Floats:
         """Coordinates (n, 7) to joints (n, 7)."""
