@@ -153,6 +153,7 @@ def test_a_closed_journal_is_one_file_and_a_discarded_one_none(journal: Journal,
     assert len(list(path.parent.iterdir())) == 3
     journal.close()
     assert [file.name for file in path.parent.iterdir()] == ["r.sqlite"]
+    Journal(path.with_name("another.sqlite"), durable=False).discard()
     other = Journal(path.with_name("other.sqlite"), durable=False)
     other.event(SheetSwapped(sheets_used=2))
     reader = sqlite3.connect(other.path)  # keeps the write-ahead log
@@ -241,14 +242,16 @@ def test_the_cells_state_is_written_with_an_actions_begin_and_end_where_it_chang
 ) -> None:
     state = {"cone_mg": 0.0}
     journal.state = lambda: dict(state)
-    action = journal.action_started(begun("scoop"))
-    journal.event(Note("lab.scooped", {}))
-    journal.action_ended(action, DONE)
+    scoop = journal.action_started(begun("scoop"))
     state["cone_mg"] = 3000.0
-    action = journal.action_started(begun("move", "w/1"))
-    journal.action_ended(action, DONE)
+    journal.event(Note("lab.scooped", {}))
+    journal.action_ended(scoop, DONE)
+    move = journal.action_started(begun("move", "w/1"))
+    journal.action_ended(move, DONE)
+    state["cone_mg"] = 0.0
+    journal.action_started(begun("park", "w/2"))
     states = [None if text is None else json.loads(text) for (text,) in rows(path, "state")]
-    assert states == [{"cone_mg": 0.0}, None, None, {"cone_mg": 3000.0}, None]
+    assert states == [{"cone_mg": 0.0}, None, {"cone_mg": 3000.0}, None, None, {"cone_mg": 0.0}]
 
 
 def test_the_world_is_kept_before_an_entry_and_listeners_are_told_after_it(journal: Journal, path: Path) -> None:
@@ -370,3 +373,13 @@ def test_the_hash_of_a_known_entry_stays_what_it_is() -> None:
         digest(GENESIS, entry._replace(frames=b"\x00\x01")).hex()
         == "b052f286880bc5395610e35bbb5ed62076f5437bce03a9a8abe8c45c37340746"
     )
+
+
+def test_a_value_of_a_kind_that_no_journal_has_is_an_alteration() -> None:
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.execute(f"CREATE TABLE entry ({', '.join([*Entry._fields, 'hash'])})")
+        entry = Entry(1, "run", None, None, 0.0, "at", "{}", None, None)
+        database.execute(f"INSERT INTO entry VALUES ({', '.join('?' * 10)})", (*entry, digest(GENESIS, entry)))
+        assert verify(database).problem is None
+        database.execute("UPDATE entry SET payload = x'7b7d'")
+        assert verify(database).problem == "entry 1 (run, at) was altered"
