@@ -27,13 +27,14 @@ from benchmarks.figures import spread
 from benchmarks.motion_inverse import OFFSET_M, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import MotionPlanner, roadmap, spill_limit_deg, transfer
-from scuhand_bt.motion.coordinates import JointChart
+from scuhand_bt.motion import MotionPlanner, rrt_connect, spill_limit_deg, transfer
+from scuhand_bt.motion.coordinates import JointCoordinates
+from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.inverse import solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Floats, apex
-from scuhand_bt.motion.planner import RELAXED_RAD
+from scuhand_bt.motion.places import RELAXED_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
-from scuhand_bt.motion.timelaw import rest_to_rest_s
+from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory
 
 GENTLE_DEG = 10.0
@@ -57,23 +58,19 @@ class Outcome:
     task: Task
     plan_s: float
     cpu_s: float
-    chain: Any
+    motion: JointTrajectory | None
     bound_s: float
     slowdown: float
-
-    @property
-    def is_direct(self) -> bool:
-        return len(self.chain.points) == 2
 
 
 class Bench:
     """The starter lab's cell, and tasks in it."""
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self) -> None:
         lab = load_lab(starter_lab())
         mortar = lab.library.mortars["agate_mortar"]
         mortars = {"mortar_bay": mortar, "mortar_bay_2": mortar}
-        self.planner = MotionPlanner(lab.urdf, lab.cell, mortars, threads=threads)
+        self.planner = MotionPlanner(lab.urdf, lab.cell, mortars)
         self.planner.set_geometry(container=lab.library.containers["alumina_crucible"])
         self.cell = lab.cell
         self.scene = self.planner.scene()
@@ -139,15 +136,15 @@ class Bench:
         return tasks
 
     def run(self, task: Task, effort: transfer.Effort) -> Outcome:
-        """One task from pose to proven motion, timed: IK, ranking, path, time law, certificate."""
+        """One task from pose to proven motion, timed: IK, ranking, path, time law, certificate; planned once only."""
         slowdown = self.slowdown()
         begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
         try:
-            chain = self.planner.chain(task.start, task.goal, effort=effort)
+            motion = self.planner.move(task.start, task.goal, effort=effort)
         except SkillFailed:
-            chain = None
+            motion = None
         plan_s, cpu_s = time.perf_counter() - begin_s, time.process_time() - begin_cpu_s
-        return Outcome(task, plan_s, cpu_s, chain, self.bound_s(task), (slowdown + self.slowdown()) / 2)
+        return Outcome(task, plan_s, cpu_s, motion, self.bound_s(task), (slowdown + self.slowdown()) / 2)
 
     def bound_s(self, task: Task) -> float:
         """The jerk-limited optimum to the best of the goal's free configurations, with nothing in the way."""
@@ -157,16 +154,15 @@ class Bench:
     def polyline(self, outcome: Outcome) -> Floats | None:
         """What a usual planner finds for the task: RRT-Connect to the same goal and others, then shortcuts."""
         task, rng = outcome.task, np.random.default_rng(SEED)
-        chart = JointChart(self.rates, task.start)
-        space = roadmap.Space(chart, self.scene)
+        space = Space(JointCoordinates(self.rates, task.start), self.scene)
         goals = self.free(task.goal)
         goals[:, 6] = task.start[6]
         goals = goals[np.argsort(rest_to_rest_s(goals - task.start, self.rates))][:32]
-        path = roadmap.connect(space, task.start, goals, rng, 4000)
-        return None if path is None else roadmap.shortened(space, path, rng, 60)
+        path = rrt_connect.connect(space, task.start, goals, rng, 4000)
+        return None if path is None else rrt_connect.shortened(space, path, rng, 60)
 
-    def six(self) -> Any:
-        return type(self.rates)(*(getattr(self.rates, name)[:6] for name in ("speed", "acceleration", "jerk")))
+    def six(self) -> RateLimits:
+        return RateLimits(*(getattr(self.rates, name)[:6] for name in ("speed", "acceleration", "jerk")))
 
 
 class Audit:
@@ -220,7 +216,7 @@ def _box_corners(thing: pin.GeometryObject) -> Floats:
     return placed
 
 
-def excess(motion: JointTrajectory, rates: Any) -> float:
+def excess(motion: JointTrajectory, rates: RateLimits) -> float:
     """By how much the worst sample of a motion is beyond a limit, as a share of it; negative inside."""
     times_s = np.linspace(0.0, motion.duration_s, 2000)
     worst = -np.inf
@@ -230,39 +226,44 @@ def excess(motion: JointTrajectory, rates: Any) -> float:
     return max(worst, float((LIMITS_RAD[0] - q).max()), float((q - LIMITS_RAD[1]).max()))
 
 
-def optimum_s(chain: Any, bench: Bench) -> float:
-    """Ruckig's optimum between a direct chain's own ends."""
-    return float(rest_to_rest_s(chain.points[-1] - chain.points[0], bench.rates))
+def is_direct(motion: JointTrajectory) -> bool:
+    """Whether a motion runs along a straight line of the joints."""
+    shares = np.linspace(0.0, 1.0, 50)
+    q = motion.at(shares * motion.duration_s) - motion.start
+    distances = motion.end - motion.start
+    along = q @ distances / (distances @ distances)
+    return bool(np.abs(q - along[:, None] * distances).max() < 1e-9)
 
 
 def transfers(bench: Bench, tasks: list[Task], effort: transfer.Effort, audit: Audit, peers: bool) -> dict[str, Any]:
     """Every figure of the transfers at one effort."""
     outcomes = [bench.run(task, effort) for task in tasks]
-    solved = [outcome for outcome in outcomes if outcome.chain is not None]
-    via = [outcome for outcome in solved if not outcome.is_direct]
-    ends = [apex(o.chain.motion.end, OFFSET_M).position_m - o.task.goal.position_m for o in solved]
+    solved = [(o, o.motion) for o in outcomes if o.motion is not None]
+    direct = [motion for _, motion in solved if is_direct(motion)]
+    others = [(o, motion) for o, motion in solved if not is_direct(motion)]
+    ends = [apex(motion.end, OFFSET_M).position_m - o.task.goal.position_m for o, motion in solved]
     ratios = []
     if peers:
-        lines = [(o, bench.polyline(o)) for o in via]
+        lines = [(motion, bench.polyline(o)) for o, motion in others]
         ratios = [
-            o.chain.duration_s / motion_peers.toppra_s(path, bench.rates) for o, path in lines if path is not None
+            motion.duration_s / motion_peers.toppra_s(path, bench.rates) for motion, path in lines if path is not None
         ]
-    direct = [o.chain.duration_s / optimum_s(o.chain, bench) for o in solved if o.is_direct]
+    optima_s = [float(rest_to_rest_s(motion.end - motion.start, bench.rates)) for motion in direct]
     slowdown = float(np.mean([o.slowdown for o in outcomes]))
     quiet_ms = [o.cpu_s * 1e3 / slowdown for o in outcomes]
     result = {
         "tasks": len(tasks),
         "failures": len(tasks) - len(solved),
-        "touching in the audit": sum(audit.touches(o.chain.motion) for o in solved),
+        "touching in the audit": sum(audit.touches(motion) for _, motion in solved),
         "plan_ms, wall": spread([o.plan_s * 1e3 for o in outcomes], "ms"),
         "plan_ms, CPU": spread([o.cpu_s * 1e3 for o in outcomes], "ms"),
         "slowdown": spread([o.slowdown for o in outcomes], ""),
         "plan_ms, CPU of quiet cores": spread(quiet_ms, "ms"),
-        "direct": len(solved) - len(via),
-        "direct / optimum": spread(direct, ""),
-        "duration / bound": spread([o.chain.duration_s / o.bound_s for o in solved], ""),
-        "via / toppra": spread(ratios, ""),
-        "beyond limits": max(excess(o.chain.motion, bench.rates) for o in solved),
+        "direct": len(direct),
+        "direct / optimum": spread([m.duration_s / s for m, s in zip(direct, optima_s, strict=True)], ""),
+        "duration / bound": spread([motion.duration_s / o.bound_s for o, motion in solved], ""),
+        "others / toppra": spread(ratios, ""),
+        "beyond limits": max(excess(motion, bench.rates) for _, motion in solved),
         "apex error_m": float(np.abs(ends).max()),
     }
     for kind in dict.fromkeys(task.kind for task in tasks):
@@ -305,19 +306,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.motion", description=__doc__)
     parser.add_argument("--tasks", type=int, default=1000)
     parser.add_argument("--polished", type=int, default=300, help="of the tasks, how many are polished too")
-    parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--carrying", type=int, default=40, help="loaded moves per limit")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--mplib", type=Path, help="compare with mplib, in this environment; made if there is none")
     parser.add_argument("--peers", action="store_true", help="compare with pink and toppra, which must be installed")
     given = parser.parse_args()
-    bench = Bench(given.threads)
+    bench = Bench()
     audit = Audit(bench)
     tasks = bench.tasks(given.tasks)
     moves = bench.carries(given.carrying)
     own_deg = spill_limit_deg(64.16, 45.0, 5000 / 1.5, 25.0, 18.0)
-    for effort in (transfer.LIVE, transfer.POLISHED):
-        bench.run(tasks[0], effort)  # libraries and scenes warm up
     results: dict[str, Any] = {"inverse kinematics": inverse_kinematics()}
     show("inverse kinematics", results["inverse kinematics"])
     for name, effort, some in (
@@ -326,12 +324,13 @@ def main() -> None:
     ):
         if not some:
             continue
+        bench = Bench()  # what another effort has planned would be kept
+        bench.run(moves[0], effort)  # libraries and scenes warm up
         results[f"transfers, {name}"] = transfers(bench, some, effort, audit, given.peers)
         show(f"transfers, {name}", results[f"transfers, {name}"])
         for load, limit_deg in (("5 g of glass beads", own_deg), ("gentle", GENTLE_DEG)):
             title = f"carrying {load}, {name}"
-            # A planner of its own: what another effort has planned would be kept.
-            results[title] = carrying(Bench(given.threads), moves, limit_deg, effort)
+            results[title] = carrying(Bench(), moves, limit_deg, effort)
             show(title, results[title])
     if given.peers:
         rng = np.random.default_rng(SEED)
@@ -353,7 +352,7 @@ GOALS = {
     "plan_ms, CPU of quiet cores": "live 3 / 50 / 75, polished p95 400",
     "direct / optimum": "1.001",
     "duration / bound": "live 1.30, polished 1.17",
-    "via / toppra": "live 1.07, polished 0.86",
+    "others / toppra": "live 1.07, polished 0.86",
     "beyond limits": "1e-6",
     "duration / empty": "own limit 1.35, gentle 2.4",
     "missed": "0",

@@ -109,7 +109,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.DEVICE_BUSY: Failure(
-        "A device did not stop in the time it should.",
+        "A device did not stop in the time it should, or is still at work.",
         "Look at the cell; if it stands still, start again.",
         ("devices", "tree", "run"),
     ),

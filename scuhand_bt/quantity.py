@@ -2,18 +2,21 @@
 
 Every number with a unit is a float whose *name* carries the unit. The annotated types below are what
 models and skills declare; they read text with pint and let a plain float through, which is then taken
-to be in the field's unit (that is how Python code calls a skill).
+to be in the field's unit (that is how Python code calls a skill). pint takes a third of a second to
+import: it is, when the first unit is read.
 """
 
 import math
 import re
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import pint
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import PydanticCustomError, core_schema
+
+if TYPE_CHECKING:
+    import pint
 
 _DEFINITIONS = """
 nano- = 1e-9 = n-
@@ -83,6 +86,8 @@ class Unit:
 
 @cache
 def _registry() -> "pint.UnitRegistry[float]":
+    import pint
+
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(None)
     registry.load_definitions(_DEFINITIONS.strip().splitlines())
     return registry
@@ -91,6 +96,8 @@ def _registry() -> "pint.UnitRegistry[float]":
 @cache
 def _factor(unit_text: str, unit: Unit) -> float:
     """What one `unit_text` is in `unit`; ValueError in the user's words if it cannot be."""
+    import pint
+
     normal = unit_text.replace("²", "^2").replace("³", "^3").replace("μ", "µ")
     normal = re.sub(r"(?<=[A-Za-zµ°%])([23])", r"^\1", normal).replace("%", "percent").replace("°", "degree")
     try:

@@ -19,7 +19,8 @@ closed; its `finally` then sends safe commands and must not yield.
                 cell.hand.set_vibration(0.0)
 
 In a workflow this is `- shake: {duration: 5 s}`: the name is the file's, and parameters lose the unit
-of their field.
+of their field. `cell.record` writes into the journal: the shipped kinds of entries (`cell.record.event(Tared(...))`)
+and a lab's own (`cell.record.note("lab.shaken", {...})`).
 """
 
 import inspect

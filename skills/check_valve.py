@@ -1,7 +1,10 @@
 """Does the valve shut?"""
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
+from pydantic import Field
+
+from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
 from scuhand_bt.skill import Cell, Failure, Millimetres, Seconds, Skill, SkillFailed, Steps, ValveChecked
 
 
@@ -20,7 +23,7 @@ class CheckValve(Skill[Millimetres]):
     interrupted = "repeat"
 
     opening_mm: Millimetres = 1.0
-    dwell_s: Seconds = 1.0
+    dwell_s: Annotated[Seconds, Field(ge=0, le=LONGEST_DWELL_S)] = 1.0
     limit_mm: Millimetres = 0.05
 
     def run(self, cell: Cell) -> Steps[Millimetres]:

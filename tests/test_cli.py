@@ -88,7 +88,8 @@ for arguments in (["--help"], ["check", "recipes/synthesis_batch.yaml"], ["plan"
         main()
     except SystemExit as end:
         assert not end.code
-print("heavy:", [name for name in ("pinocchio", "coal", "ruckig", "dynamixel_sdk") if name in sys.modules])
+heavy = ("pinocchio", "coal", "ruckig", "dynamixel_sdk", "plotly", "matplotlib")
+print("heavy:", [name for name in heavy if name in sys.modules])
 """
     command = [sys.executable, "-c", code]
     ended = subprocess.run(command, capture_output=True, text=True, cwd=REPOSITORY, timeout=60, check=True)
@@ -322,6 +323,25 @@ def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path,
     ended = command("plot", journal, "a", "-o", tmp_path / "dose.docx")
     assert ended.returncode == 2
     assert ".png or .svg" in " ".join(ended.stderr.split())
+
+
+def test_a_page_is_not_written_into_a_picture(command: Call, tmp_path: Path) -> None:
+    ended = command("reach", "-o", tmp_path / "reach.png")
+    assert ended.returncode == 2
+    assert "is to be a page: .html" in " ".join(ended.stderr.split())
+    assert not (tmp_path / "reach.png").exists()
+
+
+def test_a_page_without_its_library_says_what_to_install(
+    command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    for module in ("figure_page", "reach", "move_page"):
+        monkeypatch.delitem(sys.modules, f"scuhand_bt.report.{module}", raising=False)
+    for arguments in (("reach",), ("show-move", "park", "balance")):
+        ended = command(*arguments, "-o", tmp_path / "page.html")
+        assert ended.returncode == 2
+        assert "needs plotly: pip install 'scuhand-bt[plot]'" in " ".join(ended.stderr.split())
 
 
 def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(command: Call) -> None:

@@ -48,7 +48,8 @@ def test_a_trajectory_is_followed_to_its_end_in_its_time(bench: Any) -> None:
     arm, motion = bench.device, away(bench)
     assert arm.is_stopped
     news = arm.news.count
-    assert motion.duration_s <= bench.timed(arm.follow(motion)) <= motion.duration_s + 0.05 + bench.late_s
+    took_s = bench.timed(arm.follow(motion))
+    assert motion.duration_s - 2 * PERIOD_S <= took_s <= motion.duration_s + 0.05 + bench.late_s
     assert arm.is_stopped
     assert arm.news.count > news
     assert arm.fault is None

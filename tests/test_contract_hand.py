@@ -2,6 +2,8 @@
 
 import math
 import re
+import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -9,7 +11,8 @@ import pytest
 from device_benches import FIRMWARE, SimulatedHandBench, WiredHandBench
 
 from scuhand_bt.clock import Wake
-from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
+from scuhand_bt.devices.hand_controller import HandController
+from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S, Hello, Report, encode
 from scuhand_bt.dosing.cone import edge_travel_mm
 from scuhand_bt.failures import SkillFailed
 
@@ -241,3 +244,34 @@ def test_an_emergency_stop_in_a_pulse_shuts_the_valve_and_is_told(bench: Any) ->
         with pytest.raises(SkillFailed, match=r"device\.emergency_stop"):
             bench.run(steps)
         bench.until(lambda: is_safe(bench), 2.0)
+
+
+class Raced(HandController):
+    """Its answer comes at the worst moment: while somebody looks at the report before it."""
+
+    def __init__(self, shut: Report, answer: bytes) -> None:
+        self._answer = b""
+        super().__init__("/dev/null")
+        self.hello, self.report = Hello(0, "1.0", 2.4, 0.105), shut
+        self._sequence, self._in_flight, self._begun_s = 1, "step 12.000 30.000 0.000", time.monotonic()
+        self._answer = answer
+
+    @property
+    def report(self) -> Report | None:
+        seen, (answer, self._answer) = self._report, (self._answer, b"")
+        if answer:
+            thread = threading.Thread(target=self.line, args=(answer,))
+            thread.start()
+            thread.join(0.2)
+        return seen
+
+    @report.setter
+    def report(self, report: Report | None) -> None:
+        self._report = report
+
+
+def test_a_valve_that_begins_to_open_is_not_taken_for_shut_by_the_report_before() -> None:
+    controller = Raced(Report(0, "", "closed", 0.0, 0.0, "", 30), encode(1, "ok opening 0.000 0.000 - 30"))
+    assert not controller.is_safe
+    assert controller.report is not None
+    assert not controller.is_safe

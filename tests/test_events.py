@@ -13,8 +13,9 @@ from running import dry_run, make_lab
 from scuhand_bt.events import SKILL_EVENTS, Event, Note, Tared
 from scuhand_bt.journal import describe
 from scuhand_bt.journal.archive import summary
-from scuhand_bt.journal.events import KINDS, Asked, Ended, parsed
+from scuhand_bt.journal.events import Asked, Ended
 from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.kinds import KINDS, parsed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.record import Record
@@ -123,8 +124,14 @@ samples: [{id: a, mass: 30 mg}, {id: b, mass: 40 mg, source: msg}]
         assert event is not None, row["kind"]
         kind, payload = event.entry()
         assert (kind, json.loads(payload)) == (row["kind"], row["payload"])
+        assert "opening_mm" not in row["payload"] or row["payload"].get("kind") != "settle"
         seen.add(kind)
     assert {"run", "action_ended", "pulse", "scoop", "tare", "container", "matter", "fault_rules", "frames"} <= seen
+
+
+def test_an_end_of_before_it_said_whether_it_is_complete_says_so_by_its_code() -> None:
+    assert [Ended(exit_code=code, reason="").is_complete for code in (0, 1, 3, 130)] == [True, True, False, False]
+    assert not Ended(exit_code=0, reason="", complete=False).is_complete
 
 
 def test_what_a_newer_program_adds_to_an_entry_is_passed_over() -> None:

@@ -21,7 +21,7 @@ def arm():
 
 
 def scene(arm, margin_m=0.005, diameter_m=0.09, **more):
-    return Scene(arm, arm.with_sheet(0.12, 0.05, diameter_m), [WALL, POST, TABLE], margin_m, 2, **more)
+    return Scene(arm, arm.with_sheet(0.12, 0.05, diameter_m), [WALL, POST, TABLE], margin_m, **more)
 
 
 def configurations(count, seed=1):
@@ -153,8 +153,8 @@ def test_what_may_be_touched_is_not_a_hit(arm):
     pad = Solid("pad", (x, y, z), box_m=(0.02, 0.02, 0.01))
     q = np.array([[0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0]])
     shapes = arm.with_sheet(0.12, 0.05, 0.09)
-    assert Scene(arm, shapes, [pad], 0.001, 1).hits(q).all()
-    assert not Scene(arm, shapes, [pad], 0.001, 1, may_touch=["pad"]).hits(np.repeat(q, 40, axis=0)).any()
+    assert Scene(arm, shapes, [pad], 0.001).hits(q).all()
+    assert not Scene(arm, shapes, [pad], 0.001, may_touch=["pad"]).hits(np.repeat(q, 40, axis=0)).any()
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ def test_a_leg_is_as_long_as_the_closed_form_and_as_ruckig_says(reach):
     q0, q1 = np.random.default_rng(3).uniform(-reach, reach, (2, 7))
     _, _, durations_s = legs(q1 - q0, RATES)
     assert durations_s.max() == pytest.approx(rest_to_rest_s(q1 - q0, RATES))
-    ruckig = cubics(TimeLaw(RATES).chain(np.array([q0, q1]), np.zeros((2, 7))))
+    ruckig = cubics(TimeLaw(RATES).pieces(np.array([q0, q1]), np.zeros((2, 7))))
     assert durations_s.max() == pytest.approx(ruckig.duration_s, rel=1e-9)
 
 

@@ -25,7 +25,7 @@ def turned(joint, angle):
     return np.array(about_minus_y if joint % 2 else about_z)
 
 
-def test_the_apex_is_where_a_chain_of_seven_rotations_puts_it():
+def test_the_apex_is_where_the_product_of_seven_rotations_puts_it():
     for q in configurations(200):
         rotation, position_m = np.eye(3), np.zeros(3)
         for joint, height_m in enumerate(HEIGHTS_M):
@@ -107,9 +107,9 @@ def test_no_reachable_pose_is_much_nearer_than_the_one_that_is_told():
     for position_m in ([0.9, 0.0, 0.1], [0.05, 0.0, 0.15], [0.33, 0.0, 0.35], [0.2, 0.2, 0.3]):
         pose = ApexPose(np.array(position_m))
         told_m = np.linalg.norm(nearest_reachable(pose, OFFSET_M).position_m - pose.position_m)
-        points = rng.normal(size=(600, 3))
-        points *= (told_m - 0.01) * rng.uniform(size=(600, 1)) ** (1 / 3) / np.linalg.norm(points, axis=1)[:, None]
-        assert all(unreachable_reason(ApexPose(pose.position_m + off), OFFSET_M) for off in points)
+        around = rng.normal(size=(600, 3))
+        around *= (told_m - 0.01) * rng.uniform(size=(600, 1)) ** (1 / 3) / np.linalg.norm(around, axis=1)[:, None]
+        assert all(unreachable_reason(ApexPose(pose.position_m + off), OFFSET_M) for off in around)
 
 
 def test_a_pose_beyond_a_joints_limit_names_the_joint():

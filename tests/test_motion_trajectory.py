@@ -11,7 +11,7 @@ LAW = TimeLaw(RATES)
 
 
 def direct(q0, q1):
-    return cubics(LAW.chain(np.array([q0, q1]), np.zeros((2, 7))))
+    return cubics(LAW.pieces(np.array([q0, q1]), np.zeros((2, 7))))
 
 
 def ends(seed, reach=1.5):
@@ -36,11 +36,11 @@ def test_a_motion_begins_and_ends_at_rest_where_it_should_and_keeps_every_limit(
     assert RATES.stretch_for(motion) <= 1 + 1e-6
 
 
-def test_a_chain_passes_its_via_point_with_its_speed_without_a_jump():
+def test_a_motion_passes_its_via_point_with_its_speed_without_a_jump():
     q0, q1 = ends(2)
     points, speeds = np.array([q0, (q0 + q1) / 2 + 0.2, q1]), np.zeros((3, 7))
     speeds[1] = 0.5
-    pieces = LAW.chain(points, speeds)
+    pieces = LAW.pieces(points, speeds)
     motion = cubics(pieces)
     via_s = pieces[0].duration
     assert motion.sample(via_s) == pytest.approx(points[1], abs=1e-6)

@@ -1,6 +1,8 @@
 """Quantities as people write them, at the border between text and floats."""
 
 import math
+import subprocess
+import sys
 
 import pytest
 from hypothesis import given
@@ -122,3 +124,16 @@ def test_a_field_loses_the_suffix_of_its_unit_in_yaml() -> None:
         "repose",
         "tag",
     ]
+
+
+def test_pint_is_loaded_with_the_first_unit_and_not_before() -> None:
+    code = """
+import sys
+import scuhand_bt.cli
+from scuhand_bt.quantity import MASS, parse
+print("pint" in sys.modules)
+parse("50 mg", MASS)
+print("pint" in sys.modules)
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert ended.stdout.split() == ["False", "True"]

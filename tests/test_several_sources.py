@@ -182,6 +182,23 @@ def test_one_lot_in_two_mortars_may_be_taken_from_either(desk: Desk, lab: LabFol
     assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("beads", 100.0), ("other", 100.0)]
 
 
+def test_a_workflow_of_one_source_takes_its_mass_however_it_does_that(desk: Desk, lab: LabFolder) -> None:
+    tree = "workflow: bare\ninputs: {source: Source, mass: Mass}\ntree:\n  scoop: {source: $source}\n"
+    lab.write("trees/bare.yaml", tree)
+    desk.lab = lab.load()
+    (sample,) = desk.load(recipe("id: a, workflow: bare, source: beads, mass: 5.01 g").replace("5 g", "9 g", 1)).samples
+    assert [(take.source.name, take.mass_mg, take.needed_mg) for take in sample.takes] == [("beads", 5010.0, 5050.0)]
+
+
+def test_a_mass_by_default_is_taken_and_a_fallback_may_take_two_lots_in_one_way(desk: Desk, lab: LabFolder) -> None:
+    pinch = "workflow: pinch\ninputs: {source: Source, mass: {type: Mass, default: 7 mg}}\ntree:\n  park:\n"
+    lab.write("trees/pinch.yaml", pinch)
+    both = "{sequence: [{pinch: {source: $first}}, {pinch: {source: $second}}]}"
+    assert problems_of_tree(desk, lab, f"fallback: [{both}, {{discard: }}]") == []
+    (sample,) = desk.load(recipe(f"id: a, {MIXED}")).samples
+    assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("beads", 7.0), ("other", 7.0)]
+
+
 def test_what_is_repeated_is_taken_each_time(desk: Desk, lab: LabFolder) -> None:
     fill = "{fill: {source: $second, container: $container, mass: $mass}}"
     assert problems_of_tree(desk, lab, f"repeat: {{times: 3, child: {fill}}}") == []

@@ -1,7 +1,6 @@
 """Commands that draw: the arm's reach, one of its motions, one dose."""
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,16 +16,23 @@ if TYPE_CHECKING:
     from scuhand_bt.motion.kinematics import Floats
 
 OutputOption = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.", show_default=False)]
+_PAGES = (".html", ".htm")
 
 
 @app.command()
 def reach(output: OutputOption = None, lab: LabOption = None) -> None:
-    """Draw where the upright cone can be put, over the cell and its stations (HTML)."""
-    from scuhand_bt.report.reach import reach_page
-
-    loaded = the_lab(lab)
+    """Draw where the upright cone can be put, over the cell and its stations (HTML; needs the extra `plot`)."""
     path = output or Path("reach.html")
-    _write(path, lambda: path.write_text(reach_page(loaded.cell), encoding="utf-8"))
+    if path.suffix.lower() not in _PAGES:
+        raise typer.BadParameter(f"'{path}' is to be a page: .html")
+    loaded = the_lab(lab)
+
+    def write() -> None:
+        from scuhand_bt.report.reach import reach_page
+
+        path.write_text(reach_page(loaded.cell), encoding="utf-8")
+
+    _write(path, write)
 
 
 @app.command("show-move")
@@ -42,12 +48,12 @@ def show_move(
 ) -> None:
     """Draw the arm's motion between two stations: an animated 3D page with plots, and a PNG beside it.
 
-    With -o FILE.png the PNG alone.
+    With -o FILE.png the PNG alone. Both need the extra `plot`.
     """
-    from scuhand_bt.report.show_move import ShownMove, move_page, move_png
+    from scuhand_bt.report.show_move import ShownMove
 
     path = output or Path(f"{start}-{goal}.html")
-    if path.suffix.lower() not in (".html", ".htm", ".png"):
+    if path.suffix.lower() not in (*_PAGES, ".png"):
         raise typer.BadParameter(f"'{path}' is to be a page (.html) or a picture (.png)")
     loaded = the_lab(lab)
     kinds = loaded.library.containers
@@ -66,13 +72,21 @@ def show_move(
         title += f" with {carried}, spill angle up to {motion.spill_limit_deg:.0f}°"
     offset_m = loaded.cell.hand.apex_offset_mm / 1000
     move = ShownMove(title, motion, planner.scene(), planner.rates, offset_m, places_m)
-    if path.suffix.lower() != ".png":
-        _write(path, lambda: path.write_text(move_page(move), encoding="utf-8"))
-        if find_spec("matplotlib") is None:
-            out.print("No picture beside it: that needs `pip install 'scuhand-bt[plot]'`.", markup=False)
-            return
     picture = path.with_suffix(".png")
-    _write(picture, lambda: move_png(move, picture))
+
+    def write_page() -> None:
+        from scuhand_bt.report.move_page import move_page
+
+        path.write_text(move_page(move), encoding="utf-8")
+
+    def write_picture() -> None:
+        from scuhand_bt.report.move_picture import move_png
+
+        move_png(move, picture)
+
+    if path != picture:
+        _write(path, write_page)
+    _write(picture, write_picture)
 
 
 @app.command()
@@ -117,7 +131,7 @@ def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str 
     """What a run would carry a load of a powder within, and no more than `gentle`; None for an empty cone."""
     from scuhand_bt.cell.cell import carrying_limit_deg
     from scuhand_bt.dosing.cone import Cone
-    from scuhand_bt.motion.planner import CONE_DIAMETER_M
+    from scuhand_bt.motion.scenes import CONE_DIAMETER_M
     from scuhand_bt.quantity import ANGLE, MASS, parse
 
     if (load is None) != (powder is None):

@@ -130,6 +130,12 @@ class HandController:
             waiting = self._queue or self._opening or self._vibration or self._close
             return not waiting and self._in_flight in ("", "ping")
 
+    @property
+    def is_safe(self) -> bool:
+        """By the answer to the last thing that was to be said, the valve is shut and nothing vibrates."""
+        with self._lock:  # an answer in between would make an older report of a shut valve count
+            return self.is_done and self.report is not None and self.report.is_safe
+
     # From here on: called from the link's thread.
 
     def opened(self) -> None:

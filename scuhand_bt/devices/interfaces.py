@@ -193,7 +193,8 @@ class Balance(Device, Protocol):
     """
 
     on_reading: Callable[[Reading], None] | None
-    """Told every reading, on the thread where it arrives; must be quick."""
+    """Told every line that is a weight, also one that is not believed (and then not stable), on the thread where it
+    arrives; must be quick."""
 
     @property
     def spec(self) -> BalanceSpec: ...

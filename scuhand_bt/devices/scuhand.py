@@ -88,9 +88,7 @@ class ScuHand:
 
     @property
     def is_stopped(self) -> bool:
-        report = self._controller.report
-        valve_is_safe = report is not None and report.is_safe and self._controller.is_done
-        return valve_is_safe and not self._roller.is_moving
+        return self._controller.is_safe and not self._roller.is_moving
 
     @property
     def fault(self) -> SkillFailed | None:
@@ -168,8 +166,7 @@ class ScuHand:
             while not shut:
                 wake = Wake.on(self.news, deadline_s)
                 self._raise_trouble()
-                report = self._controller.report
-                shut = self._controller.is_done and report is not None and report.is_safe
+                shut = self._controller.is_safe
                 if not shut:
                     if self._clock.now_s >= deadline_s:
                         raise SkillFailed(

@@ -22,8 +22,8 @@ from scuhand_bt.journal.events import (
     Resumed,
     RunBegun,
     SampleResult,
-    parsed,
 )
+from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.problems import Mark, Problem, SourceError

@@ -17,7 +17,8 @@ from pydantic.json_schema import models_json_schema
 from scuhand_bt import events as of_skills
 from scuhand_bt.events import NOTE_KIND, SKILL_EVENTS, Event
 from scuhand_bt.journal import events as of_engine
-from scuhand_bt.journal.events import ENGINE_EVENTS, KINDS
+from scuhand_bt.journal.events import ENGINE_EVENTS
+from scuhand_bt.journal.kinds import KINDS
 
 _BEGIN, _END = "<!-- {} entries, made by scuhand_bt.journal.describe -->", "<!-- end -->"
 

@@ -1,14 +1,13 @@
-"""The engine's own kinds of entries, and the registry of all kinds; those that skills write are in `events.py`.
+"""The engine's own kinds of entries; those that skills write are in `scuhand_bt/events.py`, all in `journal/kinds.py`.
 
 Fields with a default are absent in journals of before they were written.
 """
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from pydantic import ConfigDict, Field, JsonValue, ValidationError
+from pydantic import ConfigDict, Field, JsonValue
 
-from scuhand_bt.events import SKILL_EVENTS, Event, Text, Values, Weighing
+from scuhand_bt.events import Event, Text, Values, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.specs import Verdict
 
@@ -21,9 +20,9 @@ SampleVerdict = Literal[Verdict, "no dose", "skipped", "interrupted", "not run"]
 class SourceUsed(Values):
     """A source of the recipe."""
 
-    station: str
-    powder: str
-    lot: str
+    station: Text
+    powder: Text
+    lot: Text
 
 
 class SamplePlanned(Values):
@@ -60,7 +59,7 @@ class RunBegun(Event):
     """Its folder."""
     lab_files: dict[Text, str] = Field(default_factory=dict)
     """SHA-256 of each of the lab's files."""
-    cell: str
+    cell: Text
     simulated: bool
     unattended: bool = False
     mode: str
@@ -73,7 +72,7 @@ class RunBegun(Event):
     """SHA-256 of the fault file."""
     faults_text: Text | None = None
     options: OptionsGiven = OptionsGiven()
-    sources: dict[str, SourceUsed] = Field(default_factory=dict)
+    sources: dict[Text, SourceUsed] = Field(default_factory=dict)
     samples: list[SamplePlanned] | None = None
     operator: Text | None = None
     devices: dict[str, dict[str, JsonValue]] = Field(default_factory=dict)
@@ -396,26 +395,4 @@ ENGINE_EVENTS: tuple[type[Event], ...] = (
     Asked,
     Answered,
 )
-KINDS: Mapping[str, type[Event]] = {event.KIND: event for event in (*ENGINE_EVENTS, *SKILL_EVENTS)}
-"""All kinds that this program writes, beside a lab's notes."""
-
-
-class NewerShape(Exception):  # noqa: N818 - it says what was found
-    """An entry of a shape that only a newer program knows."""
-
-
-def parsed(kind: str, values: Mapping[str, Any]) -> Event | None:
-    """An entry's payload as its model; None for a kind that is not of `KINDS` (a lab's, or a newer program's).
-
-    Raises NewerShape, and ValueError for what no program wrote.
-    """
-    if (model := KINDS.get(kind)) is None:
-        return None
-    if (shape := values.get("shape", 1)) > model.SHAPE:
-        raise NewerShape(f"'{kind}' of shape {shape}; this one reads up to {model.SHAPE}")
-    try:
-        return model.model_validate(values)
-    except ValidationError as error:
-        wrong = error.errors(include_url=False)[0]
-        where = ".".join(map(str, wrong["loc"]))
-        raise ValueError(f"'{kind}' has at '{where}': {wrong['msg'].lower()}") from None
+"""All that the engine writes."""

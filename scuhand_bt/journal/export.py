@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from scuhand_bt.events import DoseCurve
-from scuhand_bt.journal.events import KINDS, Ended, Matter, SampleResult
+from scuhand_bt.journal.events import Ended, Matter, SampleResult
+from scuhand_bt.journal.kinds import KINDS
 from scuhand_bt.journal.reader import Contents, open_contents
 
 DECIMALS = 6

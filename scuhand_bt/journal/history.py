@@ -20,8 +20,8 @@ from scuhand_bt.journal.events import (
     Resumed,
     RunBegun,
     SampleResult,
-    parsed,
 )
+from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.skill import SkillFailed

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.journal.events import NewerShape
 from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
+from scuhand_bt.journal.kinds import NewerShape
 from scuhand_bt.journal.migrations import MIGRATIONS, in_memory
 from scuhand_bt.journal.writer import SCHEMA_VERSION
 from scuhand_bt.problems import Mark, Problem, SourceError

@@ -4,7 +4,7 @@
 Ruckig take half a second to load and checking a recipe needs none of them.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scuhand_bt.motion.inverse import solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import ApexPose, apex
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["ApexPose", "MotionPlanner", "apex", "solutions", "spill_limit_deg", "unreachable_reason"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "type[MotionPlanner]":
     if name == "MotionPlanner":
         from scuhand_bt.motion.planner import MotionPlanner
 

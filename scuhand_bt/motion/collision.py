@@ -1,7 +1,7 @@
 """What touches what: the arm's shapes against each other and the cell, and a proof for whole motions.
 
 Where each sample keeps a clearance of m from everything, and between two samples every point of the
-arm passes within m of where it was at one of them (`bound`), no point is ever farther than m from where
+arm passes within m of where it was at one of them (`swept_bound`), no point is ever farther than m from where
 it has been proven free: *nothing can touch in between*. A curve over time sampled every h seconds may
 miss the line between its samples by a h^2/8 per joint (a: its acceleration), which is added.
 
@@ -18,7 +18,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TypeAlias
 
 import coal
@@ -27,7 +27,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, apex
-from scuhand_bt.motion.swept_bound import MotionBound
+from scuhand_bt.motion.swept_bound import SweptBound
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
@@ -39,8 +39,6 @@ SHEET_M = 0.002
 _FIRST_SAMPLES = 12
 _FOREMOST = ("clamps", "fore_0")
 """The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
-_MANY = 16
-"""A first look at no more than these pays from so many configurations on."""
 _WIDE = 4.0
 """Times the margin: where a motion keeps that much from everything, so many times fewer samples prove it."""
 
@@ -175,16 +173,13 @@ class Scene:
         shapes: pin.GeometryModel,
         solids: Sequence[Solid],
         margin_m: float,
-        threads: int,
         may_touch: Iterable[str] = (),
     ) -> None:
         if margin_m < SMALLEST_MARGIN_M:
             raise ValueError("coal misses penetrations when its security margin is zero")
         self.margin_m = margin_m
-        self.threads = threads
         self.model = arm.model
-        self.rates = arm.rates
-        self.bound = MotionBound(shapes, arm.model)
+        self.bound = SweptBound(shapes, arm.model)
         self.shapes = pin.GeometryModel(shapes)
         moving = self.shapes.ngeoms
         for solid in solids:
@@ -210,7 +205,7 @@ class Scene:
         return self._pooled(self._foremost, self.margin_m)
 
     def _pooled(self, shapes: pin.GeometryModel, margin_m: float) -> Pool:
-        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, shapes, self.threads)
+        pool = pin.TreeBroadPhaseManagerPool_DynamicAABBTreeCollisionManager(self.model, shapes, 1)
         for data in pool.getGeometryDatas():
             for request in data.collisionRequests:
                 request.security_margin = margin_m
@@ -219,7 +214,7 @@ class Scene:
     def hits(self, q: Floats) -> NDArray[np.bool_]:
         """Which of the configurations (n, 7) come nearer than the margin to anything: (n,) bool."""
         # Beyond the joints' limits nothing is free.
-        hit = _outside(q) if len(q) < _MANY else self.first_hits(q) | _outside(q)
+        hit = _outside(q)
         left = ~hit
         if left.any():
             hit[left] = self._nearer(self._pool, q[left])
@@ -233,15 +228,12 @@ class Scene:
         return self._nearer(self._first_pool, q)
 
     def any_hit(self, q: Floats) -> bool:
-        """Whether any configuration of a path (n, 7) is hit; looked at ever finer, up to the first that is."""
-        if _outside(q).any():
-            return True
-        return bool(self._nearer(self._pool, q[_coarse_to_fine(len(q))], until_first=True).any())
+        """Whether any configuration of a path (n, 7) is hit."""
+        return bool(_outside(q).any() or self._nearer(self._pool, q, until_first=True).any())
 
     def _nearer(self, pool: Pool, q: Floats, until_first: bool = False) -> NDArray[np.bool_]:
-        threads = self.threads if len(q) >= 8 else 1
         columns = np.ascontiguousarray(q.T)
-        return np.asarray(pin.computeCollisionsInParallel(threads, pool, columns, True, until_first), dtype=bool)
+        return np.asarray(pin.computeCollisionsInParallel(1, pool, columns, True, until_first), dtype=bool)
 
     def clearance_m(self, q: Floats) -> tuple[float, str]:
         """Exact distance of the closest pair at one configuration, negative inside, and the two names."""
@@ -285,19 +277,10 @@ class Scene:
     def proving_samples(
         self, positions_at: CurveAt, duration_s: float, acceleration: Floats, margin_m: float | None = None
     ) -> tuple[Floats, Floats]:
-        """Times (n,) and configurations (n, 7) whose freedom, by the margin, proves the whole curve free.
-
-        A few samples tell how the bound is spread over the curve, and are laid anew, evenly in it;
-        where that is not yet enough, more are laid between.
-        """
-        margin_m = margin_m or self.margin_m
+        """Times (n,) and configurations (n, 7) whose freedom, by the margin, proves the whole curve free."""
         times_s = np.linspace(0.0, duration_s, _FIRST_SAMPLES)
-        q = positions_at(times_s)
-        course = np.concatenate([[0.0], np.cumsum(self._passed_m(times_s, q, acceleration) / margin_m)])
-        times_s = np.interp(np.linspace(0.0, course[-1], max(math.ceil(course[-1]), 1) + 1), course, times_s)
-        return self._closer(
-            positions_at, times_s, positions_at(times_s), acceleration, np.full(len(times_s) - 1, margin_m)
-        )
+        allowed_m = np.full(len(times_s) - 1, margin_m or self.margin_m)
+        return self._closer(positions_at, times_s, positions_at(times_s), acceleration, allowed_m)
 
     def _passed_m(self, times_s: Floats, q: Floats, acceleration: Floats) -> Floats:
         """Within what distance every point of the arm passes the nearer of two neighbouring samples: (n - 1,)."""
@@ -323,14 +306,6 @@ class Scene:
 def _outside(q: Floats) -> NDArray[np.bool_]:
     outside: NDArray[np.bool_] = ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any(axis=1)
     return outside
-
-
-@cache
-def _coarse_to_fine(count: int) -> NDArray[np.intp]:
-    """The indices of `count` samples, ever finer: what is not free is mostly found by the first few."""
-    strides = [16, 16, 8, 4, 2]
-    begins = [0, 8, 4, 2, 1]
-    return np.concatenate([np.arange(b, count, s) for b, s in zip(begins, strides, strict=True)])
 
 
 def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:

@@ -17,7 +17,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from scuhand_bt.motion.kinematics import ApexPose, Floats
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.explain import closest_pair, require_reachable, start_in_collision
+from scuhand_bt.motion.inverse import along, swivel_of
+from scuhand_bt.motion.kinematics import ApexPose, Floats, apex
+from scuhand_bt.motion.spill import spill_stretch
+from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
 
 STEP_S = 0.005
 KEPT = 4
@@ -26,6 +33,50 @@ TURN_RAD_PER_S = 0.6
 """How fast the cone's axis may tilt on the way."""
 TURNS_OF_SWIVEL_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8, 1.2, -1.2)
 """By how much the elbow may swing over the whole path, in the order tried."""
+
+
+def contact_motion(
+    start: Floats,
+    waypoints: Sequence[ApexPose],
+    speed_m_per_s: float,
+    scene: Scene,
+    rates: RateLimits,
+    apex_offset_m: float,
+    spill_limit_deg: float | None,
+) -> JointTrajectory:
+    """The apex in straight lines from `start` (7,) through the waypoints, rest to rest, proven in the scene.
+
+    SkillFailed arm.start_in_collision, arm.unreachable or arm.no_path.
+    """
+    times_s, positions_m, axes = apex_path([apex(start, apex_offset_m), *waypoints], speed_m_per_s)
+    if len(times_s) < 2:
+        return standing(start)
+    if scene.hits(start[None, :])[0]:
+        raise start_in_collision(scene, start)
+    phi = swivel_of(start, apex_offset_m)
+    why = "the elbow would have to jump"
+    for turn in TURNS_OF_SWIVEL_RAD:
+        course = along(positions_m, axes, swivel_course(phi, turn, len(times_s)), start, apex_offset_m)
+        if course is None:
+            continue
+        course[0] = start
+        motion = through(times_s, course)
+        motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
+        if spill_limit_deg is not None:
+            factor = spill_stretch(motion, apex_offset_m, spill_limit_deg)
+            if factor is None:
+                why = f"the cone would have to lean more than {spill_limit_deg:.1f} deg"
+                continue
+            motion = motion.stretched(factor).keeping(spill_limit_deg)
+        if scene.proves(motion):
+            return motion
+        _, samples = scene.proving_samples(motion.at, motion.duration_s, motion.extremes()[1])
+        hits = scene.hits(samples)
+        if hits.any():
+            why = closest_pair(scene, samples[int(np.argmax(hits))])
+    for pose in waypoints:
+        require_reachable(pose, "a waypoint", apex_offset_m)
+    raise SkillFailed(Code.ARM_NO_PATH, f"no way through the waypoints: {why}")
 
 
 def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floats, Floats, Floats]:

@@ -6,7 +6,7 @@ Empty cone: c = q. Loaded cone: the wrist serves the cone's axis u and the plann
 
 so that a straight line between two level configurations is level all along, and the two angles of the
 wrist follow in closed form: q6 = +-acos(z), q5 = atan2(-+y, -+x) of the vector on the right. The sign
-of q6 is the chart's own; a motion never changes it, as the cone would have to tip over.
+of q6 is the coordinates' own; a motion never changes it, as the cone would have to tip over.
 
 q [rad] and c shape (n, 7); u the unit axis, ux and uy its horizontal components.
 """
@@ -24,23 +24,23 @@ _AXIS_RATES = (1.0, 4.0, 40.0)
 """Speed, acceleration and jerk of the axis' components [1/s, 1/s^2, 1/s^3]."""
 
 
-class Chart(Protocol):
+class Coordinates(Protocol):
     """Planning coordinates and their map to the joints."""
 
     rates: RateLimits
     scatter: Floats
-    """How far random points are scattered, by coordinate: shape (7,)."""
+    """The standard deviation of random points, by coordinate: shape (7,)."""
 
     def joints(self, c: Floats) -> Floats:
         """Coordinates (n, 7) to joints (n, 7)."""
         ...
 
-    def coordinates(self, q: Floats) -> Floats:
+    def of(self, q: Floats) -> Floats:
         """Joints (n, 7) to coordinates (n, 7)."""
         ...
 
     def covers(self, q: Floats) -> NDArray[np.bool_]:
-        """Which of the configurations (n, 7) this chart holds: (n,)."""
+        """Which of the configurations (n, 7) these coordinates hold: (n,)."""
         ...
 
     def draw(self, rng: np.random.Generator) -> Floats:
@@ -48,10 +48,10 @@ class Chart(Protocol):
         ...
 
 
-class JointChart:
-    """The joints themselves; random points are level where a `level` chart is given to draw them."""
+class JointCoordinates:
+    """The joints themselves; random points are level where `level` coordinates are given to draw them."""
 
-    def __init__(self, rates: RateLimits, q_start: Floats, level: "LevelChart | None" = None) -> None:
+    def __init__(self, rates: RateLimits, q_start: Floats, level: "LevelCoordinates | None" = None) -> None:
         self.rates = rates
         self.scatter = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
         self._q7_rad = q_start[6]
@@ -60,7 +60,7 @@ class JointChart:
     def joints(self, c: Floats) -> Floats:
         return c
 
-    def coordinates(self, q: Floats) -> Floats:
+    def of(self, q: Floats) -> Floats:
         return q
 
     def covers(self, q: Floats) -> NDArray[np.bool_]:
@@ -75,7 +75,7 @@ class JointChart:
         return c
 
 
-class LevelChart:
+class LevelCoordinates:
     """The first four joints and the cone's axis, on one side of the wrist."""
 
     def __init__(self, rates: RateLimits, q_start: Floats) -> None:
@@ -101,7 +101,7 @@ class LevelChart:
         q[:, 5] = self._side * np.arctan2(np.hypot(x, y), z)
         return q
 
-    def coordinates(self, q: Floats) -> Floats:
+    def of(self, q: Floats) -> Floats:
         _, axes = apex_positions_m(q, 0.0)
         c = q.copy()
         c[:, 4:6] = axes[:, :2]

@@ -22,10 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
-from scuhand_bt.motion.rrt_connect import Space
+from scuhand_bt.motion.proof import Prover
 from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
-from scuhand_bt.motion.via_points import Chain, Shaper
 
 _PROPOSALS = 160
 _LOOKS = tuple(
@@ -41,7 +40,7 @@ _NEAR_SPAN = 0.6
 _TURNING = np.array([0.7, 0.8, 0.7, 0.95, 0.7, 0.7, 0.0])
 """How often each joint takes a turning point; the elbow does most, as opening it lifts the hand over what stands."""
 _TURN_RAD = np.array([0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.0])
-"""How far a turning point is scattered about its joint's straight way."""
+"""The standard deviation of a turning point about its joint's straight way."""
 _LIFT_RAD = np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
 """And by how much it lies beside it: the elbow's towards the stretched arm."""
 _FIRST_UPTO = 2.0
@@ -103,32 +102,27 @@ def positions(start: Floats, times_s: Floats, steps: Floats, at_s: Floats) -> Fl
     return start + moved / 6
 
 
-class Scheduler:
-    """Searches schedules in one space, for a start and goals (n, 7) that come with their bounds [s] (n,)."""
+class ScheduleSearch:
+    """Searches schedules for a start and goals (n, 7) that come with their bounds [s] (n,)."""
 
-    def __init__(
-        self, space: Space, shaper: Shaper, limits: RateLimits, start: Floats, goals: Floats, bounds_s: Floats
-    ) -> None:
-        self._space, self._shaper, self._limits = space, shaper, limits
+    def __init__(self, prover: Prover, limits: RateLimits, start: Floats, goals: Floats, bounds_s: Floats) -> None:
+        self._prover, self._limits = prover, limits
         self._start, self._goals, self._bounds_s = start, goals, bounds_s
 
-    def search(
-        self, known: Chain | None, rng: np.random.Generator, rounds: int, given_up: int | None, good_s: float
-    ) -> Chain | None:
-        """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`.
-
-        `given_up`: rounds without any, after which another way has to be found first; None for as many as there are.
-        """
+    def quickest(
+        self, known: JointTrajectory | None, rng: np.random.Generator, rounds: int, good_s: float
+    ) -> JointTrajectory | None:
+        """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`."""
         best, parent = known, None
         least_s = float(self._bounds_s[0])
         for k in range(rounds):
-            if (best is None and k == given_up) or (best is not None and best.duration_s <= good_s):
+            if best is not None and best.duration_s <= good_s:
                 break
             most_s = (_FIRST_UPTO + k / 2) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)
             if parent is not None and self._bound_s(parent) <= most_s:
                 some = self._near(parent, some, most_s, rng)
-            found = self._first_free(some, best)
+            found = self._first_proven(some, best)
             if found is not None:
                 best, parent = found
         return best
@@ -172,29 +166,26 @@ class Scheduler:
         inside: Floats = np.clip(q, LIMITS_RAD[0], LIMITS_RAD[1])
         return inside
 
-    def _first_free(self, some: Schedules, best: Chain | None) -> tuple[Chain, Schedules] | None:
+    def _first_proven(self, some: Schedules, best: JointTrajectory | None) -> tuple[JointTrajectory, Schedules] | None:
         """The shortest of the schedules that is proven."""
         limit_s = np.inf if best is None else best.duration_s
         some = some.taken(np.argsort(some.durations_s, kind="stable"))
         times_s, steps = jerk_steps(self._start, some, self._limits)
         for k in self._look_free(some.durations_s, times_s, steps):
             course = of_jerk_steps(self._start, times_s[k], steps[k], float(some.durations_s[k]))
-            motion = self._shaper.proof(course, limit_s)
+            motion = self._prover.proven(course, limit_s)
             if motion is not None:
-                return self._chain(motion), some.taken(np.array([k]))
+                return motion, some.taken(np.array([k]))
         return None
 
     def _look_free(self, durations_s: Floats, times_s: Floats, steps: Floats) -> np.ndarray:
         """The first few schedules that look free: those that are hit drop out look by look."""
         left = np.arange(len(durations_s))
+        space = self._prover.space
         for level, (shares, kept) in enumerate(_LOOKS):
             q = positions(self._start, times_s[left], steps[left], durations_s[left, None] * np.array(shares))
-            look = self._space.first_look if level < _FIRST_LOOKS else self._space.blocked
+            look = space.first_look if level < _FIRST_LOOKS else space.blocked
             left = left[~look(q.reshape(-1, q.shape[2])).reshape(q.shape[:2]).any(axis=1)][:kept]
             if not len(left):
                 break
         return left
-
-    def _chain(self, motion: JointTrajectory) -> Chain:
-        path = motion.at(np.linspace(0.0, motion.duration_s, 3))
-        return Chain(path, np.zeros_like(path), motion, path)

@@ -46,18 +46,23 @@ class RateLimits:
 
 def rest_to_rest_s(distances: Floats, limits: RateLimits) -> Floats:
     """Duration of the optimum from rest to rest over distances (..., n): shape (...)."""
+    t1, t2, t3 = _phases_s(distances, limits)
+    longest: Floats = (4 * t1 + 2 * t2 + t3).max(axis=-1)
+    return longest
+
+
+def _phases_s(distances: Floats, limits: RateLimits) -> tuple[Floats, Floats, Floats]:
+    """Every joint's own optimum from rest to rest: at full jerk, at full acceleration, at full speed, (..., n) each."""
     d = np.abs(distances)
     # Where the speed limit binds before the acceleration limit does, the reachable acceleration is sqrt(v j).
     v, j = limits.speed, limits.jerk
     a = np.minimum(limits.acceleration, np.sqrt(v * j))
-    full_speed_s = d / v + v / a + a / j
-    full_acceleration_s = a / j + np.sqrt((a / j) ** 2 + 4 * d / a)
-    jerk_only_s = 4 * np.cbrt(d / (2 * j))
-    durations_s = np.where(
-        d >= v * (v / a + a / j), full_speed_s, np.where(d >= 2 * a**3 / j**2, full_acceleration_s, jerk_only_s)
-    )
-    longest: Floats = durations_s.max(axis=-1)
-    return longest
+    whole_s = a / j + np.sqrt((a / j) ** 2 + 4 * d / a)
+    full_speed, full_acceleration = d >= v * (v / a + a / j), d >= 2 * a**3 / j**2
+    t1 = np.where(full_acceleration | full_speed, a / j, np.cbrt(d / (2 * j)))
+    t2 = np.where(full_speed, v / a - a / j, np.where(full_acceleration, whole_s / 2 - 2 * a / j, 0.0))
+    t3 = np.where(full_speed, d / v - (v / a + a / j), 0.0)
+    return t1, t2, t3
 
 
 _SIGNS = np.array([1.0, -1.0, -1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
@@ -69,20 +74,13 @@ def legs(distances: Floats, limits: RateLimits) -> tuple[Floats, Floats, Floats]
     Times and steps (..., n, 8), durations (..., n): jerk for t1, none for t2, back for t1, none for t3
     at the highest speed, and all of it again with the other sign.
     """
-    d = np.abs(distances)
-    v, j = limits.speed, limits.jerk
-    a = np.minimum(limits.acceleration, np.sqrt(v * j))
-    whole_s = a / j + np.sqrt((a / j) ** 2 + 4 * d / a)
-    full_speed, full_acceleration = d >= v * (v / a + a / j), d >= 2 * a**3 / j**2
-    t1 = np.where(full_acceleration | full_speed, a / j, np.cbrt(d / (2 * j)))
-    t2 = np.where(full_speed, v / a - a / j, np.where(full_acceleration, whole_s / 2 - 2 * a / j, 0.0))
-    t3 = np.where(full_speed, d / v - (v / a + a / j), 0.0)
-    times_s = np.zeros((*d.shape, 8))
+    t1, t2, t3 = _phases_s(distances, limits)
+    times_s = np.zeros((*t1.shape, 8))
     times_s[..., 1] = t1
     times_s[..., 2] = t1 + t2
     times_s[..., 3] = 2 * t1 + t2
     times_s[..., 4:] = times_s[..., :4] + (2 * t1 + t2 + t3)[..., None]
-    return times_s, (np.sign(distances) * j)[..., None] * _SIGNS, times_s[..., 7]
+    return times_s, (np.sign(distances) * limits.jerk)[..., None] * _SIGNS, times_s[..., 7]
 
 
 class TimeLaw:
@@ -121,15 +119,15 @@ class TimeLaw:
             return None
         return trajectory if result in (Result.Working, Result.Finished) else None
 
-    def chain(self, points: Floats, speeds: Floats) -> list[Trajectory] | None:
-        """The solved pieces from point to point (m, n) with the speeds (m, n) there; None if one fails."""
-        pieces = []
+    def pieces(self, points: Floats, speeds: Floats) -> list[Trajectory] | None:
+        """The optima from point to point (m, n) with the speeds (m, n) there; None if one fails."""
+        solved = []
         for k in range(len(points) - 1):
             piece = self.solve(points[k], speeds[k], points[k + 1], speeds[k + 1])
             if piece is None:
                 return None
-            pieces.append(piece)
-        return pieces
+            solved.append(piece)
+        return solved
 
     def straight(self, points: Floats) -> JointTrajectory:
         """Along a polyline (m, n) exactly, at rest in every vertex."""

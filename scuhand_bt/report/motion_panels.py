@@ -1,21 +1,17 @@
 """What a motion's plots show: joint position, speed, acceleration, jerk and the spill angle, with their limits."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
 COLOURS = ("#d62728", "#1f77b4", "#2ca02c", "#ff7f0e", "#9467bd", "#17a2a8", "#8c564b")
 """One for each joint."""
-_WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 540, 216, 46, 92, 28, 30
-_LINE = 12
-"""Height of a line of small text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,44 +77,3 @@ def spread(places: Sequence[float], least: float) -> list[float]:
     for k in range(1, len(moved)):
         moved[k] = max(moved[k], moved[k - 1] + least)
     return moved
-
-
-def _ticks(low: float, high: float, about: int) -> list[float]:
-    """Round values within a span."""
-    decade = 10.0 ** math.floor(math.log10((high - low) / about))
-    step = next(decade * share for share in (1, 2, 5, 10) if (high - low) / (decade * share) <= about)
-    return [k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
-
-
-def panel_svg(panel: Panel) -> str:
-    """The plot as an SVG; its line of class `now` can be moved along the time."""
-    low, high = panel.span
-    end_s, right, bottom = float(panel.times_s[-1]), _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-
-    def x(time_s: float) -> float:
-        return _LEFT + time_s / end_s * (right - _LEFT)
-
-    def y(value: float) -> float:
-        return _TOP + (high - value) / (high - low) * (bottom - _TOP)
-
-    parts = [f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" class="frame"/>']
-    for value in _ticks(low, high, 6):
-        parts.append(f'<path d="M{_LEFT} {y(value):.1f}H{right}" class="grid"/>')
-        parts.append(f'<text x="{_LEFT - 5}" y="{y(value) + 4:.1f}" class="end">{value:g}</text>')
-    for value in _ticks(0.0, end_s, 6):
-        parts.append(f'<text x="{x(value):.1f}" y="{bottom + 15}" class="mid">{value:g}</text>')
-    parts.append(f'<text x="{right}" y="{_HEIGHT - 2}" class="end">time [s]</text>')
-    joints = panel.values.shape[1] == JOINTS
-    for column, colour in zip(panel.values.T, COLOURS, strict=False):
-        points = " ".join(f"{x(t):.1f},{y(v):.1f}" for t, v in zip(panel.times_s, column, strict=True))
-        parts.append(f'<polyline points="{points}" stroke="{colour}"/>')
-    limits = panel.limits[::-1]
-    for (limit, whose), label_y in zip(limits, spread([y(limit) for limit, _ in limits], _LINE), strict=True):
-        parts.append(f'<path d="M{_LEFT} {y(limit):.1f}H{right}L{right + 6} {label_y:.1f}" class="limit"/>')
-        parts.append(f'<text x="{right + 9}" y="{label_y + 4:.1f}">{limit:.3g} {whose}</text>')
-    key = "".join(f'<tspan fill="{COLOURS[k]}"> j{k + 1}</tspan>' for k in range(JOINTS)) if joints else ""
-    parts.append(f'<path d="M{_LEFT} {_TOP}V{bottom}" class="now" data-travel="{right - _LEFT}"/>')
-    return (
-        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{panel.name}">'
-        f'<text x="{_LEFT}" y="18" class="name">{panel.name}{key}</text>{"".join(parts)}</svg>'
-    )

@@ -4,7 +4,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from scuhand_bt.events import Dose, Pulsed
-from scuhand_bt.journal.events import Answered, Asked, Ended, Resumed, RunBegun, parsed
+from scuhand_bt.journal.events import (
+    Answered,
+    Asked,
+    Ended,
+    Resumed,
+    RunBegun,
+)
+from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.quantity import format_mass
 
 _LONG = ("readings", "bare", "loaded", "traceback", "rules")

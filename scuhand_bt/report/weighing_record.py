@@ -20,7 +20,14 @@ from scuhand_bt.events import (
     Weighing,
     WeightChecked,
 )
-from scuhand_bt.journal.events import JobStarted, PanCompared, Resumed, RunBegun, SourceUsed, parsed
+from scuhand_bt.journal.events import (
+    JobStarted,
+    PanCompared,
+    Resumed,
+    RunBegun,
+    SourceUsed,
+)
+from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
 
 CONVENTION = (

@@ -19,7 +19,7 @@ from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
-from scuhand_bt.motion.planner import CONE_DIAMETER_M
+from scuhand_bt.motion.scenes import CONE_DIAMETER_M
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record

@@ -1,0 +1,49 @@
+"""Why a motion cannot be: the failures of planning, with what would be possible instead.
+
+Configurations [rad] (7,) or (n, 7), lengths in metres.
+"""
+
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.inverse import unreachable_reason
+from scuhand_bt.motion.kinematics import ApexPose, Floats
+from scuhand_bt.motion.nearest import nearest_reachable
+
+_LOOKED_AT = 12
+"""Of a goal's configurations, about how many are looked at for the one with the most room."""
+
+
+def require_reachable(pose: ApexPose, name: str, apex_offset_m: float) -> None:
+    """SkillFailed arm.unreachable for a pose that no configuration reaches, with the nearest that one does."""
+    reason = unreachable_reason(pose, apex_offset_m)
+    if reason is None:
+        return
+    near = nearest_reachable(pose, apex_offset_m)
+    instead = "nothing near can be reached"
+    if near is not None:
+        x, y, z = near.position_m * 1e3
+        instead = f"the nearest apex position it can take is ({x:.0f}, {y:.0f}, {z:.0f}) mm"
+    raise SkillFailed(Code.ARM_UNREACHABLE, f"{name}: {reason}; {instead}")
+
+
+def start_in_collision(scene: Scene, q: Floats) -> SkillFailed:
+    """The failure of a motion that begins where the arm touches something, or nearly does."""
+    return SkillFailed(Code.ARM_START_IN_COLLISION, closest_pair(scene, q))
+
+
+def goal_blocked(scene: Scene, name: str, q: Floats) -> SkillFailed:
+    """The failure of a goal none of whose configurations (n, 7) is free."""
+    distance_m, names = max(scene.clearance_m(one) for one in q[:: max(1, len(q) // _LOOKED_AT)])
+    words = f"the arm cannot stand at {name} in any of its {len(q)} configurations: at best "
+    return SkillFailed(Code.ARM_NO_PATH, words + _apart(distance_m, names))
+
+
+def closest_pair(scene: Scene, q: Floats) -> str:
+    """What is nearest to what at a configuration, in words."""
+    return _apart(*scene.clearance_m(q))
+
+
+def _apart(distance_m: float, names: str) -> str:
+    if distance_m < 0:
+        return f"{names} overlap by {-distance_m * 1e3:.0f} mm"
+    return f"{names} are {distance_m * 1e3:.1f} mm apart"

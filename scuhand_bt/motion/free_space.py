@@ -1,0 +1,97 @@
+"""What is free: single configurations, and straight lines of the planning coordinates (`coordinates`).
+
+A configuration is free where the scene does not hit it and, for a load, the cone leans by no more than a limit. A line
+is free where samples of it are, so close together that nothing can touch in between (`swept_bound`).
+
+Planning coordinates c shape (7,), lines as their two ends; joints [rad] (n, 7).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.coordinates import Coordinates, JointCoordinates
+from scuhand_bt.motion.kinematics import Floats, apex_positions_m
+
+_BATCH = 48
+_GLANCES = ((0.5,), (0.25, 0.75), (0.12, 0.37, 0.62, 0.88))
+"""Where lines are glanced at, as shares: those that are hit drop out early."""
+_MOST_SAMPLES = 400
+
+
+class Space:
+    """What is free in one system of coordinates: what the scene does not hit and what keeps the cone upright."""
+
+    def __init__(self, coordinates: Coordinates, scene: Scene, tilt_limit_deg: float | None = None) -> None:
+        self.coordinates = coordinates
+        self.scene = scene
+        self._upright = None if tilt_limit_deg is None else float(np.cos(np.radians(tilt_limit_deg)))
+
+    def edge(self, c0: Floats, c1: Floats) -> tuple[Floats, Floats]:
+        """Shares (n,) and joints (n, 7) along the line, as close together as its proof needs."""
+        if isinstance(self.coordinates, JointCoordinates):
+            return self.scene.line(c0, c1)
+        count = 12
+        for _ in range(3):
+            shares = np.linspace(0.0, 1.0, count)
+            q = self.coordinates.joints(c0 + shares[:, None] * (c1 - c0))
+            passed_m = float(self.scene.bound.passed_m(q).max())
+            if passed_m <= self.scene.margin_m:
+                break
+            # A wrist that turns fast past its singularity would ask for thousands; its motion is proven later, or not.
+            count = min(int((count - 1) * passed_m / (0.98 * self.scene.margin_m)) + 2, _MOST_SAMPLES)
+        return shares, q
+
+    def blocked(self, q: Floats) -> np.ndarray:
+        """Which configurations (n, 7) are not free: (n,)."""
+        return self._seen(q, self.scene.hits)
+
+    def first_look(self, q: Floats) -> np.ndarray:
+        """Most of those that are not free, at a fraction of the price: (n,)."""
+        return self._seen(q, self.scene.first_hits)
+
+    def _seen(self, q: Floats, hits: Callable[[Floats], np.ndarray]) -> np.ndarray:
+        if self._upright is None:
+            return hits(q)
+        blocked = self._leans(q)
+        if not blocked.all():
+            blocked[~blocked] = hits(q[~blocked])
+        return blocked
+
+    def _leans(self, q: Floats) -> np.ndarray:
+        leans: np.ndarray = apex_positions_m(q, 0.0)[1][:, 2] < (self._upright or -1.0)
+        return leans
+
+    def glance(self, first: Floats, last: Floats) -> np.ndarray:
+        """Which of the lines from (n, 7) to (n, 7) look free at a few samples, all looked at in one go: (n,)."""
+        left = np.arange(len(first))
+        for look in _GLANCES:
+            shares = np.array(look)[:, None, None]
+            lines = first[left] + shares * (last[left] - first[left])
+            blocked = self.first_look(self.coordinates.joints(lines.reshape(-1, lines.shape[2])))
+            left = left[~blocked.reshape(len(look), -1).any(axis=0)]
+            if not len(left):
+                break
+        free = np.zeros(len(first), dtype=bool)
+        free[left] = True
+        return free
+
+    def advance(self, c0: Floats, c1: Floats) -> tuple[Floats, bool]:
+        """How far the line from c0 to c1 is free, and whether that is all of it."""
+        shares, q = self.edge(c0, c1)
+        for begin in range(0, len(q), _BATCH):
+            blocked = self.blocked(q[begin : begin + _BATCH])
+            if blocked.any():
+                last = begin + int(np.argmax(blocked)) - 1
+                return c0 + max(shares[max(last, 0)], 0.0) * (c1 - c0), False
+        return c1, True
+
+    def free(self, c0: Floats, c1: Floats) -> bool:
+        """Whether all of the line is free."""
+        if isinstance(self.coordinates, JointCoordinates) and self._upright is None:
+            return self.scene.line_free(c0, c1)
+        _, q = self.edge(c0, c1)
+        if self._upright is not None and self._leans(q).any():
+            return False
+        return not self.scene.any_hit(q)

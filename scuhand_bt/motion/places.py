@@ -1,0 +1,75 @@
+"""The named poses that a cell moves between, and the one configuration in which the arm stands at each.
+
+Of the configurations of a pose the posture is the nearest to an arm that reaches forward over its elbow, moved along
+the elbow's family to where whole servo counts hit the apex best. Configurations [rad] (7,).
+"""
+
+import numpy as np
+
+from scuhand_bt.motion.explain import goal_blocked, require_reachable
+from scuhand_bt.motion.inverse import finest, solutions
+from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats
+from scuhand_bt.motion.scenes import Geometry, Scenes
+from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
+
+RELAXED_RAD = (-0.2, 0.0, -1.6, 0.0, -1.2, 0.0)
+"""j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
+SETTLED_RAD = 2 * COUNT_RAD
+"""How far an arm at rest may report to be from where it was sent."""
+
+
+class Places:
+    """Places by name, and their postures."""
+
+    def __init__(self, scenes: Scenes, rates: RateLimits, apex_offset_m: float) -> None:
+        self._scenes, self._rates, self._offset_m = scenes, rates, apex_offset_m
+        self._poses: dict[str, ApexPose] = {}
+        self._postures: dict[tuple[str, Geometry], Floats] = {}
+
+    @property
+    def names(self) -> list[str]:
+        return list(self._poses)
+
+    def add(self, name: str, pose: ApexPose) -> None:
+        """Name a pose, or another from now on; SkillFailed arm.unreachable if the arm cannot reach it."""
+        require_reachable(pose, name, self._offset_m)
+        self._poses[name] = pose
+        self._postures = {key: q for key, q in self._postures.items() if key[0] != name}
+
+    def posture(self, name: str, geometry: Geometry) -> Floats:
+        """The one configuration in which the arm stands at a place; another where geometry does not let it.
+
+        KeyError for a name that is none, SkillFailed arm.no_path where the arm cannot stand at all.
+        """
+        if name not in self._poses:
+            raise KeyError(f"there is no place {name!r}; there are: {', '.join(self._poses) or 'none'}")
+        key = (name, geometry)
+        if key not in self._postures:
+            usual = self._postures.get((name, Geometry()))
+            fits = usual is not None and not self._scenes.of(geometry).hits(usual[None, :])[0]
+            self._postures[key] = usual if usual is not None and fits else self._canonical(name, geometry)
+        return self._postures[key]
+
+    def is_posture(self, q: Floats) -> bool:
+        """Whether a configuration is one that the arm takes at a place."""
+        return any(np.array_equal(posture, q) for posture in self._postures.values())
+
+    def settled(self, q: Floats, geometry: Geometry) -> Floats:
+        """The posture that the arm was sent to, where it reports to be within its own error of one."""
+        for name in self._poses:
+            posture = self.posture(name, geometry)
+            if np.abs(posture - q).max() <= SETTLED_RAD:
+                return posture
+        return q
+
+    def _canonical(self, name: str, geometry: Geometry) -> Floats:
+        pose, scene = self._poses[name], self._scenes.of(geometry)
+        q = solutions(pose, self._offset_m)
+        free = q[~scene.hits(q)]
+        if not len(free):
+            raise goal_blocked(scene, name, q)
+        azimuth_rad = float(np.arctan2(pose.position_m[1], pose.position_m[0]))
+        relaxed = np.array([azimuth_rad, *RELAXED_RAD])
+        chosen: Floats = free[np.argmin(rest_to_rest_s(free - relaxed, self._rates))]
+        exact = finest(pose, chosen, self._offset_m)
+        return chosen if scene.hits(exact[None, :])[0] else exact

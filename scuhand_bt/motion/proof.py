@@ -1,0 +1,65 @@
+"""From a course in the planning coordinates to a proven motion of the joints.
+
+A course is proven when its joints keep their rates and positions, its samples are free so closely that nothing can
+touch in between (`collision`), and the load's spill angle stays within its limit (`spill`). What is too quick for the
+joints or the load is slowed until it is not; what cannot be proven is None.
+
+Planning coordinates (7,), times [s].
+"""
+
+import numpy as np
+
+from scuhand_bt.motion.coordinates import JointCoordinates
+from scuhand_bt.motion.free_space import Space
+from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.spill import spill_stretch
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.trajectory import JointTrajectory, through
+
+_GRID_S = 0.01
+
+
+class Prover:
+    """Proves motions in one space.
+
+    `rates` are the joints' limits; `spill_limit_deg` the load's, None for an empty cone.
+    """
+
+    def __init__(self, space: Space, rates: RateLimits, apex_offset_m: float, spill_limit_deg: float | None) -> None:
+        self.space = space
+        self.law = TimeLaw(space.coordinates.rates)
+        self._rates = rates
+        self._offset_m = apex_offset_m
+        self._spill_deg = spill_limit_deg
+
+    def proven(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
+        """The course as a motion of the joints, as slow as it must be; None if it is not free, or not quicker."""
+        motion = course
+        if not isinstance(self.space.coordinates, JointCoordinates):
+            times_s = np.linspace(0.0, course.duration_s, int(course.duration_s / _GRID_S) + 2)
+            motion = through(times_s, self.space.coordinates.joints(course.at(times_s)))
+            motion = motion.stretched(max(1.0, self._rates.stretch_for(motion)))
+        if self._spill_deg is not None:
+            factor = spill_stretch(motion, self._offset_m, self._spill_deg)
+            if factor is None:
+                return None
+            motion = motion.stretched(factor).keeping(self._spill_deg)
+        if motion.duration_s >= quicker_than_s:
+            return None
+        return motion if self.space.scene.proves(motion) else None
+
+    def direct(self, start: Floats, end: Floats) -> JointTrajectory | None:
+        """The optimum from rest to rest along the line, if it is proven."""
+        if self._follows_lines and not self.space.free(start, end):
+            return None
+        return self.along(np.array([start, end]))
+
+    def along(self, free_lines: Floats) -> JointTrajectory | None:
+        """At rest in every vertex of a polyline (m, 7), exactly along lines that are known to be free."""
+        course = self.law.straight(free_lines)
+        return course if self._follows_lines else self.proven(course)
+
+    @property
+    def _follows_lines(self) -> bool:
+        """Whether a motion along straight lines of the coordinates is proven as soon as the lines are."""
+        return isinstance(self.space.coordinates, JointCoordinates) and self._spill_deg is None

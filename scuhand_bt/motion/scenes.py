@@ -1,0 +1,70 @@
+"""The cell's scenes: the arm with one size of cone among what stands there, built when first needed and kept.
+
+Lengths in metres.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.motion import cell_solids
+from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.specs import ContainerKind, Mortar
+
+CONE_DIAMETER_M = 0.090
+MARGIN_M = 0.005
+CLOSE_MARGIN_M = 0.001
+"""Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """What changes in the cell: the cone's rim, and what stands on the pan."""
+
+    cone_diameter_m: float = CONE_DIAMETER_M
+    container: ContainerKind | None = None
+
+
+class Scenes:
+    """Every scene of one cell. KeyError for mortars at stations that the cell does not have."""
+
+    def __init__(self, arm: Arm, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
+        self._arm = arm
+        self._cell = cell
+        self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
+        self._bench = cell_solids.bench(cell)
+        self._scenes: dict[tuple[Geometry, float, str | None], Scene] = {}
+
+    def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
+        """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
+        key = (geometry, margin_m, touching)
+        if key not in self._scenes:
+            hand = self._cell.hand
+            shapes = self._arm.with_sheet(
+                hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3, geometry.cone_diameter_m
+            )
+            solids, touchable = self._solids(geometry, touching)
+            self._scenes[key] = Scene(self._arm, shapes, solids, margin_m, touchable)
+        return self._scenes[key]
+
+    def _solids(self, geometry: Geometry, touching: str | None) -> tuple[list[Solid], list[str]]:
+        if touching is not None and touching not in self._mortars:
+            raise KeyError(f"no mortar stands at {touching!r}; there is one at: {', '.join(self._mortars) or 'none'}")
+        solids = list(self._bench)
+        touchable: list[str] = []
+        for name, mortar in self._mortars.items():
+            if name == touching:
+                parts = cell_solids.hollow_mortar(self._station(name), mortar)
+                touchable = [part.name for part in parts]
+                solids += parts
+            else:
+                solids.append(cell_solids.full_mortar(self._station(name), mortar))
+        if geometry.container is not None:
+            solids.append(cell_solids.container(self._cell.station_of_kind("balance"), geometry.container))
+        return solids, touchable
+
+    def _station(self, name: str) -> Station:
+        try:
+            return self._cell.stations[name]
+        except KeyError:
+            raise KeyError(f"the cell has no station {name!r}; it has: {', '.join(self._cell.stations)}") from None
