@@ -66,7 +66,7 @@ class Target:
 TARGETS = (
     Target("verdict", "skills/dispense.py", ("GUARD", "Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
     Target("verdict of a controller", "scuhand_bt/dosing/dose_state.py", ("Knowledge.verdict",), ("dispense",)),
-    Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop", "dosing_controllers")),
+    Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop",)),
     Target("guards", "scuhand_bt/run/guards.py", (), ("guard_limits", "guards")),
     Target("spill", "scuhand_bt/motion/spill.py", (), ("motion_spill",)),
     Target("journal", "scuhand_bt/journal/writer.py", (), ("journal_writer", "journal")),

@@ -228,14 +228,16 @@ def test_the_cells_state_is_written_with_an_actions_begin_and_end_where_it_chang
 ) -> None:
     state = {"cone_mg": 0.0}
     journal.state = lambda: dict(state)
-    action = journal.action_started("w/0", 1, "scoop", {})
-    journal.event("scooped", {})
-    journal.action_ended(action, "done", None, None)
+    scoop = journal.action_started("w/0", 1, "scoop", {})
     state["cone_mg"] = 3000.0
-    action = journal.action_started("w/1", 1, "move", {})
-    journal.action_ended(action, "done", None, None)
+    journal.event("scooped", {})
+    journal.action_ended(scoop, "done", None, None)
+    move = journal.action_started("w/1", 1, "move", {})
+    journal.action_ended(move, "done", None, None)
+    state["cone_mg"] = 0.0
+    journal.action_started("w/2", 1, "park", {})
     states = [None if text is None else json.loads(text) for (text,) in rows(path, "state")]
-    assert states == [{"cone_mg": 0.0}, None, None, {"cone_mg": 3000.0}, None]
+    assert states == [{"cone_mg": 0.0}, None, {"cone_mg": 3000.0}, None, None, {"cone_mg": 0.0}]
 
 
 def test_the_world_is_kept_before_an_entry_and_listeners_are_told_after_it(journal: Journal, path: Path) -> None:
