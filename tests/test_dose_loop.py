@@ -1,7 +1,7 @@
 """The loop that carries a controller's commands out: what it measures, and when it gives up."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, cast
 
 import pytest
@@ -16,6 +16,7 @@ from scuhand_bt.record import NoRecord
 from scuhand_bt.run.clock import VirtualClock
 
 EMPTY_MG = 25_000.0
+BEGAN_S = 100.0
 MEAN_UNCERTAINTY_MG = 0.1
 
 
@@ -62,8 +63,9 @@ class Valve:
 
     opening_mm = 0.0
 
-    def __init__(self) -> None:
+    def __init__(self, clock: VirtualClock) -> None:
         self.told: list[Any] = []
+        self._clock = clock
 
     def stop(self) -> None:
         self.told.append("stop")
@@ -72,11 +74,23 @@ class Valve:
         self.told.append(opening_mm)
 
     def set_vibration(self, level: float) -> None:
-        """Not of interest."""
+        self.told.append(("vibrate", level))
 
     def pulse(self, opening_mm: float, dwell_s: float, vibration: float = 0.0) -> Steps[None]:
-        self.told.append(("pulse", opening_mm))
-        yield from ()
+        self.told.append(("pulse", opening_mm, dwell_s, vibration))
+        end_s = self._clock.now_s + dwell_s
+        while self._clock.now_s < end_s:
+            yield Wake(end_s)
+
+
+class Recorded(NoRecord):
+    """Keeps what is recorded of pulses."""
+
+    def __init__(self) -> None:
+        self.pulses: list[Mapping[str, Any]] = []
+
+    def pulse(self, values: Mapping[str, Any]) -> None:
+        self.pulses.append(values)
 
 
 class Loop:
@@ -84,11 +98,13 @@ class Loop:
 
     def __init__(self, commands: Iterable[Command], net_mg: Iterable[float]) -> None:
         self.clock = VirtualClock()
-        self.controller, self.valve, self.pan = Scripted(commands), Valve(), Pan(self.clock, net_mg)
+        self.clock.wait([Wake(BEGAN_S)])
+        self.controller, self.valve, self.pan = Scripted(commands), Valve(self.clock), Pan(self.clock, net_mg)
+        self.record = Recorded()
 
     def run(self) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
-        steps = run_dose(self.controller, hand, balance, self.clock, NoRecord(), EMPTY_MG)
+        steps = run_dose(self.controller, hand, balance, self.clock, self.record, EMPTY_MG)
         try:
             while True:
                 self.clock.wait([next(steps)])
@@ -160,8 +176,10 @@ def test_a_dose_without_end_is_ended_after_half_an_hour() -> None:
     loop = Loop(for_ever(), [7.0] * 100)
     run = loop.run()
     assert (run.finish.reason, run.finish.estimate_mg) == ("step_limit", 7.0)
-    assert run.finish.uncertainty_mg >= math.sqrt(2.0) * MEAN_UNCERTAINTY_MG
     assert 1800.0 < run.duration_s <= 1861.0
+    assert run.finish.uncertainty_mg == pytest.approx(math.sqrt(2.0) * MEAN_UNCERTAINTY_MG)
+    last = loop.record.pulses[-1]
+    assert (last["kind"], last["net_mg"], last["gross_mg"]) == ("settle", 7.0, EMPTY_MG + 7.0)
 
 
 @pytest.mark.parametrize(("period_s", "expected_s"), [(0.05, 0.3), (0.1, 0.3), (0.2, 0.6), (1.0, 3.0)])
@@ -171,3 +189,50 @@ def test_an_open_valve_waits_three_periods_for_a_reading(period_s: float, expect
     loop.pan.spec = BalanceSpec(period_s=period_s)
     loop.run()
     assert loop.pan.timeouts_s == [pytest.approx(expected_s)]
+
+
+def test_the_hand_does_what_the_controller_says_and_closes_before_the_balance_is_asked() -> None:
+    loop = Loop([Stream(1.0, 0.5), Weigh(), Pulse(0.3, 0.1, 1.0)], [1.0, 2.0, 3.0])
+    loop.run()
+    assert loop.valve.told == [("vibrate", 0.5), 1.0, "stop", ("pulse", 0.3, 0.1, 1.0), "stop"]
+
+
+def test_vibration_is_counted_while_the_motor_runs() -> None:
+    loop = Loop([Stream(1.0, 0.5), Stream(1.0), Pulse(0.3, 0.25, 0.1), Pulse(0.3, 7.0)], [1.0, 2.0, 3.0, 4.0])
+    run = loop.run()
+    assert run.vibration_s == pytest.approx(0.1 + 0.25)
+    assert run.duration_s == pytest.approx(0.1 + 0.1 + 0.25 + 7.0)
+    assert run.pulses == 3
+
+
+def test_a_pulse_and_a_settling_are_recorded_with_what_they_came_to() -> None:
+    loop = Loop([Pulse(0.3, 0.25, 1.0), Weigh(0.5)], [3.0, 4.0])
+    loop.run()
+    pulse, settle = loop.record.pulses
+    assert (pulse["kind"], settle["kind"]) == ("pulse", "settle")
+    assert (pulse["opening_mm"], pulse["dwell_s"], pulse["vibration"]) == (0.3, 0.25, 1.0)
+    assert (pulse["began_s"], pulse["ended_s"]) == (BEGAN_S, BEGAN_S + 0.25)
+    assert (pulse["net_mg"], pulse["gross_mg"], pulse["readings"]) == (3.0, EMPTY_MG + 3.0, [])
+    assert (settle["net_mg"], settle["ended_s"]) == (4.0, BEGAN_S + 0.75)
+    assert "opening_mm" not in settle
+
+
+def test_the_curve_has_every_reading_and_both_ends_of_a_pulse_in_plain_numbers() -> None:
+    loop = Loop([Stream(1.0, 0.5), Pulse(0.3, 0.25, 1.0)], [1.23456, 3.0])
+    loop.valve.opening_mm, loop.controller.estimate_mg = 0.98765, 5.43219
+    loop.pan.latest = None
+    assert loop.run().rows() == [
+        (BEGAN_S + 0.1, 1.235, 0.988, 0.5, False, 5.432),
+        (BEGAN_S + 0.1, 1.235, 0.3, 1.0, False, 5.432),
+        (BEGAN_S + 0.35, 1.235, 0.0, 0.0, False, 5.432),
+        (BEGAN_S + 0.35, 3.0, 0.988, 0.0, True, 5.432),
+    ]
+
+
+def test_a_pulse_before_any_reading_is_no_point_of_the_curve() -> None:
+    assert len(Loop([Pulse(0.3, 0.25, 1.0)], [3.0]).run().curve) == 1
+
+
+def test_a_wait_before_weighing_is_as_long_as_it_was_asked_for() -> None:
+    for wait_s in (0.0, 0.7, 30.0):
+        assert Loop([Weigh(wait_s)], [3.0]).run().duration_s == pytest.approx(wait_s)

@@ -140,6 +140,7 @@ def test_a_closed_journal_is_one_file_and_a_discarded_one_none(journal: Journal,
     assert len(list(path.parent.iterdir())) == 3
     journal.close()
     assert [file.name for file in path.parent.iterdir()] == ["r.sqlite"]
+    Journal(path.with_name("another.sqlite"), durable=False).discard()
     other = Journal(path.with_name("other.sqlite"), durable=False)
     other.event("asked", {})
     reader = sqlite3.connect(other.path)  # keeps the write-ahead log

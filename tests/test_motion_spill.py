@@ -133,7 +133,8 @@ def test_a_motion_is_looked_at_every_five_milliseconds_from_its_begin_to_its_end
 def test_a_motion_at_its_very_limit_is_not_slowed_and_beyond_it_by_the_root_of_its_share_of_acceleration():
     shove = Shove(3.0)
     assert spill_stretch(shove, OFFSET_M, shove.worst_deg(1.0)) == 1.0
-    for share in (0.5, 0.3, 0.01):
+    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(0.5)) == pytest.approx(math.sqrt(2))
+    for share in (0.5, 0.3005, 0.01):
         expected = math.sqrt(1024 / math.floor(1024 * share))
         assert spill_stretch(shove, OFFSET_M, shove.worst_deg(share) + 1e-9) == pytest.approx(expected)
 
