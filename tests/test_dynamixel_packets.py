@@ -124,7 +124,7 @@ def test_a_packet_is_found_behind_noise_and_behind_one_that_broke_off() -> None:
     good = packet(2, 3, b"good")
     assert feed(b"\xff\xff\xfd noise " + good) == [(2, 3, b"good", True)]
     assert feed(packet(1, 3, bytes(30))[:20] + good) == [(2, 3, b"good", True)]
-    assert feed(packet(1, 3, bytes(30))[:20] + good + good) == [(2, 3, b"good", True)] * 2
+    assert feed(packet(1, 3, bytes(100))[:20] + good + good) == [(2, 3, b"good", True)] * 2
     assert feed(packet(1, 3, bytes(30))[:6], good[:3], good[3:]) == [(2, 3, b"good", True)]
     assert feed(good[:4] + good) == [(2, 3, b"good", True)], "a header alone"
 

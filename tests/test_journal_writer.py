@@ -358,3 +358,13 @@ def test_the_hash_of_a_known_entry_stays_what_it_is() -> None:
         digest(GENESIS, entry._replace(frames=b"\x00\x01")).hex()
         == "b052f286880bc5395610e35bbb5ed62076f5437bce03a9a8abe8c45c37340746"
     )
+
+
+def test_a_value_of_a_kind_that_no_journal_has_is_an_alteration() -> None:
+    with closing(sqlite3.connect(":memory:")) as database:
+        database.execute(f"CREATE TABLE entry ({', '.join([*Entry._fields, 'hash'])})")
+        entry = Entry(1, "run", None, None, 0.0, "at", "{}", None, None)
+        database.execute(f"INSERT INTO entry VALUES ({', '.join('?' * 10)})", (*entry, digest(GENESIS, entry)))
+        assert verify(database).problem is None
+        database.execute("UPDATE entry SET payload = x'7b7d'")
+        assert verify(database).problem == "entry 1 (run, at) was altered"
