@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.devices.balances.conversation import ANSWER_TIMEOUT_S, QUIET_S, Conversation, Phase
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
-from scuhand_bt.devices.serial_link import LineBuffer
+from scuhand_bt.devices.serial_link import Framing, LineBuffer
 
 ALL = sorted(DIALECTS)
 
@@ -29,6 +29,7 @@ FRAMES = [
     ("and", b"OL,+9999999E+19\r\n", OutOfRange(above=True)),
     ("and", b"OL,-9999999E+19\r\n", OutOfRange(above=False)),
     ("and", b"EC,E11\r\n", Busy("E11")),
+    ("and", b"EC,E02\r\n", Busy("E02", adjusting=False)),
     ("and", b"EC,E01\r\n", Refused("E01")),
     ("and", b"\x06\r\n", Answer("")),
     ("and", b"SN,15608432\r\n", Answer("15608432")),
@@ -75,6 +76,30 @@ def test_each_line_of_the_manuals_is_read_as_what_it_says(name: str, line: bytes
 )
 def test_units_become_milligrams_or_no_reading(unit: str, milligrams: float | None) -> None:
     assert weight("12.5", unit, True).milligrams() == milligrams
+
+
+def test_a_weight_without_a_unit_takes_the_one_it_is_given() -> None:
+    assert weight("12.5", "", True).milligrams() is None
+    assert weight("12.5", "", True).milligrams("g") == 12_500.0
+    assert weight("12.5", "mg", True).milligrams("g") == 12.5
+    assert weight("12.5", "PC", True).milligrams("g") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "framing", "commands"),
+    [
+        ("and", Framing(2400, "7E1"), (b"?SN\r\n", b"SIR\r\n", b"Q\r\n")),
+        ("mt_sics", Framing(9600, "8N1"), (b"@\r\n", b"SIR\r\n", b"SI\r\n")),
+        ("sbi", Framing(9600, "8O1"), (b"\x1bx2_\r\n", b"", b"\x1bP\r\n")),
+        ("shimadzu", Framing(2400, "7E2"), (b"", b"", b"D07\r\n")),
+    ],
+)
+def test_each_vendors_factory_setting_and_commands_are_its_manuals(
+    name: str, framing: Framing, commands: tuple[bytes, bytes, bytes]
+) -> None:
+    dialect = DIALECTS[name]
+    assert dialect.framing == framing
+    assert (dialect.identify, dialect.stream, dialect.poll) == commands
 
 
 @pytest.mark.parametrize(("name", "line", "frame"), [frame for frame in FRAMES if isinstance(frame[2], Weight)])

@@ -4,6 +4,7 @@ import pytest
 from dose_bench import shipped_powders
 
 from benchmarks.calibration import TABLES, Result, agrees, count
+from benchmarks.code_mutator import mutants_of
 from benchmarks.rig import Setting, Trial, run_of_doses
 
 pytestmark = pytest.mark.slow
@@ -43,3 +44,43 @@ def test_a_redone_dose_is_judged_by_its_second_attempt_and_takes_both_their_time
     for first, last in zip(once, twice, strict=True):
         assert last == first if first.accepted else last.duration_s > first.duration_s
     assert not all(trial.accepted for trial in once)
+
+
+CODE = '''
+"""A text is left alone: 1 < 2."""
+LIMIT_MG = 50.0
+
+class Pan:
+    def is_over(self, mass_mg: float | None = None) -> bool:
+        if mass_mg is None or not self.there:
+            raise ValueError(f"{mass_mg + 1} mg")
+        return mass_mg > LIMIT_MG
+
+    def clear(self):
+        self.count += 1
+        self.stop()
+'''
+
+
+def test_code_has_a_mutant_for_each_thing_that_may_be_wrong_in_it() -> None:
+    assert [mutant.name for mutant in mutants_of(CODE)] == [
+        "LIMIT_MG: 50.0 in `LIMIT_MG = 50.0` -> 100.0",
+        "LIMIT_MG: 50.0 in `LIMIT_MG = 50.0` -> 25.0",
+        "Pan.is_over: mass_mg is None or not self.there -> not self.there",
+        "Pan.is_over: mass_mg is None or not self.there -> mass_mg is None",
+        "Pan.is_over: mass_mg is None -> mass_mg is not None",
+        "Pan.is_over: not self.there -> self.there",
+        "Pan.is_over: raise ValueError(f'{mass_mg + 1} mg') -> pass",
+        "Pan.is_over: return mass_mg > LIMIT_MG -> return None",
+        "Pan.is_over: mass_mg > LIMIT_MG -> mass_mg >= LIMIT_MG",
+        "Pan.is_over: mass_mg > LIMIT_MG -> mass_mg <= LIMIT_MG",
+        "Pan.clear: self.count += 1 -> self.count -= 1",
+        "Pan.clear: 1 in `self.count += 1` -> 2",
+        "Pan.clear: self.stop() -> pass",
+    ]
+
+
+def test_a_mutant_is_the_file_with_that_one_change() -> None:
+    over = next(mutant for mutant in mutants_of(CODE, ["Pan.is_over"]) if mutant.after.endswith(">= LIMIT_MG"))
+    assert over.source == CODE.replace("mass_mg > LIMIT_MG", "(mass_mg >= LIMIT_MG)")
+    assert {mutant.function for mutant in mutants_of(CODE, ["LIMIT_MG", "Pan.clear"])} == {"LIMIT_MG", "Pan.clear"}

@@ -221,7 +221,7 @@ def test_a_pulse_and_a_settling_are_recorded_with_what_they_came_to() -> None:
 
 
 def test_the_curve_has_every_reading_and_both_ends_of_a_pulse_in_plain_numbers() -> None:
-    loop = Loop([Stream(1.0, 0.5678), Pulse(0.3, 0.25001, 1.0)], [1.23456, 3.0])
+    loop = Loop([Stream(1.0, 0.5678), Pulse(0.3, 0.2504, 1.0)], [1.23456, 3.0])
     loop.valve.opening_mm, loop.controller.estimate_mg = 0.98765, 5.43219
     loop.pan.latest = None
     assert loop.run().rows() == [
