@@ -119,7 +119,7 @@ def seeds(folder: Path, count: int) -> dict[str, float]:
         result = session.run(TickTimes())
         session.close()
         assert session.world is not None
-        worst_mg = max(worst_mg, abs(session.world.matter.total_mg - loaded_mg))
+        worst_mg = max(worst_mg, abs(session.world.ledger.total_mg - loaded_mg))
         verdicts += sum(1 for sample in result.samples if sample.verdict in ("in tolerance", "under", "over"))
     return {
         f"seeds_{count}_s": time.perf_counter() - began,

@@ -64,7 +64,8 @@ class Target:
 
 
 TARGETS = (
-    Target("verdict", "skills/dispense.py", ("GUARD", "Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
+    Target("verdict", "scuhand_bt/dosing/verdict.py", (), ("verdict", "dispense")),
+    Target("dispense", "skills/dispense.py", ("Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
     Target("verdict of a controller", "scuhand_bt/dosing/dose_state.py", ("Knowledge.verdict",), ("dispense",)),
     Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop",)),
     Target("guards", "scuhand_bt/run/guards.py", (), ("guard_limits", "guards")),

@@ -86,7 +86,7 @@ def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Step
     reason = "step_limit"
 
     def left_mg() -> float:
-        return world.true_mass(container) + world.matter.masses_mg[FLIGHT]
+        return world.true_mass(container) + world.ledger.masses_mg[FLIGHT]
 
     while openings < 25:
         openings += 1

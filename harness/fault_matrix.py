@@ -128,8 +128,8 @@ class Matrix:
         """Powder that is nowhere."""
         assert session.world is not None
         was_mg = sum(source.amount_mg for source in self._plan.recipe.sources.values())
-        if abs(session.world.matter.total_mg - was_mg) > 1e-6:
-            yield f"of {was_mg:.1f} mg of powder {session.world.matter.total_mg:.1f} mg are left"
+        if abs(session.world.ledger.total_mg - was_mg) > 1e-6:
+            yield f"of {was_mg:.1f} mg of powder {session.world.ledger.total_mg:.1f} mg are left"
 
     def _session(self, seed: int, faults: str | None) -> Session:
         simulation = DryRun(seed, faults=parse_faults(faults, "matrix") if faults is not None else None)

@@ -1,4 +1,4 @@
-"""What a lab describes of its matter: the models of `robot/powders.yaml` and `robot/containers.yaml`, what is
+"""What a lab describes of its materials: the models of `robot/powders.yaml` and `robot/containers.yaml`, what is
 believed of powders and balances, and the values that travel on a workflow's wires (`Powder`, `Source`, `Container`).
 """
 

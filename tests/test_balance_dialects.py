@@ -69,7 +69,7 @@ FRAMES = [
     ("sbi", b"   Err 101    \r\n", Refused("Err 101")),
     ("sbi", b"0037402012\r\n", Answer("0037402012")),
     ("sbi", b"ST,+00012.78  g\r\n", None),
-    ("sbi", b"+   123.[6] g  \r\n", weight("123.6", "g", True)),
+    ("sbi", b"+  123.[6] g  \r\n", weight("123.6", "g", True)),
     ("shimadzu", b"S  12.3456g \r\n", weight("12.3456", "g", True)),
     ("shimadzu", b"U- 12.3456g \r\n", weight("-12.3456", "g", False)),
     ("shimadzu", b"  12.3456g \r\n", weight("12.3456", "g", False)),

@@ -92,7 +92,7 @@ def test_what_does_not_come_to_rest_is_unstable_in_the_time_that_was_given(bench
         with pytest.raises(SkillFailed, match=r"balance\.unstable"):
             bench.run(bench.device.stable_mean(0.6))
         assert 0.5 <= bench.clock.now_s - begin_s <= 0.9 + bench.late_s
-        assert bench.device.fault is None, "that is the dose's matter"
+        assert bench.device.fault is None, "that concerns the dose alone"
 
 
 def test_a_load_beyond_its_range_is_told_and_is_no_fault(bench: Any) -> None:

@@ -1,4 +1,4 @@
-"""The doctor, on twins: a healthy cell, and every ailment that is to be found."""
+"""The doctor, on twins: a healthy cell, and every problem that it is to find."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,7 @@ def failed(findings: Iterator[Finding]) -> list[tuple[str, str, str]]:
     return [(f.device, f.check, f.found) for f in findings if f.verdict == "FAIL"]
 
 
-def test_a_healthy_cell_has_no_ailment_and_nothing_of_it_has_moved(healthy: WireBench) -> None:
+def test_a_healthy_cell_has_no_problem_and_nothing_of_it_has_moved(healthy: WireBench) -> None:
     before = [servo.position for servo in healthy.bus.twin.servos.values()]
     findings = list(examine(healthy.spec, WallClock(), self_test=False))
     assert failed(iter(findings)) == []
@@ -50,7 +50,7 @@ def test_the_self_test_opens_the_valve_and_vibrates_and_ends_safe(healthy: WireB
     assert healthy.hand.twin.vibration == 0.0
 
 
-def test_each_ailment_of_a_servo_is_found_with_what_to_do(healthy: WireBench) -> None:
+def test_each_problem_of_a_servo_is_found_with_what_to_do(healthy: WireBench) -> None:
     twin = healthy.bus.twin
     tables = {servo.id: bytes(servo.table) for servo in twin.servos.values()}
     twin.missing.add(8)

@@ -60,11 +60,16 @@ def test_an_overshoot_ends_the_loop_that_the_paper_leaves_spinning(name: str) ->
     assert finish.reason == "overshoot"
 
 
-def test_the_papers_tolerance_is_strict() -> None:
-    for net_mg, ends in ((48.0, False), (48.01, True)):
-        controller = new_controller("paper", request())
-        controller.decide(None)
-        assert isinstance(controller.decide(settled(net_mg)), Finish) == ends
+@pytest.mark.parametrize(
+    ("as_printed", "net_mg", "ends"),
+    [(True, 48.0, False), (True, 48.01, True), (False, 48.125, False), (False, 48.13, True)],
+)
+def test_the_papers_tolerance_is_strict_and_as_printed_it_leaves_none_to_the_measurement(
+    as_printed: bool, net_mg: float, ends: bool
+) -> None:
+    controller = new_controller("paper", request(as_printed=as_printed))
+    controller.decide(None)
+    assert isinstance(controller.decide(Observation(0.0, net_mg, 0.0625, True)), Finish) == ends
 
 
 @pytest.mark.parametrize(("cone_mg", "reason"), [(60.0, "empty"), (5000.0, "no_flow")])

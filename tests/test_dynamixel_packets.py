@@ -48,7 +48,7 @@ class Recorder:
 
 
 def test_the_sdk_alone_loses_the_stuffing() -> None:
-    """Why `_Packets` exists: when this fails the SDK has been mended."""
+    """Why `_Packets` exists: when this fails the SDK has been fixed."""
     goal = [0xFF, 0xFF, 0xFD, 0xFF]
     sent = {}
     for packets in (PacketHandler(2.0), _Packets()):

@@ -66,7 +66,7 @@ def came(ran: Ran) -> list[list[float]]:
         ("faults:\n  - {fault: valve.slow, at_pulse: 0}", "2:35: 'at_pulse': '0' is not accepted"),
         ("faults:\n  - {fault: valve.slow, probability: 2}", "2:38: 'probability': '2' is not accepted"),
         ("faults:\n  - {fault: valve.slow, at: 1 s, at_pulse: 2}", "2:25: 'at' and 'at_pulse' both say when"),
-        ("faults:\n  - {fault: scoop.nothing, for: 3 s}", "2:28: 'scoop.nothing' is a matter of a moment"),
+        ("faults:\n  - {fault: scoop.nothing, for: 3 s}", "2:28: 'scoop.nothing' is over in a moment"),
         ("faults:\n  - {fault: valve.slow, at: 1 s, times: 2}", "2:34: 'at' comes once in a run"),
         ("faults:\n  - {at: 1 s}", "2:5: 'fault' is missing"),
         ("faults:\n  - valve.slow", "2:5: 'valve.slow' stands where a rule"),
@@ -144,18 +144,18 @@ def test_a_drawn_fault_comes_about_as_often_as_it_is_likely_and_the_same_for_one
     drawn = []
     for seed in (4, 4, 5):
         faults = faults_of("fault: scoop.nothing, probability: 0.2", seed=seed)
-        drawn.append([faults.befalls("scoop.nothing", float(scoop)) for scoop in range(1000)])
+        drawn.append([faults.comes("scoop.nothing", float(scoop)) for scoop in range(1000)])
     assert drawn[0] == drawn[1] != drawn[2]
     assert sum(drawn[0]) == pytest.approx(200, abs=40)
 
 
 def test_times_is_how_often_a_fault_may_come() -> None:
     faults = faults_of("fault: scoop.nothing, times: 2", "fault: operator.refuses, at: 5 s")
-    assert [faults.befalls("scoop.nothing", 0.0) for _ in range(3)] == [True, True, False]
-    assert not faults.befalls("operator.refuses", 1.0)
+    assert [faults.comes("scoop.nothing", 0.0) for _ in range(3)] == [True, True, False]
+    assert not faults.comes("operator.refuses", 1.0)
     faults.advance(6.0)
-    assert faults.befalls("operator.refuses", 7.0)  # at the first question after that time
-    assert not faults.befalls("operator.refuses", 8.0)
+    assert faults.comes("operator.refuses", 7.0)  # at the first question after that time
+    assert not faults.comes("operator.refuses", 8.0)
 
 
 def test_the_state_of_faults_can_be_kept_and_taken_up() -> None:
@@ -163,12 +163,12 @@ def test_the_state_of_faults_can_be_kept_and_taken_up() -> None:
     first, second = faults_of(*rules), faults_of(*rules)
     first.advance(2.0)
     first.push_mg()
-    first.befalls("scoop.nothing", 2.0)
+    first.comes("scoop.nothing", 2.0)
     for name in Faults.STATE:
         setattr(second, name, pickle.loads(pickle.dumps(getattr(first, name))))
     assert second.active == first.active == {"balance.draught": 2.0}
     assert [second.push_mg() for _ in range(9)] == [first.push_mg() for _ in range(9)]
-    later = [[f.befalls("scoop.nothing", 3.0) for _ in range(20)] for f in (first, second)]
+    later = [[f.comes("scoop.nothing", 3.0) for _ in range(20)] for f in (first, second)]
     assert later[0] == later[1]
 
 
@@ -223,7 +223,7 @@ def test_a_cone_that_leaks_loses_powder_through_its_shut_valve(tmp_path: Path) -
     assert ran.session.world is not None
     assert sound.session.world is not None
     assert ran.session.world.masses_mg["spilled"] == 0.0 == sound.session.world.masses_mg["spilled"]
-    assert ran.session.world.matter.total_mg == pytest.approx(sound.session.world.matter.total_mg)
+    assert ran.session.world.ledger.total_mg == pytest.approx(sound.session.world.ledger.total_mg)
     assert all(sample.verdict == "in tolerance" for sample in ran.result.samples)
 
 
@@ -276,7 +276,7 @@ def test_a_fault_that_has_come_does_not_come_again_when_the_run_is_resumed(tmp_p
 # --- the twins
 
 
-BEFALL = {
+CODES = {
     "balance.silent": "device.lost",
     "balance.garbage, for: 9 s": "device.lost",
     "balance.overload": "balance.overload",
@@ -302,7 +302,7 @@ def pulses(devices: Devices, clock: WallClock) -> Steps[None]:
 
 @pytest.mark.real_time
 @pytest.mark.parametrize(
-    "fault", [*TELLING, *(pytest.param(f, marks=pytest.mark.slow) for f in BEFALL if f not in TELLING)]
+    "fault", [*TELLING, *(pytest.param(f, marks=pytest.mark.slow) for f in CODES if f not in TELLING)]
 )
 def test_the_real_drivers_meet_the_same_fault_on_twins(fault: str) -> None:
     bench = bench_of(load_lab(starter_lab()), faults=parse_faults(f"faults: [{{fault: {fault}, at: 0.5 s}}]", "f"))
@@ -314,7 +314,7 @@ def test_the_real_drivers_meet_the_same_fault_on_twins(fault: str) -> None:
             assert devices.arm.fault is None
             with pytest.raises(SkillFailed) as failed:
                 carry_out(pulses(devices, clock), clock)
-            assert failed.value.code == BEFALL[fault]
+            assert failed.value.code == CODES[fault]
         finally:
             devices.close()
 

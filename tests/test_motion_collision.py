@@ -200,6 +200,6 @@ def test_why_the_security_margin_is_never_zero():
                 found = coal.DistanceResult()
                 deepest_m = min(deepest_m, coal.distance(wall, still, shape, at, coal.DistanceRequest(), found))
     assert missed["margin"] == 0
-    # Should this fail some day, coal has been mended, and the margin is only a margin.
+    # Should this fail some day, coal has been fixed, and the margin is only a margin.
     assert missed["default"] > 0
     assert deepest_m < -0.001

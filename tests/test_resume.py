@@ -469,7 +469,7 @@ def test_what_a_workflow_kept_is_kept_over_an_interruption(tmp_path: Path) -> No
     assert [what for _, what in bench.log] == ["4.5"]
 
 
-class Unkept:
+class Unpicklable:
     """A plant whose powder cannot be saved."""
 
     class Flow:
@@ -479,13 +479,13 @@ class Unkept:
         def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
             return min(in_cone_mg, 100.0 * opening_mm * dt_s)
 
-    def flow(self, powder: object) -> "Unkept.Flow":
+    def flow(self, powder: object) -> "Unpicklable.Flow":
         return self.Flow()
 
 
 def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(run: Run) -> None:
     plan, lab = run.plan()
-    options = Options(DryRun(plant="test_resume:Unkept"), folder=run.folder)
+    options = Options(DryRun(plant="test_resume:Unpicklable"), folder=run.folder)
     session = Session(plan, lab, options, shared_planner(plan, lab))
     watch = Watch("stop_now", 90)
     watch.session = session
@@ -493,7 +493,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
         session.run(watch)
     finally:
         session.close()
-    with pytest.raises(SourceError, match=r"Unkept cannot be pickled.*anew"):
+    with pytest.raises(SourceError, match=r"Unpicklable cannot be pickled.*anew"):
         checked_history(run.journal)
 
 

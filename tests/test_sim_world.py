@@ -38,7 +38,7 @@ def let_pass(rig: Bench, duration_s: float) -> None:
 
 
 def everything_is_there(rig: Bench) -> None:
-    assert rig.world.matter.total_mg == pytest.approx(10_000.0, abs=1e-6)
+    assert rig.world.ledger.total_mg == pytest.approx(10_000.0, abs=1e-6)
     assert all(mass_mg >= 0.0 for mass_mg in rig.world.masses_mg.values())
 
 
@@ -97,7 +97,7 @@ def test_moving_more_than_there_is_or_nan_is_refused() -> None:
     world = bench().world
     for mass_mg in (1e9, -1.0, math.nan):
         with pytest.raises(ValueError, match="cannot move"):
-            world.matter.transfer(CONE, WASTE, mass_mg)
+            world.ledger.transfer(CONE, WASTE, mass_mg)
 
 
 def test_the_same_seed_gives_the_same_dose_and_another_gives_another() -> None:

@@ -43,7 +43,7 @@ def test_powder_dosed_through_the_wires_lands_in_the_container_and_is_weighed_th
             dosed_mg = bench.world.true_mass("xrd-01")
             assert dosed_mg > 10.0
             assert after.value_mg - before.value_mg == pytest.approx(dosed_mg, abs=1.0)
-            assert bench.world.matter.total_mg == pytest.approx(6000.0)
+            assert bench.world.ledger.total_mg == pytest.approx(6000.0)
             closed_mm = devices.hand.cone_diameter_mm - 2.0
             carry_out(devices.hand.morph(closed_mm), clock)
             assert devices.hand.cone_diameter_mm == pytest.approx(closed_mm, abs=0.05)

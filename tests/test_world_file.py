@@ -173,7 +173,7 @@ def _be_killed(path: Path, writer: int) -> NoReturn:
 
 
 def is_sound(world: World) -> None:
-    assert world.matter.total_mg == pytest.approx(ALL_MG, rel=1e-9)
+    assert world.ledger.total_mg == pytest.approx(ALL_MG, rel=1e-9)
     assert min(world.masses_mg.values()) >= 0.0
 
 
@@ -329,7 +329,7 @@ def test_containers_come_back_with_what_they_hold_and_cost_a_save_nothing(tmp_pa
     is_sound(restored.world)
 
 
-class Unkept(OurPowderFlow):
+class Unpicklable(OurPowderFlow):
     """Somebody's flow, which holds what cannot be pickled."""
 
     def __init__(self, powder: Powder) -> None:
@@ -337,22 +337,22 @@ class Unkept(OurPowderFlow):
         self.factor = lambda: 1.0
 
 
-class UnkeptPlant:
-    def flow(self, powder: Powder) -> Unkept:
-        return Unkept(powder)
+class UnpicklablePlant:
+    def flow(self, powder: Powder) -> Unpicklable:
+        return Unpicklable(powder)
 
 
 def test_a_plant_that_cannot_be_saved_is_told_once_and_refused_on_resume(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.world"
-    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(UnkeptPlant(), "my_lab:Unkept"))
+    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(UnpicklablePlant(), "my_lab:Unpicklable"))
     bench = Bench.with_powder(path)
     bench.drive(bench.cell.hand.pulse(1.0, 0.5))
     bench.let_pass(1.0)
     assert bench.world.true_mass(DISH.id) > 1.0
     assert len(bench.told) == 1
-    assert "my_lab:Unkept cannot be pickled" in bench.told[0]
+    assert "my_lab:Unpicklable cannot be pickled" in bench.told[0]
     with pytest.raises(SourceError, match=r"cannot be read: No such file.*start it anew"):
         Bench.taken_up(path)
 

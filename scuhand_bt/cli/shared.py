@@ -90,10 +90,10 @@ def on_signals(stop: Callable[[], None], others: Mapping[signal.Signals, Callabl
     """Ctrl-C, SIGTERM and a closed terminal end a run safely instead of the process at once; `others` as they say."""
     wishes = {**dict.fromkeys(END_SIGNALS, stop), **others}
 
-    def heed(number: int, frame: FrameType | None) -> None:
+    def handle(number: int, frame: FrameType | None) -> None:
         wishes[signal.Signals(number)]()
 
-    before = {number: signal.signal(number, heed) for number in wishes}
+    before = {number: signal.signal(number, handle) for number in wishes}
     try:
         yield
     finally:

@@ -1,1 +1,1 @@
-"""Devices: the interfaces that skills see, the cell that holds them, and the drivers of real ones."""
+"""Devices: the interfaces that skills see, and the drivers of real ones."""

@@ -1,6 +1,6 @@
 """What arms and hands accept: one rule and one sentence for each, whoever makes the device.
 
-A ValueError is a mistake of whoever calls; a SkillFailed may befall a sound skill. Nothing has moved then.
+A ValueError is a mistake of whoever calls; a SkillFailed may happen to a sound skill. Nothing has moved then.
 """
 
 import math

@@ -94,7 +94,7 @@ class ScuHand:
     def fault(self) -> SkillFailed | None:
         """What is wrong with its controller, its roller, or the bus that this is on.
 
-        That the controller has once closed the valve because it heard nothing is the dose's matter: it hears again.
+        That the controller has once closed the valve because it heard nothing concerns the dose alone: it hears again.
         """
         report = self._controller.report
         heard_nothing = report is not None and report.faults == "d"
@@ -216,5 +216,5 @@ FAULT_CODES = {
     "t": Code.HAND_VALVE_STUCK,
     "d": Code.DEVICE_LOST,
 }
-"""The failure that each of the controller's faults is, the gravest first."""
+"""The failure that each of the controller's faults is, the most serious first."""
 assert FAULT_CODES.keys() == FAULTS.keys()

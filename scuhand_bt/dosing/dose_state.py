@@ -32,7 +32,7 @@ LAG_MARGIN = 1.03
 LEAST_MG = 4.0
 """An opening that brought less teaches nothing."""
 AIM_UNDER_MG = 0.7
-"""Besides the surge scale: too little can be mended, too much cannot, and the last of a dose flows slowest."""
+"""Besides the surge scale: too little can be corrected, too much cannot, and the last of a dose flows slowest."""
 MOST_SLIP_MM = 0.4
 """How far a sheet that stuck may slip."""
 UNSURE = 0.6
@@ -73,7 +73,7 @@ class Knowledge:
         self.filter.set_balance(self.lag_s, self.poles, self._filter_misfit)
         self.filter.restart(0.0, self.noise_mg, self.reference, self.belief.spread)
         self.vibration = self.belief.vibration
-        """The level it shakes at when nothing is amiss."""
+        """The level it shakes at when nothing is wrong."""
         self.pauses = self.belief.pauses
         """Whether it stops when it is no longer shaken."""
         self._usual = self.reference

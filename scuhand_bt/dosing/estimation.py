@@ -213,7 +213,7 @@ LAST_ROWS = 150
 """An opening is looked at from so many readings before the end of its tail."""
 LAGS_S = tuple(float(lag_s) for lag_s in np.geomspace(0.06, 1.6, 16))
 CLEARER = 3.0
-"""A lag is told when it is this much likelier (natural logarithm) than those two steps of the grid away."""
+"""A lag is told when it is this much more likely (natural logarithm) than those two steps of the grid away."""
 
 
 def fit_lag(rows: Sequence[Row], coefficient: float, surge_mg: float, poles: int = 2) -> float | None:

@@ -39,7 +39,7 @@ class Space:
             passed_m = float(self.scene.bound.passed_m(q).max())
             if passed_m <= self.scene.margin_m:
                 break
-            # A wrist that whirls past its singularity would ask for thousands; its motion is proven later, or not.
+            # A wrist that turns fast past its singularity would ask for thousands; its motion is proven later, or not.
             count = min(int((count - 1) * passed_m / (0.98 * self.scene.margin_m)) + 2, _MOST_SAMPLES)
         return shares, q
 

@@ -1,1 +1,1 @@
-"""Running: the clocks, the runner that ticks one job's tree, the batch, and the journal."""
+"""Running: the session, the batch, the runner that ticks one job's tree, the clocks, the guards, and resuming."""

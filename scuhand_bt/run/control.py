@@ -51,7 +51,7 @@ class Control:
 
 
 class WishListener:
-    """This process's ear for the wishes that others leave for the run that it has."""
+    """Hears, in this process, the wishes that others leave for its run."""
 
     def __init__(self, journal: Path, control: Control) -> None:
         self._wish = journal.with_suffix(".wish")
@@ -86,7 +86,7 @@ def take_wish(path: Path) -> Wish | None:
         wish = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
-    except ValueError:  # not ours: it must not end the ear of a run
+    except ValueError:  # not ours: it must not end the listening
         wish = None
     path.unlink(missing_ok=True)
     return wish if wish in get_args(Wish) else None

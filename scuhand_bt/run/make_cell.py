@@ -33,7 +33,7 @@ from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container, ContainerKind
 
-MATTERLESS = {
+NOT_WITHOUT_A_RECIPE = {
     "powder.clog": "no powder is behind twins alone",
     "cone.leak": "no powder is behind twins alone",
     "scoop.nothing": "no powder is behind twins alone",
@@ -294,7 +294,7 @@ def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBe
     Raises NoCompiler, and SourceError for faults that cannot come to twins alone.
     """
     if faults is not None:
-        faults.refuse(MATTERLESS, of_samples="twins alone know of no sample")
+        faults.refuse(NOT_WITHOUT_A_RECIPE, of_samples="twins alone know of no sample")
     parked = lab.motion_planner({}).home()
     wrong = Faults(faults.rules if faults is not None else (), seed)
     return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong)

@@ -32,7 +32,7 @@ class SimulatedOperator:
         ready_s = self._clock.now_s + self._answer_s
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
-        refuses = self._faults.befalls("operator.refuses", self._clock.now_s)
+        refuses = self._faults.comes("operator.refuses", self._clock.now_s)
         answer = choices[-1 if refuses else 0]
         self._tell(Answered(question=question, answer=answer))
         return answer

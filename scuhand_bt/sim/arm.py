@@ -100,12 +100,12 @@ class SimulatedArm:
     def advance(self, end_s: float) -> None:
         """Go on to this time; the end of the motion is told."""
         if self.faults.active or self._was_faulty:
-            self._suffer(end_s)
+            self._apply_faults(end_s)
         if self._trajectory is not None and end_s >= self._end_s - 1e-9:
             self._hold(self._trajectory.sample(self._trajectory.duration_s))
             self.news.fire()
 
-    def _suffer(self, now_s: float) -> None:
+    def _apply_faults(self, now_s: float) -> None:
         """Stand still where a fault has stopped it, and tell of its coming and going."""
         active = self.faults.active
         self._is_blocked = BLOCKED in active and (self._is_blocked or self._trajectory is not None)

@@ -24,7 +24,7 @@ from scuhand_bt.sim.mass_ledger import (
     SHEET,
     WASTE,
     Compartment,
-    Matter,
+    MassLedger,
     in_source,
 )
 from scuhand_bt.sim.pan import Pan
@@ -61,7 +61,7 @@ class ConeLoad:
 
     def __init__(
         self,
-        matter: Matter,
+        ledger: MassLedger,
         pan: Pan,
         around: Surroundings,
         sources: Mapping[str, Source],
@@ -72,7 +72,7 @@ class ConeLoad:
     ) -> None:
         self.source: str | None = None
         """Whose powder it is; None while the cone has held none since its sheet was new."""
-        self._matter, self._masses_mg, self._pan, self._around = matter, matter.masses_mg, pan, around
+        self._ledger, self._masses_mg, self._pan, self._around = ledger, ledger.masses_mg, pan, around
         self._sources, self._plant = sources, plant
         self._arm, self._hand, self._faults = arm, hand, faults
         self._flow: PowderFlow | None = None
@@ -115,7 +115,7 @@ class ConeLoad:
     def throw_away(self) -> None:
         """The cone's sheet goes, with what stuck to it and what it still held."""
         for place in (CONE, SHEET):
-            self._matter.transfer(place, WASTE, self._masses_mg[place])
+            self._ledger.transfer(place, WASTE, self._masses_mg[place])
         self._flow = self.source = None
 
     def advance(self, end_s: float, dt_s: float, opening_mm: float) -> float:
@@ -139,7 +139,7 @@ class ConeLoad:
             below = self._around.below(self._arm.pose(now_s), self._pan.mouth_mm, self.source)
             self._below = (self._pan.container_id, *below)
         _, place, fall_s = self._below
-        self._matter.transfer(CONE, FLIGHT, mass_mg)
+        self._ledger.transfer(CONE, FLIGHT, mass_mg)
         self._flying.append((now_s + fall_s, mass_mg, place))
 
     def _leave(self, end_s: float, dt_s: float, opening_mm: float) -> None:
@@ -185,9 +185,9 @@ class ConeLoad:
                 density = self._sources[self.source].powder.bulk_density_mg_per_mm3 if self.source is not None else 0.0
                 self._pan.land(mass_mg, density)
             else:
-                self._matter.transfer(FLIGHT, place, mass_mg)
+                self._ledger.transfer(FLIGHT, place, mass_mg)
         if not flying:  # the dust of adding and subtracting
-            self._matter.transfer(FLIGHT, WASTE, self._masses_mg[FLIGHT])
+            self._ledger.transfer(FLIGHT, WASTE, self._masses_mg[FLIGHT])
         return landed_mg
 
     def _scoop(self, now_s: float) -> None:
@@ -206,7 +206,7 @@ class ConeLoad:
             return
         stroke, self._stroke = self._stroke, None
         assert stroke is not None
-        if self._faults.befalls("scoop.nothing", now_s):
+        if self._faults.comes("scoop.nothing", now_s):
             return
         stroke.closed_diameter_mm = diameter_mm
         self._collect(stroke, self._stroke_in)
@@ -217,7 +217,7 @@ class ConeLoad:
         in_mortar_mg = self._masses_mg[place]
         yields = self._plant.scoop(powder)
         taken_mg = self._plant.collected(yields.collect(stroke, mortar, in_mortar_mg, self._scoop_rng), in_mortar_mg)
-        self._matter.transfer(place, CONE, taken_mg)
+        self._ledger.transfer(place, CONE, taken_mg)
         room_mg = max(0.0, powder.simulation.residue_mg - self._masses_mg[SHEET])
-        self._matter.transfer(CONE, SHEET, min(room_mg, STICKING_SHARE * taken_mg))
+        self._ledger.transfer(CONE, SHEET, min(room_mg, STICKING_SHARE * taken_mg))
         self.begin(source)

@@ -36,7 +36,7 @@ A_MOMENT = 0.0
 
 @dataclass(frozen=True, slots=True)
 class FaultKind:
-    """A fault there is: what it does, when it may begin, how long it lasts, and what it befalls.
+    """A fault there is: what it does, when it may begin, how long it lasts, and what it affects.
 
     Two faults of one place exclude one another; all others may come together.
     """
@@ -200,6 +200,6 @@ def _check_together(rule: Rule, node: Entries, problems: Problems) -> None:
     for key in triggers[1:]:
         problems.add(node.keys[key], f"'{key}' and '{triggers[0]}' both say when", "one of " + ", ".join(TRIGGERS))
     if rule.kind.is_momentary and rule.for_s is not None:
-        problems.add(node.keys["for"], f"'{rule.fault}' is a matter of a moment; it does not last", "use 'times'")
+        problems.add(node.keys["for"], f"'{rule.fault}' is over in a moment; it does not last", "use 'times'")
     if rule.times is not None and rule.probability is None and triggers and rule.sample is None:
         problems.add(node.keys["times"], f"'{triggers[0]}' comes once in a run", "leave 'times' out")

@@ -100,7 +100,7 @@ class Faults:
                 self._come(rule, course, now_s)
         self._look(now_s)
 
-    def befalls(self, fault: str, now_s: float) -> bool:
+    def comes(self, fault: str, now_s: float) -> bool:
         """Whether this momentary fault comes now, at an opportunity for it."""
         found = False
         for rule, course in zip(self.rules, self._courses, strict=True):

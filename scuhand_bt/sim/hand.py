@@ -202,7 +202,7 @@ class SimulatedHand:
     def advance(self, end_s: float, dt_s: float) -> float:
         """Move for `dt_s`; the mean real opening [mm] over it."""
         if self.faults.active or self._was_faulty:
-            self._suffer(end_s - dt_s)
+            self._apply_faults(end_s - dt_s)
         if self._morph is not None:
             self._advance_morph(end_s)
         if not self._commands and self._servo_mm == self._target_mm:
@@ -243,7 +243,7 @@ class SimulatedHand:
             return 0.0
         return step_mm * (SLOW if "valve.slow" in active else 1.0)
 
-    def _suffer(self, now_s: float) -> None:
+    def _apply_faults(self, now_s: float) -> None:
         """What the controller does by itself in a fault; and tell of faults that come and go."""
         active = self.faults.active
         since_s = active.get("hand.emergency_stop", active.get("hand.lost", -math.inf) + DEAD_MAN_S)

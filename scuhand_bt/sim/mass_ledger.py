@@ -56,7 +56,7 @@ def in_container(container_id: str) -> Compartment:
     return Compartment("container", container_id)
 
 
-class Matter:
+class MassLedger:
     """Masses in compartments that never go negative; only `transfer` changes them."""
 
     def __init__(self, sources: Mapping[str, Source]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from scuhand_bt.clock import Signal
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, Matter, in_container
+from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, MassLedger, in_container
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.specs import Container
 
@@ -29,13 +29,13 @@ class Pan:
     STATE: ClassVar[tuple[str, ...]] = ("container_id", "_swing")
     """What the world's file keeps of it, beside the masses, and the containers in the file's log."""
 
-    def __init__(self, matter: Matter, seed: int, faults: Faults) -> None:
+    def __init__(self, ledger: MassLedger, seed: int, faults: Faults) -> None:
         self.container_id: str | None = None
         self.news = Signal()
         """Fires at the end of a swing."""
         self.log: Callable[[Known], None] = lambda known: None
         """Told of a container that comes, and again of what it holds when it goes: meanwhile only it can change."""
-        self._matter, self._seed, self._faults = matter, seed, faults
+        self._ledger, self._seed, self._faults = ledger, seed, faults
         self._containers: dict[str, tuple[Container, float]] = {}
         self._empty_mg = 0.0
         self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
@@ -83,7 +83,7 @@ class Pan:
 
     def gross_mg(self, landing_mg: float) -> float:
         """What the balance carries without `landing_mg` of it [mg]."""
-        masses_mg = self._matter.masses_mg
+        masses_mg = self._ledger.masses_mg
         on_pan_mg = self._empty_mg + masses_mg[PAN] - landing_mg
         return on_pan_mg if self.container_id is None else on_pan_mg + masses_mg[in_container(self.container_id)]
 
@@ -97,17 +97,17 @@ class Pan:
         if self.container_id is not None:
             into = in_container(self.container_id)
             capacity_mg = self._containers[self.container_id][0].capacity_mm3 * density_mg_per_mm3
-            into_mg = min(mass_mg, max(0.0, capacity_mg - self._matter.masses_mg[into]))
-            self._matter.transfer(FLIGHT, into, into_mg)
+            into_mg = min(mass_mg, max(0.0, capacity_mg - self._ledger.masses_mg[into]))
+            self._ledger.transfer(FLIGHT, into, into_mg)
             mass_mg -= into_mg
-        self._matter.transfer(FLIGHT, PAN, mass_mg)
+        self._ledger.transfer(FLIGHT, PAN, mass_mg)
 
     # --- for the world's file ---
 
     @property
     def held_mg(self) -> float:
         """What is in the container, 0 without one [mg]."""
-        return self._matter.masses_mg[in_container(self.container_id)] if self.container_id is not None else 0.0
+        return self._ledger.masses_mg[in_container(self.container_id)] if self.container_id is not None else 0.0
 
     def log_all(self) -> None:
         """Tell of every container again."""
@@ -118,25 +118,25 @@ class Pan:
         """Know these containers; the one on the pan by now holds `held_mg`."""
         for container, empty_mg, mass_mg in containers:
             self._containers[container.id] = (container, empty_mg)
-            self._matter.masses_mg[in_container(container.id)] = mass_mg
+            self._ledger.masses_mg[in_container(container.id)] = mass_mg
         if self.container_id is not None:
-            self._matter.masses_mg[in_container(self.container_id)] = held_mg
+            self._ledger.masses_mg[in_container(self.container_id)] = held_mg
         self._put(self.container_id)
 
     def _known(self, container_id: str) -> Known:
-        return (*self._containers[container_id], self._matter.masses_mg[in_container(container_id)])
+        return (*self._containers[container_id], self._ledger.masses_mg[in_container(container_id)])
 
     def _know(self, container: Container, now_s: float) -> None:
         if container.id in self._containers:
             return
         rng = substream(self._seed, "container", container.id)
         wrong_mg = 0.0
-        if self._faults.befalls("container.wrong", now_s):
+        if self._faults.comes("container.wrong", now_s):
             wrong_mg = max(WRONG_MASS * container.empty_mass_mg, 3.0 * container.empty_mass_tolerance_mg)
         spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
         empty_mg = container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0))
         self._containers[container.id] = (container, max(1.0, empty_mg) + wrong_mg)
-        self._matter.masses_mg[in_container(container.id)] = 0.0
+        self._ledger.masses_mg[in_container(container.id)] = 0.0
         self.log(self._known(container.id))
 
     def _put(self, container_id: str | None) -> None:

@@ -1,4 +1,4 @@
-"""The simulated world: its matter, what stands on the pan and what the cone holds, step by step.
+"""The simulated world: its powder, what stands on the pan and what the cone holds, step by step.
 
 Everything that the powder does follows from the state of the devices; nothing here is a command. A step is 20 ms
 while anything moves, else one balance period.
@@ -18,7 +18,7 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
-from scuhand_bt.sim.mass_ledger import CONE, Compartment, Matter, in_container, in_source
+from scuhand_bt.sim.mass_ledger import CONE, Compartment, MassLedger, in_container, in_source
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
@@ -37,7 +37,7 @@ LONGEST_OUTAGE_S = 10.0
 
 
 class World:
-    """One bench's matter. `step` and `save` are what the virtual clock calls."""
+    """One bench's powder. `step` and `save` are what the virtual clock calls."""
 
     def __init__(
         self,
@@ -53,12 +53,12 @@ class World:
         self.faults = arm.faults = hand.faults = balance.faults = faults or Faults()
         self.now_s = 0.0
         """The time it has come to."""
-        self.matter = Matter(sources)
-        self.pan = Pan(self.matter, seed, self.faults)
-        self.load = ConeLoad(self.matter, self.pan, Surroundings(spec, sources), sources, plant, arm, hand, self.faults)
+        self.ledger = MassLedger(sources)
+        self.pan = Pan(self.ledger, seed, self.faults)
+        self.load = ConeLoad(self.ledger, self.pan, Surroundings(spec, sources), sources, plant, arm, hand, self.faults)
         self._seed, self._sources = seed, sources
         self._arm, self._hand, self._balance = arm, hand, balance
-        self._compartments = tuple((str(compartment), compartment) for compartment in self.matter.masses_mg)
+        self._compartments = tuple((str(compartment), compartment) for compartment in self.ledger.masses_mg)
         self._memory = Memory(
             (self.pan, self.load, hand, balance, *([self.faults] if self.faults.rules else [])), plant.name
         )
@@ -70,11 +70,11 @@ class World:
     @property
     def masses_mg(self) -> dict[str, float]:
         """What is in every compartment [mg], by its text (`scuhand_bt.sim.mass_ledger`)."""
-        return {str(compartment): mass_mg for compartment, mass_mg in self.matter.masses_mg.items()}
+        return {str(compartment): mass_mg for compartment, mass_mg in self.ledger.masses_mg.items()}
 
     def true_mass(self, container_id: str) -> float:
         """What is in this container [mg]."""
-        return self.matter.masses_mg.get(in_container(container_id), 0.0)
+        return self.ledger.masses_mg.get(in_container(container_id), 0.0)
 
     @property
     def is_open(self) -> bool:
@@ -108,7 +108,7 @@ class World:
 
     def load_cone(self, source: str, mass_mg: float) -> None:
         """Put powder of a source into the cone by hand, as the paper's experiments did."""
-        self.matter.transfer(in_source(source), CONE, mass_mg)
+        self.ledger.transfer(in_source(source), CONE, mass_mg)
         self.load.begin(source)
 
     def swap_sheet(self) -> None:
@@ -154,7 +154,7 @@ class World:
             self.close()
             raise broken(path, f"powder of '{self.load.source}', which the recipe no longer has, is in the cone")
         self.pan.recall(containers, held_mg)
-        self.matter.masses_mg.update({Compartment.of_text(text): mass_mg for text, mass_mg in masses_mg.items()})
+        self.ledger.masses_mg.update({Compartment.of_text(text): mass_mg for text, mass_mg in masses_mg.items()})
         self._arm.hold(joints)
         self._sit_out()
         self.save()
@@ -165,7 +165,7 @@ class World:
         if not self._memory.is_kept:
             return
         joints = self._arm.held_at(self.now_s + SERVO_WATCHDOG_S)
-        masses_mg = {text: self.matter.masses_mg[compartment] for text, compartment in self._compartments}
+        masses_mg = {text: self.ledger.masses_mg[compartment] for text, compartment in self._compartments}
         self._memory.save((self.now_s, joints, masses_mg, self.pan.held_mg))
 
     def close(self) -> None:

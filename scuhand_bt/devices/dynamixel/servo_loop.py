@@ -58,7 +58,7 @@ class AxisGroup:
         self.states: list[AxisState] = [AxisState(axis) for axis in axes]
         self.goals_rad: Joints = np.zeros(len(axes))
         self.fault: SkillFailed | None = None
-        """Why the last motion ended early, or what has befallen the servos since, at rest."""
+        """Why the last motion ended early, or what has happened to the servos since, at rest."""
         self._motion: Trajectory | None = None
         self._at_s = 0.0
         self._rate = 1.0

@@ -1,6 +1,6 @@
 """The faults of a simulated cell, as twins show them on their cables.
 
-What befalls matter (a clog, a leak, an empty scoop, a wrong container, a dead motor) and what a balance reads
+What happens to powder (a clog, a leak, an empty scoop, a wrong container, a dead motor) and what a balance reads
 (a wandering zero, a draught, no stability, overload) come from the world behind the twins; the rest is here.
 """
 
@@ -14,7 +14,7 @@ from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import OVERLOAD_BIT
 
-BEFALLEN = 4
+FAULTY_SERVO = 4
 """The servo that is blocked, hot or overloaded: joint 3."""
 NOISE = b"\xfe\x80?\x00~\xa5\r\n"
 MANY = 1_000_000
@@ -33,7 +33,7 @@ class WireFaults:
         self._faults = faults
         self._bus, self._hand, self._balance = bus, hand, balance
         self._there: dict[str, float] = {}
-        valve, servo = hand.twin, bus.twin.servos[BEFALLEN]
+        valve, servo = hand.twin, bus.twin.servos[FAULTY_SERVO]
         self._switches: dict[str, Callable[[bool], None]] = {
             "balance.silent": lambda on: setattr(balance, "paused", on),
             "balance.garbage": lambda on: setattr(balance.misbehaviour, "drop", MANY * on),

@@ -44,7 +44,7 @@ class Misbehaviour:
     """Sent once, before the next message."""
     _sent: int = field(default=0, init=False)
 
-    def afflict(self, message: bytes, now_s: float) -> list[tuple[float, bytes]]:
+    def disturb(self, message: bytes, now_s: float) -> list[tuple[float, bytes]]:
         """What is sent instead of a message, and when."""
         if self._takes("drop"):
             return []
@@ -128,7 +128,7 @@ class TwinServer(Generic[TwinT]):
             return
         now_s = self._now()
         for message in self.twin.hear(data, now_s):
-            self._due += self.misbehaviour.afflict(message, now_s)
+            self._due += self.misbehaviour.disturb(message, now_s)
         self._send_due(now_s)
 
     def _send_due(self, now_s: float) -> None:
