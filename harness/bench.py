@@ -118,12 +118,12 @@ class Bench:
 
     def drop(self, mass_mg: float) -> None:
         """Let so much fall from the cone, if it has it, valve or no valve."""
-        self.world.load.drop(self.now_s, min(mass_mg, self.world.matter.masses_mg[CONE]))
+        self.world.load.drop(self.now_s, min(mass_mg, self.world.ledger.masses_mg[CONE]))
 
     def move(self, source: Compartment, target: Compartment, mass_mg: float) -> None:
         """Move so much powder, or what there is, from one place of the world to another."""
-        matter = self.world.matter
-        matter.transfer(source, target, max(0.0, min(mass_mg, matter.masses_mg[source])))
+        ledger = self.world.ledger
+        ledger.transfer(source, target, max(0.0, min(mass_mg, ledger.masses_mg[source])))
 
     @property
     def inside(self) -> Compartment:

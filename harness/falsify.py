@@ -211,5 +211,5 @@ def _is_broken(journal: Path) -> bool:
 def true_mass_mg(world: World, sample: Sample) -> float:
     """What is in the container that a sample ended in: its second one, if it was redone."""
     assert sample.container is not None
-    again = f"{sample.container.id}.2"
-    return world.true_mass(again if in_container(again) in world.matter.masses_mg else sample.container.id)
+    again = f"{sample.container.id}#2"
+    return world.true_mass(again if in_container(again) in world.ledger.masses_mg else sample.container.id)

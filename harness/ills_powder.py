@@ -155,7 +155,7 @@ class Leftover(Ill):
         if came_s is not None and came_s != self._seen_s and bench.held_mg == 0.0:
             self._seen_s = came_s
             if bench.rng.random() < self.chance:
-                source = next(place for place in bench.world.matter.masses_mg if place.kind == "source")
+                source = next(place for place in bench.world.ledger.masses_mg if place.kind == "source")
                 bench.move(source, bench.inside, bench.rng.uniform(*self.masses_mg))
 
 

@@ -24,6 +24,7 @@ class Code(StrEnum):
     DEVICE_EMERGENCY_STOP = "device.emergency_stop"
     BALANCE_UNSTABLE = "balance.unstable"
     BALANCE_OVERLOAD = "balance.overload"
+    BALANCE_COARSE = "balance.coarse"
     BALANCE_DRIFTING = "balance.drifting"
     BALANCE_BRACKET_OPEN = "balance.bracket_open"
     CONTAINER_MISSING = "container.missing"
@@ -124,6 +125,10 @@ CATALOGUE: Mapping[str, Failure] = {
         "The balance did not settle in time.",
         "Close the draft shield, look for vibration, fume-hood draughts or a touching container.",
         ("devices",),
+    ),
+    Code.BALANCE_COARSE: Failure(
+        "The balance shows finer digits than it weighs.",
+        "Set its readability in robot/cell.yaml to what it really resolves, or switch its display to all digits.",
     ),
     Code.BALANCE_DRIFTING: Failure(
         "Two weighings of one thing, one after the other, went on differing: a mass cannot be told.",

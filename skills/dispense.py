@@ -11,7 +11,16 @@ from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
-from scuhand_bt.dosing.bracket import Gross, Net, Reference, apart_mg, dose_between, drift_between, significant
+from scuhand_bt.dosing.bracket import (
+    Gross,
+    Net,
+    Reference,
+    apart_mg,
+    dose_between,
+    drift_between,
+    has_moved,
+    significant,
+)
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
     Cell,
@@ -36,6 +45,8 @@ WATCHED_SHARE = 0.25
 SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
 FINE_S = 12.0
 """What a dose takes beside its full flow: its controller leaves room for the uncertainty that there is by then."""
+DIFFERENT_READINGS = 12
+"""So many that are all multiples of two digits apart come by chance once in 2^(n-1); of more digits, more rarely."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 SCOOP_DOUBT = 0.15
@@ -55,6 +66,7 @@ class Dispense(Skill[Dose]):
     """
 
     raises = (
+        Code.BALANCE_COARSE,
         Code.CONTAINER_MISSING,
         Code.CONTAINER_TOO_SMALL,
         Code.DOSE_NOT_REACHED,
@@ -82,8 +94,9 @@ class Dispense(Skill[Dose]):
             bracket = cell.believed.bracket
         points: list[tuple[float, float, float, float, bool, float]] = []
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
+        has_stepped = has_moved(bracket.last, weighing_of(mean), cell.spec.balance.readability_mg)
         for _ in range(ROUNDS):
-            run, earlier, mean = yield from self._dose(cell, earlier, weighing_of(mean))
+            run, earlier, mean = yield from self._dose(cell, earlier, weighing_of(mean), has_stepped=has_stepped)
             points += run.rows()
             dose = self._judged(cell, run)
             if not (run.finish.reason == "reached" and dose.verdict == "under"):
@@ -93,7 +106,9 @@ class Dispense(Skill[Dose]):
         self._raise_failure(cell, run, dose)
         return dose
 
-    def _dose(self, cell: Cell, earlier: Gross, before: Gross) -> Steps[tuple[DoseRun, Gross, StableMean]]:
+    def _dose(
+        self, cell: Cell, earlier: Gross, before: Gross, *, has_stepped: bool
+    ) -> Steps[tuple[DoseRun, Gross, StableMean]]:
         """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
         believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
         lot = self._source(cell).sheet_key
@@ -104,12 +119,13 @@ class Dispense(Skill[Dose]):
         then = replace(before, time_s=before.time_s + FINE_S + self._flow_s(request))
         request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
         controller = new_controller(self.controller or cell.controller, request)
-        believed.dosing_towards(self.mass_mg, lot, before)
+        believed.dosing_towards(self.mass_mg, lot, before, has_stepped=has_stepped)
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
         finally:
             gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before.gross_mg
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
+        self._require_readability(cell, run)
         self._learn(cell, run)
         after, mean = yield from weigh_until_still(cell, run.last, self._allowed_mg, self._watch_s(before, run.last))
         gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
@@ -132,6 +148,20 @@ class Dispense(Skill[Dose]):
         powder = request.powder
         gap_mm = max(request.max_opening_mm - powder.threshold_mm, 0.1)
         return request.target_mg / (powder.coefficient * gap_mm**powder.exponent)
+
+    @staticmethod
+    def _require_readability(cell: Cell, run: DoseRun) -> None:
+        """A balance that shows finer digits than it weighs: all that it has shown are multiples of something."""
+        digit_mg = cell.spec.balance.readability_mg
+        seen = {round(point.net_mg / digit_mg) for point in run.curve if not point.stable}
+        first = min(seen, default=0)
+        step = math.gcd(*(digits - first for digits in seen))
+        if len(seen) >= DIFFERENT_READINGS and step > 1:
+            raise SkillFailed(
+                Code.BALANCE_COARSE,
+                f"all {len(seen)} readings of the dose that differ do so by multiples of {step * digit_mg:g} mg; "
+                f"robot/cell.yaml says a readability of {digit_mg:g} mg",
+            )
 
     @property
     def _allowed_mg(self) -> float:

@@ -78,6 +78,8 @@ class ClosedBracket:
     container: str
     doses: Nets
     closes: bool
+    difference_mg: float
+    """What the container has gained by the bare pan, less what was dosed."""
     detail: str
 
 
@@ -107,6 +109,8 @@ class Believed:
     """The weighings about the container that stands on the pan, or stood there until the bare pan is weighed again."""
     closed: tuple[ClosedBracket, ...] = ()
     """What containers that have gone came to; until the batch has noted it."""
+    is_zero_doubted: bool = False
+    """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
 
     @property
     def weighed_container(self) -> Container | None:
@@ -200,8 +204,17 @@ class Believed:
         self._set(bracket=replace(self._open_bracket, lifted=weighing))
 
     def bracket_closed(self, closed: ClosedBracket | None) -> None:
-        """The bare pan was weighed after a container; None where nothing was dosed into it."""
-        self._set(bracket=None, closed=self.closed if closed is None else (*self.closed, closed))
+        """The bare pan was weighed after a container; None where nothing was dosed into it.
+
+        A zero that has just stepped may step back within the next bracket, which then closes by chance.
+        """
+        if closed is None:
+            self._set(bracket=None)
+            return
+        told = closed
+        if closed.closes and self.is_zero_doubted:
+            told = replace(closed, closes=False, detail=f"the balance's zero has stepped of late; {closed.detail}")
+        self._set(bracket=None, closed=(*self.closed, told), is_zero_doubted=not closed.closes)
 
     def noted(self, closed: ClosedBracket) -> None:
         """The batch has noted what a container came to."""
@@ -234,10 +247,14 @@ class Believed:
         )
         self.dose_began(weighing.time_s)
 
-    def dosing_towards(self, target_mg: float, lot: str, before: Gross) -> None:
-        """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet."""
+    def dosing_towards(self, target_mg: float, lot: str, before: Gross, *, has_stepped: bool = False) -> None:
+        """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet.
+
+        `has_stepped`: the pan showed another weight than when it was last weighed, and nothing was dosed since.
+        """
         bracket = self._open_bracket
         self._set(
+            is_zero_doubted=self.is_zero_doubted or has_stepped,
             dosing=replace(self.dosing, target_mg=_mass(target_mg), is_unweighed=True),
             pan_empty_mg=before.gross_mg - bracket.dosed_mg(lot).mass_mg,
             bracket=replace(bracket, before=before, last=before, lot=lot),

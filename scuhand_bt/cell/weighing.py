@@ -78,11 +78,15 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
             doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
         )
     )
-    believed.bracket_closed(ClosedBracket(bracket.container, adjusted, closed.closes, _in_words(closed)))
+    believed.bracket_closed(
+        ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))
+    )
     return bare
 
 
 def _in_words(closed: Closed) -> str:
+    if closed.unsteady_mg > 0.0:
+        return f"the bare pan shows {closed.zero_mg:+.2f} mg against before the container: the balance's zero has moved"
     return (
         f"by the bare pan before and after it the container has gained {closed.net.mass_mg:.2f} mg, "
         f"{closed.difference_mg:+.2f} mg against what was dosed; {closed.allowance_mg:.2f} mg are allowed"

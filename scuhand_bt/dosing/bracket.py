@@ -69,6 +69,11 @@ def apart_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     return math.hypot(before.uncertainty_mg, after.uncertainty_mg, walked_mg)
 
 
+def has_moved(before: Gross, after: Gross, readability_mg: float) -> bool:
+    """Whether two weighings of one thing differ by more than chance: the zero has stepped, or something has come."""
+    return abs(after.gross_mg - before.gross_mg) > AGREEMENT * apart_mg(before, after, readability_mg)
+
+
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
     """By two weighings of one thing at different times."""
     duration_s = after.time_s - before.time_s
@@ -147,10 +152,13 @@ class Closed:
     """N less all doses."""
     allowance_mg: float
     """How far they may be apart."""
+    unsteady_mg: float
+    """By how much more the bare pan's reading has moved than a sound zero walks, or than the drift explains."""
 
     @property
     def closes(self) -> bool:
-        return abs(self.difference_mg) <= self.allowance_mg
+        """A zero that has stepped may have done so at any moment, and twice: D and N then agree by chance."""
+        return abs(self.difference_mg) <= self.allowance_mg and self.unsteady_mg == 0.0
 
 
 def close(
@@ -187,4 +195,7 @@ def close(
         share = dose.uncertainty_mg**2 / variance
         u_mg = birge * dose.uncertainty_mg * math.sqrt(1.0 - share)
         adjusted.append(Net(dose.mass_mg + share * difference_mg, u_mg))
-    return Closed(tuple(adjusted), net, zero_mg, difference_mg, AGREEMENT * chance_mg)
+    lasted_s = bare_after.time_s - bare_before.time_s
+    walked_mg = math.hypot(apart_mg(bare_before, bare_after, readability_mg), drift.uncertainty * lasted_s)
+    unsteady_mg = max(0.0, abs(zero_mg - drift.rate * lasted_s) - AGREEMENT * walked_mg)
+    return Closed(tuple(adjusted), net, zero_mg, difference_mg, AGREEMENT * chance_mg, unsteady_mg)

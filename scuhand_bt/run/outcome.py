@@ -14,6 +14,9 @@ from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Verdict
 
+CLOSING_SHARE = 0.5
+"""Of the tolerance: a bare pan that differs from what was dosed by more confirms nothing, whatever chance allows."""
+
 Interruption = Literal["stopped", "paused", "tripped"]
 
 
@@ -108,7 +111,8 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
         }
     if result.verdict in get_args(Verdict):
         changes["verdict"] = _verdict(doses, is_asked=True)
-    if not closed.closes and result.code in (None, Code.BALANCE_BRACKET_OPEN):
+    is_open = any(dose.bracket == "does not close" for dose in doses)
+    if is_open and result.code in (None, Code.BALANCE_BRACKET_OPEN):
         changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": closed.detail}
     elif result.code == Code.BALANCE_BRACKET_OPEN and all(dose.bracket == "closed" for dose in doses):
         changes |= {"code": None, "detail": None}
@@ -140,12 +144,13 @@ def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
 
 def _confirmed(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
     net = closed.doses[dose.lot]
+    is_near = abs(closed.difference_mg) <= CLOSING_SHARE * dose.tolerance_mg
     return dose.model_copy(
         update={
             "dispensed_mg": net.mass_mg,
             "uncertainty_mg": net.uncertainty_mg,
             "verdict": judge(dose.target_mg, dose.tolerance_mg, net.mass_mg, net.uncertainty_mg),
-            "bracket": "closed" if closed.closes else "does not close",
+            "bracket": "closed" if closed.closes and is_near else "does not close",
         }
     )
 
