@@ -106,6 +106,23 @@ class Reweighed(SkillEvent, Weighing):
     arrived_mg: float
 
 
+class DoseBegun(SkillEvent, Weighing):
+    """The pan was weighed with the hand in place, and the valve may open."""
+
+    KIND: ClassVar = "dose_begun"
+
+    lot: Text
+    target_mg: float
+
+
+class ContainerLifted(SkillEvent, Weighing):
+    """The filled container was weighed, the hand away, and may be taken off the pan."""
+
+    KIND: ClassVar = "container_lifted"
+
+    container: Text
+
+
 class DoseWeighed(SkillEvent, Weighing):
     """The pan was weighed and watched after a dose, the hand in place and the valve shut."""
 
@@ -288,7 +305,9 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     Pulsed,
     Dose,
     DoseCurve,
+    DoseBegun,
     DoseWeighed,
+    ContainerLifted,
     BracketClosed,
     Reweighed,
     WeightChecked,

@@ -13,9 +13,7 @@ from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import (
     Gross,
-    Net,
     Reference,
-    apart_mg,
     dose_between,
     drift_between,
     has_moved,
@@ -26,6 +24,7 @@ from scuhand_bt.skill import (
     Cell,
     Code,
     Dose,
+    DoseBegun,
     DoseCurve,
     DoseWeighed,
     Milligrams,
@@ -96,7 +95,7 @@ class Dispense(Skill[Dose]):
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
         has_stepped = has_moved(bracket.last, weighing_of(mean), cell.spec.balance.readability_mg)
         for _ in range(ROUNDS):
-            run, earlier, mean = yield from self._dose(cell, earlier, weighing_of(mean), has_stepped=has_stepped)
+            run, earlier, mean = yield from self._dose(cell, earlier, mean, has_stepped=has_stepped)
             points += run.rows()
             dose = self._judged(cell, run)
             if not (run.finish.reason == "reached" and dose.verdict == "under"):
@@ -107,10 +106,10 @@ class Dispense(Skill[Dose]):
         return dose
 
     def _dose(
-        self, cell: Cell, earlier: Gross, before: Gross, *, has_stepped: bool
+        self, cell: Cell, earlier: Gross, mean: StableMean, *, has_stepped: bool
     ) -> Steps[tuple[DoseRun, Gross, StableMean]]:
         """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
-        believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+        believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(mean)
         lot = self._source(cell).sheet_key
         assert believed.bracket is not None
         drift = significant(drift_between(earlier, before, digit_mg), digit_mg)
@@ -120,6 +119,7 @@ class Dispense(Skill[Dose]):
         request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
         controller = new_controller(self.controller or cell.controller, request)
         believed.dosing_towards(self.mass_mg, lot, before, has_stepped=has_stepped)
+        cell.record.event(DoseBegun(**dict(mean.written()), lot=lot, target_mg=self.mass_mg))
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
         finally:
@@ -175,19 +175,18 @@ class Dispense(Skill[Dose]):
         return min(max(watch_s, SHORTEST_WATCH_S), LONGEST_WATCH_S)
 
     def settle(self, cell: Cell) -> Steps[None]:
-        """The apex over the container again; what has arrived since the valve first opened has left the cone."""
-        believed = cell.believed
+        """The apex over the container again; what has arrived since that was last weighed has left the cone."""
+        believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
         bracket = believed.bracket
-        if believed.pan is None or bracket is None or bracket.before is None:
+        if believed.pan is None or bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
         place, _ = over_balance(cell.spec, believed.pan)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
         mean = yield from cell.balance.stable_mean()
-        now = weighing_of(mean)
-        arrived_mg = now.gross_mg - bracket.before.gross_mg
-        cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=arrived_mg))
-        believed.reweighed(Net(arrived_mg, apart_mg(bracket.before, now, cell.spec.balance.readability_mg)), now)
+        gained, _ = dose_between(bracket.last, bracket.last, weighing_of(mean), weighing_of(mean), digit_mg)
+        cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
+        believed.reweighed(gained, weighing_of(mean), self._source(cell).sheet_key)
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""

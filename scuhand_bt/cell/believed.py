@@ -279,14 +279,15 @@ class Believed:
             )
         )
 
-    def reweighed(self, gained: Net, now: Gross) -> None:
-        """The container was weighed after a dose broke off: what it has gained since has left the cone.
+    def reweighed(self, gained: Net, now: Gross, lot: str) -> None:
+        """The container was weighed after a dose of a lot broke off: what it has gained since has left the cone.
 
         ValueError without an earlier gross.
         """
         if self.pan_gross_mg is None:
             raise ValueError("no container on the pan was weighed before")
         self._left_cone(now.gross_mg - self.pan_gross_mg)
+        self._set(bracket=replace(self._open_bracket, lot=lot))
         self._gained(gained, self._open_bracket.drift, now)
         self._set(dosing=replace(self.dosing, is_unweighed=False))
 

@@ -5,7 +5,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close
-from scuhand_bt.events import BracketClosed, LotDosed
+from scuhand_bt.events import BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
 
 PATIENCE_S = 60.0
@@ -53,7 +53,9 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
     believed = cell.believed
     bracket = believed.bracket
     if bracket is not None and bracket.doses and bracket.lifted is None:
-        believed.lifted(weighing_of((yield from cell.balance.stable_mean())))
+        mean = yield from cell.balance.stable_mean()
+        believed.lifted(weighing_of(mean))
+        cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
     believed.changing_container()
     yield from cell.changer.take_away()
     bare = yield from cell.balance.stable_mean()
@@ -66,6 +68,9 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
     digit_mg = cell.spec.balance.readability_mg
     closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
     adjusted = dict(zip(bracket.doses, closed.doses, strict=True))
+    believed.bracket_closed(
+        ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))
+    )
     cell.record.event(
         BracketClosed(
             container=bracket.container,
@@ -77,9 +82,6 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
             closes=closed.closes,
             doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
         )
-    )
-    believed.bracket_closed(
-        ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))
     )
     return bare
 

@@ -103,11 +103,12 @@ def mean_drift(before: Drift, after: Drift) -> Drift:
 def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, readability_mg: float) -> tuple[Net, Drift]:
     """What came between `before` and `after`, and the drift that was taken out.
 
-    `earlier` and `before` weigh the same, and so do `after` and `later`. A drift that is not significant is not taken
-    out, as a zero that walks has none; its doubt stays.
+    `earlier` and `before` weigh the same, and so do `after` and `later`; one given twice tells no drift. A drift that
+    is not significant is not taken out, as a zero that walks has none; its doubt stays.
     """
-    seen = mean_drift(drift_between(earlier, before, readability_mg), drift_between(after, later, readability_mg))
-    drift = significant(seen, readability_mg)
+    seen = [drift_between(one, two, readability_mg) for one, two in ((earlier, before), (after, later)) if one != two]
+    unseen = Drift(0.0, SOUND_DIGITS_PER_S * readability_mg)
+    drift = significant(mean_drift(*seen) if len(seen) == 2 else seen[0] if seen else unseen, readability_mg)
     duration_s = later.time_s - before.time_s
     mass_mg = later.gross_mg - before.gross_mg
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)

@@ -17,13 +17,15 @@ from pathlib import Path
 from pydantic import JsonValue
 
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Dose, Event, Note
+from scuhand_bt.events import BracketClosed, ContainerLifted, Dose, DoseBegun, DoseWeighed, Event, Note
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.record import RecordLost
 
 SCHEMA_VERSION = 2
+POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed)
+"""What is weighed before powder falls or a container goes: what is believed then is written with it, in mid-action."""
 FLUSH_S = 0.5
 """Readings of the balance wait this long in memory, by the wall's time, before they are written down."""
 _ENDED = """
@@ -109,7 +111,7 @@ class Journal:
         """Anything that happens within the job and the action that are at work, or beside them."""
         if isinstance(event, Dose):
             self.doses.append(event)
-        self._append(event)
+        self._append(event, with_state=isinstance(event, POINTS_OF_NO_RETURN))
         self.heard(event)
 
     def job_started(self, event: JobStarted) -> None:

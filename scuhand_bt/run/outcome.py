@@ -143,14 +143,15 @@ def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
 
 
 def _confirmed(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
+    if not closed.closes or abs(closed.difference_mg) > CLOSING_SHARE * dose.tolerance_mg:
+        return dose.model_copy(update={"bracket": "does not close"})
     net = closed.doses[dose.lot]
-    is_near = abs(closed.difference_mg) <= CLOSING_SHARE * dose.tolerance_mg
     return dose.model_copy(
         update={
             "dispensed_mg": net.mass_mg,
             "uncertainty_mg": net.uncertainty_mg,
             "verdict": judge(dose.target_mg, dose.tolerance_mg, net.mass_mg, net.uncertainty_mg),
-            "bracket": "closed" if closed.closes and is_near else "does not close",
+            "bracket": "closed",
         }
     )
 
