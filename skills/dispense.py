@@ -127,7 +127,7 @@ class Dispense(Skill[Dose]):
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
-        after, mean = yield from weigh_until_still(cell, run.last, self._allowed_mg, self._watch_s(before, run.last))
+        after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last))
         gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
         cell.record.event(
