@@ -60,9 +60,14 @@ def test_an_overshoot_ends_the_loop_that_the_paper_leaves_spinning(name: str) ->
     assert finish.reason == "overshoot"
 
 
-def test_the_papers_tolerance_is_strict() -> None:
-    for net_mg, ends in ((48.0, False), (48.01, True)):
-        controller = new_controller("paper", request())
+def test_the_papers_tolerance_is_strict_as_printed_and_less_the_guard_band_otherwise() -> None:
+    for net_mg, as_printed, ends in (
+        (48.0, True, False),
+        (48.01, True, True),
+        (48.09, False, False),
+        (48.11, False, True),
+    ):
+        controller = new_controller("paper", request(as_printed=as_printed))
         controller.decide(None)
         assert isinstance(controller.decide(settled(net_mg)), Finish) == ends
 
