@@ -83,7 +83,7 @@ class Dispense(Skill[Dose]):
         points: list[tuple[float, float, float, float, bool, float]] = []
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
         for _ in range(ROUNDS):
-            run, earlier, mean = yield from self._dose(cell, earlier, weighing_of(mean))
+            run, earlier, mean = yield from self._dose(cell, earlier, mean)
             points += run.rows()
             dose = self._judged(cell, run)
             if not (run.finish.reason == "reached" and dose.verdict == "under"):
@@ -93,9 +93,9 @@ class Dispense(Skill[Dose]):
         self._raise_failure(cell, run, dose)
         return dose
 
-    def _dose(self, cell: Cell, earlier: Gross, before: Gross) -> Steps[tuple[DoseRun, Gross, StableMean]]:
+    def _dose(self, cell: Cell, earlier: Gross, empty: StableMean) -> Steps[tuple[DoseRun, Gross, StableMean]]:
         """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
-        believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+        believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(empty)
         lot = self._source(cell).sheet_key
         assert believed.bracket is not None
         drift = significant(drift_between(earlier, before, digit_mg), digit_mg)
@@ -118,7 +118,7 @@ class Dispense(Skill[Dose]):
             DoseWeighed(
                 **dict(mean.written()),
                 lot=lot,
-                before_mg=before.gross_mg,
+                before=empty.written(),
                 gained_mg=gained.mass_mg,
                 gained_uncertainty_mg=gained.uncertainty_mg,
                 drift_mg_per_s=drift.rate,

@@ -203,17 +203,22 @@ def test_what_is_no_journal_is_refused_cleanly(tmp_path: Path, command: Call, fo
 def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran: Ran) -> None:
     rows = record(ran.journal)
     doses = {row["sample"]: row for row in rows if row["weighing"] == "dose"}
-    assert {row["weighing"] for row in rows} == {"container", "tare", "dose"}
+    brackets = {row["sample"]: row for row in rows if row["weighing"] == "bracket"}
+    assert [row["weighing"] for row in rows].count("bracket") == len(brackets) == 2
+    assert {row["weighing"] for row in rows} == {"container", "tare", "dose", "bracket"}
     for name in ("a", "b"):
-        row, result = doses[name], ran.sample(name)
-        tare = next(one for one in rows if one["weighing"] == "tare" and one["sample"] == name)
-        assert row["tare_mg"] == tare["gross_mg"]
-        assert row["tare_lines"] == tare["gross_lines"]
-        assert float(row["gross_mg"]) - float(row["tare_mg"]) == pytest.approx(float(row["net_mg"]), abs=1e-3)
-        assert float(row["net_mg"]) == pytest.approx(result.dispensed_mg, abs=1e-4)
-        assert row["verdict"] == result.verdict
-        shown_mg = [1000 * float(line.split()[-2]) for line in row["gross_lines"].split(" | ")]
-        assert sum(shown_mg) / len(shown_mg) == pytest.approx(float(row["gross_mg"]), abs=1e-3)
+        row, bracket, result = doses[name], brackets[name], ran.sample(name)
+        drift_mg, net_mg = float(row["drift_mg"]), float(row["net_mg"])
+        assert float(row["gross_mg"]) - float(row["tare_mg"]) - drift_mg == pytest.approx(net_mg, abs=1e-3)
+        for weighed in ("tare", "gross"):
+            shown_mg = [1000 * float(line.split()[-2]) for line in row[f"{weighed}_lines"].split(" | ")]
+            assert sum(shown_mg) / len(shown_mg) == pytest.approx(float(row[f"{weighed}_mg"]), abs=1e-3)
+        assert float(bracket["net_mg"]) == pytest.approx(result.dispensed_mg, abs=1e-4)
+        assert float(bracket["standard_uncertainty_mg"]) == pytest.approx(result.uncertainty_mg, abs=1e-4)
+        assert float(bracket["standard_uncertainty_mg"]) < float(row["standard_uncertainty_mg"])
+        assert bracket["verdict"] == result.verdict
+        same = ("container", "container_kind", "source", "powder", "sheet", "target_mg", "attempt", "controller")
+        assert [bracket[column] for column in same] == [row[column] for column in same]
     first = doses["a"]
     assert first["simulated"] == "yes"
     assert first["stable"] == "yes"
@@ -227,6 +232,8 @@ def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran
     assert first["software"].startswith("scuhand_bt ")
     entry = next(row for row in read(ran.journal, "entry") if row["seq"] == int(first["entry"]))
     assert (entry["kind"], entry["hash"].hex()) == ("dose", first["entry_hash"])
+    entry = next(row for row in read(ran.journal, "entry") if row["seq"] == int(brackets["a"]["entry"]))
+    assert (entry["kind"], entry["hash"].hex()) == ("sample", brackets["a"]["entry_hash"])
 
 
 def test_a_text_that_would_be_a_formula_is_none(tmp_path: Path) -> None:
