@@ -192,6 +192,22 @@ tree:
     - return_leftover: {source: $source}
     - park:
 """
+TWIN = """
+workflow: twin
+inputs: {source: Source, first: Container, second: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $first}
+    - tare:
+    - fill: {source: $source, container: $first, mass: $mass, tolerance: $tolerance}
+    - park:
+    - place_container: {container: $second}
+    - tare:
+    - fill: {source: $source, container: $second, mass: $mass, tolerance: $tolerance}
+    - return_leftover: {source: $source}
+    - park:
+    - remove_container:
+"""
 LEFT_STANDING = """
 workflow: finish_batch
 inputs: {source: Source}
@@ -227,3 +243,18 @@ def test_a_sample_whose_container_still_stands_on_the_pan_at_the_end_is_flagged(
     assert ran.result.exit_code == ExitCode.FLAGGED
     gone_too = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "scoop_and_dispense"))
     assert (gone_too.sample("a").is_good, gone_too.result.exit_code) == (True, ExitCode.OK)
+
+
+def test_a_sample_of_two_containers_gives_each_an_id_and_a_result_of_its_own(tmp_path: Path) -> None:
+    """Both go within the sample's own job: the bare pan's word waits for its result."""
+    lab = make_lab(tmp_path / "lab", trees__twin=TWIN)
+    text = RECIPE.replace("WORKFLOW", "twin").replace("container: xrd", "first: xrd_holder, second: xrd")
+    ran = dry_run(tmp_path, text, lab=lab)
+    had = ran.sample("a")
+    assert [(one.container, one.bracket) for one in had.doses] == [("a/first", "closed"), ("a/second", "closed")]
+    assert ran.session.world is not None
+    for one in had.doses:
+        assert ran.session.world.masses_mg[f"container:{one.container}"] == pytest.approx(one.dispensed_mg, abs=0.5)
+    assert (had.code, had.is_good, ran.result.exit_code) == (None, True, ExitCode.OK)
+    assert had.dispensed_mg == had.doses[1].dispensed_mg
+    assert ran.session.cell.believed.closed == ()
