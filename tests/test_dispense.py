@@ -10,7 +10,7 @@ from dose_bench import BAY, DISH, MORTAR, Bench, shipped_powders
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.dosing import CONTROLLERS, Command, DoseRequest, Finish, Observation, Pulse, Weigh, new_controller
+from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Pulse, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.events import Dose, DoseWeighed, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed

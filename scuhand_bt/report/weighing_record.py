@@ -3,9 +3,9 @@
 It is comma-separated, with a decimal point and CRLF (RFC 4180). A text that a spreadsheet would take for a
 formula gets an apostrophe in front.
 
-A net mass is gross less tare less drift. A dose's tare is what the container weighed just before the valve opened, less
-what earlier doses had brought of the same powder. A `bracket` is the same dose after the bare pan was weighed behind its
-container, adjusted to that: the sample's result.
+A net mass is gross less tare less drift. A dose's tare is what the container weighed just before the valve opened,
+less what earlier doses had brought of the same powder. A `bracket` is the same dose after the bare pan was weighed
+behind its container, adjusted to that: the sample's result.
 """
 
 import csv
@@ -43,8 +43,8 @@ CONVENTION = (
 COLUMNS = (
     "run", "simulated", "mode", "recipe", "recipe_hash", "operator", "at", "run_time_s", "sample", "attempt",
     "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "tare_mg",
-    "gross_mg", "drift_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "lines_unit", "target_mg",
-    "tolerance_mg", "tolerance_convention", "verdict", "failure_code", "source", "powder", "lot", "sheet",
+    "gross_mg", "drift_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "lines_unit",
+    "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "failure_code", "source", "powder", "lot", "sheet",
     "sheet_powder", "controller", "software", "entry", "entry_hash",
 )  # fmt: skip
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
