@@ -142,6 +142,7 @@ def _brackets(
             "at": row["at"],
             "run_time_s": row["time_s"],
             "weighing": "bracket",
+            "container": dose.container,
             "net_mg": dose.dispensed_mg,
             "standard_uncertainty_mg": dose.uncertainty_mg,
             "tolerance_mg": dose.tolerance_mg,
