@@ -129,8 +129,8 @@ class DoseWeighed(SkillEvent, Weighing):
     KIND: ClassVar = "dose_weighed"
 
     lot: Text
-    before_mg: float
-    """Gross just before the valve opened, the hand in place."""
+    before: Weighing
+    """Just before the valve opened, the hand in place."""
     gained_mg: float
     """What has come between the two, the drift taken out."""
     gained_uncertainty_mg: float

@@ -106,10 +106,10 @@ class Dispense(Skill[Dose]):
         return dose
 
     def _dose(
-        self, cell: Cell, earlier: Gross, mean: StableMean, *, has_stepped: bool
+        self, cell: Cell, earlier: Gross, empty: StableMean, *, has_stepped: bool
     ) -> Steps[tuple[DoseRun, Gross, StableMean]]:
         """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
-        believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(mean)
+        believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(empty)
         lot = self._source(cell).sheet_key
         assert believed.bracket is not None
         drift = significant(drift_between(earlier, before, digit_mg), digit_mg)
@@ -119,7 +119,7 @@ class Dispense(Skill[Dose]):
         request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
         controller = new_controller(self.controller or cell.controller, request)
         believed.dosing_towards(self.mass_mg, lot, before, has_stepped=has_stepped)
-        cell.record.event(DoseBegun(**dict(mean.written()), lot=lot, target_mg=self.mass_mg))
+        cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
         finally:
@@ -134,7 +134,7 @@ class Dispense(Skill[Dose]):
             DoseWeighed(
                 **dict(mean.written()),
                 lot=lot,
-                before_mg=before.gross_mg,
+                before=empty.written(),
                 gained_mg=gained.mass_mg,
                 gained_uncertainty_mg=gained.uncertainty_mg,
                 drift_mg_per_s=drift.rate,

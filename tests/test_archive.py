@@ -12,9 +12,19 @@ from typing import Any
 import pytest
 from conftest import Call
 
-from scuhand_bt.events import Line, Tared
+from scuhand_bt.events import Dose, DoseWeighed, Line, Tared
 from scuhand_bt.journal.archive import summaries
-from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, JobStarted, Paused, Resumed, RunBegun
+from scuhand_bt.journal.events import (
+    Answered,
+    Asked,
+    Continued,
+    Ended,
+    JobStarted,
+    Paused,
+    Resumed,
+    RunBegun,
+    SampleResult,
+)
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.journal.writer import Journal
@@ -203,17 +213,22 @@ def test_what_is_no_journal_is_refused_cleanly(tmp_path: Path, command: Call, fo
 def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran: Ran) -> None:
     rows = record(ran.journal)
     doses = {row["sample"]: row for row in rows if row["weighing"] == "dose"}
-    assert {row["weighing"] for row in rows} == {"container", "tare", "dose"}
+    brackets = {row["sample"]: row for row in rows if row["weighing"] == "bracket"}
+    assert [row["weighing"] for row in rows].count("bracket") == len(brackets) == 2
+    assert {row["weighing"] for row in rows} == {"container", "tare", "dose", "bracket"}
     for name in ("a", "b"):
-        row, result = doses[name], ran.sample(name)
-        tare = next(one for one in rows if one["weighing"] == "tare" and one["sample"] == name)
-        assert row["tare_mg"] == tare["gross_mg"]
-        assert row["tare_lines"] == tare["gross_lines"]
-        assert float(row["gross_mg"]) - float(row["tare_mg"]) == pytest.approx(float(row["net_mg"]), abs=1e-3)
-        assert float(row["net_mg"]) == pytest.approx(result.dispensed_mg, abs=1e-4)
-        assert row["verdict"] == result.verdict
-        shown_mg = [1000 * float(line.split()[-2]) for line in row["gross_lines"].split(" | ")]
-        assert sum(shown_mg) / len(shown_mg) == pytest.approx(float(row["gross_mg"]), abs=1e-3)
+        row, bracket, result = doses[name], brackets[name], ran.sample(name)
+        drift_mg, net_mg = float(row["drift_mg"]), float(row["net_mg"])
+        assert float(row["gross_mg"]) - float(row["tare_mg"]) - drift_mg == pytest.approx(net_mg, abs=1e-3)
+        for weighed in ("tare", "gross"):
+            shown_mg = [1000 * float(line.split()[-2]) for line in row[f"{weighed}_lines"].split(" | ")]
+            assert sum(shown_mg) / len(shown_mg) == pytest.approx(float(row[f"{weighed}_mg"]), abs=1e-3)
+        assert float(bracket["net_mg"]) == pytest.approx(result.dispensed_mg, abs=1e-4)
+        assert float(bracket["standard_uncertainty_mg"]) == pytest.approx(result.uncertainty_mg, abs=1e-4)
+        assert float(bracket["standard_uncertainty_mg"]) < float(row["standard_uncertainty_mg"])
+        assert bracket["verdict"] == result.verdict
+        same = ("container", "container_kind", "source", "powder", "sheet", "target_mg", "attempt", "controller")
+        assert [bracket[column] for column in same] == [row[column] for column in same]
     first = doses["a"]
     assert first["simulated"] == "yes"
     assert first["stable"] == "yes"
@@ -227,6 +242,40 @@ def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran
     assert first["software"].startswith("scuhand_bt ")
     entry = next(row for row in read(ran.journal, "entry") if row["seq"] == int(first["entry"]))
     assert (entry["kind"], entry["hash"].hex()) == ("dose", first["entry_hash"])
+    entry = next(row for row in read(ran.journal, "entry") if row["seq"] == int(brackets["a"]["entry"]))
+    assert (entry["kind"], entry["hash"].hex()) == ("sample", brackets["a"]["entry_hash"])
+
+
+def lines(gross_mg: float) -> tuple[Line, ...]:
+    return (Line(value_mg=gross_mg, unit="mg", stable=True, time_s=1.0, raw=f"{gross_mg:.1f} mg"),)
+
+
+def test_a_dose_in_two_parts_is_weighed_against_the_empty_container_and_its_bracket_stands_once(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.event(RunBegun.model_validate(HEADER))
+    journal.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+    dosed = {"container": "a", "lot": "glass_beads", "target_mg": 50.0, "tolerance_mg": 2.0, "uncertainty_mg": 0.2}
+    cost = {"pulses": 1, "vibration_s": 0.0, "duration_s": 9.0, "controller": "paper"}
+    # The zero has stepped by 4 mg between the parts; 0.5 mg of the second are drift.
+    for before_mg, after_mg, gained_mg, net_mg in ((9000.0, 9020.0, 20.0, 20.0), (9024.0, 9055.0, 30.5, 50.5)):
+        before = {"gross_mg": before_mg, "readings": lines(before_mg)}
+        weighed = {"gross_mg": after_mg, "readings": lines(after_mg), "before": before, "gained_mg": gained_mg}
+        weighed |= {"lot": "glass_beads", "gained_uncertainty_mg": 0.1, "drift_mg_per_s": 0.05}
+        journal.event(DoseWeighed.model_validate(weighed))
+        journal.event(Dose.model_validate(dosed | cost | {"dispensed_mg": net_mg, "verdict": "in tolerance"}))
+    adjusted = dosed | {"dispensed_mg": 50.3, "verdict": "in tolerance", "bracket": "closed"}
+    result = dict.fromkeys(SampleResult.model_fields) | cost | {"scoops": 1, "attempt": 1, "id": "a"}
+    for _ in range(2):  # as when another of the sample's containers goes
+        journal.event(SampleResult.model_validate(result | {"verdict": "in tolerance", "doses": [adjusted]}))
+    journal.close()
+    rows = record(journal.path)
+    assert [row["weighing"] for row in rows] == ["dose", "dose", "bracket"]
+    _, second, bracket = rows
+    masses = ("tare_mg", "gross_mg", "drift_mg", "net_mg")
+    assert [float(second[name]) for name in masses] == pytest.approx([9004.0, 9055.0, 0.5, 50.5])
+    assert (second["tare_lines"], second["gross_lines"]) == ("9024.0 mg", "9055.0 mg")
+    assert [bracket[name] for name in masses] == ["", "", "", "50.3000"]
+    assert (bracket["sample"], bracket["container"], bracket["failure_code"]) == ("a", "a", "")
 
 
 def test_a_text_that_would_be_a_formula_is_none(tmp_path: Path) -> None:

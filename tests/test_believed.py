@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.believed import Believed, ClosedBracket
+from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.specs import Source
 
 POWDERS = shipped_powders()
@@ -28,8 +29,23 @@ SALT = source("salt", "monosodium_glutamate", "")
 SOURCES = {one.name: one for one in (BEADS, MORE_BEADS, OLD_BEADS, SALT)}
 JSON = TypeAdapter(Believed)
 
+STILL = Drift(0.0, 0.005)
+
+
+def weighed(gross_mg: float, time_s: float = 2.0) -> Gross:
+    return Gross(gross_mg, 0.05, time_s)
+
+
+def gone(container: str = DISH.id) -> ClosedBracket:
+    """What a container came to that has gone."""
+    return ClosedBracket(container, {"glass_beads/L7": Net(50.0, 0.1)}, True, "it closes")
+
+
 masses_mg = st.sampled_from([-10.0, 0.0, 30.0, 3000.0])
 grosses_mg = st.sampled_from([-50.0, 20_000.0, 20_030.0])
+weighings = st.builds(weighed, grosses_mg)
+nets = st.builds(lambda m: Net(m, 0.1), masses_mg)
+lots = st.sampled_from([BEADS.sheet_key, SALT.sheet_key])
 sources = st.sampled_from(list(SOURCES.values()))
 names = st.sampled_from(list(SOURCES))
 
@@ -46,16 +62,19 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "changing_container": st.just(Believed.changing_container),
     "removed": st.just(Believed.removed),
     "brought": st.builds(lambda by: lambda b: b.brought(DISH, from_changer=by), st.booleans()),
-    "placed": st.builds(lambda g: lambda b: b.placed(g), grosses_mg),
+    "placed": st.builds(lambda bare, loaded: lambda b: b.placed(bare, loaded), weighings, weighings),
     "slots_refilled": st.just(Believed.slots_refilled),
     "containers_taken": st.builds(lambda n: lambda b: b.containers_taken(n, {"die": n}), st.integers(-1, 9)),
     "dose_began": st.just(lambda b: b.dose_began(1.0)),
-    "tared": st.builds(lambda g: lambda b: b.tared(g, 2.0), grosses_mg),
-    "dosing_towards": st.builds(lambda m: lambda b: b.dosing_towards(m), masses_mg),
+    "tared": st.builds(lambda g: lambda b: b.tared(g), weighings),
+    "dosing_towards": st.builds(lambda m, lot, g: lambda b: b.dosing_towards(m, lot, g), masses_mg, lots, weighings),
     "dosing_ended": st.builds(lambda m, g: lambda b: b.dosing_ended(m, g), masses_mg, grosses_mg),
-    "dosed": st.builds(lambda g: lambda b: b.dosed(g, 1, 0.5), grosses_mg),
-    "reweighed": st.builds(lambda g: lambda b: b.reweighed(g), grosses_mg),
-    "zero_moved": st.builds(lambda d, g: lambda b: b.zero_moved(d, g), masses_mg, grosses_mg),
+    "dosed": st.builds(lambda n, g: lambda b: b.dosed(n, STILL, g, 1, 0.5), nets, weighings),
+    "reweighed": st.builds(lambda n, g: lambda b: b.reweighed(n, g), nets, weighings),
+    "zero_moved": st.builds(lambda d, g: lambda b: b.zero_moved(d, g), masses_mg, weighings),
+    "lifted": st.builds(lambda g: lambda b: b.lifted(g), weighings),
+    "bracket_closed": st.sampled_from([None, gone()]).map(lambda one: lambda b: b.bracket_closed(one)),
+    "noted": st.just(lambda b: b.noted(b.closed[0] if b.closed else gone())),
 }
 
 
@@ -77,6 +96,8 @@ def holds_its_invariants(believed: Believed) -> None:
         assert (believed.pan_empty_mg, believed.pan_gross_mg, believed.weighed_container) == (None, None, None)
     if believed.pan_empty_mg is not None:
         assert believed.pan_gross_mg is not None
+    if believed.bracket is not None and believed.bracket.before is not None:
+        assert believed.bracket.lot, "what is not weighed yet is of a lot"
 
 
 def test_every_verb_is_tried() -> None:
@@ -114,15 +135,39 @@ def test_not_even_one_source_is_changed_by_hand_whether_told_or_restored() -> No
             believed.dosing.scoops = 3  # type: ignore[misc]
 
 
-def test_it_is_written_to_the_journal_as_it_always_was() -> None:
+def written_as(believed: Believed) -> dict[str, Any]:
+    written: dict[str, Any] = JSON.dump_python(believed, mode="json", by_alias=False)
+    return written
+
+
+def as_gross(weighing: Gross) -> dict[str, float]:
+    return {
+        "gross_mg": weighing.gross_mg,
+        "uncertainty_mg": weighing.uncertainty_mg,
+        "time_s": weighing.time_s,
+    }
+
+
+def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
+    bare, loaded, tare, before = weighed(10.0, 1.0), weighed(20_010.0, 3.0), weighed(20_010.5, 4.0), weighed(20_011.0)
     believed = Believed()
     believed.source_holds("beads", 5000.0)
     believed.scooped(BEADS, 3000.0)
     believed.brought(DISH, from_changer=True)
-    believed.placed(20_010.0)
-    believed.tared(20_010.5, 4.0)
-    believed.dosing_towards(50.0)
-    written: dict[str, Any] = JSON.dump_python(believed, mode="json", by_alias=False)
+    believed.placed(bare, loaded)
+    believed.tared(tare)
+    believed.dosing_towards(50.0, BEADS.sheet_key, before)
+    believed.bracket_closed(gone("before"))
+    written = written_as(believed)
+    assert written["bracket"] is None
+    assert JSON.validate_python(written, by_name=True, by_alias=False) == believed
+    believed.noted(believed.closed[0])
+    believed.placed(bare, loaded)
+    believed.tared(tare)
+    believed.dosing_towards(50.0, BEADS.sheet_key, before)
+    believed.dosed(Net(20.0, 0.1), STILL, weighed(20_031.0, 9.0), 3, 1.5)
+    believed.dosing_towards(50.0, SALT.sheet_key, weighed(20_031.0, 9.5))
+    written = written_as(believed)
     pan = written.pop("pan")
     assert (pan["id"], pan["empty_mass_mg"]) == (DISH.id, DISH.empty_mass_mg)
     assert written == {
@@ -132,19 +177,39 @@ def test_it_is_written_to_the_journal_as_it_always_was() -> None:
         "sheets_used": 1,
         "slots_used": 1,
         "containers_used": {DISH.name: 1},
-        "pan_empty_mg": 20_010.5,
-        "pan_gross_mg": 20_010.5,
+        "pan_empty_mg": 20_031.0,
+        "pan_gross_mg": 20_031.0,
         "sources_mg": {"beads": 2000.0},
         "dosing": {
             "began_s": 4.0,
-            "pulses": 0,
+            "pulses": 3,
             "scoops": 0,
-            "vibration_s": 0.0,
+            "vibration_s": 1.5,
             "target_mg": 50.0,
             "is_unweighed": True,
         },
+        "bracket": {
+            "container": DISH.id,
+            "bare": as_gross(bare),
+            "loaded": as_gross(tare),
+            "last": as_gross(weighed(20_031.0, 9.5)),
+            "doses": {"glass_beads/L7": {"mass_mg": 20.0, "uncertainty_mg": 0.1}},
+            "drift": {"rate": 0.0, "uncertainty": 0.005},
+            "before": as_gross(weighed(20_031.0, 9.5)),
+            "lot": SALT.sheet_key,
+            "lifted": None,
+        },
+        "closed": [],
     }
     assert JSON.validate_python({**written, "pan": pan}, by_name=True, by_alias=False) == believed
+
+
+def test_a_journal_of_before_brackets_is_read_without_one() -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 3000.0)
+    written = written_as(believed)
+    del written["bracket"], written["closed"]
+    assert JSON.validate_python(written, by_name=True, by_alias=False) == believed
 
 
 def test_a_scoop_takes_from_its_source_what_it_brings_and_an_empty_cone_gives_it_back() -> None:
@@ -186,10 +251,10 @@ def test_a_container_is_in_the_way_as_soon_as_it_stands_there_and_counts_once_it
     believed.brought(DISH, from_changer=False)
     assert (believed.pan, believed.weighed_container, believed.slots_used) == (DISH, None, 0)
     with pytest.raises(ValueError, match="weighed"):
-        believed.tared(1.0, 0.0)
-    believed.placed(20_000.0)
+        believed.tared(weighed(1.0))
+    believed.placed(weighed(0.0), weighed(20_000.0))
     assert believed.weighed_container == DISH
-    believed.tared(20_000.0, 0.0)
+    believed.tared(weighed(20_000.0))
     believed.changing_container()
     assert (believed.pan, believed.weighed_container, believed.pan_empty_mg) == (DISH, None, None)
     believed.removed()
@@ -206,31 +271,98 @@ def test_a_changer_that_was_filled_begins_anew_and_what_was_used_of_a_kind_is_co
     assert (believed.slots_used, believed.containers_used) == (3, {"die": 8})
 
 
-def test_what_arrived_since_the_last_weighing_has_left_the_cone() -> None:
+def on_the_pan() -> Believed:
+    """A dish that was weighed on its pan, and tared, under a cone with 100 mg of beads."""
     believed = Believed()
-    with pytest.raises(ValueError, match="weighed before"):
-        believed.reweighed(5.0)
     believed.scooped(BEADS, 100.0)
     believed.brought(DISH, from_changer=True)
-    believed.placed(20_000.0)
-    believed.tared(20_000.0, 0.0)
-    believed.dosing_towards(50.0)
-    believed.reweighed(20_030.0)
-    assert (believed.cone_mg, believed.pan_gross_mg, believed.dosing.is_unweighed) == (70.0, 20_030.0, False)
-    believed.zero_moved(2.0, 20_032.0)
-    assert (believed.pan_empty_mg, believed.pan_gross_mg, believed.cone_mg) == (20_002.0, 20_032.0, 70.0)
+    believed.placed(weighed(10.0, 1.0), weighed(20_010.0, 3.0))
+    believed.tared(weighed(20_010.5, 4.0))
+    return believed
 
 
-def test_a_dose_counts_what_it_cost_over_all_of_its_parts() -> None:
+def test_a_container_that_was_not_weighed_has_no_dose() -> None:
     believed = Believed()
+    believed.brought(DISH, from_changer=True)
+    for verb in (
+        lambda: believed.dosing_towards(50.0, BEADS.sheet_key, weighed(0.0)),
+        lambda: believed.dosed(Net(1.0, 0.1), STILL, weighed(0.0), 1, 0.5),
+        lambda: believed.reweighed(Net(1.0, 0.1), weighed(0.0)),
+        lambda: believed.lifted(weighed(0.0)),
+    ):
+        with pytest.raises(ValueError, match="was weighed"):
+            verb()
+    with pytest.raises(ValueError, match="no container stands"):
+        Believed().placed(weighed(0.0), weighed(20_000.0))
+
+
+def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_container() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.reweighed(Net(30.0, 0.2), weighed(20_040.5, 20.0))
+    assert (believed.cone_mg, believed.pan_gross_mg, believed.dosing.is_unweighed) == (70.0, 20_040.5, False)
+    assert believed.bracket is not None
+    assert believed.bracket.dosed_mg(BEADS.sheet_key) == Net(30.0, 0.2)
+    assert (believed.bracket.before, believed.bracket.last) == (None, weighed(20_040.5, 20.0))
+
+
+def test_a_zero_that_moved_takes_every_weighing_with_it_and_no_dose() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.reweighed(Net(30.0, 0.2), weighed(20_040.5))
+    believed.zero_moved(2.0, weighed(20_042.5, 30.0))
+    assert (believed.pan_empty_mg, believed.pan_gross_mg, believed.cone_mg) == (20_012.5, 20_042.5, 70.0)
+    bracket = believed.bracket
+    assert bracket is not None
+    assert (bracket.bare, bracket.loaded) == (weighed(12.0, 1.0), weighed(20_012.5, 4.0))
+    assert (bracket.last, bracket.dosed_mg(BEADS.sheet_key)) == (weighed(20_042.5, 30.0), Net(30.0, 0.2))
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_042.5))
+    believed.zero_moved(-1.0, weighed(20_041.5))
+    assert believed.bracket is not None
+    assert believed.bracket.before == weighed(20_041.5)
+
+
+def test_a_dose_counts_what_it_cost_and_what_it_brought_over_all_of_its_parts() -> None:
+    believed = on_the_pan()
     believed.dose_began(3.0)
     with suppress(ValueError):
-        believed.dosing_towards(float("nan"))
+        believed.dosing_towards(float("nan"), BEADS.sheet_key, weighed(20_010.5))
     assert not believed.dosing.is_unweighed
-    for _ in range(2):
-        believed.dosing_towards(50.0)
-        believed.dosing_ended(10.0, 0.0)
+    for before_mg in (20_010.5, 20_020.5):
+        believed.dosing_towards(50.0, BEADS.sheet_key, weighed(before_mg))
+        assert believed.pan_empty_mg == 20_010.5, "what it weighed before the first part"
+        believed.dosing_ended(10.0, before_mg + 10.0)
         assert (believed.dosing.target_mg, believed.dosing.is_unweighed) == (None, True)
-        believed.dosed(0.0, 3, 1.5)
+        believed.dosed(Net(10.0, 0.3), STILL, weighed(before_mg + 10.0), 3, 1.5)
     assert (believed.dosing.pulses, believed.dosing.vibration_s, believed.dosing.is_unweighed) == (6, 3.0, False)
-    assert believed.dosing.began_s == 3.0
+    assert (believed.dosing.began_s, believed.cone_mg) == (3.0, 80.0)
+    assert believed.bracket is not None
+    both = believed.bracket.dosed_mg(BEADS.sheet_key)
+    assert (both.mass_mg, both.uncertainty_mg) == (20.0, pytest.approx(0.3 * 2**0.5))
+
+
+def test_every_powder_lot_has_what_was_dosed_of_it_and_a_second_tare_forgets_none() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.dosed(Net(49.0, 0.1), STILL, weighed(20_059.5), 3, 1.5)
+    believed.tared(weighed(20_060.0, 40.0))
+    assert believed.bracket is not None
+    assert believed.bracket.loaded == weighed(20_010.5, 4.0), "without any powder"
+    assert believed.bracket.last == weighed(20_060.0, 40.0)
+    believed.dosing_towards(20.0, SALT.sheet_key, weighed(20_060.0))
+    assert believed.pan_empty_mg == 20_060.0
+    believed.dosed(Net(19.0, 0.2), STILL, weighed(20_079.0), 2, 0.5)
+    assert believed.bracket.doses == {BEADS.sheet_key: Net(49.0, 0.1), SALT.sheet_key: Net(19.0, 0.2)}
+
+
+def test_what_a_container_came_to_stays_until_it_is_noted_and_one_without_a_dose_came_to_nothing() -> None:
+    believed = on_the_pan()
+    believed.lifted(weighed(20_010.5))
+    assert believed.bracket is not None
+    assert believed.bracket.lifted == weighed(20_010.5)
+    first, second = gone("first"), gone("second")
+    for closed in (first, None, second):
+        believed.bracket_closed(closed)
+    assert (believed.bracket, believed.closed) == (None, (first, second))
+    believed.noted(first)
+    assert believed.closed == (second,)

@@ -7,6 +7,7 @@ import pytest
 
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Operator
+from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.motion import ApexPose
@@ -77,7 +78,8 @@ def test_a_container_is_in_the_way_from_when_it_is_brought_until_it_is_gone(benc
     believed.brought(bench.crucible, from_changer=True)
     with pytest.raises(SkillFailed, match="alumina_crucible on the pan"):
         bench.cell.contact([LOW_OVER_THE_PAN], 40.0, "mortar_bay")
-    for stands in (lambda: None, lambda: believed.placed(31_000.0), believed.changing_container):
+    bare, loaded = Gross(0.0, 0.1, 0.0), Gross(31_000.0, 0.1, 8.0)
+    for stands in (lambda: None, lambda: believed.placed(bare, loaded), believed.changing_container):
         stands()
         with pytest.raises(SkillFailed, match="alumina_crucible on the pan"):
             bench.do(bench.cell.move_to(LOW_OVER_THE_PAN))

@@ -300,8 +300,8 @@ def test_ctrl_c_while_running_ends_safe_with_code_130(recipe: Path) -> None:
 def test_a_skill_with_a_bug_ends_the_run_safe_with_code_3(command: Call, lab_folder: LabFolder, recipe: Path) -> None:
     lab_folder.replace(
         "skills/tare.py",
-        "        if cell.believed.weighed_container is None:",
-        "        1 / 0\n        if cell.believed.weighed_container is None:",
+        "        bracket = cell.believed.bracket\n",
+        "        1 / 0\n        bracket = cell.believed.bracket\n",
     )
     ended = command("run", recipe, "--dry-run")
     assert ended.returncode == 3

@@ -1,22 +1,100 @@
-"""The skill `dispense`: what it makes of a controller's last word."""
+"""The skill `dispense`: what it makes of its weighings, and of a controller's last word."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
-from dose_bench import DISH, Bench, shipped_powders
+from dose_bench import BAY, DISH, MORTAR, Bench, shipped_powders
 
-from scuhand_bt.dosing import CONTROLLERS, Command, DoseRequest, Finish, Observation, Pulse, Weigh, new_controller
-from scuhand_bt.events import Dose, Note, SkillEvent
+from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Pulse, Weigh, new_controller
+from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.events import Dose, DoseWeighed, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record
+from scuhand_bt.specs import Source
 
-BEADS = shipped_powders()["glass_beads"]
+POWDERS = shipped_powders()
+BEADS = POWDERS["glass_beads"]
+SALT = Source(name="salt", station=BAY.name, mortar=MORTAR, powder=POWDERS["monosodium_glutamate"], amount_mg=10_000.0)
 TARGET_MG, TOLERANCE_MG, UNCERTAINTY_MG = 50.0, 2.0, 0.25
 ALLOWED_MG = 1.5
 """The tolerance less twice the uncertainty."""
+WEIGHING_S = 1.0
+
+
+@dataclass
+class ScriptedBalance:
+    """Tells a load, and a zero of our choosing, a second after it is asked."""
+
+    clock: Clock
+    spec: BalanceSpec
+    load_mg: float = 25_000.0
+    uncertainty_mg: float = 0.0
+    zero_mg: Callable[[float], float] = lambda time_s: 0.0
+    identity: str = "scripted"
+    latest: Reading | None = None
+    on_reading: Callable[[Reading], None] | None = None
+    is_stopped: bool = True
+    news: Signal = field(default_factory=Signal)
+
+    def stop(self) -> None:
+        """Nothing of it moves."""
+
+    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
+        raise NotImplementedError("these doses are weighed, and do not stream")
+
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+        end_s = self.clock.now_s + WEIGHING_S
+        while self.clock.now_s < end_s:
+            yield Wake(end_s)
+        value_mg = self.load_mg + self.zero_mg(end_s)
+        self.latest = Reading(value_mg, True, end_s)
+        return StableMean(value_mg, self.uncertainty_mg, end_s, [self.latest])
+
+
+class Rig:
+    """A bench whose balance is scripted, with a tared dish on its pan; its controllers do as they are told.
+
+    `brings`: what each controller lets fall, one after the other, before it says `reason`; nothing when all are used.
+    """
+
+    def __init__(self, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.bench = Bench(BEADS, TARGET_MG)
+        self.clock = self.bench.clock
+        self.balance = ScriptedBalance(self.clock, BalanceSpec())
+        self.written: list[SkillEvent | Note] = []
+        sources = {**self.bench.cell.sources, SALT.name: SALT}
+        record = Record(self.written.append)
+        self.cell = replace(self.bench.cell, balance=self.balance, sources=sources, record=record)
+        self.brings: list[float] = []
+        self.reason: Any = "reached"
+        self.seen: list[Observation] = []
+        self._lab = lab
+        monkeypatch.setitem(CONTROLLERS, "last_word", lambda request: LastWord(self))  # type: ignore[arg-type]
+        believed = self.cell.believed
+        believed.brought(DISH, from_changer=False)
+        believed.placed(Gross(0.0, 0.0, 0.0), Gross(25_000.0, 0.0, 0.0))
+        believed.source_holds("store", 7000.0)
+        believed.cone_holds(self.cell.sources["store"], 3000.0)
+        self.bench.drive(self._skill("tare").run(self.cell))
+
+    def _skill(self, name: str, **inputs: Any) -> Any:
+        return self._lab.library.skills[name](**inputs)
+
+    def dispense(self, *brings_mg: float, reason: str = "reached") -> Dose:
+        """Dispense 50 ± 2 mg, while the controllers bring this."""
+        self.brings, self.reason = list(brings_mg), reason
+        skill = self._skill("dispense", mass_mg=TARGET_MG, tolerance_mg=TOLERANCE_MG, controller="last_word")
+        dose: Dose = self.bench.drive(skill.run(self.cell))
+        return dose
+
+    def kept(self, kind: type[SkillEvent]) -> list[Any]:
+        return [event for event in self.written if isinstance(event, kind)]
 
 
 class LastWord:
@@ -25,111 +103,160 @@ class LastWord:
     name = "last_word"
     estimate_mg = 0.0
 
-    def __init__(self, finish: Finish) -> None:
-        self._finish = finish
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
 
     def decide(self, seen: Observation | None) -> Command:
-        return Pulse(0.2, 0.5, 1.0) if seen is None else self._finish
-
-
-Dispense = Callable[..., Dose]
-
-
-@pytest.fixture
-def rig() -> Bench:
-    rig = Bench(BEADS, TARGET_MG)
-    gross_mg = rig.drive(rig.cell.balance.stable_mean()).value_mg
-    believed = rig.cell.believed
-    believed.brought(DISH, from_changer=False)
-    believed.placed(gross_mg)
-    believed.tared(gross_mg, rig.clock.now_s)
-    believed.source_holds("store", 7000.0)
-    believed.cone_holds(rig.cell.sources["store"], 3000.0)
-    return rig
+        rig = self._rig
+        if seen is None:
+            rig.balance.load_mg += rig.brings.pop(0) if rig.brings else 0.0
+            return Pulse(0.2, 0.5, 1.0)
+        rig.seen.append(seen)
+        return Finish(rig.reason, seen.net_mg, seen.uncertainty_mg)
 
 
 @pytest.fixture
-def dispense(rig: Bench, starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Dispense:
-    """Dispenses 50 ± 2 mg, with a controller that ends so far from the target."""
-
-    def run(error_mg: float, reason: Any = "reached", uncertainty_mg: float = UNCERTAINTY_MG) -> Dose:
-        def make(request: DoseRequest) -> LastWord:
-            return LastWord(Finish(reason, TARGET_MG + error_mg, uncertainty_mg))
-
-        monkeypatch.setitem(CONTROLLERS, "last_word", make)  # type: ignore[arg-type]
-        skill = starter.library.skills["dispense"](mass_mg=TARGET_MG, tolerance_mg=TOLERANCE_MG, controller="last_word")
-        dose: Dose = rig.drive(skill.run(rig.cell))
-        return dose
-
-    return run
+def rig(starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Rig:
+    return Rig(starter, monkeypatch)
 
 
+@pytest.mark.parametrize("uncertainty_mg", [0.0, 0.2])
 @pytest.mark.parametrize(
-    ("error_mg", "verdict"),
-    [
-        (0.0, "in tolerance"),
-        (ALLOWED_MG, "in tolerance"),
-        (ALLOWED_MG + 0.001, "over"),
-        (-ALLOWED_MG, "in tolerance"),
-        (-ALLOWED_MG - 0.001, "under"),
-        (TOLERANCE_MG, "over"),
-        (-TOLERANCE_MG, "under"),
-        (-40.0, "under"),
-    ],
+    ("side", "beyond_mg", "verdict"),
+    [(1, -0.01, "in tolerance"), (1, 0.01, "over"), (-1, -0.01, "in tolerance"), (-1, 0.01, "under")],
 )
-def test_in_tolerance_means_by_more_than_twice_the_uncertainty(
-    dispense: Dispense, error_mg: float, verdict: str
+def test_in_tolerance_means_by_more_than_twice_the_uncertainty_of_its_weighings(
+    starter: Lab, monkeypatch: pytest.MonkeyPatch, side: int, beyond_mg: float, verdict: str, uncertainty_mg: float
 ) -> None:
-    assert dispense(error_mg).verdict == verdict
+    probe = Rig(starter, monkeypatch)
+    probe.balance.uncertainty_mg = uncertainty_mg
+    u_mg = probe.dispense(TARGET_MG).uncertainty_mg
+    assert u_mg > max(0.02, 2**0.5 * uncertainty_mg), "two weighings, and a zero that walks between them"
+    rig = Rig(starter, monkeypatch)
+    rig.balance.uncertainty_mg = uncertainty_mg
+    assert rig.dispense(TARGET_MG + side * (TOLERANCE_MG - 2.0 * u_mg + beyond_mg)).verdict == verdict
 
 
-def test_a_measurement_without_doubt_may_use_the_whole_tolerance(dispense: Dispense) -> None:
-    assert dispense(TOLERANCE_MG, uncertainty_mg=0.0).verdict == "in tolerance"
+@pytest.mark.parametrize(("error_mg", "verdict"), [(-0.001, "under"), (0.001, "over")])
+def test_a_measurement_worse_than_the_tolerance_is_never_in_it(rig: Rig, error_mg: float, verdict: str) -> None:
+    rig.balance.uncertainty_mg = 1.0
+    assert rig.dispense(TARGET_MG + error_mg).verdict == verdict
 
 
-@pytest.mark.parametrize(("error_mg", "verdict"), [(-0.001, "under"), (0.0, "under"), (0.001, "over")])
-def test_a_measurement_worse_than_the_tolerance_is_never_in_it(
-    dispense: Dispense, error_mg: float, verdict: str
-) -> None:
-    assert dispense(error_mg, uncertainty_mg=1.001).verdict == verdict
-
-
-def test_too_much_for_the_tolerance_is_an_overshoot_and_the_dose_is_recorded_as_over(
-    dispense: Dispense, rig: Bench
-) -> None:
-    written: list[SkillEvent | Note] = []
-    rig.cell = replace(rig.cell, record=Record(written.append))
+def test_too_much_for_the_tolerance_is_an_overshoot_and_the_dose_is_recorded_as_over(rig: Rig) -> None:
     with pytest.raises(SkillFailed, match=r"dose\.overshoot: 52\.0 mg of 50 mg: 2\.0 mg too much"):
-        dispense(TOLERANCE_MG + 0.001)
-    assert [event.verdict for event in written if isinstance(event, Dose)] == ["over"]
+        rig.dispense(TARGET_MG + TOLERANCE_MG + 0.001)
+    assert [event.verdict for event in rig.kept(Dose)] == ["over"]
+
+
+def test_a_dose_that_its_controller_took_for_done_and_that_weighs_less_is_gone_on_with(rig: Rig) -> None:
+    """A draught weighs on the pan just while the controller looks."""
+    began_s = rig.clock.now_s
+    rig.balance.zero_mg = lambda time_s: 5.0 if time_s < began_s + 3.0 and rig.balance.load_mg > 25_001.0 else 0.0
+    dose = rig.dispense(45.0, 5.1)
+    assert [round(seen.net_mg, 1) for seen in rig.seen] == [50.0, 50.1], "the second counts what the first has brought"
+    assert (round(dose.dispensed_mg, 3), dose.verdict, dose.pulses) == (50.1, "in tolerance", 2)
+    assert [round(event.gained_mg, 3) for event in rig.kept(DoseWeighed)] == [45.0, 5.1]
+    assert len(rig.kept(Dose)) == 1
+
+
+def test_a_dose_that_nothing_is_added_to_is_under_after_its_rounds(rig: Rig) -> None:
+    dose = rig.dispense(45.0)
+    assert (round(dose.dispensed_mg, 3), dose.verdict, dose.pulses) == (45.0, "under", 4)
+
+
+def test_a_dose_that_ended_for_another_reason_is_not_gone_on_with(rig: Rig) -> None:
+    with pytest.raises(SkillFailed, match=r"hand\.cone_empty"):
+        rig.dispense(20.0, 30.0, reason="empty")
+    assert rig.brings == [30.0]
+
+
+def test_a_zero_that_stepped_between_tare_and_dose_is_not_in_the_dose(rig: Rig) -> None:
+    rig.balance.zero_mg = lambda time_s: 3.0
+    dose = rig.dispense(TARGET_MG)
+    assert dose.dispensed_mg == pytest.approx(TARGET_MG)
+    assert dose.verdict == "in tolerance"
+    assert rig.kept(DoseWeighed)[0].before.gross_mg == 25_003.0
+
+
+def test_a_pan_that_creeps_is_not_dosed_on(rig: Rig) -> None:
+    rig.balance.zero_mg = lambda time_s: 0.5 * time_s
+    with pytest.raises(SkillFailed, match=r"balance\.drifting: after 60 s the reading still changes by \+0\.50 mg/s"):
+        rig.dispense(TARGET_MG)
+    assert rig.brings == [TARGET_MG], "the valve stayed shut"
+
+
+def test_a_pan_that_creeps_after_the_dose_says_so_and_the_dose_stays_unweighed(rig: Rig) -> None:
+    rig.balance.zero_mg = lambda time_s: 0.5 * time_s if rig.balance.load_mg > 25_001.0 else 0.0
+    with pytest.raises(SkillFailed, match=r"balance\.drifting"):
+        rig.dispense(TARGET_MG)
+    assert rig.cell.believed.dosing.is_unweighed
+    assert rig.kept(Dose) == []
+
+
+def test_two_powder_lots_in_one_container_are_each_measured_by_their_own_weighings(rig: Rig) -> None:
+    first = rig.dispense(TARGET_MG)
+    rig.balance.zero_mg = lambda time_s: -4.0
+    rig.cell.believed.emptied()
+    rig.cell.believed.cone_holds(SALT, 3000.0)
+    second = rig.dispense(TARGET_MG + 1.0)
+    assert (first.lot, second.lot) == ("glass_beads", "monosodium_glutamate")
+    assert (first.container, second.container) == (DISH.id, DISH.id)
+    assert (first.dispensed_mg, second.dispensed_mg) == (pytest.approx(50.0), pytest.approx(51.0))
+    bracket = rig.cell.believed.bracket
+    assert bracket is not None
+    assert {lot: net.mass_mg for lot, net in bracket.doses.items()} == {
+        first.lot: first.dispensed_mg,
+        second.lot: second.dispensed_mg,
+    }
+
+
+def test_split_doses_of_one_lot_add_up_to_one_target(rig: Rig) -> None:
+    with pytest.raises(SkillFailed, match=r"hand\.cone_empty: the cone ran empty at 20\.0 mg of 50 mg"):
+        rig.dispense(20.0, reason="empty")
+    rig.cell.believed.cone_holds(rig.cell.sources["store"], 3000.0)
+    dose = rig.dispense(30.5)
+    assert rig.seen[-1].net_mg == pytest.approx(50.5)
+    assert (dose.dispensed_mg, dose.verdict) == (pytest.approx(50.5), "in tolerance")
 
 
 @pytest.mark.parametrize(
     ("reason", "code"),
     [("empty", "hand.cone_empty"), ("no_flow", "hand.no_flow"), ("step_limit", "dose.not_reached")],
 )
-def test_a_controller_that_gave_up_fails_the_skill_by_its_reason(dispense: Dispense, reason: str, code: str) -> None:
+def test_a_controller_that_gave_up_fails_the_skill_by_its_reason(rig: Rig, reason: str, code: str) -> None:
     with pytest.raises(SkillFailed) as failed:
-        dispense(-20.0, reason)
+        rig.dispense(30.0, reason=reason)
     assert failed.value.code == code
 
 
-def test_a_cone_that_ran_empty_holds_nothing_and_what_it_was_thought_to_hold_is_in_the_mortar(
-    dispense: Dispense, rig: Bench
-) -> None:
+def test_a_cone_that_ran_empty_holds_nothing_and_what_it_was_thought_to_hold_is_in_the_mortar(rig: Rig) -> None:
     with pytest.raises(SkillFailed, match=r"hand\.cone_empty"):
-        dispense(-20.0, "empty")
+        rig.dispense(30.0, reason="empty")
     believed = rig.cell.believed
     assert (believed.cone_mg, believed.cone_source) == (0.0, None)
-    assert believed.sources_mg["store"] == pytest.approx(10_000.0, abs=1.0)
+    assert believed.sources_mg["store"] == pytest.approx(10_000.0 - 30.0)
 
 
-def test_a_dose_says_what_was_asked_what_is_there_and_what_it_took_in_all(dispense: Dispense, rig: Bench) -> None:
+def test_without_a_tare_there_is_no_dose(rig: Rig) -> None:
+    believed = rig.cell.believed
+    believed.placed(Gross(0.0, 0.0, 0.0), Gross(25_000.0, 0.0, 0.0))
+    believed.changing_container()
+    with pytest.raises(SkillFailed, match=r"container\.missing: no container was weighed empty"):
+        rig.dispense(TARGET_MG)
+
+
+def test_a_dose_says_what_was_asked_what_is_there_and_what_it_took_in_all(rig: Rig) -> None:
     believed, began_s = rig.cell.believed, rig.clock.now_s - 20.0
     believed.dose_began(began_s)
-    believed.dosed(believed.pan_gross_mg or 0.0, pulses=3, vibration_s=1.5)
-    dose = dispense(0.5)
-    assert (dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg) == (50.0, 2.0, 50.5, 0.25)
+    empty, filled = Gross(25_000.0, 0.0, rig.clock.now_s), Gross(25_020.0, 0.0, rig.clock.now_s)
+    believed.dosing_towards(TARGET_MG, "glass_beads", empty)
+    believed.dosed(Net(20.0, 0.3), Drift(0.0, 0.0), filled, pulses=3, vibration_s=1.5)
+    rig.balance.load_mg += 20.0
+    dose = rig.dispense(30.5)
+    assert (dose.target_mg, dose.tolerance_mg, dose.dispensed_mg) == (50.0, 2.0, pytest.approx(50.5))
+    assert 0.3 < dose.uncertainty_mg < 0.4
+    assert (dose.container, dose.lot) == (DISH.id, "glass_beads")
     assert (dose.pulses, dose.controller) == (4, "last_word")
     assert dose.vibration_s == pytest.approx(1.5 + 0.7, abs=0.1)
     assert dose.duration_s == pytest.approx(rig.clock.now_s - began_s)
@@ -152,9 +279,9 @@ def test_a_dose_says_what_was_asked_what_is_there_and_what_it_took_in_all(dispen
     ],
 )
 def test_adaptive_is_done_exactly_where_the_verdict_will_be_in_tolerance(
-    rig: Bench, streaming: bool, error_mg: float, uncertainty_mg: float, reason: str | None
+    streaming: bool, error_mg: float, uncertainty_mg: float, reason: str | None
 ) -> None:
-    controller = new_controller("adaptive", replace(rig.request(), streaming=streaming))
+    controller = new_controller("adaptive", replace(Bench(BEADS, TARGET_MG).request(), streaming=streaming))
     command, time_s = controller.decide(None), 0.0
     while not isinstance(command, Weigh):
         time_s += 0.1

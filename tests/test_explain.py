@@ -40,7 +40,7 @@ def test_a_code_is_explained_with_what_to_do_and_who_raises_it(explain: Call) ->
 
 def test_what_devices_raise_is_said_to_come_from_any_skill(explain: Call) -> None:
     said = explain("balance.unstable")[1]
-    assert "Raised by: the skill dispense; the skill watch_balance; scuhand_bt/devices, within any skill" in said
+    assert "Raised by: the skill watch_balance; scuhand_bt/devices, within any skill" in said
 
 
 def test_a_labs_own_code_says_which_skill_defines_it(explain: Call) -> None:

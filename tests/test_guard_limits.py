@@ -7,16 +7,18 @@ from typing import Any, cast
 import pytest
 from dose_bench import DISH, PAN
 
-from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.believed import Believed, Bracket
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.clock import Signal
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.specs import BalanceBelief
 
 EMPTY_MG = 25_000.0
+BARE, EMPTY = Gross(0.0, 0.0, 0.0), Gross(EMPTY_MG, 0.0, 0.0)
 LAG_S = 0.125
 SETTLES_S = 4.0 * LAG_S
 PERIOD_S = 0.125
@@ -43,7 +45,11 @@ class Scene:
             cell="scene", balance=BalanceSpec(period_s=PERIOD_S, readability_mg=0.1), stations={"balance": PAN}
         )
     )
-    believed: Believed = field(default_factory=lambda: Believed(pan=DISH, pan_empty_mg=EMPTY_MG, pan_gross_mg=EMPTY_MG))
+    believed: Believed = field(
+        default_factory=lambda: Believed(
+            pan=DISH, pan_empty_mg=EMPTY_MG, pan_gross_mg=EMPTY_MG, bracket=Bracket(DISH.id, BARE, EMPTY, EMPTY)
+        )
+    )
     balance_belief: BalanceBelief = field(default_factory=lambda: BalanceBelief(lag_s=LAG_S))
     apex: tuple[float, float, float] = (PAN.position_mm[0], PAN.position_mm[1], 140.0)
     now_s: float = 10.0
@@ -106,7 +112,7 @@ def test_a_devices_fault_is_told_though_no_reading_has_come(scene: Scene, device
 
 def opened(scene: Scene, target_mg: float, opening_mm: float = 0.06) -> Scene:
     scene.hand.opening_mm = opening_mm
-    scene.believed.dosing_towards(target_mg)
+    scene.believed.dosing_towards(target_mg, "glass_beads", EMPTY)
     return scene
 
 
@@ -173,10 +179,10 @@ def test_without_a_target_or_an_empty_mass_nothing_runs_away_and_the_two_seconds
         scene.believed.dosing_ended(0.0, EMPTY_MG)
     else:
         scene.believed.brought(DISH, from_changer=False)
-        scene.believed.placed(EMPTY_MG)
+        scene.believed.placed(BARE, EMPTY)
     assert scene.trips([500.0] * 40) is None
-    scene.believed.tared(EMPTY_MG, scene.now_s)
-    scene.believed.dosing_towards(20.0)
+    scene.believed.tared(EMPTY)
+    scene.believed.dosing_towards(20.0, "glass_beads", EMPTY)
     assert scene.trips([500.0] * 16) is None
     assert scene.trips([500.0]) is not None
 
@@ -291,7 +297,7 @@ def test_while_containers_are_changed_nothing_is_watched_and_then_it_begins_anew
     assert scene.trips(blocks(0.0, 1.0, 2.0, 3.0)) is None
     scene.believed.changing_container()
     assert scene.trips(rising(1.5, 4.0)) is None
-    scene.believed.placed(EMPTY_MG)
+    scene.believed.placed(BARE, EMPTY)
     assert scene.trips(rising(1.5)) == pytest.approx(FOUND_S)
 
 

@@ -8,9 +8,11 @@ import pytest
 from dose_bench import DISH, PAN, Bench, Setting, shipped_powders
 from running import dry_run, make_lab
 
+from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.guards import BEYOND_TARGET_MG, RUNAWAY_S, Guards
 from scuhand_bt.run.operator import ANSWER_S
@@ -30,11 +32,14 @@ class Guarded:
         self.cell, self.clock = self.rig.cell, self.rig.clock
         monkeypatch.setattr(self.cell, "apex_mm", lambda: self.apex_mm)
         self.guards = Guards(self.cell)
-        gross_mg = self.rig.drive(self.cell.balance.stable_mean()).value_mg
+        self.before = weighing_of(self.rig.drive(self.cell.balance.stable_mean()))
         believed = self.cell.believed
         believed.brought(DISH, from_changer=True)
-        believed.placed(gross_mg)
-        believed.tared(gross_mg, self.clock.now_s)
+        believed.placed(Gross(0.0, 0.0, 0.0), self.before)
+        believed.tared(self.before)
+
+    def dosing_towards(self, target_mg: float) -> None:
+        self.cell.believed.dosing_towards(target_mg, self.rig.powder.name, self.before)
 
     def begin(self, fault: str) -> None:
         """Let a fault come now."""
@@ -123,7 +128,7 @@ def test_a_leak_over_the_pan_is_found_within_four_seconds(monkeypatch: pytest.Mo
 
 
 def test_a_leak_is_found_also_between_the_pulses_of_a_dose(guarded: Guarded) -> None:
-    guarded.cell.believed.dosing_towards(20.0)
+    guarded.dosing_towards(20.0)
     guarded.begin("cone.leak")
     assert guarded.watch(1.2, guarded.cell.hand.pulse(0.5, 0.2)) is None
     tripped = guarded.watch(8.0)
@@ -163,7 +168,9 @@ def _a_container_comes(guarded: Guarded) -> Iterator[Wake]:
     guarded.rig.world.remove()
     yield Wake(guarded.clock.now_s + 2.0)
     guarded.rig.world.place(DISH)
-    believed.placed(25_000.0)  # sooner than any skill would say so
+    believed.placed(
+        Gross(0.0, 0.0, 0.0), Gross(25_000.0, 0.0, guarded.clock.now_s)
+    )  # sooner than any skill would say so
     yield Wake()
 
 
@@ -184,7 +191,7 @@ def test_a_restless_balance_is_no_leak(guarded: Guarded, fault: str) -> None:
 def test_a_dose_that_runs_away_trips_when_the_valve_has_had_time_to_shut(guarded: Guarded) -> None:
     cell, heard = guarded.cell, list[Reading]()
     cell.balance.on_reading = heard.append
-    cell.believed.dosing_towards(20.0)
+    guarded.dosing_towards(20.0)
     cell.hand.set_opening(1.5)
     tripped = guarded.watch(20.0)
     assert tripped is not None
@@ -195,13 +202,13 @@ def test_a_dose_that_runs_away_trips_when_the_valve_has_had_time_to_shut(guarded
 
 
 def test_a_valve_that_shuts_behind_an_avalanche_is_no_runaway(guarded: Guarded) -> None:
-    guarded.cell.believed.dosing_towards(20.0)
+    guarded.dosing_towards(20.0)
     guarded.drop(500.0)
     assert guarded.watch(10.0, guarded.cell.hand.pulse(1.5, 1.0)) is None
 
 
 def test_too_much_behind_a_shut_valve_is_for_the_dose_to_judge(guarded: Guarded) -> None:
-    guarded.cell.believed.dosing_towards(20.0)
+    guarded.dosing_towards(20.0)
     guarded.drop(500.0)
     assert guarded.watch(10.0) is None
 

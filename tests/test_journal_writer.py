@@ -221,17 +221,17 @@ def test_a_new_action_and_a_new_job_begin_with_nothing_of_the_old(journal: Journ
     journal.job_started(job("a"))
     journal.action = journal.action_started(begun("one"))
     journal.event(DOSE)
-    assert journal.last_dose == DOSE
+    assert journal.doses == [DOSE]
     journal.action_started(begun("two", "w/1"))
     journal.job_started(job("b"))
-    assert journal.last_dose is None
+    assert journal.doses == []
     assert rows(path)[-2:] == [("action_started", 1, None), ("job_started", None, None)]
 
 
 def test_a_job_that_is_resumed_goes_on_as_itself_with_its_dose(journal: Journal, path: Path) -> None:
     journal.action = 99
-    journal.job_resumed(5, DOSE)
-    assert (journal.job, journal.last_dose) == (5, DOSE)
+    journal.job_resumed(5, [DOSE])
+    assert (journal.job, journal.doses) == (5, [DOSE])
     journal.event(Note("lab.x", {}))
     assert rows(path) == [("job_resumed", 5, None), ("lab.x", 5, None)]
     assert payloads(path)[0] == {}

@@ -41,6 +41,8 @@ def test_the_shipped_recipes_have_no_problem(starter: object) -> None:
         ("{mass: 50 mg}", "7:5: 'id' is missing"),
         ("{id: a b, mass: 50 mg}", "7:10: 'a b' is no id"),
         ("{id: ../a, mass: 50 mg}", "7:10: '../a' is no id"),
+        ("{id: 'a#2', mass: 50 mg}", "7:10: 'a#2' is no id"),  # a second attempt's container
+        ("{id: a/first, mass: 50 mg}", "7:10: 'a/first' is no id"),  # one of several containers
         ("{id: a, mass: 50 mg, container: xrd-holder}", "7:37: unknown container 'xrd-holder'"),
         ("{id: a, mass: 50 mg, container: xrd-holder}", "did you mean 'xrd_holder'?"),
         ("{id: a, mass: 50 mg, source: mgs}", "7:34: unknown source 'mgs'; known: msg; did you mean 'msg'?"),

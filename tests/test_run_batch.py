@@ -163,6 +163,7 @@ def test_redo_doses_a_new_container_once_and_then_flags(tmp_path: Path) -> None:
     assert attempts == [("a", 1), ("a", 2), ("b", 1), ("b", 2)]
     assert ran.result.exit_code == ExitCode.FLAGGED
     assert ran.sample("a").true_mg == pytest.approx(ran.sample("a").dispensed_mg, abs=2)
+    assert [dose.container for dose in ran.sample("a").doses] == ["a#2"]
 
 
 def test_a_plant_that_breaks_in_the_run_ends_it_safe_and_is_named(tmp_path: Path) -> None:

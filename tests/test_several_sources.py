@@ -1,14 +1,17 @@
 """A sample of several sources: what it takes of each, its place in the plan, and a run of it."""
 
+import csv
+import io
 from pathlib import Path
 
 import pytest
 from conftest import Desk, LabFolder
 from running import dry_run
 
-from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.report.weighing_record import weighing_record
 
 SOURCES = """\
 sources:
@@ -222,6 +225,42 @@ def test_a_blend_is_dosed_from_both_sources(tmp_path: Path, lab: LabFolder) -> N
     assert held_mg["container:a"] == pytest.approx(140.0, abs=8.0)
     assert held_mg["container:b"] == pytest.approx(100.0, abs=5.0)
     assert (held_mg["returned"], held_mg["spilled"]) == (0.0, 0.0)
+
+
+ONE_TARE = IN_ORDER.replace("    - tare:\n    - fill: {source: $first", "    - fill: {source: $first")
+
+
+def test_two_powders_into_one_crucible_need_one_tare_and_each_is_measured_by_itself(
+    tmp_path: Path, lab: LabFolder
+) -> None:
+    assert ONE_TARE.count("tare:") == 1
+    lab.write("trees/blend.yaml", ONE_TARE)
+    ran = dry_run(tmp_path, recipe(f"id: a, {MIXED}"), lab=lab.folder)
+    had = ran.sample("a")
+    rows = [(dose.container, dose.lot, dose.target_mg, dose.bracket, dose.verdict) for dose in had.doses]
+    assert rows == [
+        ("a", "monosodium_glutamate", 40.0, "closed", "in tolerance"),
+        ("a", "glass_beads", 100.0, "closed", "in tolerance"),
+    ]
+    assert (had.target_mg, had.dispensed_mg, had.is_good) == (100.0, had.doses[1].dispensed_mg, True)
+    assert ran.session.world is not None
+    true_mg = ran.session.world.masses_mg["container:a"]
+    assert true_mg == pytest.approx(140.0, abs=4.0)
+    assert true_mg == pytest.approx(sum(dose.dispensed_mg for dose in had.doses), abs=1.0)
+    with open_contents(ran.journal) as contents:
+        written = list(csv.DictReader(io.StringIO(weighing_record(contents))))
+    brackets = [row for row in written if row["weighing"] == "bracket"]
+    assert [(row["source"], row["powder"], row["target_mg"]) for row in brackets] == [
+        ("other", "monosodium_glutamate", "40.0000"),
+        ("beads", "glass_beads", "100.0000"),
+    ]
+    assert [float(row["net_mg"]) for row in brackets] == pytest.approx(
+        [dose.dispensed_mg for dose in had.doses], abs=1e-3
+    )
+    for row in written:
+        if row["weighing"] == "dose":
+            net_mg = float(row["gross_mg"]) - float(row["tare_mg"]) - float(row["drift_mg"])
+            assert net_mg == pytest.approx(float(row["net_mg"]), abs=1e-3)
 
 
 def test_after_a_failure_the_cone_is_emptied_into_the_source_that_it_was_filled_from(

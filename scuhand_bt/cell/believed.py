@@ -236,8 +236,6 @@ class Believed:
 
     def tared(self, weighing: Gross) -> None:
         """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
-        if self.weighed_container is None:
-            raise ValueError("no container on the pan was weighed")
         bracket = self._open_bracket
         loaded = bracket.loaded if bracket.doses else weighing
         self._set(
@@ -251,6 +249,7 @@ class Believed:
         """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet.
 
         `has_stepped`: the pan showed another weight than when it was last weighed, and nothing was dosed since.
+        ValueError without a container that was weighed.
         """
         bracket = self._open_bracket
         self._set(
@@ -286,9 +285,10 @@ class Believed:
         """
         if self.pan_gross_mg is None:
             raise ValueError("no container on the pan was weighed before")
+        drift = self._open_bracket.drift
         self._left_cone(now.gross_mg - self.pan_gross_mg)
         self._set(bracket=replace(self._open_bracket, lot=lot))
-        self._gained(gained, self._open_bracket.drift, now)
+        self._gained(gained, drift, now)
         self._set(dosing=replace(self.dosing, is_unweighed=False))
 
     def zero_moved(self, drift_mg: float, now: Gross) -> None:
@@ -305,7 +305,7 @@ class Believed:
 
     @property
     def _open_bracket(self) -> Bracket:
-        if self.bracket is None:
+        if self.bracket is None or self.weighed_container is None:
             raise ValueError("no container on the pan was weighed")
         return self.bracket
 

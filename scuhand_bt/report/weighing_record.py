@@ -2,6 +2,10 @@
 
 It is comma-separated, with a decimal point and CRLF (RFC 4180). A text that a spreadsheet would take for a
 formula gets an apostrophe in front.
+
+A net mass is gross less tare less drift. A dose's tare is what the container weighed just before the valve opened,
+less what earlier doses had brought of the same powder. A `bracket` is the same dose after the bare pan was weighed
+behind its container, adjusted to that: the sample's result.
 """
 
 import csv
@@ -12,6 +16,7 @@ from typing import Any
 from scuhand_bt.events import (
     ContainerPlaced,
     Dose,
+    DoseWeighed,
     Event,
     Line,
     Pulsed,
@@ -25,6 +30,7 @@ from scuhand_bt.journal.events import (
     PanCompared,
     Resumed,
     RunBegun,
+    SampleResult,
     SourceUsed,
 )
 from scuhand_bt.journal.kinds import parsed
@@ -37,8 +43,8 @@ CONVENTION = (
 COLUMNS = (
     "run", "simulated", "mode", "recipe", "recipe_hash", "operator", "at", "run_time_s", "sample", "attempt",
     "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "tare_mg",
-    "gross_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "lines_unit", "target_mg",
-    "tolerance_mg", "tolerance_convention", "verdict", "failure_code", "source", "powder", "lot", "sheet",
+    "gross_mg", "drift_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "lines_unit",
+    "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "failure_code", "source", "powder", "lot", "sheet",
     "sheet_powder", "controller", "software", "entry", "entry_hash",
 )  # fmt: skip
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
@@ -74,7 +80,8 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
     believed: Mapping[str, Any] = {}
     identity = ""
     tare: Tared | None = None
-    loaded: Pulsed | None = None
+    loaded: Pulsed | DoseWeighed | None = None
+    of_doses: dict[tuple[str, str], dict[str, object]] = {}
     for row in contents.rows("entry"):
         believed = row["state"]["believed"] if row["state"] is not None else believed
         match event := parsed(row["kind"], row["payload"]):
@@ -86,15 +93,17 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
                 tare = loaded = None
             case Tared():
                 tare = event
-            case Pulsed():
+            case Pulsed() | DoseWeighed():
                 loaded = event
+            case SampleResult():
+                yield from _brackets(event, of_doses, contents, row)
         if isinstance(event, ContainerPlaced | Tared | WeightChecked):
             identity = event.balance or identity
         if (weighed := _weighed(event, tare, loaded, believed)) is None:
             continue
         pan = believed.get("pan") or {}
         job = jobs.get(row["job"]) or {}
-        yield of_run | {
+        written = of_run | {
             "at": row["at"],
             "run_time_s": row["time_s"],
             "sample": job.get("sample"),
@@ -107,8 +116,39 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
             "sheet_powder": believed.get("sheet"),
             **(_powder(believed, sources) if isinstance(event, Dose) else {}),
             **weighed,
-            "entry": row["seq"] if contents.is_chained else None,
-            "entry_hash": row["hash"].hex(),
+            **_entry(contents, row),
+        }
+        if isinstance(event, Dose):
+            of_doses[event.container, event.lot] = written
+        yield written
+
+
+def _entry(contents: Contents, row: Mapping[str, Any]) -> dict[str, object]:
+    return {"entry": row["seq"] if contents.is_chained else None, "entry_hash": row["hash"].hex()}
+
+
+def _brackets(
+    result: SampleResult,
+    of_doses: dict[tuple[str, str], dict[str, object]],
+    contents: Contents,
+    row: Mapping[str, Any],
+) -> Iterator[dict[str, object]]:
+    """A row for each dose whose container has gone by now; what has got one leaves `of_doses`."""
+    for dose in result.doses:
+        if dose.bracket == "open" or (written := of_doses.pop((dose.container, dose.lot), None)) is None:
+            continue
+        weighed = ("tare_mg", "gross_mg", "drift_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
+        yield {name: value for name, value in written.items() if name not in weighed} | {
+            "at": row["at"],
+            "run_time_s": row["time_s"],
+            "weighing": "bracket",
+            "container": dose.container,
+            "net_mg": dose.dispensed_mg,
+            "standard_uncertainty_mg": dose.uncertainty_mg,
+            "tolerance_mg": dose.tolerance_mg,
+            "verdict": dose.verdict,
+            "failure_code": result.code,
+            **_entry(contents, row),
         }
 
 
@@ -135,7 +175,7 @@ def _powder(believed: Mapping[str, Any], sources: Mapping[str, SourceUsed]) -> d
 
 
 def _weighed(
-    event: Event | None, tare: Tared | None, loaded: Pulsed | None, believed: Mapping[str, Any]
+    event: Event | None, tare: Tared | None, loaded: Pulsed | DoseWeighed | None, believed: Mapping[str, Any]
 ) -> dict[str, object] | None:
     """What an entry says about a mass; None for one that says nothing."""
     match event:
@@ -145,10 +185,17 @@ def _weighed(
         case Tared():
             return _gross(event) | {"weighing": "tare", "standard_uncertainty_mg": event.uncertainty_mg}
         case Dose():
-            tare_mg = believed.get("pan_empty_mg", tare and tare.gross_mg)
-            return _between(tare, loaded, event.dispensed_mg) | {
+            if isinstance(loaded, DoseWeighed):
+                row = _between(loaded.before, loaded, event.dispensed_mg) | {
+                    "tare_mg": loaded.before.gross_mg - (event.dispensed_mg - loaded.gained_mg),
+                    "drift_mg": loaded.gross_mg - loaded.before.gross_mg - loaded.gained_mg,
+                }
+            else:  # a journal of before doses were bracketed
+                row = _between(tare, loaded, event.dispensed_mg) | {
+                    "tare_mg": believed.get("pan_empty_mg", tare and tare.gross_mg)
+                }
+            return row | {
                 "weighing": "dose",
-                "tare_mg": tare_mg,
                 "standard_uncertainty_mg": event.uncertainty_mg,
                 "target_mg": event.target_mg,
                 "tolerance_mg": event.tolerance_mg,

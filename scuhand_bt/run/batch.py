@@ -152,6 +152,7 @@ class Batch:
                 self._show(recorded)
             else:
                 self._note(self._result(sample, self._journal.doses, verdict, failure, began_s, attempt))
+            self._note_brackets()
             if failure is None:
                 return None
             if action == "stop":
@@ -263,13 +264,16 @@ class Batch:
         )
 
     def _note_brackets(self) -> None:
-        """Say of each sample whose container has gone what it came to by the bare pan."""
+        """Say of each sample whose container has gone what it came to by the bare pan.
+
+        One that has gone within its own sample's job waits for that sample's result.
+        """
         believed = self._cell.believed
         for closed in believed.closed:
             for result in list(self._results.values()):
                 if any(dose.container == closed.container for dose in result.doses):
                     self._note(confirmed(result, closed))
-            believed.noted(closed)
+                    believed.noted(closed)
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""

@@ -72,16 +72,17 @@ def sample_result(
     """
     last = list({(dose.container, dose.lot): dose for dose in doses}.values())
     found = tuple(_dose_result(dose, sample) for dose in last)
-    asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
+    asked = [number for number, dose in enumerate(found) if _is_asked(dose.target_mg, sample)]
     number = asked[-1] if asked else len(found) - 1
     main, of_main = (found[number], last[number]) if found else (None, None)
     is_asked = sample.mass_mg is None or bool(asked)
+    target_mg = main.target_mg if main and is_asked else sample.mass_mg
     return SampleResult(
         id=sample.id,
         container=sample.container.name if sample.container else None,
-        target_mg=main.target_mg if main and is_asked else sample.mass_mg,
+        target_mg=target_mg,
         dispensed_mg=main.dispensed_mg if main else None,
-        error_mg=main.dispensed_mg - main.target_mg if main else None,
+        error_mg=main.dispensed_mg - target_mg if main and target_mg is not None else None,
         uncertainty_mg=main.uncertainty_mg if main else None,
         tolerance_mg=main.tolerance_mg if main else sample.tolerance_mg,
         pulses=of_main.pulses if of_main else 0,
@@ -103,10 +104,10 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     doses = tuple(_confirmed(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
     changes: dict[str, Any] = {"doses": doses}
     main = next((d for d, before in zip(doses, result.doses, strict=True) if _is_main(before, result)), None)
-    if main is not None:
+    if main is not None and result.target_mg is not None:
         changes |= {
             "dispensed_mg": main.dispensed_mg,
-            "error_mg": main.dispensed_mg - main.target_mg,
+            "error_mg": main.dispensed_mg - result.target_mg,
             "uncertainty_mg": main.uncertainty_mg,
         }
     if result.verdict in get_args(Verdict):
@@ -119,17 +120,17 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     return result.model_copy(update=changes)
 
 
-def _is_asked(dose: DoseResult, sample: Sample) -> bool:
-    return sample.mass_mg is not None and math.isclose(dose.target_mg, sample.mass_mg, rel_tol=1e-9)
+def _is_asked(target_mg: float, sample: Sample) -> bool:
+    return sample.mass_mg is not None and math.isclose(target_mg, sample.mass_mg, rel_tol=1e-9)
 
 
 def _is_main(dose: DoseResult, result: SampleResult) -> bool:
-    return (dose.target_mg, dose.dispensed_mg) == (result.target_mg, result.dispensed_mg)
+    return (dose.dispensed_mg, dose.uncertainty_mg) == (result.dispensed_mg, result.uncertainty_mg)
 
 
 def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
     tolerance_mg = dose.tolerance_mg
-    if sample.tolerance_mg is not None and sample.mass_mg is not None and dose.target_mg == sample.mass_mg:
+    if sample.tolerance_mg is not None and _is_asked(dose.target_mg, sample):
         tolerance_mg = min(tolerance_mg, sample.tolerance_mg)  # the recipe's word, whatever the workflow made of it
     return DoseResult(
         container=dose.container,

@@ -1,0 +1,260 @@
+"""A sample's result: by what the recipe asks, for every powder lot, and after its container has gone."""
+
+from pathlib import Path
+
+import pytest
+from dose_bench import DISH
+from running import dry_run, make_lab
+
+from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.dosing.bracket import Net
+from scuhand_bt.dosing.verdict import judge
+from scuhand_bt.events import Dose
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.journal.events import SampleResult, SampleVerdict
+from scuhand_bt.problems import Mark
+from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.run.outcome import confirmed, inputs_for, sample_result
+from scuhand_bt.specs import Container
+
+A = DISH.model_copy(update={"id": "a"})
+BEADS, SALT = "glass_beads", "monosodium_glutamate"
+
+
+def sample(mass_mg: float | None = 50.0, tolerance_mg: float | None = 2.0) -> Sample:
+    asked = {"mass": mass_mg, "tolerance": tolerance_mg}
+    inputs = {"container": A, **{name: value for name, value in asked.items() if value is not None}}
+    return Sample(Mark("recipe"), "a", "blend", inputs, ())
+
+
+def dose(
+    dispensed_mg: float,
+    target_mg: float = 50.0,
+    *,
+    tolerance_mg: float = 2.0,
+    lot: str = BEADS,
+    container: str = "a",
+    uncertainty_mg: float = 0.25,
+) -> Dose:
+    return Dose(
+        container=container,
+        lot=lot,
+        target_mg=target_mg,
+        tolerance_mg=tolerance_mg,
+        dispensed_mg=dispensed_mg,
+        uncertainty_mg=uncertainty_mg,
+        pulses=3,
+        vibration_s=1.5,
+        duration_s=20.0,
+        controller="adaptive",
+        verdict=judge(target_mg, tolerance_mg, dispensed_mg, uncertainty_mg),
+    )
+
+
+def result(
+    *doses: Dose,
+    of: Sample | None = None,
+    verdict: SampleVerdict | None = None,
+    failure: SkillFailed | None = None,
+) -> SampleResult:
+    return sample_result(of or sample(), doses, verdict, failure, scoops=1, duration_s=60.0, true_mg=None, attempt=1)
+
+
+def gone(closes: bool = True, container: str = "a", **masses_mg: float) -> ClosedBracket:
+    """What the bare pan made of a container's doses."""
+    nets = {lot: Net(mass_mg, 0.1) for lot, mass_mg in masses_mg.items()}
+    return ClosedBracket(container, nets, closes, "3 mg are nobody's")
+
+
+def test_what_the_recipe_asks_is_what_the_sample_has() -> None:
+    had = result(dose(50.4))
+    assert (had.target_mg, had.dispensed_mg, had.error_mg) == (50.0, 50.4, pytest.approx(0.4))
+    assert (had.tolerance_mg, had.uncertainty_mg, had.verdict) == (2.0, 0.25, "in tolerance")
+    assert (had.pulses, had.vibration_s, had.controller, had.container) == (3, 1.5, "adaptive", DISH.name)
+    assert not had.is_good, "its container has not gone yet"
+    assert confirmed(had, gone(glass_beads=50.4)).is_good
+
+
+def test_a_dose_of_another_mass_than_the_recipe_asks_is_not_as_asked() -> None:
+    had = result(dose(25.0, 25.0))
+    assert (had.verdict, had.target_mg, had.dispensed_mg, had.error_mg) == ("not as asked", 50.0, 25.0, -25.0)
+    after = confirmed(had, gone(glass_beads=25.1))
+    assert (after.verdict, after.dispensed_mg, after.is_good) == ("not as asked", 25.1, False)
+    assert after.error_mg == pytest.approx(-24.9)
+
+
+def test_a_tolerance_that_the_workflow_loosened_is_held_against_the_recipes() -> None:
+    had = result(dose(53.0, tolerance_mg=5.0))
+    assert (had.verdict, had.tolerance_mg) == ("over", 2.0)
+    assert result(dose(53.0, 50.0 * (1.0 + 1e-12), tolerance_mg=5.0)).verdict == "over", (
+        "a rounding makes no other mass"
+    )
+
+
+def test_a_tolerance_that_the_workflow_tightened_stays_tight() -> None:
+    had = result(dose(51.2, tolerance_mg=1.0))
+    assert (had.verdict, had.tolerance_mg) == ("over", 1.0)
+
+
+def test_a_workflow_that_asks_no_mass_is_judged_by_its_own_doses() -> None:
+    had = result(dose(25.0, 25.0, tolerance_mg=1.0), of=sample(None, None))
+    assert (had.verdict, had.target_mg, had.tolerance_mg) == ("in tolerance", 25.0, 1.0)
+    assert result(of=sample(None, None)).is_good
+    assert not result().is_good, "a mass was asked"
+    assert (result().verdict, result().target_mg, result().dispensed_mg) == ("no dose", 50.0, None)
+
+
+def test_the_last_dose_of_a_lot_counts_for_all_of_its_parts() -> None:
+    had = result(dose(20.0), dose(50.5))
+    assert [(one.lot, one.dispensed_mg) for one in had.doses] == [(BEADS, 50.5)]
+    assert had.verdict == "in tolerance"
+
+
+def test_every_lot_has_a_row_and_the_sample_stands_by_the_one_that_the_recipe_asks_for() -> None:
+    had = result(dose(50.5), dose(40.2, 40.0, lot=SALT))
+    assert [(one.container, one.lot, one.target_mg) for one in had.doses] == [("a", BEADS, 50.0), ("a", SALT, 40.0)]
+    assert (had.target_mg, had.dispensed_mg, had.verdict) == (50.0, 50.5, "in tolerance")
+
+
+def test_a_sample_is_good_only_when_all_of_its_lots_are() -> None:
+    had = result(dose(50.5), dose(45.0, 40.0, lot=SALT))
+    assert [one.verdict for one in had.doses] == ["in tolerance", "over"]
+    assert had.verdict == "over"
+    assert not confirmed(had, gone(glass_beads=50.5, monosodium_glutamate=45.0)).is_good
+    both = result(dose(50.5), dose(40.2, 40.0, lot=SALT))
+    assert confirmed(both, gone(glass_beads=50.5, monosodium_glutamate=40.2)).is_good
+
+
+def test_each_of_two_containers_has_to_be_seen_to_go() -> None:
+    had = result(dose(50.5, container="a/first"), dose(50.1, container="a/second"))
+    assert [one.container for one in had.doses] == ["a/first", "a/second"]
+    one = confirmed(had, gone(container="a/first", glass_beads=50.6))
+    assert [(dose.bracket, dose.dispensed_mg) for dose in one.doses] == [("closed", 50.6), ("open", 50.1)]
+    assert (one.is_good, one.dispensed_mg) == (False, 50.1)
+    both = confirmed(one, gone(container="a/second", glass_beads=50.2))
+    assert (both.is_good, both.dispensed_mg, both.uncertainty_mg) == (True, 50.2, 0.1)
+
+
+def test_the_bare_pan_adjusts_the_mass_and_may_change_the_verdict() -> None:
+    had = result(dose(51.6))
+    assert had.verdict == "over"
+    after = confirmed(had, gone(glass_beads=51.4))
+    assert (after.dispensed_mg, after.error_mg, after.uncertainty_mg) == (51.4, pytest.approx(1.4), 0.1)
+    assert (after.verdict, after.code, after.is_good) == ("in tolerance", None, True)
+    assert after.doses[0].verdict == "in tolerance"
+    assert confirmed(result(dose(51.4)), gone(glass_beads=51.9)).verdict == "over"
+
+
+def test_a_bracket_that_does_not_close_flags_the_sample_and_says_why() -> None:
+    after = confirmed(result(dose(50.0)), gone(closes=False, glass_beads=51.0))
+    assert (after.code, after.detail) == ("balance.bracket_open", "3 mg are nobody's")
+    assert (after.verdict, after.doses[0].bracket, after.is_good) == ("in tolerance", "does not close", False)
+
+
+def test_a_second_container_that_closes_does_not_take_back_what_the_first_has_shown() -> None:
+    had = result(dose(50.0, container="a/first"), dose(50.0, container="a/second"))
+    after = confirmed(had, gone(closes=False, container="a/first", glass_beads=51.0))
+    after = confirmed(after, gone(container="a/second", glass_beads=50.0))
+    assert (after.code, after.is_good) == ("balance.bracket_open", False)
+
+
+def test_a_sample_flagged_while_its_bracket_was_open_is_good_when_it_has_closed() -> None:
+    had = result(dose(50.0)).model_copy(update={"code": "balance.bracket_open", "detail": "it was not taken off"})
+    after = confirmed(had, gone(glass_beads=50.1))
+    assert (after.code, after.detail, after.is_good) == (None, None, True)
+
+
+def test_what_failed_otherwise_keeps_its_own_code_and_verdict() -> None:
+    failure = SkillFailed("dose.overshoot", "too much")
+    over = confirmed(result(dose(53.0), failure=failure), gone(closes=False, glass_beads=53.1))
+    assert (over.code, over.detail, over.verdict) == ("dose.overshoot", "too much", "over")
+    halted = confirmed(result(dose(50.0), verdict="interrupted"), gone(glass_beads=50.1))
+    assert (halted.verdict, halted.dispensed_mg, halted.is_good) == ("interrupted", 50.1, False)
+
+
+def test_a_second_attempt_is_for_containers_with_ids_of_their_own() -> None:
+    two = Sample(Mark("recipe"), "a", "w", {"first": A, "second": A.model_copy(update={"id": "a/second"})}, ())
+    ids = [
+        [value.id for value in inputs_for(two, attempt).values() if isinstance(value, Container)] for attempt in (1, 2)
+    ]
+    assert ids == [["a", "a/second"], ["a#2", "a/second#2"]]
+
+
+LITERAL = """
+workflow: literal
+inputs: {source: Source, container: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $source, container: $container, mass: 25 mg}
+    - return_leftover: {source: $source}
+    - park:
+"""
+TWIN = """
+workflow: twin
+inputs: {source: Source, first: Container, second: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $first}
+    - tare:
+    - fill: {source: $source, container: $first, mass: $mass, tolerance: $tolerance}
+    - park:
+    - place_container: {container: $second}
+    - tare:
+    - fill: {source: $source, container: $second, mass: $mass, tolerance: $tolerance}
+    - return_leftover: {source: $source}
+    - park:
+    - remove_container:
+"""
+LEFT_STANDING = """
+workflow: finish_batch
+inputs: {source: Source}
+tree:
+  sequence:
+    - return_leftover: {source: $source}
+    - park:
+"""
+RECIPE = """
+recipe: outcome
+workflow: WORKFLOW
+samples: [{id: a, source: beads, container: xrd_holder, mass: 50 mg, tolerance: 2 mg}]
+on_failure: {otherwise: flag}
+"""
+
+
+def test_a_workflow_that_dispenses_25_mg_for_a_sample_of_50_mg_is_not_good(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab", trees__literal=LITERAL)
+    ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "literal"), lab=lab)
+    had = ran.sample("a")
+    assert (had.verdict, had.target_mg, had.is_good) == ("not as asked", 50.0, False)
+    assert had.dispensed_mg == pytest.approx(25.0, abs=2.0)
+    assert [(one.target_mg, one.bracket) for one in had.doses] == [(25.0, "closed")]
+    assert ran.result.exit_code == ExitCode.FLAGGED
+
+
+def test_a_sample_whose_container_still_stands_on_the_pan_at_the_end_is_flagged(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab", trees__finish_batch=LEFT_STANDING)
+    ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "scoop_and_dispense"), lab=lab)
+    had = ran.sample("a")
+    assert (had.verdict, had.code, had.doses[0].bracket) == ("in tolerance", "balance.bracket_open", "open")
+    assert "was not taken off the pan" in str(had.detail)
+    assert ran.result.exit_code == ExitCode.FLAGGED
+    gone_too = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "scoop_and_dispense"))
+    assert (gone_too.sample("a").is_good, gone_too.result.exit_code) == (True, ExitCode.OK)
+
+
+def test_a_sample_of_two_containers_gives_each_an_id_and_a_result_of_its_own(tmp_path: Path) -> None:
+    """Both go within the sample's own job: the bare pan's word waits for its result."""
+    lab = make_lab(tmp_path / "lab", trees__twin=TWIN)
+    text = RECIPE.replace("WORKFLOW", "twin").replace("container: xrd", "first: xrd_holder, second: xrd")
+    ran = dry_run(tmp_path, text, lab=lab)
+    had = ran.sample("a")
+    assert [(one.container, one.bracket) for one in had.doses] == [("a/first", "closed"), ("a/second", "closed")]
+    assert ran.session.world is not None
+    for one in had.doses:
+        assert ran.session.world.masses_mg[f"container:{one.container}"] == pytest.approx(one.dispensed_mg, abs=0.5)
+    assert (had.code, had.is_good, ran.result.exit_code) == (None, True, ExitCode.OK)
+    assert had.dispensed_mg == had.doses[1].dispensed_mg
+    assert ran.session.cell.believed.closed == ()
