@@ -57,7 +57,7 @@ CODES: Mapping[str, set[str]] = {
     "hand.lost": {"device.lost"},
     "scoop.nothing": {RECOVERS, "hand.no_flow", "hand.cone_empty"},
     "container.wrong": {"container.wrong_mass"},
-    "operator.refuses": {"operator.refused"},
+    "operator.refuses": {"operator.refused", "balance.bracket_open"},
 }
 """What a fault may come to: codes, or recovery."""
 CANNOT_CLOSE = "valve.stuck_open"

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError, fields, replace
 from typing import Any
 
 import pytest
@@ -38,7 +38,7 @@ def weighed(gross_mg: float, time_s: float = 2.0) -> Gross:
 
 def gone(container: str = DISH.id) -> ClosedBracket:
     """What a container came to that has gone."""
-    return ClosedBracket(container, {"glass_beads/L7": Net(50.0, 0.1)}, True, "it closes")
+    return ClosedBracket(container, {"glass_beads/L7": Net(50.0, 0.1)}, True, 0.0, "it closes")
 
 
 masses_mg = st.sampled_from([-10.0, 0.0, 30.0, 3000.0])
@@ -70,7 +70,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "dosing_towards": st.builds(lambda m, lot, g: lambda b: b.dosing_towards(m, lot, g), masses_mg, lots, weighings),
     "dosing_ended": st.builds(lambda m, g: lambda b: b.dosing_ended(m, g), masses_mg, grosses_mg),
     "dosed": st.builds(lambda n, g: lambda b: b.dosed(n, STILL, g, 1, 0.5), nets, weighings),
-    "reweighed": st.builds(lambda n, g: lambda b: b.reweighed(n, g), nets, weighings),
+    "reweighed": st.builds(lambda n, g: lambda b: b.reweighed(n, g, BEADS.sheet_key), nets, weighings),
     "zero_moved": st.builds(lambda d, g: lambda b: b.zero_moved(d, g), masses_mg, weighings),
     "lifted": st.builds(lambda g: lambda b: b.lifted(g), weighings),
     "bracket_closed": st.sampled_from([None, gone()]).map(lambda one: lambda b: b.bracket_closed(one)),
@@ -200,6 +200,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "lifted": None,
         },
         "closed": [],
+        "is_zero_doubted": False,
     }
     assert JSON.validate_python({**written, "pan": pan}, by_name=True, by_alias=False) == believed
 
@@ -287,7 +288,7 @@ def test_a_container_that_was_not_weighed_has_no_dose() -> None:
     for verb in (
         lambda: believed.dosing_towards(50.0, BEADS.sheet_key, weighed(0.0)),
         lambda: believed.dosed(Net(1.0, 0.1), STILL, weighed(0.0), 1, 0.5),
-        lambda: believed.reweighed(Net(1.0, 0.1), weighed(0.0)),
+        lambda: believed.reweighed(Net(1.0, 0.1), weighed(0.0), BEADS.sheet_key),
         lambda: believed.lifted(weighed(0.0)),
     ):
         with pytest.raises(ValueError, match="was weighed"):
@@ -299,7 +300,7 @@ def test_a_container_that_was_not_weighed_has_no_dose() -> None:
 def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_container() -> None:
     believed = on_the_pan()
     believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
-    believed.reweighed(Net(30.0, 0.2), weighed(20_040.5, 20.0))
+    believed.reweighed(Net(30.0, 0.2), weighed(20_040.5, 20.0), BEADS.sheet_key)
     assert (believed.cone_mg, believed.pan_gross_mg, believed.dosing.is_unweighed) == (70.0, 20_040.5, False)
     assert believed.bracket is not None
     assert believed.bracket.dosed_mg(BEADS.sheet_key) == Net(30.0, 0.2)
@@ -309,7 +310,7 @@ def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_con
 def test_a_zero_that_moved_takes_every_weighing_with_it_and_no_dose() -> None:
     believed = on_the_pan()
     believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
-    believed.reweighed(Net(30.0, 0.2), weighed(20_040.5))
+    believed.reweighed(Net(30.0, 0.2), weighed(20_040.5), BEADS.sheet_key)
     believed.zero_moved(2.0, weighed(20_042.5, 30.0))
     assert (believed.pan_empty_mg, believed.pan_gross_mg, believed.cone_mg) == (20_012.5, 20_042.5, 70.0)
     bracket = believed.bracket
@@ -366,3 +367,19 @@ def test_what_a_container_came_to_stays_until_it_is_noted_and_one_without_a_dose
     assert (believed.bracket, believed.closed) == (None, (first, second))
     believed.noted(first)
     assert believed.closed == (second,)
+
+
+def test_a_bracket_is_believed_only_once_one_has_closed_since_the_zero_stepped() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5), has_stepped=True)
+    for name, closes in (("a", True), ("b", True), ("c", False), ("d", True), ("e", True)):
+        believed.bracket_closed(replace(gone(name), closes=closes))
+    told = {one.container: (one.closes, one.detail) for one in believed.closed}
+    assert {name: closes for name, (closes, _) in told.items()} == {
+        "a": False,
+        "b": True,
+        "c": False,
+        "d": False,
+        "e": True,
+    }
+    assert told["a"][1] == "the balance's zero has stepped of late; it closes"

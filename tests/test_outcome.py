@@ -64,7 +64,7 @@ def result(
 def gone(closes: bool = True, container: str = "a", **masses_mg: float) -> ClosedBracket:
     """What the bare pan made of a container's doses."""
     nets = {lot: Net(mass_mg, 0.1) for lot, mass_mg in masses_mg.items()}
-    return ClosedBracket(container, nets, closes, "3 mg are nobody's")
+    return ClosedBracket(container, nets, closes, 0.0, "3 mg are nobody's")
 
 
 def test_what_the_recipe_asks_is_what_the_sample_has() -> None:
