@@ -93,12 +93,16 @@ class ValveErrorSpec(Spec):
     """How much wider it then opens."""
 
 
+MOUNTED_DIAMETER_MM = 90.0
+"""Rim of the cone that a mounted sheet begins as, and that loads are carried in (paper, section V: 36 deg of overlap)."""
+
+
 class HandOptions(Spec):
     """The roller's servo on the arm's bus, and the sheet as it is mounted."""
 
     roller_id: Annotated[int, Field(ge=0, le=252)] = 9
     roller_direction: Direction = 1
-    start_diameter_mm: Annotated[Millimetres, Positive] = 90.0
+    start_diameter_mm: Annotated[Millimetres, Positive] = MOUNTED_DIAMETER_MM
     """Of the cone when the driver connects: of a sheet that has just been mounted (paper, section V)."""
 
 

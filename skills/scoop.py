@@ -14,6 +14,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.scooping import BEST_SHARE, FULL_STROKE_MM, bed_diameter_mm, collected_share
 from scuhand_bt.motion import ApexPose
@@ -33,8 +34,6 @@ from scuhand_bt.skill import (
 
 from ._emptying import empty_cone
 
-CARRY_DIAMETER_MM = 90.0
-"""The rim while carrying and dispensing (paper: 36 degrees of overlap)."""
 WALL_GAP_MM = 4.0
 """Between the mortar's bore and the largest rim that goes in."""
 STROKE_MM = 24.0
@@ -89,7 +88,7 @@ class Scoop(Skill[Milligrams]):
         yield from cell.arm.follow(path)
         yield from cell.hand.morph(stroke.closed_mm)
         yield from cell.touch([cell.place(source.station)], self.speed_mm_per_s, source.station)
-        yield from cell.hand.morph(CARRY_DIAMETER_MM)
+        yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
         return self._believe(cell, stroke, in_mortar_mg)
 
     def settle(self, cell: Cell) -> Steps[None]:
@@ -101,7 +100,7 @@ class Scoop(Skill[Milligrams]):
             return
         believed.touched(source)
         yield from cell.touch([cell.place(source.station)], self.speed_mm_per_s, source.station)
-        yield from cell.hand.morph(CARRY_DIAMETER_MM)
+        yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
         held_mg = believed.cone_mg
         believed.cone_holds(source, source.powder.load_limit_mg)
         yield from empty_cone(cell)

@@ -6,12 +6,12 @@ Lengths in metres.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import Arm, Scene, Solid
 from scuhand_bt.specs import ContainerKind, Mortar
 
-CONE_DIAMETER_M = 0.090
+CONE_DIAMETER_M = MOUNTED_DIAMETER_MM / 1e3
 MARGIN_M = 0.005
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.arguments import (
     checked_duration,
@@ -28,7 +28,6 @@ from scuhand_bt.sim.faults import Faults
 
 FADE_MM = 0.2
 """Below this servo position the opening's error fades to nothing."""
-INITIAL_DIAMETER_MM = 90.0
 SHUT_MM = 0.01
 """A valve that is this near to shut is shut."""
 SLOW = 0.4
@@ -64,7 +63,7 @@ class SimulatedHand:
         self.longest_dwell_s = LONGEST_DWELL_S
         self.news = Signal()
         self.vibration = 0.0
-        self.cone_diameter_mm = INITIAL_DIAMETER_MM
+        self.cone_diameter_mm = MOUNTED_DIAMETER_MM
         self.faults = Faults()
         """What is wrong with it, in a simulation of faults."""
         self._blocked_s = 0.0

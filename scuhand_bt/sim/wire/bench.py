@@ -17,14 +17,14 @@ from types import TracebackType
 
 import numpy as np
 
-from scuhand_bt.cell_spec import CellSpec, HandSpec
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, HandSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.hand import INITIAL_DIAMETER_MM, SimulatedHand
+from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import Plant, load_plant
 from scuhand_bt.sim.wire.balances import TWINS
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
@@ -78,7 +78,7 @@ class WireHand(SimulatedHand):
         super().__init__(spec, clock)
         self._valve = valve
         self._roller = roller
-        self._at_zero_deg = Cone(INITIAL_DIAMETER_MM, spec.sheet_radius_mm).roller_deg(spec) - self._roller_deg
+        self._at_zero_deg = Cone(MOUNTED_DIAMETER_MM, spec.sheet_radius_mm).roller_deg(spec) - self._roller_deg
         self._morphed_s = self._closed_s = float("-inf")
         self._now_s = 0.0
 
