@@ -94,7 +94,7 @@ class ValveErrorSpec(Spec):
 
 
 MOUNTED_DIAMETER_MM = 90.0
-"""Rim of the cone that a mounted sheet begins as, and that loads are carried in (paper, section V: 36 deg of overlap)."""
+"""Rim of the cone that a mounted sheet begins as, and that loads are carried in (paper, section V: 36° of overlap)."""
 
 
 class HandOptions(Spec):
