@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from harness.verdicts import is_untrue
+from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab, load_lab, starter_lab
@@ -57,7 +58,7 @@ CODES: Mapping[str, set[str]] = {
     "hand.lost": {"device.lost"},
     "scoop.nothing": {RECOVERS, "hand.no_flow", "hand.cone_empty"},
     "container.wrong": {"container.wrong_mass"},
-    "operator.refuses": {"operator.refused", "balance.bracket_open"},
+    "operator.refuses": {"operator.refused"},
 }
 """What a fault may come to: codes, or recovery."""
 CANNOT_CLOSE = "valve.stuck_open"
@@ -109,8 +110,9 @@ class Matrix:
             result = session.run(BatchObserver())
         finally:
             session.close()
-        failed = next((sample for sample in result.samples if sample.code is not None), None)
-        code = failed.code if failed is not None and failed.code is not None else ""
+        # A run that ends early leaves its last container on the pan: that says nothing of the fault.
+        codes = [sample.code for sample in result.samples if sample.code not in (None, Code.BALANCE_BRACKET_OPEN)]
+        code = codes[0] or "" if codes else ""
         if not code and result.reason:
             code = next((word.strip(":;") for word in result.reason.split() if "." in word.strip(".:;")), "?")
         wrong = [*_unsafe(session, fault), *_untrue(result.samples), *self._lost(session)]

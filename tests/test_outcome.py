@@ -239,7 +239,7 @@ def test_a_sample_whose_container_still_stands_on_the_pan_at_the_end_is_flagged(
     ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "scoop_and_dispense"), lab=lab)
     had = ran.sample("a")
     assert (had.verdict, had.code, had.doses[0].bracket) == ("in tolerance", "balance.bracket_open", "open")
-    assert "was not taken off the pan" in str(had.detail)
+    assert "was not taken off" in str(had.detail)
     assert ran.result.exit_code == ExitCode.FLAGGED
     gone_too = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "scoop_and_dispense"))
     assert (gone_too.sample("a").is_good, gone_too.result.exit_code) == (True, ExitCode.OK)

@@ -29,6 +29,8 @@ tree:
     - tare:
     - move_over: {container: $container}
     - dispense: {mass: $mass, tolerance: $tolerance, as: dose}
+    - park:
+    - remove_container:
 """
 OPEN = """\
 workflow: open

@@ -279,7 +279,9 @@ class Batch:
         """Flag every dose whose container was not seen to go."""
         for result in list(self._results.values()):
             if result.code is None and any(dose.bracket == "open" for dose in result.doses):
-                what = "its container was not taken off the pan, and that not weighed bare, after the dose"
+                what = (
+                    "after the dose its container was not taken off, and the bare pan not weighed (`remove_container`)"
+                )
                 self._note(result.model_copy(update={"code": Code.BALANCE_BRACKET_OPEN, "detail": what}))
 
     def _note(self, result: SampleResult) -> None:
