@@ -1,5 +1,6 @@
 """A sample's result: by what the recipe asks, for every powder lot, and after its container has gone."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import SampleResult, SampleVerdict
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.report.live import PlainLines
 from scuhand_bt.run.outcome import confirmed, inputs_for, sample_result
 from scuhand_bt.specs import Container
 
@@ -258,3 +260,20 @@ def test_a_sample_of_two_containers_gives_each_an_id_and_a_result_of_its_own(tmp
     assert (had.code, had.is_good, ran.result.exit_code) == (None, True, ExitCode.OK)
     assert had.dispensed_mg == had.doses[1].dispensed_mg
     assert ran.session.cell.believed.closed == ()
+
+
+def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it() -> None:
+    lines: list[str] = []
+    observer, had = PlainLines(lines.append, 1), result(dose(50.4))
+    observer.sample_ended(had)
+    observer.sample_ended(confirmed(had, gone(glass_beads=50.4)))
+    assert lines == ["[1/1] a: 50.4 mg of 50.0 mg (+0.4 mg) in 3 pulses, 1 min 00 s: in tolerance"]
+    observer.sample_ended(confirmed(had, gone(closes=False, glass_beads=53.4)))
+    assert lines[1:] == [f"{lines[0]} (balance.bracket_open)"]
+
+
+def test_a_dose_that_is_near_half_its_tolerance_from_the_bare_pans_word_is_flagged_whatever_chance_allows() -> None:
+    near = replace(gone(glass_beads=50.4), difference_mg=1.0)
+    assert confirmed(result(dose(50.4)), near).is_good
+    far = confirmed(result(dose(50.4)), replace(near, difference_mg=1.01))
+    assert (far.code, far.dispensed_mg, far.doses[0].bracket) == ("balance.bracket_open", 50.4, "does not close")

@@ -259,6 +259,12 @@ class SampleResult(Event):
     """Every powder lot in every container; what stands above is of the one that the recipe asks for, or the last."""
 
     @property
+    def is_open(self) -> bool:
+        """All is well as far as it is known, and a container is still to go."""
+        is_well = self.code is None and self.verdict == "in tolerance"
+        return is_well and any(dose.bracket == "open" for dose in self.doses)
+
+    @property
     def is_good(self) -> bool:
         """All doses in tolerance and confirmed, or a workflow that was to dose nothing; and no failure."""
         wanted = "no dose" if self.target_mg is None else "in tolerance"

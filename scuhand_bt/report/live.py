@@ -48,7 +48,7 @@ class PlainLines(BatchObserver):
             self._write(f"{job.name}")
 
     def sample_ended(self, result: SampleResult) -> None:
-        if result.verdict == "not run":
+        if result.verdict == "not run" or (result.id in self._ended and result.is_good):
             return
         self._ended.add(result.id)
         self._write(f"[{len(self._ended)}/{self._total}] {result.id}: {_in_words(result)}")
@@ -170,7 +170,7 @@ def doses_table(results: Sequence[SampleResult], width: int = WIDE) -> Table:
         cells: list[str | Text] = [result.id]
         cells += [result.container or ""] if is_wide else []
         cells += [target, dispensed, error, *counts, f"{result.duration_s:.0f}"]
-        cells.append(Text(verdict, style="green" if result.is_good else "red"))
+        cells.append(Text(verdict, style="yellow" if result.is_open else "green" if result.is_good else "red"))
         cells += [result.controller or ""] if is_wide else []
         if is_judged and is_wide:
             cells.append(format_mass(result.true_mg) if result.true_mg is not None else "–")
