@@ -1,5 +1,7 @@
 """The cell's scenes: the arm with one size of cone among what stands there, built when first needed and kept.
 
+A scene in which a mortar is touched is one stroke's, and is not kept: its cone hardly comes again.
+
 Lengths in metres.
 """
 
@@ -33,19 +35,22 @@ class Scenes:
         self._cell = cell
         self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
         self._bench = cell_solids.bench(cell)
-        self._scenes: dict[tuple[Geometry, float, str | None], Scene] = {}
+        self._scenes: dict[tuple[Geometry, float], Scene] = {}
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
         """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
-        key = (geometry, margin_m, touching)
+        if touching is not None:
+            return self._made(geometry, margin_m, touching)
+        key = (geometry, margin_m)
         if key not in self._scenes:
-            hand = self._cell.hand
-            shapes = self._arm.with_sheet(
-                hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3, geometry.cone_diameter_m
-            )
-            solids, touchable = self._solids(geometry, touching)
-            self._scenes[key] = Scene(self._arm, shapes, solids, margin_m, touchable)
+            self._scenes[key] = self._made(geometry, margin_m, None)
         return self._scenes[key]
+
+    def _made(self, geometry: Geometry, margin_m: float, touching: str | None) -> Scene:
+        hand = self._cell.hand
+        shapes = self._arm.with_sheet(hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3, geometry.cone_diameter_m)
+        solids, touchable = self._solids(geometry, touching)
+        return Scene(self._arm, shapes, solids, margin_m, touchable)
 
     def _solids(self, geometry: Geometry, touching: str | None) -> tuple[list[Solid], list[str]]:
         if touching is not None and touching not in self._mortars:
