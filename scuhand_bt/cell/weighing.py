@@ -1,17 +1,26 @@
 """Gross on the cell's balance so that a mass can be told: again until it stays, and by the bare pan afterwards."""
 
+import math
+
 from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close
-from scuhand_bt.events import BracketClosed, ContainerLifted, LotDosed
+from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, step_delay_s
+from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.specs import BalanceBelief
 
 PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
 PAUSE_S = 1.5
 """Between two weighings that are to agree."""
+
+SLOWER = 1.25
+"""Times a known delay: a balance that shows a step later is not set as it was."""
+HAND_S = 1.0
+"""What a person takes to put a container down, besides."""
 
 
 def weighing_of(mean: StableMean) -> Gross:
@@ -43,6 +52,34 @@ def weigh_until_still(
                 Code.BALANCE_DRIFTING, f"after {PATIENCE_S:g} s the reading still changes by {rate:+.2f} mg/s"
             )
         last, pause_s = now, PAUSE_S
+
+
+def step_delay(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: float) -> float | None:
+    """How late the balance has shown what came on its bare pan, by `brought_s` at the latest, where that can be told.
+
+    When a person has put it down nobody knows: it counts from where it shows, and no dead time is seen.
+    """
+    curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if bare.time_s <= one.time_s <= loaded.time_s]
+    latest_s = math.inf if cell.changer.needs_person else brought_s
+    return step_delay_s(curve, bare.value_mg, loaded.value_mg, latest_s)
+
+
+def require_known_delay(cell: Cell, delay_s: float) -> None:
+    """Before a dose: a balance that is slower than it was is taken for that, and learnt anew by the next dose.
+
+    SkillFailed balance.slow where nothing doses safely with it.
+    """
+    inexact_s = cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
+    if delay_s > LONGEST_DELAY_S + inexact_s:
+        late = f"it showed the container {delay_s:.1f} s late; up to {LONGEST_DELAY_S:g} s are dosed with"
+        raise SkillFailed(Code.BALANCE_SLOW, late)
+    known_s = 2.0 * cell.balance_belief.lag_s if cell.known_delay_s is None else cell.known_delay_s
+    if delay_s > SLOWER * known_s + inexact_s:
+        cell.balance_belief = BalanceBelief(lag_s=delay_s / 2.0)
+        cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
+    elif cell.known_delay_s is not None:
+        delay_s = min(delay_s, known_s)
+    cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
 
 
 def take_container_away(cell: Cell) -> Steps[StableMean]:

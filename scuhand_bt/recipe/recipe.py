@@ -55,7 +55,8 @@ class Recipe:
     samples: tuple[Sample, ...]
     on_failure: Mapping[str, Action]
     marks: Mapping[str, Mark]
-    """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `on_failure.CODE`."""
+    """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `samples.ID.KEY`,
+    `on_failure.CODE`."""
 
     @property
     def hash(self) -> str:
@@ -273,6 +274,7 @@ class _Reader:
         merged.update(entry.without(*RECIPE_WORDS).values)
         inputs: dict[str, Any] = {}
         for key, node in merged.items():
+            self.marks[f"samples.{sample_id}.{key}"] = node.mark
             declared = workflow.inputs.get(key)
             if declared is None:
                 self.problems.add(
