@@ -124,7 +124,7 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.BALANCE_UNSTABLE: Failure(
         "The balance did not settle in time.",
-        "Close the draft shield, look for vibration, fume-hood draughts or a touching container.",
+        "Close the draft shield, look for vibration, draughts, a touching container; if it creeps, for its filter.",
         ("devices",),
     ),
     Code.BALANCE_COARSE: Failure(

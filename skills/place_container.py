@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from scuhand_bt.cell.weighing import require_known_delay, step_delay, take_container_away, weighing_of
+from scuhand_bt.cell.weighing import require_known_delay, step_delay, take_container_away, weigh_changed, weighing_of
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
@@ -40,7 +40,7 @@ class PlaceContainer(Skill[None]):
         yield from cell.changer.bring(self.container)
         brought_s = cell.clock.now_s
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
-        loaded = yield from cell.balance.stable_mean()
+        loaded = yield from weigh_changed(cell, bare.value_mg)
         delay_s = step_delay(cell, bare, loaded, brought_s)
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container

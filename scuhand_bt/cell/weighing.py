@@ -17,6 +17,8 @@ PATIENCE_S = 60.0
 PAUSE_S = 1.5
 """Between two weighings that are to agree."""
 
+CHANGED_MG = 50.0
+"""Every container weighs more, and no draught pushes so hard."""
 SLOWER = 1.25
 """Times a known delay: a balance that shows a step later is not set as it was."""
 HAND_S = 1.0
@@ -52,6 +54,17 @@ def weigh_until_still(
                 Code.BALANCE_DRIFTING, f"after {PATIENCE_S:g} s the reading still changes by {rate:+.2f} mg/s"
             )
         last, pause_s = now, PAUSE_S
+
+
+def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
+    """The gross when something has come or gone: a balance with a dead time goes on showing for a while what was."""
+    end_s = cell.clock.now_s + LONGEST_DELAY_S
+    while was_mg is not None and cell.clock.now_s < end_s:
+        reading = yield from cell.balance.next_reading()
+        if abs(reading.value_mg - was_mg) > CHANGED_MG:
+            break
+    mean = yield from cell.balance.stable_mean()
+    return mean
 
 
 def step_delay(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: float) -> float | None:
@@ -93,9 +106,10 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         mean = yield from cell.balance.stable_mean()
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
+    was_mg = believed.pan_gross_mg
     believed.changing_container()
     yield from cell.changer.take_away()
-    bare = yield from cell.balance.stable_mean()
+    bare = yield from weigh_changed(cell, was_mg)
     bracket = believed.bracket
     believed.removed()
     if bracket is None or bracket.lifted is None:
