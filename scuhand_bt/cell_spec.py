@@ -162,8 +162,10 @@ class BalanceLimits(Spec):
 
     check_weight_every_s: Annotated[Seconds, Field(gt=0)] | None = None
     """Within this time before a run it must have weighed a check weight right."""
-    minimum_weight_mg: Literal["usp"] | Annotated[Milligrams, Field(gt=0)] | None = None
-    """The least mass to be dosed; "usp": 2000 times the measured repeatability (USP 41)."""
+    minimum_weight_mg: Annotated[Milligrams, NotNegative] = 0.0
+    """The least mass to be dosed."""
+    usp_41: bool = False
+    """That, and at least 2000 times the measured repeatability (USP 41)."""
     when_beyond: Literal["refuse", "warn"] = "refuse"
 
 

@@ -36,10 +36,10 @@ def _too_little(plan: Plan, lab: Lab, figures: Figures) -> Iterator[Problem]:
     """Each rule is told once, where the first sample breaks it."""
     balance, measured = lab.cell.balance, figures.get("repeatability_mg")
     repeatability_mg = least_repeatability_mg(measured.value if measured else None, balance.readability_mg)
-    minimum_mg = balance.limits.minimum_weight_mg or 0.0
-    source = "robot/cell.yaml"
-    if minimum_mg == "usp":
-        minimum_mg, source = usp_minimum_weight_mg(repeatability_mg), f"2000 x {repeatability_mg:.3g} mg, USP 41"
+    minimum_mg, source = balance.limits.minimum_weight_mg, "robot/cell.yaml"
+    usp_mg = usp_minimum_weight_mg(repeatability_mg)
+    if balance.limits.usp_41 and usp_mg > minimum_mg:
+        minimum_mg, source = usp_mg, f"2000 x {repeatability_mg:.3g} mg, USP 41"
     masses = [
         (mass_mg, sample)
         for sample in plan.recipe.samples
