@@ -2,9 +2,12 @@
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from statistics import stdev
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,15 +15,20 @@ from conftest import Call, LabFolder, problems_of
 from running import Ran, dry_run, shared_planner
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.weighing import require_known_delay
 from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState, Measured
 from scuhand_bt.problems import Problem
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.record import Record
 from scuhand_bt.run.balance_limits import beyond_limits
+from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
+from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.specs import BalanceBelief
@@ -74,6 +82,12 @@ class LittleSlower(Slower):
     lag_s = 0.36
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Cell:
+    """A cell that has dosed, and knows its balance."""
+    return dry_run(tmp_path_factory.mktemp("sound"), RECIPE, controller="adaptive").session.cell
+
+
 def told(ran: Ran, kind: str) -> list[dict[str, Any]]:
     return [e["payload"] for e in read(ran.journal, "event") if e["kind"] == kind]
 
@@ -86,6 +100,50 @@ def test_a_balance_that_was_set_slower_is_noticed_before_the_next_dose_which_lea
     assert max(sample.true_mg - sample.target_mg for sample in ran.result.samples) < 3.0  # type: ignore[operator]
     assert ran.session.cell.balance_belief.lag_s == pytest.approx(1.0, rel=0.3)
     assert ran.session.cell.balance_belief.fits > 0
+
+
+@pytest.mark.parametrize(
+    ("known_s", "by_hand", "delay_s", "is_slower"),
+    [
+        (0.6, False, 0.84, False),
+        (0.6, False, 0.86, True),
+        (0.6, True, 1.84, False),
+        (0.6, True, 1.86, True),
+        (None, False, 0.84, False),
+        (None, False, 0.86, True),
+        (1.6, False, 2.0, False),
+    ],
+)
+def test_slower_is_a_quarter_more_than_was_measured_or_else_learnt_and_a_person_takes_a_second(
+    sound: Cell, known_s: float | None, by_hand: bool, delay_s: float, is_slower: bool
+) -> None:
+    events: list[Any] = []
+    learnt = BalanceBelief(lag_s=0.3, poles=4, misfit=0.01, fits=3)
+    changer = SimpleNamespace(needs_person=by_hand)
+    changes: dict[str, Any] = {"changer": changer, "record": Record(events.append), "known_delay_s": known_s}
+    cell = replace(sound, balance_belief=learnt, **changes)
+    require_known_delay(cell, delay_s)
+    assert len(events) == is_slower
+    assert cell.balance_belief == (BalanceBelief(lag_s=delay_s / 2.0) if is_slower else learnt)
+    assert cell.known_delay_s == (delay_s if is_slower or known_s is None else known_s)
+
+
+@pytest.mark.parametrize(
+    ("by_hand", "delay_s", "refused"),
+    [(False, 3.29, False), (False, 3.31, True), (True, 4.29, False), (True, 4.31, True)],
+)
+def test_a_delay_beyond_what_can_be_dosed_with_is_refused(
+    sound: Cell, by_hand: bool, delay_s: float, refused: bool
+) -> None:
+    changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(lambda event: None)}
+    with pytest.raises(SkillFailed, match=r"balance\.slow") if refused else nullcontext():
+        require_known_delay(replace(sound, **changes), delay_s)
+
+
+def test_a_persons_hand_hides_a_dead_time_and_nothing_else(tmp_path: Path, lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
+    ran = dry_run(tmp_path, RECIPE, lab=lab_folder.folder, plant=f"{__name__}:Late")
+    assert [placed["delay_s"] for placed in told(ran, "container")] == pytest.approx(4 * [0.6], abs=0.2)
 
 
 def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_is_scooped_for_it(tmp_path: Path) -> None:
@@ -153,6 +211,7 @@ def test_the_start_of_day_measures_noise_drift_repeatability_and_the_check_weigh
     checked = [weighed["error_mg"] for weighed in told(ran, "check_weight")]
     assert (measured["weighings"], len(checked)) == (5, 5)
     assert figures["check_weight_error_mg"].value == max(checked, key=abs)
+    assert figures["repeatability_mg"].value == measured["repeatability_mg"] == pytest.approx(stdev(checked))
 
 
 def test_a_check_weight_that_is_wrong_once_fails_and_takes_back_the_day_before(tmp_path: Path) -> None:
@@ -195,8 +254,6 @@ def test_what_is_forgotten_is_believed_no_more_and_what_is_measured_later_is(tmp
 
 
 def test_a_resumed_run_knows_what_was_measured_before(tmp_path: Path) -> None:
-    from scuhand_bt.run.cell_state import state_of, take_up
-
     cell = dry_run(tmp_path, RECIPE, controller="adaptive").session.cell
     fresh = replace(cell, balance_figures={}, known_delay_s=None)
     take_up(fresh, json.loads(json.dumps(state_of(cell))))
@@ -265,6 +322,11 @@ def test_what_doses_nothing_needs_no_check_weight(plan_of: Callable[..., tuple[P
             "30.0 mg is less than the balance's minimum weight, 82.0 mg (2000 x 0.041 mg, USP 41)",
         ),
         (
+            {"usp_41": True, "minimum_weight_mg": 90.0},
+            None,
+            "30.0 mg is less than the balance's minimum weight, 90.0 mg (robot/cell.yaml)",
+        ),
+        (
             {"usp_41": True, "minimum_weight_mg": 31.0},
             0.2,
             "30.0 mg is less than the balance's minimum weight, 400.0 mg (2000 x 0.2 mg, USP 41)",
@@ -322,6 +384,18 @@ def test_a_real_run_without_a_check_weight_is_refused_or_warned_and_a_dry_run_is
         assert [entry["kind"] for entry in read(session.journal.path, "event")].count("trouble") == warned
     keep_checked(session.cell, tmp_path)
     begin(None).close()
+
+
+def test_a_run_that_was_begun_goes_on_whatever_its_balance(
+    tmp_path: Path, plan_of: Callable[..., tuple[Plan, Lab]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = dry_run(tmp_path, RECIPE, stop_at=40)
+    monkeypatch.setattr("scuhand_bt.run.session.set_up", taken_for_real)
+    plan, lab = plan_of(check_weight_every_s=86400.0)
+    found = resumable(ran.journal, checked_history(ran.journal), plan, lab, accept_changes=True)
+    session = Session(plan, lab, Options(None, "paper", tmp_path / "runs"), shared_planner(plan, lab), resumes=found)
+    session.close()
+    assert "a check weight is asked for" in session.notices[0]
 
 
 def taken_for_real(plan: Plan, lab: Lab, simulation: object, *args: object, **more: object) -> Setup:

@@ -69,6 +69,12 @@ def test_a_step_that_was_not_seen_tells_no_delay(began_s: float) -> None:
     assert step_delay_s(readings, BARE_MG, LOADED_MG, 0.0) is None
 
 
+def test_a_false_line_here_and_there_tells_no_other_delay() -> None:
+    readings = [(t, 1e6 if number % 5 == 0 else mg) for number, (t, mg) in enumerate(curve(two_poles(0.3)))]
+    for latest_s in (CAME_S, math.inf):
+        assert step_delay_s(readings, BARE_MG, LOADED_MG, latest_s) == pytest.approx(0.6, abs=0.2)
+
+
 def test_no_readings_and_no_step_tell_no_delay() -> None:
     assert step_delay_s([], BARE_MG, LOADED_MG, CAME_S) is None
     assert step_delay_s(curve(two_poles(0.3)), BARE_MG, BARE_MG, CAME_S) is None

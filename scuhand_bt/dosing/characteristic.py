@@ -38,10 +38,14 @@ def step_delay_s(curve: Curve, before_mg: float, after_mg: float, latest_s: floa
     """T of a step between two settled weighings; None where the curve does not show it from its beginning.
 
     The step came at `latest_s`, unless more than `STEP_SHARE` of it was shown earlier: then with the last reading that
-    showed less.
+    showed less. Of three readings in a row the middle one counts: a false line among them does no harm.
     """
     step_mg = after_mg - before_mg
-    missing = [(time_s, (after_mg - value_mg) / step_mg) for time_s, value_mg in curve] if step_mg else []
+    triples = zip(curve, curve[1:], curve[2:], strict=False) if step_mg else ()
+    missing = [
+        (now[0], (after_mg - statistics.median((last[1], now[1], following[1]))) / step_mg)
+        for last, now, following in triples
+    ]
     unmoved = [number for number, (_, share) in enumerate(missing) if share > 1.0 - STEP_SHARE]
     if not unmoved or unmoved[-1] == len(missing) - 1:
         return None
