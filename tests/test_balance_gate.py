@@ -380,7 +380,7 @@ def test_a_real_run_without_a_check_weight_is_refused_or_warned_and_a_dry_run_is
     for simulation, limits, warned in ((None, {"when_beyond": "warn"}, 1), (DryRun(), {}, 0)):
         session = begin(simulation, **limits)
         session.close()
-        assert len(session.notices) == warned
+        assert len(session.warnings) == warned
         assert [entry["kind"] for entry in read(session.journal.path, "event")].count("trouble") == warned
     keep_checked(session.cell, tmp_path)
     begin(None).close()
@@ -395,7 +395,7 @@ def test_a_run_that_was_begun_goes_on_whatever_its_balance(
     found = resumable(ran.journal, checked_history(ran.journal), plan, lab, accept_changes=True)
     session = Session(plan, lab, Options(None, "paper", tmp_path / "runs"), shared_planner(plan, lab), resumes=found)
     session.close()
-    assert "a check weight is asked for" in session.notices[0]
+    assert "a check weight is asked for" in session.warnings[0]
 
 
 def taken_for_real(plan: Plan, lab: Lab, simulation: object, *args: object, **more: object) -> Setup:

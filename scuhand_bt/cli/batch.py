@@ -96,6 +96,8 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
         try:
             session = make(control)
             out.print(Text(session.title))
+            for warning in session.warnings:
+                err.print(Text(f"Note: {warning}"))
             result = _watched(session)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))

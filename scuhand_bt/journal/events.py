@@ -158,7 +158,7 @@ class FaultRules(Event):
 
 
 class Trouble(Event):
-    """Something beside the batch failed: a notification, or keeping what was learnt."""
+    """Something beside the batch is wrong: a notification that failed, what was not kept, a balance beyond its limits."""
 
     KIND: ClassVar = "trouble"
 

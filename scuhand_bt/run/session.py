@@ -93,6 +93,8 @@ class Session:
         self.plan = plan
         self.notices: list[str] = []
         """What went wrong beside the batch: a notification that failed, an inventory that could not be kept."""
+        self.warnings: list[str] = []
+        """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
         self._lab, self._options = lab, options
@@ -106,7 +108,6 @@ class Session:
         self._state = LabState(path.parent.parent)
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
         self._notifier = Notifier(lab.cell.notify)
-        self._warnings: list[Problem] = []
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
@@ -120,8 +121,8 @@ class Session:
                 self._state.recall(self.cell)
                 recall(self.cell, self._stock)
             self._begin(resumes)
-            for problem in self._warnings:
-                self._trouble(str(problem))
+            for warning in self.warnings:
+                self.journal.event(Trouble(what=warning))
             opened.pop_all()
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
@@ -166,7 +167,7 @@ class Session:
         beyond = beyond_limits(self.plan, self._lab, figures, datetime.now().astimezone())
         if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
             raise SourceError(beyond)
-        self._warnings = beyond
+        self.warnings = [str(problem) for problem in beyond]
 
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
