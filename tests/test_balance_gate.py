@@ -1,6 +1,7 @@
 """What is known of a balance, and what is done where it is slower than that, unknown, or asked for too much."""
 
 import json
+from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -15,8 +16,9 @@ from conftest import Call, LabFolder, problems_of
 from running import Ran, dry_run, shared_planner
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.weighing import require_known_delay
+from scuhand_bt.cell.weighing import require_known_delay, step_delay
 from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
+from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab
@@ -138,6 +140,17 @@ def test_a_delay_beyond_what_can_be_dosed_with_is_refused(
     changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(lambda event: None)}
     with pytest.raises(SkillFailed, match=r"balance\.slow") if refused else nullcontext():
         require_known_delay(replace(sound, **changes), delay_s)
+
+
+def test_nothing_that_came_tells_no_delay(sound: Cell) -> None:
+    bare, still = StableMean(0.0, 0.1, 1.0), StableMean(0.3, 0.1, 20.0)
+    readings = deque(Reading(0.3 * (number > 100), True, 0.1 * number) for number in range(200))
+    assert step_delay(replace(sound, readings=readings), bare, still, 10.0) is None
+    loaded, heavy = (
+        StableMean(300.0, 0.1, 20.0),
+        deque(replace(one, value_mg=1000.0 * one.value_mg) for one in readings),
+    )
+    assert step_delay(replace(sound, readings=heavy), bare, loaded, 10.0) is not None
 
 
 def test_a_persons_hand_hides_a_dead_time_and_nothing_else(tmp_path: Path, lab_folder: LabFolder) -> None:

@@ -72,6 +72,8 @@ def step_delay(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: floa
 
     When a person has put it down nobody knows: it counts from where it shows, and no dead time is seen.
     """
+    if abs(loaded.value_mg - bare.value_mg) < CHANGED_MG:
+        return None
     curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if bare.time_s <= one.time_s <= loaded.time_s]
     latest_s = math.inf if cell.changer.needs_person else brought_s
     return step_delay_s(curve, bare.value_mg, loaded.value_mg, latest_s)

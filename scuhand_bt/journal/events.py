@@ -158,7 +158,7 @@ class FaultRules(Event):
 
 
 class Trouble(Event):
-    """Something beside the batch is wrong: a notification that failed, what was not kept, a balance beyond its limits."""
+    """Something beside the batch is wrong: a notification failed, what was learnt is not kept, a limit is passed."""
 
     KIND: ClassVar = "trouble"
 
