@@ -1,5 +1,6 @@
 """A sample, and what it asks of the lab: room in the container, range of the balance, powder, reach."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -49,6 +50,16 @@ class Sample:
     @property
     def tolerance_mg(self) -> float | None:
         return self._mass("tolerance")
+
+    def is_dosed_into(self, container_id: str) -> bool:
+        """Whether its mass is for this container: its own called `container`, else any of its own, if it has one."""
+        own = [value for value in self.inputs.values() if isinstance(value, Container)]
+        named = [value for value in own if value is self.inputs.get("container")]
+        return not own or container_id in {value.id for value in named or own}
+
+    def is_mass(self, target_mg: float) -> bool:
+        """Whether it is its mass that is dispensed towards."""
+        return self.mass_mg is not None and math.isclose(target_mg, self.mass_mg, rel_tol=1e-9)
 
     def _mass(self, name: str) -> float | None:
         value = self.inputs.get(name)

@@ -1,8 +1,7 @@
 """How a job, a sample, and a whole run came out."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
@@ -68,11 +67,12 @@ def sample_result(
     """A sample's result from the doses of its job, in their order; `verdict` where there is another than theirs.
 
     The last dose of a lot into a container counts for both, as doses add up. What the recipe asks for, its mass
-    within its tolerance, is held against the dose with that target.
+    within its tolerance, is held against the dose with that target, into the sample's container.
     """
+    sample = replace(sample, inputs=inputs_for(sample, attempt))
     last = list({(dose.container, dose.lot): dose for dose in doses}.values())
     found = tuple(_dose_result(dose, sample) for dose in last)
-    asked = [number for number, dose in enumerate(found) if _is_asked(dose.target_mg, sample)]
+    asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
     number = asked[-1] if asked else len(found) - 1
     main, of_main = (found[number], last[number]) if found else (None, None)
     is_asked = sample.mass_mg is None or bool(asked)
@@ -120,8 +120,8 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     return result.model_copy(update=changes)
 
 
-def _is_asked(target_mg: float, sample: Sample) -> bool:
-    return sample.mass_mg is not None and math.isclose(target_mg, sample.mass_mg, rel_tol=1e-9)
+def _is_asked(dose: Dose | DoseResult, sample: Sample) -> bool:
+    return sample.is_mass(dose.target_mg) and sample.is_dosed_into(dose.container)
 
 
 def _is_main(dose: DoseResult, result: SampleResult) -> bool:
@@ -130,7 +130,7 @@ def _is_main(dose: DoseResult, result: SampleResult) -> bool:
 
 def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
     tolerance_mg = dose.tolerance_mg
-    if sample.tolerance_mg is not None and _is_asked(dose.target_mg, sample):
+    if sample.tolerance_mg is not None and _is_asked(dose, sample):
         tolerance_mg = min(tolerance_mg, sample.tolerance_mg)  # the recipe's word, whatever the workflow made of it
     return DoseResult(
         container=dose.container,
