@@ -18,6 +18,10 @@ NOTHING = "1:1: sample 'a' asks for 50 mg, and 'mine' doses nothing into its con
 SAMPLE = "id: a, source: beads, container: xrd_holder, mass: 50 mg, tolerance: 2 mg"
 
 
+def into(container: str, mass: str, source: str = "source") -> str:
+    return FILL.replace("$container", f"${container}").replace("$mass", mass).replace("$source", f"${source}")
+
+
 def said(
     desk: Desk, lab: LabFolder, *steps: str, inputs: str = INPUTS, samples: tuple[str, ...] = (SAMPLE,)
 ) -> list[str]:
@@ -40,10 +44,11 @@ def said(
         [PLACE, FILL.replace("$tolerance", "20 mg"), FILL],
         # told only in the run
         [PLACE, "tare: {as: gross}", FILL.replace("$mass", "$gross")],
-        [PLACE, "tare: {as: gross}", FILL.replace("$tolerance", "$gross")],
         # on some way it is as asked
         [PLACE, "fallback: [{" + FILL.replace("$mass", "25 mg") + "}, {" + FILL + "}]"],
+        [PLACE, "fallback: [{" + FILL + "}, {" + FILL.replace("$mass", "25 mg") + "}]"],
         [PLACE, FILL, "optional: {" + FILL.replace("$mass", "60 mg") + "}"],
+        ["fallback: [{sequence: [{" + PLACE + "}, {discard: }]}, {dispense: {mass: $mass, tolerance: $tolerance}}]"],
     ],
 )
 def test_a_workflow_that_can_dose_what_is_asked_is_not_refused(
@@ -100,6 +105,33 @@ def test_a_tolerance_that_is_not_passed_on_is_the_callees_own_and_refused_at_the
     assert problem == "6:7: the dose is within 2 mg, and sample 'a' asks for 1 mg; write $tolerance"
 
 
+CHOOSE = """
+from scuhand_bt.skill import Cell, Container, Skill, Steps
+
+
+class Choose(Skill[Container]):
+    \"\"\"Choose a container.\"\"\"
+
+    one: Container
+    other: Container
+
+    def run(self, cell: Cell) -> Steps[Container]:
+        yield from ()
+        return self.one
+"""
+
+
+def test_what_only_the_run_can_tell_is_not_refused(desk: Desk, lab_folder: LabFolder) -> None:
+    tight = SAMPLE.replace("tolerance: 2 mg", "tolerance: 1 mg")
+    steps = (PLACE, "tare: {as: gross}", FILL.replace("$tolerance", "$gross"))
+    assert said(desk, lab_folder, *steps, samples=(tight,)) == []
+    lab_folder.write("skills/choose.py", CHOOSE)
+    inputs, sample = f"waste: Container, {INPUTS}", f"{SAMPLE}, waste: xrd_holder"
+    steps = ("choose: {one: $container, other: $waste, as: chosen}", into("chosen", "$mass"), into("chosen", "5 mg"))
+    assert said(desk, lab_folder, *steps, inputs=inputs, samples=(sample,)) == []
+    assert said(desk, lab_folder, steps[0], steps[2], inputs=inputs, samples=(sample,)) != []
+
+
 def test_the_place_is_that_of_the_literal_whatever_workflows_it_goes_through(desk: Desk, lab_folder: LabFolder) -> None:
     inner = "workflow: inner\ninputs: {s: Source, c: Container, much: Mass, near: {type: Mass, default: 1 mg}}\ntree:\n"
     inner += "  fill: {source: $s, container: $c, mass: $much, tolerance: $near}\n"
@@ -110,6 +142,9 @@ def test_the_place_is_that_of_the_literal_whatever_workflows_it_goes_through(des
     assert problem.startswith("6:48: no dose is of the 50 mg")
     (problem,) = said(desk, lab_folder, PLACE, call.replace("}", ", near: 3 mg}"))
     assert problem.startswith("6:61: the dose is within 3 mg")
+    lab_folder.write("trees/inner.yaml", inner.replace("mass: $much", "mass: $s.amount"))
+    (problem,) = said(desk, lab_folder, PLACE, call)
+    assert problem.startswith("4:43: no dose is of the 50 mg that sample 'a' asks for; this one is of 20000 mg")
 
 
 def test_a_result_cannot_take_the_name_of_an_input(desk: Desk, lab_folder: LabFolder) -> None:
@@ -123,10 +158,6 @@ TWO = "source: Source, msg: Source, first: Container, second: Container, mass: M
 BOTH = (
     "id: a, source: beads, msg: msg, first: xrd_holder, second: xrd_holder, mass: 50 mg, salt: 30 mg, tolerance: 2 mg"
 )
-
-
-def into(container: str, mass: str, source: str = "source") -> str:
-    return FILL.replace("$container", f"${container}").replace("$mass", mass).replace("$source", f"${source}")
 
 
 @pytest.mark.parametrize(

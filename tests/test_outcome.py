@@ -98,6 +98,8 @@ def test_the_asked_mass_in_a_container_that_is_not_the_samples_own_is_not_as_ask
     assert result(dose(50.0, container="b"), of=sample(container=A, waste=FIRST)).verdict == "not as asked"
     assert result(dose(50.0, container="a/first"), of=sample(container=A, waste=FIRST)).verdict == "not as asked"
     assert result(dose(50.0, container="a/second"), of=sample(first=FIRST, second=SECOND)).verdict == "in tolerance"
+    none = replace(sample(), inputs={"mass": 50.0})
+    assert result(dose(50.0, container="b"), of=none).verdict == "in tolerance", "it has no container of its own"
     again = sample_result(sample(), [dose(50.0, container="a#2")], None, None, **COUNTS, attempt=2)
     assert again.verdict == "in tolerance"
 

@@ -152,9 +152,10 @@ class _Follower:
 
     def _named(self, node: Call, given: Mapping[str, Any], reached: _Reached) -> _Reached:
         """After the names of a container or a source in a call."""
-        wires = {key: self._library.parameters(node.name)[key].wire.python for key in node.arguments}
-        containers = {_of(given, key, "id") for key, wire in wires.items() if wire is Container}
-        lots = {_of(given, key, "sheet_key") for key, wire in wires.items() if wire is Source}
+        parameters = self._library.parameters(node.name)
+        takes = {key: parameters[key].wire.python for key in node.arguments}
+        containers = {_of(given, key, "id") for key, cls in takes.items() if cls is Container}
+        lots = {_of(given, key, "sheet_key") for key, cls in takes.items() if cls is Source}
         return replace(
             reached,
             containers=frozenset(containers) or reached.containers,
@@ -169,13 +170,14 @@ class _Follower:
         values = {key: given.get(key) if key in node.arguments else defaults.get(key) for key in ("mass", "tolerance")}
         mass_mg, tolerance_mg = (value if isinstance(value, float) else None for value in values.values())
         mass_mark, tolerance_mark = (names.mark_in(node, key) for key in values)
-        aims = {
+        aims = frozenset(
             _Aim(container, lot, mass_mg, tolerance_mg, mass_mark, tolerance_mark)
             for container in reached.containers
             for lot in reached.lots
-        }
-        certain = {aim.place for aim in aims} if len(aims) == 1 else set()
-        return replace(reached, last=frozenset(aims | {aim for aim in reached.last if aim.place not in certain}))
+        )
+        places = {aim.place for aim in aims}
+        is_certain = len(places) == 1 and not any(None in place for place in places)
+        return replace(reached, last=aims | {aim for aim in reached.last if not (is_certain and aim.place in places)})
 
 
 def _of(given: Mapping[str, Any], key: str, attribute: str) -> str | None:
