@@ -1,11 +1,13 @@
 """A sample's result: by what the recipe asks, for every powder lot, and after its container has gone."""
 
+import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from dose_bench import DISH
+from rich.console import Console
 from running import dry_run, make_lab
 
 from scuhand_bt.cell.believed import ClosedBracket
@@ -17,7 +19,7 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import SampleResult, SampleVerdict
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.report.live import PlainLines
+from scuhand_bt.report.live import PlainLines, doses_table
 from scuhand_bt.run.outcome import confirmed, inputs_for, sample_result
 from scuhand_bt.specs import Container
 
@@ -58,7 +60,7 @@ def dose(
     )
 
 
-COUNTS: Any = {"scoops": 1, "duration_s": 60.0, "true_mg": None}
+COUNTS: Any = {"scoops": 1, "duration_s": 60.0, "true_mg": {}}
 
 
 def result(
@@ -293,6 +295,42 @@ def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it
     assert lines == ["[1/1] a: 50.4 mg of 50.0 mg (+0.4 mg) in 3 pulses, 1 min 00 s: in tolerance"]
     observer.sample_ended(confirmed(had, gone(closes=False, glass_beads=53.4)))
     assert lines[1:] == [f"{lines[0]} (balance.bracket_open)"]
+
+
+def test_a_sample_of_several_doses_is_told_with_each_of_them() -> None:
+    lines: list[str] = []
+    of_lots, two = result(dose(50.4), dose(45.0, 40.0, lot=SALT)), sample(first=FIRST, second=SECOND)
+    of_containers = result(dose(50.4, container="a/first"), dose(47.0, container="a/second"), of=two)
+    for had in (of_lots, of_containers):
+        PlainLines(lines.append, 1).sample_ended(had)
+    assert lines == [
+        "[1/1] a: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; monosodium_glutamate 45.0 mg of 40.0 mg "
+        "(+5.0 mg), over in 3 pulses, 1 min 00 s: over",
+        "[1/1] a: a/first: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; a/second: glass_beads 47.0 mg of "
+        "50.0 mg (-3.0 mg), under in 3 pulses, 1 min 00 s: under",
+    ]
+
+
+def test_every_dose_has_its_row_in_a_narrow_terminal_too() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(doses_table([result(dose(50.4), dose(45.0, 40.0, lot=SALT))], 80))
+    rows = [line.split() for line in console.file.getvalue().splitlines()]  # type: ignore[attr-defined]
+    assert rows[2:] == [
+        ["a", "60", "over"],
+        [BEADS, "50.0", "mg", "50.4", "mg", "+0.4", "±", "0.2", "in", "tolerance"],
+        [SALT, "40.0", "mg", "45.0", "mg", "+5.0", "±", "0.2", "over"],
+    ]
+
+
+def test_what_the_simulation_has_in_each_container_stands_by_its_doses() -> None:
+    held = {"a/first": 51.0, "a/second": 49.0, "a/third": 0.0}
+    two = sample(first=FIRST, second=SECOND)
+    doses = [dose(50.0, container="a/second"), dose(25.0, 25.0, container="a/first")]
+    had = sample_result(two, doses, None, None, **COUNTS | {"true_mg": held}, attempt=1)
+    assert ([one.true_mg for one in had.doses], had.true_mg) == ([49.0, 51.0], 49.0)
+    none = sample_result(two, [], None, None, **COUNTS | {"true_mg": held}, attempt=1)
+    assert none.true_mg == 51.0, "the first container's, where nothing was dosed"
+    assert result(dose(50.0)).true_mg is None
 
 
 def test_a_dose_that_is_near_half_its_tolerance_from_the_bare_pans_word_is_flagged_whatever_chance_allows() -> None:

@@ -255,7 +255,7 @@ def test_two_powders_into_one_crucible_need_one_tare_and_each_is_measured_by_its
     assert true_mg == pytest.approx(sum(dose.dispensed_mg for dose in had.doses), abs=1.0)
     with open_contents(ran.journal) as contents:
         written = list(csv.DictReader(io.StringIO(weighing_record(contents))))
-    brackets = [row for row in written if row["weighing"] == "bracket"]
+    brackets = [row for row in written if row["weighing"] == "result"]
     assert [(row["source"], row["powder"], row["target_mg"]) for row in brackets] == [
         ("other", "monosodium_glutamate", "40.0000"),
         ("beads", "glass_beads", "100.0000"),

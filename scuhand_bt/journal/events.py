@@ -221,6 +221,17 @@ class DoseResult(Values):
     verdict: Verdict
     bracket: Literal["open", "closed", "does not close"] = "open"
     """Whether the bare pan after the container confirms what was dosed into it."""
+    true_mg: float | None = None
+    """The simulation's, of all that the container holds, whichever lot; None on a real cell."""
+
+    @property
+    def error_mg(self) -> float:
+        return self.dispensed_mg - self.target_mg
+
+    @property
+    def is_open(self) -> bool:
+        """In tolerance as far as it is known, and its container is still to go."""
+        return self.verdict == "in tolerance" and self.bracket == "open"
 
     @property
     def is_good(self) -> bool:
@@ -253,7 +264,7 @@ class SampleResult(Event):
     """Of the failure, if there was one."""
     detail: Text | None
     true_mg: float | None
-    """The simulation's, for judging; None on a real cell."""
+    """The simulation's, of what is in the container, for judging; None on a real cell."""
     attempt: int = 1
     doses: tuple[DoseResult, ...] = ()
     """Every powder lot in every container; what stands above is of the one that the recipe asks for, or the last."""

@@ -248,9 +248,9 @@ class Batch:
     ) -> SampleResult:
         containers = [value for value in inputs_for(sample, attempt).values() if isinstance(value, Container)]
         was_run = verdict != "not run"
-        true_mg = None
-        if self._true_mass_mg is not None and containers and was_run:
-            true_mg = self._true_mass_mg(containers[0].id)
+        true_mg = {}
+        if self._true_mass_mg is not None and was_run:
+            true_mg = {container.id: self._true_mass_mg(container.id) for container in containers}
         believed = self._cell.believed.dosing
         return sample_result(
             sample,

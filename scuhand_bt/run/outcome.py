@@ -1,6 +1,6 @@
 """How a job, a sample, and a whole run came out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -61,17 +61,19 @@ def sample_result(
     *,
     scoops: int,
     duration_s: float,
-    true_mg: float | None,
+    true_mg: Mapping[str, float],
     attempt: int,
 ) -> SampleResult:
     """A sample's result from the doses of its job, in their order; `verdict` where there is another than theirs.
+
+    `true_mg` is what the simulation has in its containers, by their ids.
 
     The last dose of a lot into a container counts for both, as doses add up. What the recipe asks for, its mass
     within its tolerance, is held against the dose with that target, into the sample's container.
     """
     sample = replace(sample, inputs=inputs_for(sample, attempt))
     last = list({(dose.container, dose.lot): dose for dose in doses}.values())
-    found = tuple(_dose_result(dose, sample) for dose in last)
+    found = tuple(_dose_result(dose, sample, true_mg.get(dose.container)) for dose in last)
     asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
     number = asked[-1] if asked else len(found) - 1
     main, of_main = (found[number], last[number]) if found else (None, None)
@@ -93,7 +95,7 @@ def sample_result(
         verdict=verdict or _verdict(found, is_asked=is_asked),
         code=failure.code if failure else None,
         detail=failure.detail if failure else None,
-        true_mg=true_mg,
+        true_mg=main.true_mg if main else next(iter(true_mg.values()), None),
         attempt=attempt,
         doses=found,
     )
@@ -128,7 +130,7 @@ def _is_main(dose: DoseResult, result: SampleResult) -> bool:
     return (dose.dispensed_mg, dose.uncertainty_mg) == (result.dispensed_mg, result.uncertainty_mg)
 
 
-def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
+def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResult:
     tolerance_mg = dose.tolerance_mg
     if sample.tolerance_mg is not None and _is_asked(dose, sample):
         tolerance_mg = min(tolerance_mg, sample.tolerance_mg)  # the recipe's word, whatever the workflow made of it
@@ -140,6 +142,8 @@ def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
         dispensed_mg=dose.dispensed_mg,
         uncertainty_mg=dose.uncertainty_mg,
         verdict=judge(dose.target_mg, tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg),
+        bracket="open",
+        true_mg=true_mg,
     )
 
 
