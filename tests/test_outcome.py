@@ -287,6 +287,56 @@ def test_a_sample_of_two_containers_gives_each_an_id_and_a_result_of_its_own(tmp
     assert ran.session.cell.believed.closed == ()
 
 
+SWEEP = """
+workflow: finish_batch
+inputs: {source: Source}
+tree:
+  sequence:
+    - fill_up: {source: $source}
+    - return_leftover: {source: $source}
+    - park:
+    - remove_container:
+"""
+FILL_UP = '''
+from scuhand_bt.cell.places import over_balance
+from scuhand_bt.skill import Cell, Skill, Source, Steps
+
+from .dispense import Dispense
+from .scoop import Scoop
+
+
+class FillUp(Skill[None]):
+    """Dose into whatever stands on the pan."""
+
+    devices = ("arm", "hand", "balance")
+    source: Source
+
+    def run(self, cell: Cell) -> Steps[None]:
+        container = cell.believed.pan
+        yield from Scoop(source=self.source).run(cell)
+        yield from cell.move_to(over_balance(cell.spec, container)[0])
+        yield from Dispense(mass_mg=30.0).run(cell)
+'''
+
+
+UNFILLED = """
+workflow: unfilled
+inputs: {source: Source, container: Container}
+tree: {sequence: [{place_container: {container: $container}}, {tare: }]}
+"""
+
+
+def test_what_a_job_between_samples_doses_is_no_samples_dose_and_waits_for_none(tmp_path: Path) -> None:
+    files = {"trees__finish_batch": SWEEP, "trees__unfilled": UNFILLED, "skills__fill_up": FILL_UP}
+    lab = make_lab(tmp_path / "lab", **files)
+    text = RECIPE.replace("WORKFLOW", "unfilled").replace(", mass: 50 mg, tolerance: 2 mg", "")
+    ran = dry_run(tmp_path, text, lab=lab)
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["container:a"] == pytest.approx(30.0, abs=2.0)
+    assert (ran.sample("a").verdict, ran.sample("a").doses) == ("no dose", ())
+    assert ran.session.cell.believed.closed == ()
+
+
 def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it() -> None:
     lines: list[str] = []
     observer, had = PlainLines(lines.append, 1), result(dose(50.4))

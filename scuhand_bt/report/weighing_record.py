@@ -14,6 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from scuhand_bt.events import (
+    BracketClosed,
+    ContainerLifted,
     ContainerPlaced,
     Dose,
     DoseWeighed,
@@ -118,6 +120,9 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
             **weighed,
             **_entry(contents, row),
         }
+        if isinstance(event, ContainerLifted | BracketClosed):  # which may come in the next sample's job
+            of_dose = next((one for place, one in of_doses.items() if place[0] == event.container), {})
+            written |= {name: of_dose.get(name) for name in ("sample", "attempt", "container_kind")}
         if isinstance(event, Dose):
             of_doses[event.container, event.lot] = written
         yield written
@@ -205,6 +210,12 @@ def _weighed(
                 "verdict": event.verdict,
                 "controller": event.controller,
             }
+        case ContainerLifted():
+            row = _gross(event) | {"weighing": "lifted", "container": event.container}
+            return row | {"standard_uncertainty_mg": event.uncertainty_mg}
+        case BracketClosed(bare=Weighing() as bare):
+            row = _gross(bare) | {"weighing": "bare pan", "container": event.container}
+            return row | {"standard_uncertainty_mg": bare.uncertainty_mg}
         case Reweighed():
             return _gross(event) | {"weighing": "after an interruption", "net_mg": event.arrived_mg}
         case PanCompared():

@@ -77,6 +77,13 @@ class Batch:
         self._after_job = after_job
         self._runner = Runner(cell, library, journal, control, Guards(cell), observer)
         self._results: dict[str, SampleResult] = {}
+        self._owners = {
+            value.id: sample.id
+            for sample in plan.recipe.samples
+            for value in sample.inputs.values()
+            if isinstance(value, Container)
+        }
+        """The samples of all containers, by the ids that these have in a first attempt."""
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
@@ -234,7 +241,7 @@ class Batch:
             word = STOPPED if stops else "failed"
         code, detail = (failure.code, failure.detail) if failure is not None else (None, None)
         self._journal.job_ended(JobEnded(outcome=word, code=code, detail=detail))
-        self._note_brackets()
+        self._note_brackets(sample_id)
         self._after_job()
 
     def _result(
@@ -263,17 +270,21 @@ class Batch:
             attempt=attempt,
         )
 
-    def _note_brackets(self) -> None:
+    def _note_brackets(self, waiting: str | None = None) -> None:
         """Say of each sample whose container has gone what it came to by the bare pan.
 
-        One that has gone within its own sample's job waits for that sample's result.
+        One that has gone within the job of its own sample, which is still `waiting` for its result, waits too. What was
+        dosed into a container by another job than its sample's is no sample's dose.
         """
         believed = self._cell.believed
         for closed in believed.closed:
-            for result in list(self._results.values()):
-                if any(dose.container == closed.container for dose in result.doses):
-                    self._note(confirmed(result, closed))
-                    believed.noted(closed)
+            owner = self._owners.get(closed.container.partition("#")[0])
+            result = self._results.get(owner) if owner is not None else None
+            if result is not None and any(dose.container == closed.container for dose in result.doses):
+                self._note(confirmed(result, closed))
+            elif owner is not None and (owner == waiting or result is None):
+                continue
+            believed.noted(closed)
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""
