@@ -337,6 +337,46 @@ def test_what_a_job_between_samples_doses_is_no_samples_dose_and_waits_for_none(
     assert ran.session.cell.believed.closed == ()
 
 
+AGAIN = """
+workflow: again
+inputs: {source: Source, container: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - first_fails: {container: $container}
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}
+    - park:
+    - remove_container:
+"""
+FIRST_FAILS = '''
+from scuhand_bt.skill import Cell, Container, Skill, SkillFailed, Steps
+
+
+class FirstFails(Skill[None]):
+    """Fail with a sample's first container."""
+
+    container: Container
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from ()
+        if "#" not in self.container.id:
+            raise SkillFailed("operator.refused", "it has a crack")
+'''
+
+
+def test_a_second_attempt_whose_container_goes_within_its_own_job_is_confirmed(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab", trees__again=AGAIN, skills__first_fails=FIRST_FAILS)
+    ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "again").replace("flag", "redo"), lab=lab)
+    had = ran.sample("a")
+    assert (had.attempt, had.code, [(one.container, one.bracket) for one in had.doses]) == (
+        2,
+        None,
+        [("a#2", "closed")],
+    )
+    assert had.is_good
+
+
 def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it() -> None:
     lines: list[str] = []
     observer, had = PlainLines(lines.append, 1), result(dose(50.4))
