@@ -14,19 +14,10 @@ from conftest import Call
 
 from scuhand_bt.events import Dose, DoseWeighed, Line, Tared
 from scuhand_bt.journal.archive import summaries
-from scuhand_bt.journal.events import (
-    Answered,
-    Asked,
-    Continued,
-    Ended,
-    JobStarted,
-    Paused,
-    Resumed,
-    RunBegun,
-    SampleResult,
-)
+from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, JobStarted, Paused, Resumed, RunBegun
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_record
 from tests.running import Ran, dry_run, make_lab

@@ -16,7 +16,7 @@ from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.journal.events import SampleResult, SampleVerdict
+from scuhand_bt.journal.results import SampleResult, SampleVerdict
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.report.live import PlainLines, doses_table

@@ -12,9 +12,9 @@ from rich.box import ASCII
 from rich.console import Console
 from running import Ran, dry_run, make_lab
 
-from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.reader import open_contents, read
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.live import doses_table
 from scuhand_bt.report.weighing_record import weighing_record

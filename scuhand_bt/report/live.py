@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.journal.events import DoseResult, SampleResult
+from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.run.batch import BatchObserver

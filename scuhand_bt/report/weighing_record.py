@@ -27,16 +27,10 @@ from scuhand_bt.events import (
     Weighing,
     WeightChecked,
 )
-from scuhand_bt.journal.events import (
-    JobStarted,
-    PanCompared,
-    Resumed,
-    RunBegun,
-    SampleResult,
-    SourceUsed,
-)
+from scuhand_bt.journal.events import JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
+from scuhand_bt.journal.results import SampleResult
 
 CONVENTION = (
     "absolute; in tolerance means |net - target| <= tolerance - 2 standard uncertainties of the net mass (guard band), "

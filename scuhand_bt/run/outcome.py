@@ -8,7 +8,7 @@ from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import DoseResult, SampleResult, SampleVerdict
+from scuhand_bt.journal.results import DoseResult, SampleResult, SampleVerdict
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Verdict
