@@ -190,6 +190,14 @@ def test_what_goes_into_another_container_than_the_samples_own_is_not_what_it_as
     assert said(desk, lab_folder, "scoop: {source: $source}", "dispense: {mass: $mass}") == [NOTHING]
 
 
+def test_a_sample_must_fit_into_its_own_container_whatever_else_is_named_before_it(
+    desk: Desk, lab_folder: LabFolder
+) -> None:
+    inputs, sample = f"waste: Container, {INPUTS}", f"waste: alumina_crucible, {SAMPLE.replace('50 mg', '900 mg')}"
+    (problem,) = said(desk, lab_folder, PLACE, FILL, inputs=inputs, samples=(sample,))
+    assert "does not fit into 'xrd_holder'" in problem
+
+
 def test_one_place_that_is_wrong_for_many_samples_is_said_once(desk: Desk, lab_folder: LabFolder) -> None:
     samples = tuple(SAMPLE.replace("id: a", f"id: {name}") for name in "abc")
     (problem,) = said(desk, lab_folder, PLACE, FILL.replace("$mass", "25 mg"), samples=samples)

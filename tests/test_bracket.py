@@ -221,8 +221,8 @@ def test_a_net_mass_counts_from_what_the_pan_weighed_and_what_had_come_before() 
 
 def bracketed(*doses: Net, bare_again_mg: float = 12.0, lifted_mg: float = 1110.0) -> Closed:
     """Weighings of 0.1 mg each over 70 s, 20 s of them to change containers, with a drift of 0.02 ± 0.005 mg/s."""
-    bare, loaded = Gross(10.0, 0.1, 0.0), Gross(1010.0, 0.1, 10.0)
-    lifted, again = Gross(lifted_mg, 0.1, 60.0), Gross(bare_again_mg, 0.1, 70.0)
+    bare, loaded = Gross(10.0, 0.1, 7.0), Gross(1010.0, 0.1, 17.0)
+    lifted, again = Gross(lifted_mg, 0.1, 67.0), Gross(bare_again_mg, 0.1, 77.0)
     return close(doses, Drift(0.02, 0.005), bare, loaded, lifted, again, 0.6)
 
 

@@ -40,8 +40,14 @@ class Sample:
         return self.takes[-1].source if self.takes else next(iter(self.sources), None)
 
     @property
+    def containers(self) -> list[Container]:
+        """Those that its mass may be for: its own called `container`, else all of its own."""
+        own = [value for value in self.inputs.values() if isinstance(value, Container)]
+        return [value for value in own if value is self.inputs.get("container")] or own
+
+    @property
     def container(self) -> Container | None:
-        return next((value for value in self.inputs.values() if isinstance(value, Container)), None)
+        return next(iter(self.containers), None)
 
     @property
     def mass_mg(self) -> float | None:
@@ -52,10 +58,8 @@ class Sample:
         return self._mass("tolerance")
 
     def is_dosed_into(self, container_id: str) -> bool:
-        """Whether its mass is for this container: its own called `container`, else any of its own, if it has one."""
-        own = [value for value in self.inputs.values() if isinstance(value, Container)]
-        named = [value for value in own if value is self.inputs.get("container")]
-        return not own or container_id in {value.id for value in named or own}
+        """Whether its mass may be for this container; any may be where it has none of its own."""
+        return not self.containers or any(one.id == container_id for one in self.containers)
 
     def is_mass(self, target_mg: float) -> bool:
         """Whether it is its mass that is dispensed towards."""
