@@ -67,8 +67,8 @@ class Shown:
             return cast(T, end.value)
 
 
-def until_still(shown: Shown, last_mg: float = 100.0, allowed_mg: float = 1.0, pause_s: float = 0.0) -> tuple[Any, Any]:
-    return shown.drive(weigh_until_still(shown.cell, Gross(last_mg, U_MG, 0.0), allowed_mg, pause_s))
+def until_still(shown: Shown, allowed_mg: float = 1.0, **pause: float) -> tuple[Gross, StableMean]:
+    return shown.drive(weigh_until_still(shown.cell, Gross(100.0, U_MG, 0.0), allowed_mg, **pause))
 
 
 @pytest.mark.parametrize("gross_mg", [99.0, 101.0])
