@@ -106,6 +106,11 @@ def test_the_asked_mass_in_a_container_that_is_not_the_samples_own_is_not_as_ask
     assert again.verdict == "in tolerance"
 
 
+def test_of_several_doses_that_are_not_as_asked_the_sample_stands_by_the_last() -> None:
+    had = result(dose(20.0, 20.0), dose(31.0, 30.0, lot=SALT), dose(11.0, 10.0, lot="flour"))
+    assert (had.verdict, had.dispensed_mg, had.error_mg) == ("not as asked", 11.0, -39.0)
+
+
 def test_a_tolerance_that_the_workflow_loosened_is_held_against_the_recipes() -> None:
     had = result(dose(53.0, tolerance_mg=5.0))
     assert (had.verdict, had.tolerance_mg) == ("over", 2.0)

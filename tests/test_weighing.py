@@ -157,13 +157,15 @@ def test_a_filled_container_is_weighed_and_taken_away_and_the_bare_pan_says_what
     )
 
 
-def test_a_bare_pan_that_has_moved_is_said_to_have() -> None:
-    shown = Shown(20_060.0, 18.0)
+@pytest.mark.parametrize("moved_mg", [1.6, 8.0])
+def test_a_bare_pan_that_has_moved_is_said_to_have(moved_mg: float) -> None:
+    shown = Shown(20_060.0, 10.0 + moved_mg)
     a_dosed_container(shown)
     shown.drive(take_container_away(shown.cell))
     (told,) = shown.believed.closed
     assert not told.closes
-    assert told.detail == "the bare pan shows +8.00 mg against before the container: the balance's zero has moved"
+    what = f"the bare pan shows +{moved_mg:.2f} mg against before the container: the balance's zero has moved"
+    assert told.detail == what
 
 
 def test_a_container_that_was_weighed_before_it_was_taken_off_is_not_weighed_again_when_it_has_gone() -> None:
