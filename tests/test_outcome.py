@@ -129,7 +129,10 @@ def test_a_workflow_that_asks_no_mass_is_judged_by_its_own_doses() -> None:
     assert (had.verdict, had.target_mg, had.tolerance_mg) == ("in tolerance", 25.0, 1.0)
     assert result(of=sample(None, None)).is_good
     assert not result().is_good, "a mass was asked"
-    assert (result().verdict, result().target_mg, result().dispensed_mg) == ("no dose", 50.0, None)
+    nothing = result()
+    assert (nothing.verdict, nothing.target_mg, nothing.dispensed_mg) == ("no dose", 50.0, None)
+    assert (nothing.pulses, nothing.vibration_s) == (0, 0.0)
+    assert confirmed(nothing, gone()) == nothing
 
 
 def test_the_last_dose_of_a_lot_counts_for_all_of_its_parts() -> None:
