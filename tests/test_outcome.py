@@ -119,6 +119,11 @@ def test_a_tolerance_that_the_workflow_loosened_is_held_against_the_recipes() ->
     )
 
 
+def test_a_dose_that_the_recipe_does_not_ask_for_keeps_the_tolerance_that_it_was_given() -> None:
+    had = result(dose(50.5), dose(44.0, 40.0, lot=SALT, tolerance_mg=5.0))
+    assert [(one.tolerance_mg, one.verdict) for one in had.doses] == [(2.0, "in tolerance"), (5.0, "in tolerance")]
+
+
 def test_a_tolerance_that_the_workflow_tightened_stays_tight() -> None:
     had = result(dose(51.2, tolerance_mg=1.0))
     assert (had.verdict, had.tolerance_mg) == ("over", 1.0)
@@ -198,10 +203,21 @@ def test_a_sample_flagged_while_its_bracket_was_open_is_good_when_it_has_closed(
     assert (after.code, after.detail, after.is_good) == (None, None, True)
 
 
+def test_a_sample_flagged_while_its_brackets_were_open_stays_so_until_all_have_closed() -> None:
+    two = sample(first=FIRST, second=SECOND)
+    had = result(dose(50.0, container="a/first"), dose(50.0, container="a/second"), of=two)
+    had = had.model_copy(update={"code": "balance.bracket_open", "detail": "it was not taken off"})
+    one = confirmed(had, gone(container="a/first", glass_beads=50.1))
+    assert (one.code, one.detail) == ("balance.bracket_open", "it was not taken off")
+    assert confirmed(one, gone(container="a/second", glass_beads=50.1)).is_good
+
+
 def test_what_failed_otherwise_keeps_its_own_code_and_verdict() -> None:
     failure = SkillFailed("dose.overshoot", "too much")
     over = confirmed(result(dose(53.0), failure=failure), gone(closes=False, glass_beads=53.1))
     assert (over.code, over.detail, over.verdict) == ("dose.overshoot", "too much", "over")
+    closed = confirmed(result(dose(53.0), failure=failure), gone(glass_beads=53.1))
+    assert (closed.code, closed.doses[0].bracket, closed.is_good) == ("dose.overshoot", "closed", False)
     halted = confirmed(result(dose(50.0), verdict="interrupted"), gone(glass_beads=50.1))
     assert (halted.verdict, halted.dispensed_mg, halted.is_good) == ("interrupted", 50.1, False)
 
