@@ -68,7 +68,6 @@ TARGETS = (
     Target("bracket", "scuhand_bt/dosing/bracket.py", (), ("bracket",)),
     Target("weighing", "scuhand_bt/cell/weighing.py", (), ("weighing",)),
     Target("outcome", "scuhand_bt/run/outcome.py", (), ("outcome",)),
-    Target("asked", "scuhand_bt/recipe/asked.py", (), ("asked",)),
     Target("dispense", "skills/dispense.py", ("Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
     Target("verdict of a controller", "scuhand_bt/dosing/dose_state.py", ("Knowledge.verdict",), ("dispense",)),
     Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop",)),
