@@ -175,6 +175,8 @@ class BracketClosed(SkillEvent):
     closes: bool
     doses: dict[Text, LotDosed]
     """By powder lot, adjusted to both measurements."""
+    bare: Weighing | None = None
+    """The pan after the container."""
 
 
 class WeightChecked(SkillEvent):

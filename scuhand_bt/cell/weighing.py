@@ -134,6 +134,7 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
             zero_mg=closed.zero_mg,
             closes=closed.closes,
             doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
+            bare=bare.written(),
         )
     )
     return bare
