@@ -19,7 +19,7 @@ VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
 EXPONENT_ERROR = 1.0
 """What a powder's exponent may be off by: its coefficient changes with the opening."""
-FORGIVEN = 0.85
+FORGIVEN = 0.65
 """Share of the room above the aim, inside the tolerance, that the unseen part of the slowest flow may be off by."""
 LUMPS_UNSEEN = 0.08
 """A flow of less than so many lumps in the time that is not seen gains nothing."""
@@ -31,7 +31,7 @@ LAG_MARGIN = 1.03
 """A lag believed too long costs a moment, one believed too short costs an overshoot."""
 LEAST_MG = 4.0
 """An opening that brought less teaches nothing."""
-AIM_UNDER_MG = 0.7
+AIM_UNDER_MG = 0.9
 """Besides the surge scale: too little can be corrected, too much cannot, and the last of a dose flows slowest."""
 MOST_SLIP_MM = 0.4
 """How far a sheet that stuck may slip."""
