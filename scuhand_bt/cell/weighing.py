@@ -4,7 +4,7 @@ from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import StableMean
-from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close
+from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close, moved_mg
 from scuhand_bt.events import BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
 
@@ -20,12 +20,13 @@ def weighing_of(mean: StableMean) -> Gross:
 
 
 def weigh_until_still(
-    cell: Cell, last: Gross, allowed_mg: float, pause_s: float = 0.0
+    cell: Cell, last: Gross, allowed_mg: float, pause_s: float = 0.0, *, may_gain: bool = False
 ) -> Steps[tuple[Gross, StableMean]]:
     """The first two weighings in a row that differ by no more than allowed or by chance, from `last` on.
 
-    The next one comes after `pause_s`. A step of the zero is passed by it, and what creeps or drifts is not:
-    SkillFailed balance.drifting after `PATIENCE_S`.
+    The next one comes after `pause_s`. A step of the zero is passed by it and remembered, and what creeps or drifts is
+    not passed: SkillFailed balance.drifting after `PATIENCE_S`. What `may_gain` has powder still on its way, or
+    dripping: only what it loses is the zero's.
     """
     begin_s, digit_mg = cell.clock.now_s, cell.spec.balance.readability_mg
     while True:
@@ -35,6 +36,9 @@ def weigh_until_still(
         mean = yield from cell.balance.stable_mean()
         now = weighing_of(mean)
         changed_mg = now.gross_mg - last.gross_mg
+        stepped_mg = moved_mg(last, now, digit_mg)
+        if stepped_mg < 0.0 or not may_gain:
+            cell.believed.zero_stepped(abs(stepped_mg))
         if abs(changed_mg) <= max(allowed_mg, 2.0 * apart_mg(last, now, digit_mg)):
             return last, mean
         if now.time_s - begin_s > PATIENCE_S:
@@ -50,12 +54,13 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
 
     Whether it closes is for the batch to say of its sample.
     """
-    believed = cell.believed
+    believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
     bracket = believed.bracket
     if bracket is not None and bracket.doses and bracket.lifted is None:
         mean = yield from cell.balance.stable_mean()
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
+        believed.zero_stepped(max(0.0, -moved_mg(bracket.last, weighing_of(mean), digit_mg)))
     believed.changing_container()
     yield from cell.changer.take_away()
     bare = yield from cell.balance.stable_mean()
@@ -65,8 +70,8 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         believed.bracket_closed(None)
         return bare
     doses = list(bracket.doses.values())
-    digit_mg = cell.spec.balance.readability_mg
     closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
+    believed.zero_stepped(max(0.0, -closed.stepped_mg))
     adjusted = dict(zip(bracket.doses, closed.doses, strict=True))
     believed.bracket_closed(
         ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))
@@ -87,7 +92,7 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
 
 
 def _in_words(closed: Closed) -> str:
-    if closed.unsteady_mg > 0.0:
+    if closed.stepped_mg != 0.0:
         return f"the bare pan shows {closed.zero_mg:+.2f} mg against before the container: the balance's zero has moved"
     return (
         f"by the bare pan before and after it the container has gained {closed.net.mass_mg:.2f} mg, "

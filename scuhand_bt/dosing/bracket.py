@@ -69,9 +69,20 @@ def apart_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     return math.hypot(before.uncertainty_mg, after.uncertainty_mg, walked_mg)
 
 
-def has_moved(before: Gross, after: Gross, readability_mg: float) -> bool:
-    """Whether two weighings of one thing differ by more than chance: the zero has stepped, or something has come."""
-    return abs(after.gross_mg - before.gross_mg) > AGREEMENT * apart_mg(before, after, readability_mg)
+def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
+    """By how much two weighings of one thing differ; 0 within chance. The zero has moved, or something has come."""
+    difference_mg = after.gross_mg - before.gross_mg
+    return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
+
+
+def unseen_mg(stepped_mg: float) -> float:
+    """What a zero that was seen to step by so much adds to the standard uncertainty of every dose of the run.
+
+    A step that comes within the dose, and goes while the container is changed, is in D and in N alike: no weighing of
+    that container tells. Steps that are seen tell that there are such. Up to the largest of them, either way, any is
+    as likely as another (JCGM 100:2008, 4.3.7).
+    """
+    return stepped_mg / math.sqrt(3.0)
 
 
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
@@ -153,13 +164,13 @@ class Closed:
     """N less all doses."""
     allowance_mg: float
     """How far they may be apart."""
-    unsteady_mg: float
-    """By how much more the bare pan's reading has moved than a sound zero walks, or than the drift explains."""
+    stepped_mg: float
+    """By how much the bare pan's reading has moved, less the drift; 0 where a sound zero walks as far."""
 
     @property
     def closes(self) -> bool:
         """A zero that has stepped may have done so at any moment, and twice: D and N then agree by chance."""
-        return abs(self.difference_mg) <= self.allowance_mg and self.unsteady_mg == 0.0
+        return abs(self.difference_mg) <= self.allowance_mg and self.stepped_mg == 0.0
 
 
 def close(
@@ -198,5 +209,6 @@ def close(
         adjusted.append(Net(dose.mass_mg + share * difference_mg, u_mg))
     lasted_s = bare_after.time_s - bare_before.time_s
     walked_mg = math.hypot(apart_mg(bare_before, bare_after, readability_mg), drift.uncertainty * lasted_s)
-    unsteady_mg = max(0.0, abs(zero_mg - drift.rate * lasted_s) - AGREEMENT * walked_mg)
-    return Closed(tuple(adjusted), net, zero_mg, difference_mg, AGREEMENT * chance_mg, unsteady_mg)
+    steady_mg = zero_mg - drift.rate * lasted_s
+    stepped_mg = steady_mg if abs(steady_mg) > AGREEMENT * walked_mg else 0.0
+    return Closed(tuple(adjusted), net, zero_mg, difference_mg, AGREEMENT * chance_mg, stepped_mg)

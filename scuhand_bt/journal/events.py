@@ -221,6 +221,8 @@ class DoseResult(Values):
     verdict: Verdict
     bracket: Literal["open", "closed", "does not close"] = "open"
     """Whether the bare pan after the container confirms what was dosed into it."""
+    zero_uncertainty_mg: float = 0.0
+    """What of the uncertainty is for steps of the balance's zero, as the run has seen them elsewhere."""
 
     @property
     def is_good(self) -> bool:

@@ -26,6 +26,7 @@ from scuhand_bt.events import (
     WeightChecked,
 )
 from scuhand_bt.journal.events import (
+    DoseResult,
     JobStarted,
     PanCompared,
     Resumed,
@@ -82,6 +83,7 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
     tare: Tared | None = None
     loaded: Pulsed | DoseWeighed | None = None
     of_doses: dict[tuple[str, str], dict[str, object]] = {}
+    told: dict[tuple[str, str], DoseResult] = {}
     for row in contents.rows("entry"):
         believed = row["state"]["believed"] if row["state"] is not None else believed
         match event := parsed(row["kind"], row["payload"]):
@@ -96,7 +98,7 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
             case Pulsed() | DoseWeighed():
                 loaded = event
             case SampleResult():
-                yield from _brackets(event, of_doses, contents, row)
+                yield from _brackets(event, of_doses, told, contents, row)
         if isinstance(event, ContainerPlaced | Tared | WeightChecked):
             identity = event.balance or identity
         if (weighed := _weighed(event, tare, loaded, believed)) is None:
@@ -129,14 +131,17 @@ def _entry(contents: Contents, row: Mapping[str, Any]) -> dict[str, object]:
 
 def _brackets(
     result: SampleResult,
-    of_doses: dict[tuple[str, str], dict[str, object]],
+    of_doses: Mapping[tuple[str, str], Mapping[str, object]],
+    told: dict[tuple[str, str], DoseResult],
     contents: Contents,
     row: Mapping[str, Any],
 ) -> Iterator[dict[str, object]]:
-    """A row for each dose whose container has gone by now; what has got one leaves `of_doses`."""
+    """A row for each dose whose container has gone by now; another when what is said of it has changed since."""
     for dose in result.doses:
-        if dose.bracket == "open" or (written := of_doses.pop((dose.container, dose.lot), None)) is None:
+        key = dose.container, dose.lot
+        if dose.bracket == "open" or told.get(key) == dose or (written := of_doses.get(key)) is None:
             continue
+        told[key] = dose
         weighed = ("tare_mg", "gross_mg", "drift_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
         yield {name: value for name, value in written.items() if name not in weighed} | {
             "at": row["at"],

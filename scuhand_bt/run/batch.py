@@ -19,7 +19,7 @@ from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, inputs_for, sample_result
+from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
@@ -264,16 +264,20 @@ class Batch:
         )
 
     def _note_brackets(self) -> None:
-        """Say of each sample whose container has gone what it came to by the bare pan.
+        """Say of each sample whose container has gone what it came to by the bare pan, and of all what that tells.
 
         One that has gone within its own sample's job waits for that sample's result.
         """
-        believed = self._cell.believed
+        believed, noted = self._cell.believed, dict(self._results)
         for closed in believed.closed:
-            for result in list(self._results.values()):
+            for name, result in self._results.items():
                 if any(dose.container == closed.container for dose in result.doses):
-                    self._note(confirmed(result, closed))
+                    self._results[name] = confirmed(result, closed)
                     believed.noted(closed)
+        for name, before in noted.items():
+            now = doubted(self._results[name], believed.zero_stepped_mg)
+            if now is not before:
+                self._note(now)
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
@@ -103,7 +104,7 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     """The result after one of its containers has gone: adjusted to the bare pan's word, and flagged if that differs."""
     doses = tuple(_confirmed(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
     changes: dict[str, Any] = {"doses": doses}
-    main = next((d for d, before in zip(doses, result.doses, strict=True) if _is_main(before, result)), None)
+    main = _main(result, doses)
     if main is not None and result.target_mg is not None:
         changes |= {
             "dispensed_mg": main.dispensed_mg,
@@ -118,6 +119,37 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     elif result.code == Code.BALANCE_BRACKET_OPEN and all(dose.bracket == "closed" for dose in doses):
         changes |= {"code": None, "detail": None}
     return result.model_copy(update=changes)
+
+
+def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
+    """The result after the run has seen the balance's zero step by so much, before its doses or after."""
+    u_mg = unseen_mg(stepped_mg)
+    doses = tuple(_doubted(dose, u_mg) for dose in result.doses)
+    if doses == result.doses:
+        return result
+    changes: dict[str, Any] = {"doses": doses}
+    if (main := _main(result, doses)) is not None:
+        changes["uncertainty_mg"] = main.uncertainty_mg
+    if result.verdict in get_args(Verdict):
+        changes["verdict"] = _verdict(doses, is_asked=True)
+        if result.code is None and changes["verdict"] != result.verdict:
+            seen = f"the balance's zero was seen to step by {stepped_mg:.2f} mg in this run, and may have in this dose"
+            changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": seen}
+    return result.model_copy(update=changes)
+
+
+def _doubted(dose: DoseResult, u_mg: float) -> DoseResult:
+    if dose.bracket == "open" or u_mg <= dose.zero_uncertainty_mg:
+        return dose
+    uncertainty_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + u_mg**2)
+    verdict = judge(dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, uncertainty_mg)
+    changes = {"uncertainty_mg": uncertainty_mg, "zero_uncertainty_mg": u_mg, "verdict": verdict}
+    return dose.model_copy(update=changes)
+
+
+def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | None:
+    """The dose that the result stands by, as it is among `doses`."""
+    return next((dose for dose, had in zip(doses, result.doses, strict=True) if _is_main(had, result)), None)
 
 
 def _is_asked(target_mg: float, sample: Sample) -> bool:
