@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from scuhand_bt.cell.weighing import take_container_away, weighing_of
+from scuhand_bt.cell.weighing import take_container_away, watched, weighing_of
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
@@ -37,7 +37,7 @@ class PlaceContainer(Skill[None]):
         believed = cell.believed
         yield from self._refill(cell)
         bare = yield from take_container_away(cell)
-        yield from cell.changer.bring(self.container)
+        yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
         loaded = yield from cell.balance.stable_mean()
         mass_mg = loaded.value_mg - bare.value_mg

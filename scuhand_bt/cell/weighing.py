@@ -1,9 +1,13 @@
 """Gross on the cell's balance so that a mass can be told: again until it stays, and by the bare pan afterwards."""
 
+import math
+import statistics
+from collections.abc import Sequence
+
 from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.interfaces import StableMean
+from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close, moved_mg
 from scuhand_bt.events import BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
@@ -12,6 +16,10 @@ PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
 PAUSE_S = 1.5
 """Between two weighings that are to agree."""
+WATCHED = 5
+"""So many stable readings in a row tell what the pan shows."""
+CHANGED_MG = 50.0
+"""A load that has come or gone changes it by more; every container weighs more."""
 
 
 def weighing_of(mean: StableMean) -> Gross:
@@ -49,6 +57,37 @@ def weigh_until_still(
         last, pause_s = now, PAUSE_S
 
 
+def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
+    """Let the changer change the load, and see whether the pan goes on showing what it has shown until that comes.
+
+    Nothing falls then: it is the zero that moves. A person who changes containers leans on what they may.
+    """
+    if cell.changer.needs_person:
+        yield from changing
+        return
+    period_s, stable = cell.spec.balance.period_s, list[Reading]()
+    for wake in changing:
+        while cell.clock.now_s < wake.until_s and not wake.has_fired:
+            yield Wake(min(wake.until_s, cell.clock.now_s + period_s))
+            reading = cell.balance.latest
+            if reading is None or not reading.stable:
+                stable.clear()
+            elif not stable or reading.time_s > stable[-1].time_s:
+                stable.append(reading)
+                if len(stable) == WATCHED:
+                    _compare(cell, shown, stable)
+                    stable.clear()
+
+
+def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
+    """Stable readings against an earlier weighing of the same, unless they show that the load has changed."""
+    digit_mg, values_mg = cell.spec.balance.readability_mg, [reading.value_mg for reading in stable]
+    u_mg = math.hypot(statistics.stdev(values_mg) / math.sqrt(len(values_mg)), digit_mg / math.sqrt(12.0))
+    now = Gross(statistics.fmean(values_mg), u_mg, stable[-1].time_s)
+    if abs(now.gross_mg - shown.gross_mg) < CHANGED_MG:
+        cell.believed.zero_stepped(abs(moved_mg(shown, now, digit_mg)))
+
+
 def take_container_away(cell: Cell) -> Steps[StableMean]:
     """Clear the pan, and weigh it bare: that closes the bracket about what was dosed into the container.
 
@@ -61,10 +100,11 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
         believed.zero_stepped(max(0.0, -moved_mg(bracket.last, weighing_of(mean), digit_mg)))
-    believed.changing_container()
-    yield from cell.changer.take_away()
-    bare = yield from cell.balance.stable_mean()
     bracket = believed.bracket
+    believed.changing_container()
+    taking = cell.changer.take_away()
+    yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
+    bare = yield from cell.balance.stable_mean()
     believed.removed()
     if bracket is None or bracket.lifted is None:
         believed.bracket_closed(None)

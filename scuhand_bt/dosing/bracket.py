@@ -14,6 +14,10 @@ a bare pan, l loaded pan, the hand away. D and N share no weighing: a zero that 
 one that steps between a and l, and what drips after g1, is in N alone. They are adjusted to each other by least
 squares; where they are farther apart than chance, neither is believed.
 
+A zero that steps between g0 and g1 and back between l1 and a1 is in both alike, as is one that steps between a0 and l0
+and back in the dose: no weighing of that container tells. That there are such steps is told by those that are seen,
+and the largest of them is the standard deviation of those that are not: it enters u of every dose of the run.
+
 The budget of u has these terms: readability and repeatability (in the u of each weighing), drift (r), zero (w).
 Eccentricity drops out of the differences: the container does not move between g0 and g1, nor the carousel's places.
 The balance's sensitivity is the check weight's business (`check_weight`). Air's buoyancy is not corrected: masses are
@@ -73,16 +77,6 @@ def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     """By how much two weighings of one thing differ; 0 within chance. The zero has moved, or something has come."""
     difference_mg = after.gross_mg - before.gross_mg
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
-
-
-def unseen_mg(stepped_mg: float) -> float:
-    """What a zero that was seen to step by so much adds to the standard uncertainty of every dose of the run.
-
-    A step that comes within the dose, and goes while the container is changed, is in D and in N alike: no weighing of
-    that container tells. Steps that are seen tell that there are such. Up to the largest of them, either way, any is
-    as likely as another (JCGM 100:2008, 4.3.7).
-    """
-    return stepped_mg / math.sqrt(3.0)
 
 
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:

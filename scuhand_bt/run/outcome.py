@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
-from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
@@ -123,8 +122,7 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
 
 def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
     """The result after the run has seen the balance's zero step by so much, before its doses or after."""
-    u_mg = unseen_mg(stepped_mg)
-    doses = tuple(_doubted(dose, u_mg) for dose in result.doses)
+    doses = tuple(_doubted(dose, stepped_mg) for dose in result.doses)
     if doses == result.doses:
         return result
     changes: dict[str, Any] = {"doses": doses}
@@ -138,13 +136,12 @@ def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
     return result.model_copy(update=changes)
 
 
-def _doubted(dose: DoseResult, u_mg: float) -> DoseResult:
-    if dose.bracket == "open" or u_mg <= dose.zero_uncertainty_mg:
+def _doubted(dose: DoseResult, stepped_mg: float) -> DoseResult:
+    if dose.bracket == "open" or stepped_mg <= dose.zero_uncertainty_mg:
         return dose
-    uncertainty_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + u_mg**2)
-    verdict = judge(dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, uncertainty_mg)
-    changes = {"uncertainty_mg": uncertainty_mg, "zero_uncertainty_mg": u_mg, "verdict": verdict}
-    return dose.model_copy(update=changes)
+    u_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + stepped_mg**2)
+    verdict = judge(dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, u_mg)
+    return dose.model_copy(update={"uncertainty_mg": u_mg, "zero_uncertainty_mg": stepped_mg, "verdict": verdict})
 
 
 def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | None:
