@@ -250,7 +250,9 @@ def lines(gross_mg: float) -> tuple[Line, ...]:
     return (Line(value_mg=gross_mg, unit="mg", stable=True, time_s=1.0, raw=f"{gross_mg:.1f} mg"),)
 
 
-def test_a_dose_in_two_parts_is_weighed_against_the_empty_container_and_its_bracket_stands_once(tmp_path: Path) -> None:
+def test_a_dose_in_two_parts_is_weighed_against_the_empty_container_and_its_bracket_as_often_as_it_changes(
+    tmp_path: Path,
+) -> None:
     journal = Journal(tmp_path / "r.sqlite", durable=False)
     journal.event(RunBegun.model_validate(HEADER))
     journal.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="w"))
@@ -265,12 +267,14 @@ def test_a_dose_in_two_parts_is_weighed_against_the_empty_container_and_its_brac
         journal.event(Dose.model_validate(dosed | cost | {"dispensed_mg": net_mg, "verdict": "in tolerance"}))
     adjusted = dosed | {"dispensed_mg": 50.3, "verdict": "in tolerance", "bracket": "closed"}
     result = dict.fromkeys(SampleResult.model_fields) | cost | {"scoops": 1, "attempt": 1, "id": "a"}
-    for _ in range(2):  # as when another of the sample's containers goes
-        journal.event(SampleResult.model_validate(result | {"verdict": "in tolerance", "doses": [adjusted]}))
+    doubted = adjusted | {"uncertainty_mg": 1.0, "zero_uncertainty_mg": 1.0, "verdict": "over"}
+    for said in (adjusted, adjusted, doubted):  # as when another of its containers goes; and the zero steps later
+        journal.event(SampleResult.model_validate(result | {"verdict": said["verdict"], "doses": [said]}))
     journal.close()
     rows = record(journal.path)
-    assert [row["weighing"] for row in rows] == ["dose", "dose", "bracket"]
-    _, second, bracket = rows
+    assert [row["weighing"] for row in rows] == ["dose", "dose", "bracket", "bracket"]
+    _, second, bracket, last = rows
+    assert (last["standard_uncertainty_mg"], last["verdict"]) == ("1.0000", "over")
     masses = ("tare_mg", "gross_mg", "drift_mg", "net_mg")
     assert [float(second[name]) for name in masses] == pytest.approx([9004.0, 9055.0, 0.5, 50.5])
     assert (second["tare_lines"], second["gross_lines"]) == ("9024.0 mg", "9055.0 mg")

@@ -64,6 +64,12 @@ def test_every_moment_comes_in_a_run(falsifier: Falsifier) -> None:
     assert seen.is_in_order
 
 
+def test_a_step_of_the_zero_at_one_container_makes_all_of_the_run_doubtful(falsifier: Falsifier) -> None:
+    tally = Tally("once")
+    falsifier.run_once(HostileWorld("once", "3 mg less from the fifth dose on", lambda: [_Once(5)]), RECIPE, 0, tally)
+    assert (tally.doses, tally.flagged) == (8, {"balance.bracket_open": 8})
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [world.name for world in WORLDS if world.name != "sound"])
 def test_every_hostile_world_is_another_one_than_the_sound_one(falsifier: Falsifier, name: str) -> None:
@@ -90,6 +96,18 @@ def test_every_hostile_world_is_another_one_than_the_sound_one(falsifier: Falsif
 def test_no_container_out_of_tolerance_is_reported_good(falsifier: Falsifier, name: str) -> None:
     tally = falsifier.run(BY_NAME[name], 30)
     assert (tally.false_goods, tally.false_zeros, tally.broken) == ([], [], [])
+
+
+class _Once(Ill):
+    """The zero steps down by 3 mg in the dose into one container, and stays there."""
+
+    def __init__(self, number: int) -> None:
+        self._number, self._on, self._seen = number, "", 0
+
+    def force_mg(self, bench: Bench, dt_s: float) -> float:
+        if "opened" in bench.at and bench.container is not None and bench.container != self._on:
+            self._on, self._seen = bench.container, self._seen + 1
+        return -3.0 if self._seen >= self._number else 0.0
 
 
 class _Late(Ill):

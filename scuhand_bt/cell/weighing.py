@@ -3,6 +3,7 @@
 import math
 import statistics
 from collections.abc import Sequence
+from contextlib import closing
 
 from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
@@ -66,17 +67,18 @@ def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
         yield from changing
         return
     period_s, stable = cell.spec.balance.period_s, list[Reading]()
-    for wake in changing:
-        while cell.clock.now_s < wake.until_s and not wake.has_fired:
-            yield Wake(min(wake.until_s, cell.clock.now_s + period_s))
-            reading = cell.balance.latest
-            if reading is None or not reading.stable:
-                stable.clear()
-            elif not stable or reading.time_s > stable[-1].time_s:
-                stable.append(reading)
-                if len(stable) == WATCHED:
-                    _compare(cell, shown, stable)
+    with closing(changing):
+        for wake in changing:
+            while cell.clock.now_s < wake.until_s and not wake.has_fired:
+                yield Wake(min(wake.until_s, cell.clock.now_s + period_s))
+                reading = cell.balance.latest
+                if reading is None or not reading.stable:
                     stable.clear()
+                elif not stable or reading.time_s > stable[-1].time_s:
+                    stable.append(reading)
+                    if len(stable) == WATCHED:
+                        _compare(cell, shown, stable)
+                        stable.clear()
 
 
 def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
