@@ -263,6 +263,23 @@ class MovingMean(Ill):
 
 
 @dataclass
+class Poles(Ill):
+    """Two more poles of a time constant."""
+
+    lag_s: float
+    _first_mg: float | None = None
+    _second_mg: float = 0.0
+
+    def shown_mg(self, bench: Bench, value_mg: float, dt_s: float) -> float:
+        if self._first_mg is None:
+            self._first_mg = self._second_mg = value_mg
+        share = -math.expm1(-dt_s / self.lag_s)
+        self._first_mg += share * (value_mg - self._first_mg)
+        self._second_mg += share * (self._first_mg - self._second_mg)
+        return self._second_mg
+
+
+@dataclass
 class Delay(Ill):
     """What it felt some time ago."""
 
@@ -404,3 +421,20 @@ class Later(Ill):
         if self._from_s < 0.0:
             self._from_s = bench.rng.uniform(*self._between_s)
         return self._ill.shown_mg(bench, value_mg, dt_s) if bench.now_s >= self._from_s else value_mg
+
+
+@dataclass
+class FromContainer(Ill):
+    """A filter that is switched on while the pan is bare: somebody changes the balance's menu between two samples."""
+
+    ill: Ill
+    number: int
+    """Of the first container that is weighed with it, from 1."""
+    _containers: int = 0
+    _on: str | None = None
+
+    def shown_mg(self, bench: Bench, value_mg: float, dt_s: float) -> float:
+        if bench.container != self._on:
+            self._on = bench.container
+            self._containers += self._on is not None
+        return value_mg if self._containers < self.number else self.ill.shown_mg(bench, value_mg, dt_s)

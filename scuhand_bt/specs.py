@@ -200,3 +200,6 @@ class Container(ContainerKind):
 
 Verdict = Literal["in tolerance", "under", "over"]
 """What is said of a dose (`dosing/verdict.py`)."""
+
+BalanceFigure = Literal["delay_s", "check_weight_error_mg", "repeatability_mg", "noise_mg", "drift_mg_per_s"]
+"""What is measured of a balance (`dosing/characteristic.py`), beside what controllers learn."""

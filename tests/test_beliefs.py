@@ -24,7 +24,7 @@ def test_a_characterisation_is_kept_by_lot_with_the_run_that_taught_it(tmp_path:
     assert learnt.run == ran.session.run_id
     assert learnt.belief.doses >= 3
     assert "SIMULATED" in learnt.origin
-    balance = LabState(tmp_path).balances(simulated=True)["starter"].belief
+    balance = LabState(tmp_path).balances(simulated=True)["shimadzu simulated, 0.1 mg, 10 Hz"].belief
     assert balance.lag_s == pytest.approx(ran.session.cell.spec.balance.simulation.lag_s, rel=0.3)
 
 

@@ -97,8 +97,6 @@ def holds_its_invariants(believed: Believed) -> None:
         assert (believed.pan_empty_mg, believed.pan_gross_mg, believed.weighed_container) == (None, None, None)
     if believed.pan_empty_mg is not None:
         assert believed.pan_gross_mg is not None
-    if believed.bracket is not None and believed.bracket.before is not None:
-        assert believed.bracket.lot, "what is not weighed yet is of a lot"
 
 
 def test_every_verb_is_tried() -> None:
@@ -196,7 +194,6 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "last": as_gross(weighed(20_031.0, 9.5)),
             "doses": {"glass_beads/L7": {"mass_mg": 20.0, "uncertainty_mg": 0.1}},
             "drift": {"rate": 0.0, "uncertainty": 0.005},
-            "before": as_gross(weighed(20_031.0, 9.5)),
             "lot": SALT.sheet_key,
             "lifted": None,
         },
@@ -306,7 +303,7 @@ def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_con
     assert (believed.cone_mg, believed.pan_gross_mg, believed.dosing.is_unweighed) == (70.0, 20_040.5, False)
     assert believed.bracket is not None
     assert believed.bracket.dosed_mg(BEADS.sheet_key) == Net(30.0, 0.2)
-    assert (believed.bracket.before, believed.bracket.last) == (None, weighed(20_040.5, 20.0))
+    assert believed.bracket.last == weighed(20_040.5, 20.0)
 
 
 def test_a_zero_that_moved_takes_every_weighing_with_it_and_no_dose() -> None:
@@ -319,10 +316,6 @@ def test_a_zero_that_moved_takes_every_weighing_with_it_and_no_dose() -> None:
     assert bracket is not None
     assert (bracket.bare, bracket.loaded) == (weighed(12.0, 1.0), weighed(20_012.5, 4.0))
     assert (bracket.last, bracket.dosed_mg(BEADS.sheet_key)) == (weighed(20_042.5, 30.0), Net(30.0, 0.2))
-    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_042.5))
-    believed.zero_moved(-1.0, weighed(20_041.5))
-    assert believed.bracket is not None
-    assert believed.bracket.before == weighed(20_041.5)
 
 
 def test_a_dose_counts_what_it_cost_and_what_it_brought_over_all_of_its_parts() -> None:

@@ -59,10 +59,8 @@ class Bracket:
     doses: Nets = field(default_factory=lambda: MappingProxyType({}))
     drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
     """What was seen about the last dose."""
-    before: Gross | None = None
-    """With the hand in place, just before the valve opened; None while nothing is unweighed."""
     lot: str = ""
-    """What is being dosed from there on."""
+    """What is being dosed."""
     lifted: Gross | None = None
     """The filled container, the hand away, before it is taken off the pan."""
 
@@ -261,7 +259,7 @@ class Believed:
         self._set(
             dosing=replace(self.dosing, target_mg=_mass(target_mg), is_unweighed=True),
             pan_empty_mg=before.gross_mg - bracket.dosed_mg(lot).mass_mg,
-            bracket=replace(bracket, before=before, last=before, lot=lot),
+            bracket=replace(bracket, last=before, lot=lot),
         )
 
     def dosing_ended(self, arrived_mg: float, gross_mg: float) -> None:
@@ -302,9 +300,8 @@ class Believed:
         if self.pan_empty_mg is not None:
             self._set(pan_empty_mg=self.pan_empty_mg + drift_mg)
         if (bracket := self.bracket) is not None:
-            before = _shifted(bracket.before, drift_mg) if bracket.before is not None else None
             bare, loaded = _shifted(bracket.bare, drift_mg), _shifted(bracket.loaded, drift_mg)
-            self._set(bracket=replace(bracket, bare=bare, loaded=loaded, before=before, last=now))
+            self._set(bracket=replace(bracket, bare=bare, loaded=loaded, last=now))
 
     # --- within
 
@@ -320,7 +317,7 @@ class Believed:
         total = Net(before.mass_mg + gained.mass_mg, math.hypot(before.uncertainty_mg, gained.uncertainty_mg))
         doses = MappingProxyType({**bracket.doses, bracket.lot: total})
         self._weighed(now.gross_mg)
-        self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now, before=None))
+        self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now))
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""

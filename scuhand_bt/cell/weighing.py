@@ -10,8 +10,10 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close, moved_mg
-from scuhand_bt.events import BracketClosed, ContainerLifted, LotDosed
+from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, step_delay_s
+from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.specs import BalanceBelief
 
 PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
@@ -19,8 +21,13 @@ PAUSE_S = 1.5
 """Between two weighings that are to agree."""
 WATCHED = 5
 """So many stable readings in a row tell what the pan shows."""
+
 CHANGED_MG = 50.0
-"""A load that has come or gone changes it by more; every container weighs more."""
+"""Every container weighs more, and no draught pushes so hard."""
+SLOWER = 1.25
+"""Times a known delay: a balance that shows a step later is not set as it was."""
+HAND_S = 1.0
+"""What a person takes to put a container down, besides."""
 
 
 def weighing_of(mean: StableMean) -> Gross:
@@ -90,6 +97,47 @@ def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
         cell.believed.zero_stepped(abs(moved_mg(shown, now, digit_mg)))
 
 
+def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
+    """The gross when something has come or gone: a balance with a dead time goes on showing for a while what was."""
+    end_s = cell.clock.now_s + LONGEST_DELAY_S
+    while was_mg is not None and cell.clock.now_s < end_s:
+        reading = yield from cell.balance.next_reading()
+        if abs(reading.value_mg - was_mg) > CHANGED_MG:
+            break
+    mean = yield from cell.balance.stable_mean()
+    return mean
+
+
+def step_delay(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: float) -> float | None:
+    """How late the balance has shown what came on its bare pan, by `brought_s` at the latest, where that can be told.
+
+    When a person has put it down nobody knows: it counts from where it shows, and no dead time is seen.
+    """
+    if abs(loaded.value_mg - bare.value_mg) < CHANGED_MG:
+        return None
+    curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if bare.time_s <= one.time_s <= loaded.time_s]
+    latest_s = math.inf if cell.changer.needs_person else brought_s
+    return step_delay_s(curve, bare.value_mg, loaded.value_mg, latest_s)
+
+
+def require_known_delay(cell: Cell, delay_s: float) -> None:
+    """Before a dose: a balance that is slower than it was is taken for that, and learnt anew by the next dose.
+
+    SkillFailed balance.slow where nothing doses safely with it.
+    """
+    inexact_s = cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
+    if delay_s > LONGEST_DELAY_S + inexact_s:
+        late = f"it showed the container {delay_s:.1f} s late; up to {LONGEST_DELAY_S:g} s are dosed with"
+        raise SkillFailed(Code.BALANCE_SLOW, late)
+    known_s = 2.0 * cell.balance_belief.lag_s if cell.known_delay_s is None else cell.known_delay_s
+    if delay_s > SLOWER * known_s + inexact_s:
+        cell.balance_belief = BalanceBelief(lag_s=delay_s / 2.0)
+        cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
+    elif cell.known_delay_s is not None:
+        delay_s = min(delay_s, known_s)
+    cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
+
+
 def take_container_away(cell: Cell) -> Steps[StableMean]:
     """Clear the pan, and weigh it bare: that closes the bracket about what was dosed into the container.
 
@@ -102,11 +150,12 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
         believed.zero_stepped(max(0.0, -moved_mg(bracket.last, weighing_of(mean), digit_mg)))
+    was_mg = believed.pan_gross_mg
     bracket = believed.bracket
     believed.changing_container()
     taking = cell.changer.take_away()
     yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
-    bare = yield from cell.balance.stable_mean()
+    bare = yield from weigh_changed(cell, was_mg)
     believed.removed()
     if bracket is None or bracket.lifted is None:
         believed.bracket_closed(None)
@@ -128,6 +177,7 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
             zero_mg=closed.zero_mg,
             closes=closed.closes,
             doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
+            bare=bare.written(),
         )
     )
     return bare

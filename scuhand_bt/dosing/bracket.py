@@ -119,8 +119,11 @@ def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, read
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)
     if drift.rate == 0.0:
         return Net(mass_mg, u_mg), drift
-    # The weighing before the dose is in the drift too: its error counts for both.
-    twice_mg = before.uncertainty_mg * math.sqrt(2.0 * duration_s / (before.time_s - earlier.time_s))
+    # A weighing that the dose rests on is in the drift too: its error counts for both.
+    shared, watched_s = (
+        (before, before.time_s - earlier.time_s) if earlier != before else (later, later.time_s - after.time_s)
+    )
+    twice_mg = shared.uncertainty_mg * math.sqrt(2.0 * duration_s / watched_s)
     return Net(mass_mg - drift.rate * duration_s, math.hypot(u_mg, twice_mg)), drift
 
 

@@ -1,15 +1,15 @@
 """How a job, a sample, and a whole run came out."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import DoseResult, SampleResult, SampleVerdict
+from scuhand_bt.journal.results import DoseResult, SampleResult, SampleVerdict
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Verdict
@@ -62,17 +62,20 @@ def sample_result(
     *,
     scoops: int,
     duration_s: float,
-    true_mg: float | None,
+    true_mg: Mapping[str, float],
     attempt: int,
 ) -> SampleResult:
     """A sample's result from the doses of its job, in their order; `verdict` where there is another than theirs.
 
+    `true_mg` is what the simulation has in its containers, by their ids.
+
     The last dose of a lot into a container counts for both, as doses add up. What the recipe asks for, its mass
-    within its tolerance, is held against the dose with that target.
+    within its tolerance, is held against the dose with that target, into the sample's container.
     """
+    sample = replace(sample, inputs=inputs_for(sample, attempt))
     last = list({(dose.container, dose.lot): dose for dose in doses}.values())
-    found = tuple(_dose_result(dose, sample) for dose in last)
-    asked = [number for number, dose in enumerate(found) if _is_asked(dose.target_mg, sample)]
+    found = tuple(_dose_result(dose, sample, true_mg.get(dose.container)) for dose in last)
+    asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
     number = asked[-1] if asked else len(found) - 1
     main, of_main = (found[number], last[number]) if found else (None, None)
     is_asked = sample.mass_mg is None or bool(asked)
@@ -93,7 +96,7 @@ def sample_result(
         verdict=verdict or _verdict(found, is_asked=is_asked),
         code=failure.code if failure else None,
         detail=failure.detail if failure else None,
-        true_mg=true_mg,
+        true_mg=main.true_mg if main else next(iter(true_mg.values()), None),
         attempt=attempt,
         doses=found,
     )
@@ -149,17 +152,17 @@ def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | Non
     return next((dose for dose, had in zip(doses, result.doses, strict=True) if _is_main(had, result)), None)
 
 
-def _is_asked(target_mg: float, sample: Sample) -> bool:
-    return sample.mass_mg is not None and math.isclose(target_mg, sample.mass_mg, rel_tol=1e-9)
+def _is_asked(dose: Dose | DoseResult, sample: Sample) -> bool:
+    return sample.is_mass(dose.target_mg) and sample.is_dosed_into(dose.container)
 
 
 def _is_main(dose: DoseResult, result: SampleResult) -> bool:
     return (dose.dispensed_mg, dose.uncertainty_mg) == (result.dispensed_mg, result.uncertainty_mg)
 
 
-def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
+def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResult:
     tolerance_mg = dose.tolerance_mg
-    if sample.tolerance_mg is not None and _is_asked(dose.target_mg, sample):
+    if sample.tolerance_mg is not None and _is_asked(dose, sample):
         tolerance_mg = min(tolerance_mg, sample.tolerance_mg)  # the recipe's word, whatever the workflow made of it
     return DoseResult(
         container=dose.container,
@@ -169,6 +172,8 @@ def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
         dispensed_mg=dose.dispensed_mg,
         uncertainty_mg=dose.uncertainty_mg,
         verdict=judge(dose.target_mg, tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg),
+        bracket="open",
+        true_mg=true_mg,
     )
 
 
