@@ -145,6 +145,13 @@ def test_a_bare_pan_that_moves_while_a_container_is_brought_makes_its_bracket_do
     assert (rig.believed.zero_stepped_mg, rig.believed.is_zero_doubted) == (pytest.approx(2.0), True)
 
 
+@pytest.mark.parametrize(("by_mg", "remembered_mg"), [(0.49, 0.0), (0.51, 0.51)])
+def test_what_a_slow_filter_may_still_creep_is_no_step(rig: Rig, by_mg: float, remembered_mg: float) -> None:
+    rig.step(by_mg, WEIGHING_S + 0.1, WEIGHING_S + SWING_S)
+    assert rig.remove() is (remembered_mg == 0.0)
+    assert rig.believed.zero_stepped_mg == pytest.approx(remembered_mg)
+
+
 @pytest.mark.parametrize("quiet", ["needs_person", "is_stable"])
 def test_what_shows_while_a_person_leans_on_the_pan_or_before_it_is_stable_is_not_the_zeros(
     rig: Rig, quiet: str

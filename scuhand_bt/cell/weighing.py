@@ -21,6 +21,8 @@ PAUSE_S = 1.5
 """Between two weighings that are to agree."""
 WATCHED = 5
 """So many stable readings in a row tell what the pan shows."""
+CREEP_DIGITS = 5.0
+"""So far a filter of a second may still creep when the changer begins to change the load again."""
 
 CHANGED_MG = 50.0
 """Every container weighs more, and no draught pushes so hard."""
@@ -93,7 +95,7 @@ def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
     digit_mg, values_mg = cell.spec.balance.readability_mg, [reading.value_mg for reading in stable]
     u_mg = math.hypot(statistics.stdev(values_mg) / math.sqrt(len(values_mg)), digit_mg / math.sqrt(12.0))
     now = Gross(statistics.fmean(values_mg), u_mg, stable[-1].time_s)
-    if abs(now.gross_mg - shown.gross_mg) < CHANGED_MG:
+    if CREEP_DIGITS * digit_mg < abs(now.gross_mg - shown.gross_mg) < CHANGED_MG:
         cell.believed.zero_stepped(abs(moved_mg(shown, now, digit_mg)))
 
 
