@@ -215,15 +215,15 @@ def test_a_sample_flagged_while_its_brackets_were_open_stays_so_until_all_have_c
 
 def test_a_step_that_the_run_has_seen_is_in_the_uncertainty_of_a_dose_and_may_change_its_verdict() -> None:
     had = confirmed(result(dose(50.4)), gone(glass_beads=50.4))
-    small = doubted(had, 0.5)
-    assert (small.uncertainty_mg, small.verdict) == (pytest.approx(math.hypot(0.1, 0.5)), "in tolerance")
+    small = doubted(had, 0.2)
+    assert (small.uncertainty_mg, small.verdict) == (pytest.approx(math.hypot(0.1, 0.43)), "in tolerance")
     assert (small.code, small.is_good, small.dispensed_mg) == (None, True, 50.4)
-    large = doubted(small, 0.9)
-    assert (large.uncertainty_mg, large.verdict) == (pytest.approx(math.hypot(0.1, 0.9)), "over")
+    large = doubted(small, 0.5)
+    assert (large.uncertainty_mg, large.verdict) == (pytest.approx(math.hypot(0.1, 1.075)), "over")
     assert (large.code, large.doses[0].verdict, large.is_good) == ("balance.bracket_open", "over", False)
-    assert large.detail == "the balance's zero was seen to step by 0.90 mg in this run, and may have in this dose"
+    assert large.detail == "the balance's zero was seen to step by 0.50 mg in this run, and may have in this dose"
     assert large.doses[0].uncertainty_mg == large.uncertainty_mg
-    assert doubted(large, 0.5) is large, "what was seen stays seen"
+    assert doubted(large, 0.3) is large, "what was seen stays seen"
 
 
 def test_without_a_step_or_while_the_container_still_stands_a_result_is_as_it_was() -> None:

@@ -16,7 +16,7 @@ squares; where they are farther apart than chance, neither is believed.
 
 A zero that steps between g0 and g1 and back between l1 and a1 is in both alike, as is one that steps between a0 and l0
 and back in the dose: no weighing of that container tells. That there are such steps is told by those that are seen,
-and the largest of them is the standard deviation of those that are not: it enters u of every dose of the run.
+and the largest of them tells how large the others may be: it enters u of every dose of the run.
 
 The budget of u has these terms: readability and repeatability (in the u of each weighing), drift (r), zero (w).
 Eccentricity drops out of the differences: the container does not move between g0 and g1, nor the carousel's places.
@@ -77,6 +77,15 @@ def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     """By how much two weighings of one thing differ; 0 within chance. The zero has moved, or something has come."""
     difference_mg = after.gross_mg - before.gross_mg
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
+
+
+def unseen_mg(stepped_mg: float) -> float:
+    """What the largest of a few steps that were seen adds to the standard uncertainty of a dose that hides another.
+
+    It is a standard deviation by few observations: as for two degrees of freedom, 4.30 of it cover what 2 of a known
+    one do (JCGM 100:2008, G.3).
+    """
+    return stepped_mg * 4.30 / 2.0
 
 
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
@@ -140,11 +141,12 @@ def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
 
 
 def _doubted(dose: DoseResult, stepped_mg: float) -> DoseResult:
-    if dose.bracket == "open" or stepped_mg <= dose.zero_uncertainty_mg:
+    zero_mg = unseen_mg(stepped_mg)
+    if dose.bracket == "open" or zero_mg <= dose.zero_uncertainty_mg:
         return dose
-    u_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + stepped_mg**2)
+    u_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + zero_mg**2)
     verdict = judge(dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, u_mg)
-    return dose.model_copy(update={"uncertainty_mg": u_mg, "zero_uncertainty_mg": stepped_mg, "verdict": verdict})
+    return dose.model_copy(update={"uncertainty_mg": u_mg, "zero_uncertainty_mg": zero_mg, "verdict": verdict})
 
 
 def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | None:
