@@ -53,7 +53,7 @@ ANY_TIME_S = (0.0, 60.0)
 SMALL = ("placed", "opened", "near")
 CLOGS = "{fault: powder.clog, probability: 0.2}"
 PAPER_MSG = {"packing_variation": 0.4, "surge_share": 0.4, "surge_mg": 1.5}
-"""Errors of about the paper's spread (Table III: 1.9 mg at 0.5 g, 1.5 mg at 3 g)."""
+"""Errors of about the paper's spread (Table I: 1.9 mg at 0.5 g, 1.5 mg at 3 g), shaken or not."""
 WORLDS: tuple[HostileWorld, ...] = (
     W("sound", "Nothing is wrong."),
     # The zero jumps.

@@ -1,11 +1,23 @@
 """The benchmarks' own code; no other test imports it."""
 
+import numpy as np
 import pytest
 from dose_bench import shipped_powders
 
-from benchmarks.calibration import TABLES, Result, agrees, count
+from benchmarks.calibration import (
+    TABLES,
+    Result,
+    agrees,
+    count,
+    departures_of,
+    main,
+    mean_interval,
+    simulated,
+    spread_interval,
+)
 from benchmarks.code_mutator import mutants_of
-from benchmarks.rig import Setting, Trial, run_of_doses
+from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
+from scuhand_bt.specs import Departure
 
 pytestmark = pytest.mark.slow
 BEADS = TABLES[0]
@@ -20,21 +32,57 @@ def test_a_count_agrees_within_the_two_sided_binomial_region(successes: int, rat
     assert agrees(BEADS._replace(successes=successes), rate) is expected
 
 
-def test_a_cell_is_shown_beside_the_papers_and_what_is_far_is_named() -> None:
+def test_the_papers_mean_and_spread_are_known_as_far_as_ten_trials_tell() -> None:
+    cell = BEADS._replace(mass_mg=500.5, sd_mg=1.9)
+    assert mean_interval(cell) == pytest.approx((499.14, 501.86), abs=0.005)
+    assert spread_interval(cell) == pytest.approx((1.307, 3.469), abs=0.005)
+
+
+def test_a_cell_is_shown_beside_the_papers_and_what_does_not_agree_is_named() -> None:
     near = Result.of(BEADS, [Trial(0.5, -1.0, True, 8, 60.0, "reached")] * 9 + [Trial(5, 4, False, 8, 60.0, "over")])
-    assert near.row() == "| glass beads | 20 mg | 9.0 (9) | yes | 19.5 ± 1.50 (20 ± 1.3) | 8.0 (8) | 60.0 (59) |"
-    slow = near._replace(time_s=100.0, rate=0.5)
-    assert "**no**" in slow.row()
-    assert "**100.0** (59)" in slow.row()
-    assert count([near, slow]) == (
-        "1 of 2 cells agree in success; steps and times farther than 30% from the paper's: glass beads 20 mg (time)."
+    assert near.misfits == []
+    assert near.row() == (
+        "| glass beads | 20 mg | 9.0 (9) | 19.5 (20: 19.1 to 20.9) | 1.58 (1.3: 0.89 to 2.37) | 8.0 (8) | 60 (59) |"
+    )
+    off = near._replace(rate=0.5, masses_mg=np.array([18.9, 19.1]), steps=11.0, time_s=40.0)
+    assert off.misfits == ["success", "mass", "spread", "steps", "time"]
+    assert off.row() == (
+        "| glass beads | 20 mg | **5.0** (9) | **19.0** (20: 19.1 to 20.9) | **0.14** (1.3: 0.89 to 2.37) "
+        "| **11.0** (8) | **40** (59) |"
+    )
+    assert count([near, off]) == (
+        "Cells that agree: success 1 of 2, mass 1 of 2, spread 1 of 2, steps 1 of 2, time 1 of 2."
     )
 
 
 def test_a_misprinted_figure_is_marked_and_not_held_against_the_simulation() -> None:
-    result = Result.of(MSG_20, [Trial(0.0, 0.0, True, 14, 100.0, "reached")])
-    assert result.far == []
-    assert "100.0 (49†)" in result.row()
+    result = Result.of(MSG_20, [Trial(0.0, 0.1 * n - 1.8, True, 14, 100.0, "reached") for n in range(10)])
+    assert "time" not in result.misfits
+    assert "100 (49†)" in result.row()
+    assert "time 0 of 0" in count([result])
+
+
+@pytest.mark.parametrize("target_mg", [20.0, 500.0])
+def test_msg_has_the_papers_mean_and_spread(target_mg: float) -> None:
+    cell = next(cell for cell in TABLES if cell.label == "MSG" and cell.target_mg == target_mg)
+    trials = [trial for run in range(4) for trial in simulated(cell, run, 10)]
+    assert Result.of(cell, trials).misfits == []
+
+
+def test_the_paper_asks_its_balance_sooner_where_it_does_not_wait() -> None:
+    powder = shipped_powders()["glass_beads"]
+    waited, at_once = (run_of_doses(powder, 20.0, name, 1, Setting(), 3) for name in ("paper", UNWAITING))
+    for long, short in zip(waited, at_once, strict=True):
+        assert long.reason == short.reason == "reached"
+        assert short.duration_s / short.steps < long.duration_s / long.steps - 4.0
+
+
+def test_departures_are_named_one_by_one_or_as_a_group() -> None:
+    assert departures_of("none") == ()
+    assert set(departures_of("all")) - set(departures_of("implied")) == {Departure.GUARD}
+    assert departures_of("order,thaw") == (Departure.ORDER, Departure.THAW)
+    with pytest.raises(SystemExit):
+        main(["--departures", "thaws"])
 
 
 def test_a_redone_dose_is_judged_by_its_second_attempt_and_takes_both_their_times() -> None:

@@ -16,7 +16,7 @@ from scuhand_bt.events import Dose, DoseWeighed, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record
-from scuhand_bt.specs import Source
+from scuhand_bt.specs import Departure, PaperSpec, Source
 
 POWDERS = shipped_powders()
 BEADS = POWDERS["glass_beads"]
@@ -113,6 +113,21 @@ class LastWord:
             return Pulse(0.2, 0.5, 1.0)
         rig.seen.append(seen)
         return Finish(rig.reason, seen.net_mg, seen.uncertainty_mg)
+
+
+@pytest.mark.parametrize("of_recipe", [True, False])
+@pytest.mark.parametrize(("name", "widest_mm"), [("paper", 1.0), ("adaptive", 2.1), ("direct_pid", 2.1)])
+def test_only_the_paper_is_held_to_what_the_paper_was_set_to(
+    rig: "Rig", name: str, widest_mm: float, of_recipe: bool
+) -> None:
+    set_to = PaperSpec(gain=0.4, max_opening_mm=1.0, wait_s=2.5, departures=(Departure.ORDER,))
+    powder = BEADS.model_copy(update={"max_opening_mm": 2.1, "paper": set_to})
+    rig.cell.sources["store"] = rig.cell.sources["store"].model_copy(update={"powder": powder})
+    rig.cell.controller = "adaptive" if of_recipe else name
+    skill = rig._skill("dispense", mass_mg=TARGET_MG, controller=name if of_recipe else "")
+    request = skill.request(rig.cell)
+    assert request.max_opening_mm == widest_mm
+    assert (request.gain, request.wait_s, request.departures) == (0.4, 2.5, (Departure.ORDER,))
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.events import BracketClosed, ContainerLifted
 from scuhand_bt.failures import SkillFailed
 
-TAKES_S = 2.0
-"""How long one weighing takes."""
+TAKES_S, PERIOD_S = 2.0, 0.1
+"""How long one weighing takes, and one reading."""
 U_MG = 0.05
 BEADS = "glass_beads"
 
@@ -54,8 +54,10 @@ class Shown:
         return StableMean(gross_mg, U_MG, self.now_s, (line,))
 
     def next_reading(self) -> Steps[Reading]:
+        self.now_s += PERIOD_S
         yield from ()
-        return Reading(self._gross_mg[0], False, self.now_s)
+        gross_mg = self._by_time(self.now_s) if self._by_time else self._gross_mg[0]
+        return Reading(gross_mg, True, self.now_s, "mg", f"{gross_mg:.1f} mg".encode())
 
     def _take_away(self) -> Steps[None]:
         yield from ()

@@ -35,7 +35,7 @@ AIM_UNDER_MG = 0.7
 """Besides the surge scale: too little can be corrected, too much cannot, and the last of a dose flows slowest."""
 MOST_SLIP_MM = 0.4
 """How far a sheet that stuck may slip."""
-UNSURE = 0.6
+UNSURE = 1.0
 """How unsure a new opening is at least: sheets stick and slip."""
 GUESSED_SPREAD = 0.3
 """What doses are taken to differ by, at least, until a second one was seen."""
@@ -78,6 +78,8 @@ class Knowledge:
         """Whether it stops when it is no longer shaken."""
         self._usual = self.reference
         self.stalls = 0
+        self.reopened = 0
+        """How often the valve was shut and opened again since powder last came."""
         self.time_s = 0.0
         self.flow_s = self.shaken_s = 0.0
         self.record: list[Row] = []

@@ -14,8 +14,8 @@ from typing import Literal
 from scuhand_bt.dosing.controller import Command, Observation
 from scuhand_bt.dosing.dose_state import FULL, GENTLE, SLACK_S, Knowledge
 
-Ended = Literal["reached", "surprise", "dry"]
-"""Closed on the prediction; shut on readings far above it; nothing came at last."""
+Ended = Literal["reached", "surprise", "bridged", "dry"]
+"""Closed on the prediction; shut on readings far above it; shut to break a bridge; nothing came at last."""
 PROBE_SHARE, PROBE_MG = 0.4, 60.0
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
@@ -37,6 +37,8 @@ PAUSED = 0.1
 """Share of the flow that is allowed for while such a powder is not shaken."""
 LONGEST_BARREN_S = 120.0
 """Open and shaken for so long without a gain that can be told from noise: dry, whatever was expected."""
+REOPENED = 2
+"""A valve that was shut and opened so often in a row, and no powder came, is shaken."""
 MOST_STALLS = 1
 """A powder that stalls this often in a dose is shaken from then on: what bridged once bridges again."""
 
@@ -93,6 +95,8 @@ class Opening:
                 continue
             if self._is_dry():
                 return "dry"
+            if self._is_bridged():
+                return "bridged"
             self._steer()
 
     # --- when it ends ---
@@ -115,6 +119,14 @@ class Opening:
         flow = estimate.coefficient * known.shape.value(opening_mm)
         slow = self._stop_mg - predicted_mg > SOON_S * flow
         return slow and predicted_mg - SURELY * estimate.mass_sd_mg >= known.enough_mg
+
+    def _is_bridged(self) -> bool:
+        """A bridge breaks as the valve shuts and opens: gentler than shaking, which brings down more than it should."""
+        known = self._known
+        if self._vibration > 0.0 or self._quiet_s < self._patience_s or known.reopened >= REOPENED:
+            return False
+        known.reopened += 1
+        return True
 
     def _is_barren(self, dt_s: float) -> bool:
         estimate = self._known.filter
@@ -142,6 +154,7 @@ class Opening:
         if estimate.mass_mg - self._evident_mg > QUIET_SHARE * self._expected_mg + 2.0 * known.noise_mg:
             self._evident_mg, self._expected_mg, self._quiet_s = estimate.mass_mg, 0.0, 0.0
             self._flowing_s += dt_s
+            known.reopened = 0
             known.follow_reference()
             return
         if self._quiet_s == 0.0:
@@ -157,7 +170,9 @@ class Opening:
         known = self._known
         wanted_mm = self._opening_mm if self._probing else known.opening_mm(self._remaining_mg)
         if self._quiet_s > 0.0:
-            wanted_mm = self._coax(wanted_mm)
+            wanted_mm = (
+                self._coax(wanted_mm) if known.reopened >= REOPENED or self._vibration > 0.0 else self._opening_mm
+            )
         elif self._vibration > known.vibration and self._flowing_s > 1.0 and known.stalls < MOST_STALLS:
             self._vibration = known.vibration
         if known.stalls >= MOST_STALLS:
