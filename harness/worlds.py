@@ -11,6 +11,7 @@ from harness.ills_balance import (
     Adaptive,
     Between,
     Coarse,
+    Creep,
     Decay,
     Delay,
     Draught,
@@ -28,6 +29,7 @@ from harness.ills_balance import (
     Sine,
     Span,
     Step,
+    Walk,
     ZeroTracking,
 )
 from harness.ills_powder import Astray, Drip, Drips, Exchanged, Leak, Leftover, Loss, Sheet, carried, dosed, shaken
@@ -68,6 +70,26 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("push-in-the-dose", "3 mg from the first opening until the hand leaves", lambda: [Between("opened", "leaving")]),
     W("push-at-the-end", "3 mg from near the dose's end until the hand is away", lambda: [Between("near", "gone")]),
     W("steps-small", "0.5 to 1 mg at three moments", lambda: [Step(m, (0, 5), (-1, -0.5, 0.5, 1)) for m in SMALL]),
+    W(
+        "steps-cancelling",
+        "3 mg up or down before the dose, and again about it",
+        lambda: [Step("placed", (4.0, 30.0), (-3.0, 3.0)), Step("opened", (0.0, 12.0), (-3.0, 3.0))],
+    ),
+    W(
+        "step-and-back-rarely",
+        "up, and down again, at one container of four",
+        lambda: [Step("placed", ANY_TIME_S, back_s=(1.0, 30.0), chance=0.25)],
+    ),
+    W(
+        "step-in-the-changer",
+        "up on the bare pan, and down again as the container comes, or later",
+        lambda: [Step("bare", (0.0, 8.0), back_s=(5.0, 25.0))],
+    ),
+    W(
+        "flickering",
+        "three times for each container up, and down again within 3 s",
+        lambda: [Step(moment, (0.0, 10.0), (-2.0, 2.0), back_s=(0.5, 3.0)) for moment in SMALL],
+    ),
     # The container, or the hand, brings a force.
     W("warm-quick", "warm or cold containers: 2 to 8 mg within 60 to 120 s", lambda: [Decay((2, 8), (60, 120))]),
     W("warm-slow", "warm or cold containers: 2 to 8 mg within 120 to 300 s", lambda: [Decay((2, 8), (120, 300))]),
@@ -76,6 +98,7 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("charged-hand-decaying", "6 mg under the hand, leaking away within 60 s", lambda: [HandForce(6.0, 60.0)]),
     W("charged-powder", "the dose weighs 4 mg off while the hand is above", lambda: [PowderForce(4.0)]),
     W("creep", "the zero creeps by 1 to 4 mg under load", lambda: [Decay((1, 4), (30, 120), lasting=True)]),
+    W("creep-after-opening", "2 to 6 mg come within 60 s of the first opening", lambda: [Creep((2, 6), 60.0)]),
     W("eccentric", "powder weighs 0.02 % off, by where the container stands", lambda: [Span(spread=2e-4)]),
     # The zero wanders.
     W("drift-0.02", "0.02 mg/s", lambda: [Drift(0.02)]),
@@ -84,11 +107,20 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("drift-0.3", "0.3 mg/s", lambda: [Drift(0.3)]),
     W("drift-turning", "0.1 mg/s, turning round every 30 s or so", lambda: [Drift(0.1, 30.0)]),
     W("drift-turning-quickly", "0.3 mg/s, turning round every 10 s or so", lambda: [Drift(0.3, 10.0)]),
+    W("drift-turning-5", "0.5 mg/s, turning round every 5 s or so", lambda: [Drift(0.5, 5.0)]),
+    W("drift-turning-60", "0.05 mg/s, turning round every 60 s or so", lambda: [Drift(0.05, 60.0)]),
+    W("walking", "a zero that walks by 0.2 mg in a second, 1.5 mg in a minute", lambda: [Walk(0.2)]),
     W("sine-20", "2 mg with a period of 20 s", lambda: [Sine(2.0, 20.0)]),
     W("sine-60", "3 mg with a period of 60 s", lambda: [Sine(3.0, 60.0)]),
     W("sine-200", "5 mg with a period of 200 s", lambda: [Sine(5.0, 200.0)]),
     W("draught", "bursts of 3 mg every 15 s", lambda: [Draught(3.0, 15.0)]),
     W("draught-steady", "bursts of 3 mg that hardly change", lambda: [Draught(3.0, 15.0, (5.0, 20.0), lean=0.98)]),
+    W(
+        "draught-long",
+        "pushes of 3 mg that hardly change, for 20 to 60 s",
+        lambda: [Draught(3.0, 40.0, (20, 60), lean=0.98)],
+    ),
+    W("draught-small", "bursts of 1 mg that hardly change", lambda: [Draught(1.0, 15.0, (5.0, 20.0), lean=0.98)]),
     W("draught-fault", "the fault file's draught", faults="{fault: balance.draught, probability: 0.2}"),
     # The balance is slow, or thinks for itself.
     W("poles-0.6", "two poles of 0.6 s", lambda: [Figures(lag_s=0.6)]),

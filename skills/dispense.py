@@ -16,7 +16,6 @@ from scuhand_bt.dosing.bracket import (
     Reference,
     dose_between,
     drift_between,
-    has_moved,
     significant,
 )
 from scuhand_bt.dosing.verdict import judge
@@ -93,9 +92,8 @@ class Dispense(Skill[Dose]):
             bracket = cell.believed.bracket
         points: list[tuple[float, float, float, float, bool, float]] = []
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
-        has_stepped = has_moved(bracket.last, weighing_of(mean), cell.spec.balance.readability_mg)
         for _ in range(ROUNDS):
-            run, earlier, mean = yield from self._dose(cell, earlier, mean, has_stepped=has_stepped)
+            run, earlier, mean = yield from self._dose(cell, earlier, mean)
             points += run.rows()
             dose = self._judged(cell, run)
             if not (run.finish.reason == "reached" and dose.verdict == "under"):
@@ -105,9 +103,7 @@ class Dispense(Skill[Dose]):
         self._raise_failure(cell, run, dose)
         return dose
 
-    def _dose(
-        self, cell: Cell, earlier: Gross, empty: StableMean, *, has_stepped: bool
-    ) -> Steps[tuple[DoseRun, Gross, StableMean]]:
+    def _dose(self, cell: Cell, earlier: Gross, empty: StableMean) -> Steps[tuple[DoseRun, Gross, StableMean]]:
         """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
         believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(empty)
         lot = self._source(cell).sheet_key
@@ -118,7 +114,7 @@ class Dispense(Skill[Dose]):
         then = replace(before, time_s=before.time_s + FINE_S + self._flow_s(request))
         request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
         controller = new_controller(self.controller or cell.controller, request)
-        believed.dosing_towards(self.mass_mg, lot, before, has_stepped=has_stepped)
+        believed.dosing_towards(self.mass_mg, lot, before)
         cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
@@ -127,7 +123,7 @@ class Dispense(Skill[Dose]):
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
-        after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last))
+        after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last), may_gain=True)
         gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
         cell.record.event(

@@ -3,7 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
-from scuhand_bt.cell.weighing import require_known_delay, step_delay, take_container_away, weigh_changed, weighing_of
+from scuhand_bt.cell.weighing import (
+    require_known_delay,
+    step_delay,
+    take_container_away,
+    watched,
+    weigh_changed,
+    weighing_of,
+)
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
@@ -37,7 +44,7 @@ class PlaceContainer(Skill[None]):
         believed = cell.believed
         yield from self._refill(cell)
         bare = yield from take_container_away(cell)
-        yield from cell.changer.bring(self.container)
+        yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
         brought_s = cell.clock.now_s
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
         loaded = yield from weigh_changed(cell, bare.value_mg)

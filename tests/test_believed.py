@@ -71,6 +71,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "dosing_ended": st.builds(lambda m, g: lambda b: b.dosing_ended(m, g), masses_mg, grosses_mg),
     "dosed": st.builds(lambda n, g: lambda b: b.dosed(n, STILL, g, 1, 0.5), nets, weighings),
     "reweighed": st.builds(lambda n, g: lambda b: b.reweighed(n, g, BEADS.sheet_key), nets, weighings),
+    "zero_stepped": st.builds(lambda m: lambda b: b.zero_stepped(m), masses_mg),
     "zero_moved": st.builds(lambda d, g: lambda b: b.zero_moved(d, g), masses_mg, weighings),
     "lifted": st.builds(lambda g: lambda b: b.lifted(g), weighings),
     "bracket_closed": st.sampled_from([None, gone()]).map(lambda one: lambda b: b.bracket_closed(one)),
@@ -198,6 +199,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         },
         "closed": [],
         "is_zero_doubted": False,
+        "zero_stepped_mg": 0.0,
     }
     assert JSON.validate_python({**written, "pan": pan}, by_name=True, by_alias=False) == believed
 
@@ -364,7 +366,7 @@ def test_what_a_container_came_to_stays_until_it_is_noted_and_one_without_a_dose
 
 def test_a_bracket_is_believed_only_once_one_has_closed_since_the_zero_stepped() -> None:
     believed = on_the_pan()
-    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5), has_stepped=True)
+    believed.zero_stepped(0.4)
     for name, closes in (("a", True), ("b", True), ("c", False), ("d", True), ("e", True)):
         believed.bracket_closed(replace(gone(name), closes=closes))
     told = {one.container: (one.closes, one.detail) for one in believed.closed}
@@ -376,3 +378,13 @@ def test_a_bracket_is_believed_only_once_one_has_closed_since_the_zero_stepped()
         "e": True,
     }
     assert told["a"][1] == "the balance's zero has stepped of late; it closes"
+
+
+def test_of_all_steps_that_were_seen_the_largest_stays() -> None:
+    believed = on_the_pan()
+    believed.zero_stepped(0.0)
+    assert (believed.zero_stepped_mg, believed.is_zero_doubted) == (0.0, False)
+    for by_mg in (0.4, 3.0, 1.0):
+        believed.zero_stepped(by_mg)
+    believed.bracket_closed(gone())
+    assert (believed.zero_stepped_mg, believed.is_zero_doubted) == (3.0, False)

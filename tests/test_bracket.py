@@ -19,8 +19,8 @@ from scuhand_bt.dosing.bracket import (
     close,
     dose_between,
     drift_between,
-    has_moved,
     mean_drift,
+    moved_mg,
     significant,
     walk_mg,
 )
@@ -145,8 +145,8 @@ def test_two_weighings_are_apart_by_both_of_their_uncertainties_and_the_walk_bet
 
 def test_a_weighing_has_moved_when_it_is_more_than_four_standard_deviations_away() -> None:
     before = Gross(100.0, 3.0, 0.0)
-    moved = [has_moved(before, Gross(gross_mg, 4.0, 0.0), 0.1) for gross_mg in (79.9, 80.0, 120.0, 120.1)]
-    assert moved == [True, False, False, True]
+    moved = [moved_mg(before, Gross(gross_mg, 4.0, 0.0), 0.1) for gross_mg in (79.9, 80.0, 120.0, 120.1)]
+    assert moved == pytest.approx([-20.1, 0.0, 0.0, 20.1])
 
 
 def test_a_drift_is_a_change_over_its_time_and_so_is_its_uncertainty() -> None:
@@ -233,7 +233,7 @@ def test_by_the_bare_pan_a_container_has_gained_what_the_zero_and_the_drift_leav
     assert closed.zero_mg == 2.0
     assert closed.difference_mg == pytest.approx(0.4)
     assert closed.allowance_mg == pytest.approx(4.0 * math.sqrt(0.17 + 0.09))
-    assert (closed.unsteady_mg, closed.closes) == (0.0, True)
+    assert (closed.stepped_mg, closed.closes) == (0.0, True)
     (dose,) = closed.doses
     assert dose.mass_mg == pytest.approx(98.0 + 0.4 * 0.09 / 0.26)
     assert dose.uncertainty_mg == pytest.approx(0.3 * math.sqrt(0.17 / 0.26))
@@ -255,16 +255,17 @@ def test_a_difference_beyond_chance_makes_every_result_less_certain_by_as_much()
 
 
 def test_a_bare_pan_that_moved_beyond_the_walk_and_the_drift_closes_nothing() -> None:
-    assert bracketed(Net(94.0, 0.3), bare_again_mg=16.0).unsteady_mg == pytest.approx(4.6 - 4.0 * 0.75)
-    assert bracketed(Net(100.0, 0.3), bare_again_mg=8.0).unsteady_mg == pytest.approx(3.4 - 4.0 * 0.75)
-    assert bracketed(Net(94.0, 0.3), bare_again_mg=14.3).unsteady_mg == 0.0
+    assert bracketed(Net(94.0, 0.3), bare_again_mg=16.0).stepped_mg == pytest.approx(4.6)
+    assert bracketed(Net(100.0, 0.3), bare_again_mg=8.0).stepped_mg == pytest.approx(-3.4)
+    assert bracketed(Net(94.0, 0.3), bare_again_mg=14.3).stepped_mg == 0.0
     steady = bracketed(Net(98.0, 0.3))
-    for difference_mg, unsteady_mg, closes in (
+    for difference_mg, stepped_mg, closes in (
         (2.0, 0.0, True),
         (-2.0, 0.0, True),
         (2.1, 0.0, False),
         (0.0, 0.1, False),
+        (0.0, -0.1, False),
     ):
-        one = replace(steady, difference_mg=difference_mg, allowance_mg=2.0, unsteady_mg=unsteady_mg)
+        one = replace(steady, difference_mg=difference_mg, allowance_mg=2.0, stepped_mg=stepped_mg)
         assert one.closes is closes
     assert not replace(steady, difference_mg=-2.1, allowance_mg=2.0).closes

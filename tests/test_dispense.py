@@ -192,6 +192,16 @@ def test_a_zero_that_stepped_between_tare_and_dose_is_not_in_the_dose(rig: Rig) 
     assert dose.dispensed_mg == pytest.approx(TARGET_MG)
     assert dose.verdict == "in tolerance"
     assert rig.kept(DoseWeighed)[0].before.gross_mg == 25_003.0
+    assert rig.cell.believed.zero_stepped_mg == pytest.approx(3.0), "and is remembered"
+
+
+@pytest.mark.parametrize(("by_mg", "remembered_mg"), [(-1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+def test_after_a_dose_what_is_lost_is_the_zeros_and_what_comes_may_be_powder(
+    rig: Rig, by_mg: float, remembered_mg: float
+) -> None:
+    rig.balance.zero_mg = lambda time_s: by_mg if rig.seen and time_s > rig.seen[-1].time_s else 0.0
+    rig.dispense(TARGET_MG)
+    assert rig.cell.believed.zero_stepped_mg == pytest.approx(remembered_mg)
 
 
 def test_a_pan_that_creeps_is_not_dosed_on(rig: Rig) -> None:

@@ -1,6 +1,7 @@
 """A sample's result: by what the recipe asks, for every powder lot, and after its container has gone."""
 
 import io
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from scuhand_bt.journal.results import SampleResult, SampleVerdict
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.report.live import PlainLines, doses_table
-from scuhand_bt.run.outcome import confirmed, inputs_for, sample_result
+from scuhand_bt.run.outcome import confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.specs import Container
 
 A = DISH.model_copy(update={"id": "a"})
@@ -210,6 +211,33 @@ def test_a_sample_flagged_while_its_brackets_were_open_stays_so_until_all_have_c
     one = confirmed(had, gone(container="a/first", glass_beads=50.1))
     assert (one.code, one.detail) == ("balance.bracket_open", "it was not taken off")
     assert confirmed(one, gone(container="a/second", glass_beads=50.1)).is_good
+
+
+def test_a_step_that_the_run_has_seen_is_in_the_uncertainty_of_a_dose_and_may_change_its_verdict() -> None:
+    had = confirmed(result(dose(50.4)), gone(glass_beads=50.4))
+    small = doubted(had, 0.2)
+    assert (small.uncertainty_mg, small.verdict) == (pytest.approx(math.hypot(0.1, 0.43)), "in tolerance")
+    assert (small.code, small.is_good, small.dispensed_mg) == (None, True, 50.4)
+    large = doubted(small, 0.5)
+    assert (large.uncertainty_mg, large.verdict) == (pytest.approx(math.hypot(0.1, 1.075)), "over")
+    assert (large.code, large.doses[0].verdict, large.is_good) == ("balance.bracket_open", "over", False)
+    assert large.detail == "the balance's zero was seen to step by 0.50 mg in this run, and may have in this dose"
+    assert large.doses[0].uncertainty_mg == large.uncertainty_mg
+    assert doubted(large, 0.3) is large, "what was seen stays seen"
+
+
+def test_without_a_step_or_while_the_container_still_stands_a_result_is_as_it_was() -> None:
+    had = result(dose(50.4))
+    assert doubted(had, 3.0) is had
+    closed = confirmed(had, gone(glass_beads=50.4))
+    assert doubted(closed, 0.0) is closed
+
+
+def test_a_dose_that_a_step_makes_doubtful_keeps_the_code_that_it_had() -> None:
+    had = confirmed(result(dose(50.0)), gone(closes=False, glass_beads=51.0))
+    assert (doubted(had, 3.0).code, doubted(had, 3.0).detail) == (had.code, had.detail)
+    halted = confirmed(result(dose(50.0), verdict="interrupted"), gone(glass_beads=50.1))
+    assert (doubted(halted, 3.0).verdict, doubted(halted, 3.0).code) == ("interrupted", None)
 
 
 def test_what_failed_otherwise_keeps_its_own_code_and_verdict() -> None:

@@ -39,7 +39,7 @@ class Shown:
                 balance=self,
                 believed=self.believed,
                 record=SimpleNamespace(event=self.events.append),
-                changer=SimpleNamespace(take_away=self._take_away),
+                changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
             ),
         )
 
@@ -184,7 +184,7 @@ def test_a_container_that_was_weighed_before_it_was_taken_off_is_not_weighed_aga
         raise SkillFailed("device.lost", "gone")
 
     whole = shown.cell.changer
-    shown.cell.changer = cast(Any, SimpleNamespace(take_away=broken))
+    shown.cell.changer = cast(Any, SimpleNamespace(take_away=broken, needs_person=True))
     with pytest.raises(SkillFailed):
         shown.drive(take_container_away(shown.cell))
     assert shown.believed.pan_gross_mg is None, "what stands there is not known"

@@ -109,6 +109,8 @@ class Believed:
     """What containers that have gone came to; until the batch has noted it."""
     is_zero_doubted: bool = False
     """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
+    zero_stepped_mg: float = 0.0
+    """By how much the balance's zero was seen to step at most: so much may have hidden in any dose of the run."""
 
     @property
     def weighed_container(self) -> Container | None:
@@ -243,15 +245,18 @@ class Believed:
         )
         self.dose_began(weighing.time_s)
 
-    def dosing_towards(self, target_mg: float, lot: str, before: Gross, *, has_stepped: bool = False) -> None:
+    def zero_stepped(self, by_mg: float) -> None:
+        """Weighings of one thing differ by so much, which neither chance nor powder explains; 0: by nothing."""
+        if _mass(by_mg) > 0.0:
+            self._set(is_zero_doubted=True, zero_stepped_mg=max(self.zero_stepped_mg, by_mg))
+
+    def dosing_towards(self, target_mg: float, lot: str, before: Gross) -> None:
         """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet.
 
-        `has_stepped`: the pan showed another weight than when it was last weighed, and nothing was dosed since.
         ValueError without a container that was weighed.
         """
         bracket = self._open_bracket
         self._set(
-            is_zero_doubted=self.is_zero_doubted or has_stepped,
             dosing=replace(self.dosing, target_mg=_mass(target_mg), is_unweighed=True),
             pan_empty_mg=before.gross_mg - bracket.dosed_mg(lot).mass_mg,
             bracket=replace(bracket, last=before, lot=lot),

@@ -170,7 +170,9 @@ class Opening:
         known = self._known
         wanted_mm = self._opening_mm if self._probing else known.opening_mm(self._remaining_mg)
         if self._quiet_s > 0.0:
-            wanted_mm = self._coax(wanted_mm) if known.reopened >= REOPENED or self._vibration > 0.0 else self._opening_mm
+            wanted_mm = (
+                self._coax(wanted_mm) if known.reopened >= REOPENED or self._vibration > 0.0 else self._opening_mm
+            )
         elif self._vibration > known.vibration and self._flowing_s > 1.0 and known.stalls < MOST_STALLS:
             self._vibration = known.vibration
         if known.stalls >= MOST_STALLS:

@@ -20,7 +20,7 @@ from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, inputs_for, sample_result
+from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
@@ -272,20 +272,24 @@ class Batch:
         )
 
     def _note_brackets(self, waiting: str | None = None) -> None:
-        """Say of each sample whose container has gone what it came to by the bare pan.
+        """Say of each sample whose container has gone what it came to by the bare pan, and of all what that tells.
 
         One that has gone within the job of its own sample, which is still `waiting` for its result, waits too. What was
         dosed into a container by another job than its sample's is no sample's dose.
         """
-        believed = self._cell.believed
+        believed, noted = self._cell.believed, dict(self._results)
         for closed in believed.closed:
             owner = self._owners.get(closed.container.partition("#")[0])
             result = self._results.get(owner) if owner is not None else None
             if result is not None and any(dose.container == closed.container for dose in result.doses):
-                self._note(confirmed(result, closed))
+                self._results[result.id] = confirmed(result, closed)
             elif owner is not None and (owner == waiting or result is None):
                 continue
             believed.noted(closed)
+        for name, before in noted.items():
+            now = doubted(self._results[name], believed.zero_stepped_mg)
+            if now is not before:
+                self._note(now)
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""

@@ -1,10 +1,12 @@
 """How a job, a sample, and a whole run came out."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
@@ -105,7 +107,7 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     """The result after one of its containers has gone: adjusted to the bare pan's word, and flagged if that differs."""
     doses = tuple(_confirmed(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
     changes: dict[str, Any] = {"doses": doses}
-    main = next((d for d, before in zip(doses, result.doses, strict=True) if _is_main(before, result)), None)
+    main = _main(result, doses)
     if main is not None and result.target_mg is not None:
         changes |= {
             "dispensed_mg": main.dispensed_mg,
@@ -120,6 +122,36 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     elif result.code == Code.BALANCE_BRACKET_OPEN and all(dose.bracket == "closed" for dose in doses):
         changes |= {"code": None, "detail": None}
     return result.model_copy(update=changes)
+
+
+def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
+    """The result after the run has seen the balance's zero step by so much, before its doses or after."""
+    doses = tuple(_doubted(dose, stepped_mg) for dose in result.doses)
+    if doses == result.doses:
+        return result
+    changes: dict[str, Any] = {"doses": doses}
+    if (main := _main(result, doses)) is not None:
+        changes["uncertainty_mg"] = main.uncertainty_mg
+    if result.verdict in get_args(Verdict):
+        changes["verdict"] = _verdict(doses, is_asked=True)
+        if result.code is None and changes["verdict"] != result.verdict:
+            seen = f"the balance's zero was seen to step by {stepped_mg:.2f} mg in this run, and may have in this dose"
+            changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": seen}
+    return result.model_copy(update=changes)
+
+
+def _doubted(dose: DoseResult, stepped_mg: float) -> DoseResult:
+    zero_mg = unseen_mg(stepped_mg)
+    if dose.bracket == "open" or zero_mg <= dose.zero_uncertainty_mg:
+        return dose
+    u_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + zero_mg**2)
+    verdict = judge(dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, u_mg)
+    return dose.model_copy(update={"uncertainty_mg": u_mg, "zero_uncertainty_mg": zero_mg, "verdict": verdict})
+
+
+def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | None:
+    """The dose that the result stands by, as it is among `doses`."""
+    return next((dose for dose, had in zip(doses, result.doses, strict=True) if _is_main(had, result)), None)
 
 
 def _is_asked(dose: Dose | DoseResult, sample: Sample) -> bool:
