@@ -37,8 +37,9 @@ PAUSED = 0.1
 """Share of the flow that is allowed for while such a powder is not shaken."""
 LONGEST_BARREN_S = 120.0
 """Open and shaken for so long without a gain that can be told from noise: dry, whatever was expected."""
-REOPENED = 2
-"""A valve that was shut and opened so often in a row, and no powder came, is shaken."""
+SPARED_MG, REOPENED = 30.0, 2
+"""This near to the target a bridge is broken by shutting and opening the valve; by shaking only when that has failed so
+often in a row."""
 MOST_STALLS = 1
 """A powder that stalls this often in a dose is shaken from then on: what bridged once bridges again."""
 
@@ -120,12 +121,17 @@ class Opening:
         slow = self._stop_mg - predicted_mg > SOON_S * flow
         return slow and predicted_mg - SURELY * estimate.mass_sd_mg >= known.enough_mg
 
-    def _is_bridged(self) -> bool:
-        """A bridge breaks as the valve shuts and opens: gentler than shaking, which brings down more than it should."""
+    @property
+    def _is_spared(self) -> bool:
+        """Near the target a powder that flows by itself is not shaken: it would come in more than its usual lumps."""
         known = self._known
-        if self._vibration > 0.0 or self._quiet_s < self._patience_s or known.reopened >= REOPENED:
+        return not known.flows_only_shaken and self._remaining_mg < SPARED_MG and known.reopened < REOPENED
+
+    def _is_bridged(self) -> bool:
+        """A bridge breaks as the valve shuts and opens."""
+        if not (self._is_spared and self._vibration == 0.0 and self._quiet_s > self._patience_s):
             return False
-        known.reopened += 1
+        self._known.reopened += 1
         return True
 
     def _is_barren(self, dt_s: float) -> bool:
@@ -168,11 +174,11 @@ class Opening:
     def _steer(self) -> None:
         """The next opening and vibration."""
         known = self._known
+        if self._is_spared:
+            self._vibration = 0.0
         wanted_mm = self._opening_mm if self._probing else known.opening_mm(self._remaining_mg)
         if self._quiet_s > 0.0:
-            wanted_mm = (
-                self._coax(wanted_mm) if known.reopened >= REOPENED or self._vibration > 0.0 else self._opening_mm
-            )
+            wanted_mm = self._opening_mm if self._is_spared else self._coax(wanted_mm)
         elif self._vibration > known.vibration and self._flowing_s > 1.0 and known.stalls < MOST_STALLS:
             self._vibration = known.vibration
         if known.stalls >= MOST_STALLS:
