@@ -66,6 +66,8 @@ class FlowFigures:
     """Of a times longer stand a^-tail of them."""
     arch_creep: float = 0.0
     """How fast that time runs without vibration."""
+    gush_mg: float = 0.0
+    """Mean mass of what comes at once when one breaks."""
     lump_share: float = 0.0
     lump_mg: float = 1.0
     """Mean mass of a lump; at 1 mm where it grows with the gap."""
@@ -141,7 +143,7 @@ class DrawnFlow:
             return 0.0
         if self._arch_s > 0.0:
             self._arch_s -= dt_s * (figures.arch_creep + (1.0 - figures.arch_creep) * vibration)
-            return 0.0
+            return figures.gush_mg * rng.standard_exponential() if self._arch_s <= 0.0 else 0.0
         keep = math.exp(-dt_s / figures.noise_s)
         self._noise = keep * self._noise + math.sqrt(1.0 - keep * keep) * figures.noise * rng.standard_normal()
         above_mg = in_cone_mg - self._heel_mg * (1.0 - vibration)

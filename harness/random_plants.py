@@ -92,6 +92,7 @@ BRIDGING: Priors = FREE | {
     "arch_s": Log(0.03, 0.3),
     "arch_tail": Uniform(1.2, 3.0),
     "arch_creep": Uniform(0.0, 0.1),
+    "gush_mg": Uniform(0.0, 0.2),
     "lump_share": Uniform(0.05, 0.4),
     "lump_mg": Log(0.1, 0.5),
 }
@@ -105,6 +106,14 @@ LUMPS: Priors = BRIDGING | {
     "lump_share": Uniform(0.5, 0.95),
     "lump_mg": Log(1.0, 5.0),
     "lump_kind": OneOf(("one size", "exponential", "gap")),
+}
+CLOGGING: Priors = BRIDGING | {
+    "arch_mg": Log(1.0, 5.0),
+    "arch_mm": Uniform(1.4, 3.0),
+    "arch_s": Log(0.1, 1.0),
+    "arch_tail": Uniform(0.8, 1.5),
+    "arch_creep": Uniform(0.0, 0.02),
+    "gush_mg": Uniform(0.0, 1.0),
 }
 
 
@@ -123,7 +132,7 @@ FAMILIES = {
     "lumps": Family("titanium_dioxide", LUMPS),
     "flow": Family("glass_beads", FREE | {"factor": FACTORS}),
     "flow_msg": Family("monosodium_glutamate", BRIDGING | {"factor": FACTORS}),
-    "clogging": Family("monosodium_glutamate", BRIDGING | {"arch_mg": Log(2.0, 10.0), "arch_mm": Uniform(1.5, 3.0)}),
+    "clogging": Family("monosodium_glutamate", CLOGGING),
     "surges": Family("glass_beads", FREE | {"surge_mg": Uniform(30.0, 30.0), "surge_every_s": Log(30.0, 120.0)}),
 }
 _NOISES: Priors = {
