@@ -130,11 +130,6 @@ class Model:
         way_mm = (self._way(opening_mm, 0.0) if opening_mm > 0.0 else []) + [0.0] * round(FALLS_S / STEP_S)
         return sum(flow.step(STEP_S, at_mm, 0.0, in_cone_mg, MIDDLE) for at_mm in way_mm)
 
-    def excess_mg(self, flow: PowderFlow, opening_mm: float, in_cone_mg: float, index: int) -> float:
-        """By how much that is more than it usually is at one of the openings, or (-1) shut: it has as good as left."""
-        usual_mg = self.tails_mg[index] if index >= 0 else 0.0
-        return max(0.0, self.tail_mg(flow, opening_mm, in_cone_mg) - usual_mg)
-
     def rate(self, opening_mm: float) -> float:
         """The median flow [mg/s]."""
         if opening_mm < self._widths_mm[0]:
@@ -203,7 +198,7 @@ class Model:
         flow = copy.copy(flow)
         for at_mm in way_mm:
             flow.step(STEP_S, at_mm, 1.0, CONE_MG, MIDDLE)
-        return self.excess_mg(flow, float(self.openings_mm[to]), CONE_MG, to)
+        return max(0.0, self.tail_mg(flow, float(self.openings_mm[to]), CONE_MG) - self.tails_mg[to])
 
     # --- solving ---
 
@@ -284,15 +279,11 @@ class Oracle:
         left_mg = self._world.true_mass(self._container) + self._world.ledger.masses_mg[FLIGHT]
         return self.request.target_mg - left_mg
 
-    def _action(self, index: int) -> int:
-        excess_mg = self._model.excess_mg(self._flow, self._hand.gap_mm, self._in_cone_mg, index)
-        return self._model.action(self.missing_mg - excess_mg, index)
-
     def dose(self) -> Steps[str]:
         """Until it is best to end; why it ended."""
         end_s = self._clock.now_s + LONGEST_S
         while self._clock.now_s < end_s:
-            to = self._action(-1)
+            _, to = self._look()
             if to < 0:
                 return "reached" if abs(self.missing_mg) <= self.request.tolerance_mg else "overshoot"
             self.openings += 1
@@ -306,8 +297,7 @@ class Oracle:
         """One opening of the valve, until it is to be shut."""
         quiet_s, before_mg = 0.0, self.missing_mg
         while self._world.ledger.masses_mg[CONE] > 0.0:
-            index = self._index()
-            to = self._action(index)
+            index, to = self._look()
             if to < 0 or (quiet_s > QUIET_S and self._is_freed_by_shutting()):
                 return
             if to == index:
@@ -317,15 +307,21 @@ class Oracle:
             quiet_s = 0.0 if self.missing_mg < before_mg else quiet_s + LOOK_S
             before_mg = self.missing_mg
 
-    def _index(self) -> int:
-        """Which of the model's openings the real one is, by how strongly the powder flows now."""
-        gap_mm = self._hand.gap_mm
-        known = self._model.rate(gap_mm)
+    def _look(self) -> tuple[int, int]:
+        """Which of the model's openings the real one is, by how strongly the powder flows or will flow; what is best.
+
+        The model's tail and the real one are not quite the same: what is more counts as if it had left.
+        """
+        gap_mm, model = self._hand.gap_mm, self._model
+        known = model.rate(gap_mm)
+        tail_mg = model.tail_mg(self._flow, gap_mm, self._in_cone_mg)
         if known <= 0.0:
-            return 0
-        _, now = steady(self._flow, gap_mm, self._in_cone_mg)
+            return -1, model.action(self.missing_mg - tail_mg, -1)
+        flow, now = steady(self._flow, gap_mm, self._in_cone_mg)
         self._strength = now / known if now > 0.0 else self._strength
-        return int(np.argmin(np.abs(self._model.log_rates - math.log(known * self._strength))))
+        index = int(np.argmin(np.abs(model.log_rates - math.log(known * self._strength))))
+        tail_mg = max(tail_mg, model.tail_mg(flow, gap_mm, self._in_cone_mg))
+        return index, model.action(self.missing_mg - tail_mg + model.tails_mg[index], index)
 
     def _go_to(self, index: int) -> Steps[None]:
         """The opening that lets as much through as the median flow does at this one."""
