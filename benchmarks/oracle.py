@@ -47,6 +47,8 @@ MODEL_WIDEST_MM = 3.2
 BY = (-8, -5, -3, -2, -1, 1, 3)
 """The other openings that are considered."""
 SAMPLES = 192
+DOUBT = 0.05
+"""How far the masses of the true state may be off those of the nearest one of the model, as a share."""
 STEP_S, LOOK_S = 0.02, 0.04
 STILL_S = 0.2
 """After the valve is shut the truth is looked at again."""
@@ -204,12 +206,13 @@ class Model:
 
     def _solve(self, tolerance_mg: float) -> None:
         moves = sorted(self._moves(), key=lambda move: move[0])
+        off = [np.exp(DOUBT * self._rng.standard_normal(len(masses_mg))) for _, _, _, masses_mg in moves]
         widest_mg = max(float(np.max(masses_mg)) for _, _, _, masses_mg in moves)
-        fine_mg, coarse_mg = np.arange(-tolerance_mg, 12.0, 0.2), np.geomspace(12.0, max(50.0, 2.0 * widest_mg), 80)
+        fine_mg, coarse_mg = np.arange(-tolerance_mg, 12.0, 0.2), np.geomspace(12.0, max(50.0, 2.0 * widest_mg), 140)
         self._missing_mg = missing_mg = np.concatenate([[-tolerance_mg - 0.001], fine_mg, coarse_mg])
         origins, targets = (np.array([move[side] for move in moves]) + 1 for side in (0, 1))
         costs = PRICE_PER_S * np.array([move[2] for move in moves])
-        chances = np.array([_chances(missing_mg, masses_mg) for _, _, _, masses_mg in moves])
+        chances = np.array([_chances(missing_mg, move[3] * by) for move, by in zip(moves, off, strict=True)])
         first = np.searchsorted(origins, np.arange(OPENINGS + 1))
         aside = np.abs(missing_mg) / tolerance_mg
         good = np.where(aside <= 1.0, 1.0 - ASIDE * aside - UNSURE * (aside > 1.0 - GUARD_MG / tolerance_mg), 0.0)
