@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.oracle_model import LOOK_S, MIDDLE, SHUT, STEP_S, STILL_S, Model, apex_mg, steady
+from benchmarks.oracle_model import LOOK_S, MIDDLE, SHUT, STEP_S, STILL_S, Model, apex_mg, flowing
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun
 from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
@@ -99,7 +99,7 @@ class Oracle:
         known = model.rate(gap_mm)
         if known <= 0.0:
             return SHUT, model.action(missing_mg, SHUT)
-        flow, now = steady(self._flow, gap_mm, in_cone_mg)
+        flow, now = flowing(self._flow, gap_mm, in_cone_mg)
         self._strength = now / known if now > 0.0 else self._strength
         index = int(np.argmin(np.abs(model.log_rates - math.log(known * self._strength))))
         more_mg = model.closing_mg(flow, gap_mm, in_cone_mg) - model.closings_mg[index] if now > 0.0 else 0.0

@@ -81,31 +81,33 @@ class Middling:
 MIDDLE: Any = Middling()
 
 
-def flowing(flow: PowderFlow, opening_mm: float, in_cone_mg: float) -> tuple[PowderFlow, float]:
-    """What this flow is once it flows, at this opening and shaken, and how strongly [mg/s]; it is not changed."""
-    flow = copy.copy(flow)
-    for _ in range(30):
-        masses_mg = [flow.step(STEP_S, opening_mm, 1.0, in_cone_mg, MIDDLE) for _ in range(20)]
-        if (recent_mg := sum(masses_mg[15:])) > 0.0:
-            return flow, recent_mg / (5.0 * STEP_S)
-        flow.step(0.5, opening_mm, 1.0, in_cone_mg, MIDDLE)  # it primes
-    return flow, 0.0
-
-
-def steady(flow: PowderFlow, opening_mm: float, in_cone_mg: float = CONE_MG) -> tuple[PowderFlow, float]:
-    """The same once the apex has filled."""
-    flow, rate = flowing(flow, opening_mm, in_cone_mg)
-    while rate > 0.0:
-        before = rate
-        flow, rate = flowing(flow, opening_mm, in_cone_mg)
-        if rate <= 1.001 * before:
-            break
-    return flow, rate
-
-
 def apex_mg(flow: PowderFlow, in_cone_mg: float) -> float:
     """What is between the cone and the air, and falls once the valve is shut."""
     return copy.copy(flow).step(FALLS_S, 0.0, 0.0, in_cone_mg, MIDDLE)
+
+
+def flowing(flow: PowderFlow, opening_mm: float, in_cone_mg: float) -> tuple[PowderFlow, float]:
+    """What this flow is once it flows, at this opening and shaken, and how strongly [mg/s]; it is not changed."""
+    flow = copy.copy(flow)
+
+    def leaves_mg(steps: int) -> float:
+        before_mg = apex_mg(flow, in_cone_mg)
+        out_mg = sum(flow.step(STEP_S, opening_mm, 1.0, in_cone_mg, MIDDLE) for _ in range(steps))
+        return out_mg + apex_mg(flow, in_cone_mg) - before_mg
+
+    for _ in range(30):
+        leaves_mg(5)
+        if (left_mg := leaves_mg(5)) > 1e-6:
+            return flow, left_mg / (5.0 * STEP_S)
+        flow.step(0.5, opening_mm, 1.0, in_cone_mg, MIDDLE)  # it primes, or is bridged
+    return flow, 0.0
+
+
+def steady(flow: PowderFlow, opening_mm: float) -> tuple[PowderFlow, float]:
+    """The same of a fresh load, once the apex has filled."""
+    for _ in range(5):
+        flow, rate = flowing(flow, opening_mm, CONE_MG)
+    return flow, rate
 
 
 class Model:
