@@ -49,8 +49,8 @@ DOUBT = 0.05
 STEP_S, LOOK_S = 0.02, 0.04
 STILL_S = 0.2
 """After the valve is shut the truth is looked at again."""
-FALLS_S = 1.0
-"""What trickles later than that still counts."""
+FALLS_S = 20.0
+"""Whatever is in the apex has fallen by then."""
 CONE_MG = 4000.0
 ROUNDS = 10
 """Of moves between openings without anything coming."""
@@ -96,8 +96,7 @@ def flowing(flow: PowderFlow, opening_mm: float, in_cone_mg: float) -> tuple[Pow
         return out_mg + apex_mg(flow, in_cone_mg) - before_mg
 
     for _ in range(30):
-        leaves_mg(5)
-        if (left_mg := leaves_mg(5)) > 1e-6:
+        if leaves_mg(5) > 1e-6 and (left_mg := leaves_mg(5)) > 1e-6:
             return flow, left_mg / (5.0 * STEP_S)
         flow.step(0.5, opening_mm, 1.0, in_cone_mg, MIDDLE)  # it primes, or is bridged
     return flow, 0.0
@@ -155,11 +154,12 @@ class Model:
     # --- sampling ---
 
     def _way(self, from_mm: float, to_mm: float) -> list[float]:
-        """Openings of the steps from the command to go on."""
-        dead = round(self._hand.valve_dead_time_s / STEP_S)
-        step_mm = self._hand.valve_speed_mm_per_s * STEP_S
-        steps = max(1, math.ceil(abs(to_mm - from_mm) / step_mm))
-        return [from_mm] * dead + [float(at_mm) for at_mm in np.linspace(from_mm, to_mm, steps + 1)[1:]]
+        """Mean openings of the steps from the command to go on."""
+        dead_s, speed = self._hand.valve_dead_time_s, self._hand.valve_speed_mm_per_s
+        way_mm = to_mm - from_mm
+        steps = max(1, math.ceil((dead_s + abs(way_mm) / speed) / STEP_S - 1e-6))
+        gone_mm = (speed * max(0.0, (step + 0.5) * STEP_S - dead_s) for step in range(steps))
+        return [from_mm + math.copysign(min(gone, abs(way_mm)), way_mm) for gone in gone_mm]
 
     def _leaving(
         self, flow: PowderFlow, way_mm: Iterable[float], vibration: float, every: int, step_s: float = STEP_S

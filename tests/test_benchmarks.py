@@ -59,7 +59,7 @@ def model_of(figures: FlowFigures) -> Model:
 
 def test_the_oracle_ends_a_dose_that_is_good_and_opens_the_wider_the_more_is_missing() -> None:
     model = model_of(FlowFigures(flow_mg_per_s=50.0))
-    assert [model.action(missing_mg, SHUT) for missing_mg in (-5.0, -1.0, 0.0, 1.0)] == [SHUT] * 4
+    assert [model.action(missing_mg, SHUT) for missing_mg in (-5.0, -1.0, 0.0, 0.2)] == [SHUT] * 4
     opened = [model.action(missing_mg, SHUT) for missing_mg in (5.0, 20.0, 100.0, 500.0, 3000.0)]
     assert opened == sorted(opened)
     assert SHUT < opened[0] < opened[-1]
