@@ -36,10 +36,10 @@ OPENINGS = 16
 NARROWEST_MG_PER_S = 0.3
 MODEL_WIDEST_MM = 3.2
 """A strong load flows through the hand's widest opening as a median one through this."""
-BY = (-8, -5, -3, -2, -1, 1, 3)
+DOWN, UP = (-1, -2, -3, -5, -8), (1, 3)
 """The other openings that are considered."""
 MOVE_PRICE = 0.0005
-SAMPLES = 192
+SAMPLES = 400
 LOOKS, LOOKED_MG = 1500, 600.0
 LONGEST_LOOK_S, LOOK_MG = 0.32, 0.1
 """Of samples where little comes, which are taken in steps of `COARSE_S`."""
@@ -201,11 +201,17 @@ class Model:
             steps = len(self._way(0.0, widths_mm[index]))
             yield SHUT, index, STEP_S * steps, opened_mg[:, steps - 1]
             yield index, index, *self._held(flow, index)
-            for to in (SHUT, *(index + by for by in BY if 0 <= index + by < OPENINGS)):
-                way_mm = self._way(widths_mm[index], widths_mm[to])
-                ways = range(SAMPLES)
-                left_mg = [self._leaving(flow, way_mm, float(to != SHUT), len(way_mm))[0] for _ in ways]
-                yield index, to, STEP_S * len(way_mm) + STILL_S * (to == SHUT), np.array(left_mg)
+            way_mm = self._way(widths_mm[index], 0.0)
+            shut_mg = [self._leaving(flow, way_mm, 0.0, len(way_mm))[0] for _ in range(SAMPLES)]
+            yield index, SHUT, STEP_S * len(way_mm) + STILL_S, np.array(shut_mg)
+            for by in (DOWN, UP):
+                ends = [index + step for step in by if 0 <= index + step < OPENINGS]
+                if ends:  # on the way to the farthest one the others are passed
+                    way_mm = self._way(widths_mm[index], widths_mm[ends[-1]])
+                    left_mg = np.array([self._leaving(flow, way_mm, 1.0, 1) for _ in range(SAMPLES)])
+                for to in ends:
+                    steps = len(self._way(widths_mm[index], widths_mm[to]))
+                    yield index, to, STEP_S * steps, left_mg[:, steps - 1]
 
     # --- solving ---
 
