@@ -52,6 +52,8 @@ STILL_S = 0.2
 FALLS_S = 20.0
 """Whatever is in the apex has fallen by then."""
 CONE_MG = 4000.0
+LEAST_MG = 1e-6
+"""Less is rounding."""
 ROUNDS = 10
 """Of moves between openings without anything coming."""
 
@@ -95,10 +97,14 @@ def flowing(flow: PowderFlow, opening_mm: float, in_cone_mg: float) -> tuple[Pow
         out_mg = sum(flow.step(STEP_S, opening_mm, 1.0, in_cone_mg, MIDDLE) for _ in range(steps))
         return out_mg + apex_mg(flow, in_cone_mg) - before_mg
 
-    for _ in range(30):
-        if leaves_mg(5) > 1e-6 and (left_mg := leaves_mg(5)) > 1e-6:
+    before_mg = 0.0
+    for _ in range(40):
+        left_mg = leaves_mg(5)
+        if 0.7 * before_mg < left_mg < 1.4 * before_mg and left_mg > LEAST_MG:
             return flow, left_mg / (5.0 * STEP_S)
-        flow.step(0.5, opening_mm, 1.0, in_cone_mg, MIDDLE)  # it primes, or is bridged
+        if left_mg <= LEAST_MG:
+            flow.step(0.5, opening_mm, 1.0, in_cone_mg, MIDDLE)  # it primes, or is bridged
+        before_mg = left_mg
     return flow, 0.0
 
 

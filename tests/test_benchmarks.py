@@ -79,7 +79,7 @@ def test_the_oracle_is_as_good_as_adaptive_on_each_plant_and_faster(family: str,
         doses = [
             dose
             for drawn in draw(family, shipped_powders(), 3)
-            for dose in dosing_random.run_of_doses(dosing_random.Job(drawn, target_mg, controller, 4))
+            for dose in dosing_random.run_of_doses(drawn, target_mg, controller, 4)
         ]
         return sum(abs(dose.error_mg) <= 2.0 for dose in doses), sum(dose.duration_s for dose in doses)
 
