@@ -97,14 +97,14 @@ def flowing(flow: PowderFlow, opening_mm: float, in_cone_mg: float) -> tuple[Pow
         out_mg = sum(flow.step(STEP_S, opening_mm, 1.0, in_cone_mg, MIDDLE) for _ in range(steps))
         return out_mg + apex_mg(flow, in_cone_mg) - before_mg
 
-    before_mg = 0.0
+    alike = [0.0]
     for _ in range(40):
         left_mg = leaves_mg(5)
-        if 0.7 * before_mg < left_mg < 1.4 * before_mg and left_mg > LEAST_MG:
-            return flow, left_mg / (5.0 * STEP_S)
         if left_mg <= LEAST_MG:
             flow.step(0.5, opening_mm, 1.0, in_cone_mg, MIDDLE)  # it primes, or is bridged
-        before_mg = left_mg
+        alike = [*alike, left_mg] if 0.7 * alike[-1] < left_mg < 1.4 * alike[-1] else [left_mg]
+        if len(alike) == 3:
+            return flow, left_mg / (5.0 * STEP_S)
     return flow, 0.0
 
 
