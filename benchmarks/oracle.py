@@ -1,132 +1,161 @@
-"""The floor: a controller that sees the true mass, landed and in flight, at every instant.
+"""The floor: the best dose of one who sees the truth.
 
-It has the same hand and the same stopping rules as `adaptive`: it closes once what will have left lies within
-the tolerance, and ends on a stable mean of the balance. What it cannot know is what the valve and the
-powder will do next; its error is what no measurement can avoid.
+It knows what has left the nozzle, the real opening, and the state of the powder: how strongly this load flows through
+this opening now, what is on its way through the apex, whether it is primed or bridged. It knows the distribution of
+what comes next (`oracle_model`) and not the draws. A flow f times as strong as the median one is taken for what comes
+at the opening where that is f times as strong.
+
+Nothing but the hand limits its opening. The motor runs while the valve is open, and stops at the command to shut. The
+dose is weighed before and watched afterwards as any other: that takes the same time.
 """
 
+import copy
 import math
+from typing import Any
 
+import numpy as np
+
+from benchmarks.oracle_model import LOOK_S, MIDDLE, SHUT, STEP_S, STILL_S, Model, apex_mg, flowing
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun
-from scuhand_bt.cell.weighing import weighing_of
+from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.dosing import DoseRequest, Finish
-from scuhand_bt.dosing.adaptive import WATCH_LAGS
-from scuhand_bt.dosing.dose_state import SLACK_S
-from scuhand_bt.dosing.risk import within
-from scuhand_bt.dosing.valve import FlowShape
-from scuhand_bt.sim.mass_ledger import FLIGHT
+from scuhand_bt.sim.hand import FADE_MM
+from scuhand_bt.sim.mass_ledger import CONE, FLIGHT
+from scuhand_bt.sim.plant import PowderFlow
 from scuhand_bt.sim.world import World
 
-LOOK_S = 0.02
-AHEAD_S = 0.35
-"""Time constant of its approach: what is left divided by this is its flow."""
-GUARD_MG = 0.3
-REMEMBERED_LUMPS = 5.0
-"""Lumps are judged by the mass that last fell: so many of them."""
-RESERVED = 3.0
-DOUBT = 3.0
-QUIET_S = 0.8
-LEAST_SHARE = 0.3
-"""The flow's coefficient is never taken to be below this share of what is believed of the powder."""
-LEAST_SURGE_MG = 0.03
+QUIET_S = 0.5
+"""What has not come for so long is tried to be brought by shutting the valve and opening it anew."""
+LONGEST_S = 900.0
+
+MODELS: dict[str, Model] = {}
+"""By all that makes a plant's flow and its valve: the doses of one plant share one."""
+
+
+def model_of(world: World, request: DoseRequest) -> Model:
+    """What is known of this world's powder and valve."""
+    load, hand = world.load, world._hand.spec
+    assert load.source is not None
+    powder = world._sources[load.source].powder
+    key = f"{vars(load._plant.flow(powder))} {hand!r} {request.tolerance_mg}"
+    if key not in MODELS:
+        MODELS[key] = Model(lambda: load._plant.flow(powder), hand, request.tolerance_mg)
+    return MODELS[key]
 
 
 class Oracle:
-    """Picks the opening from the true remaining mass and the true flow of the last moments."""
+    """One dose's eyes and hands."""
 
-    def __init__(self, request: DoseRequest) -> None:
-        self.request = request
-        self.shape = FlowShape(request.powder.threshold_mm, request.powder.exponent)
-        self.coefficient = request.powder.coefficient
-        self.surge_mg = DOUBT * request.powder.surge_mg
-        self._mean = REMEMBERED_LUMPS * self.surge_mg
-        self._odd = 2.0 * self.surge_mg * self._mean
-        self._fell, self._passed = self._mean, self._mean / self.coefficient
+    def __init__(self, request: DoseRequest, cell: Cell, world: World, container: str) -> None:
+        self.request, self.openings = request, 0
+        self._world, self._container, self._clock = world, container, cell.clock
+        self._hand = world._hand
+        self._model = model_of(world, request)
+        self._strength = 1.0
 
-    def aim_mg(self) -> float:
-        """Where it closes: inside the tolerance from below, where a lump has the most room."""
-        return self.request.target_mg - self.request.tolerance_mg + GUARD_MG
+    @property
+    def missing_mg(self) -> float:
+        """What has yet to leave the apex."""
+        left_mg = self._world.true_mass(self._container) + self._world.ledger.masses_mg[FLIGHT]
+        return self.request.target_mg - left_mg
 
-    def opening_mm(self, remaining_mg: float, slowest: float) -> float:
-        """As wide as the standard deviations of surges allow, `AHEAD_S` ahead."""
-        surge_mg = self.surge_mg
-        flow = max(within(remaining_mg - RESERVED * surge_mg, surge_mg) / AHEAD_S, slowest)
-        opening_mm = self.shape.opening_mm(flow / self.coefficient)
-        return min(max(opening_mm, self.shape.threshold_mm + 0.05), self.request.max_opening_mm)
+    def dose(self) -> Steps[str]:
+        """Until it is best to end; why it ended."""
+        end_s = self._clock.now_s + LONGEST_S
+        while self._clock.now_s < end_s:
+            _, to = self._look()
+            if to == SHUT:
+                return "reached" if abs(self.missing_mg) <= self.request.tolerance_mg else "overshoot"
+            self.openings += 1
+            yield from self._go_to(to)
+            yield from self._steer()
+            self._hand.stop()
+            yield from self._wait(self._way_s(0.0) + STILL_S)
+        return "step_limit"
 
-    def learn(self, gained_mg: float, phi_s: float) -> None:
-        """The flow's coefficient, lumps included; lumps of mean mass m make the variance 2 m times the mean.
+    def _steer(self) -> Steps[None]:
+        """One opening of the valve, until it is to be shut."""
+        quiet_s, before_mg = 0.0, self.missing_mg
+        while self._world.ledger.masses_mg[CONE] > 0.0:
+            index, to = self._look()
+            if to == SHUT or (quiet_s > QUIET_S and self._is_freed_by_shutting()):
+                return
+            if to == index:
+                yield from self._wait(LOOK_S)
+            else:
+                yield from self._go_to(to)
+            quiet_s = 0.0 if self.missing_mg < before_mg else quiet_s + LOOK_S
+            before_mg = self.missing_mg
 
-        It forgets as powder passes, not as time does: a slow flow without a lump says nothing.
+    def _look(self) -> tuple[int, int]:
+        """Which of the model's openings the real one is, by how strongly the powder flows or will flow; what is best.
+
+        What leaves the cone in closing is not quite the same there and here: what is more counts as if it had left.
         """
-        expected_mg = self.coefficient * phi_s
-        kept = math.exp(-expected_mg / (REMEMBERED_LUMPS * self.surge_mg))
-        self._odd = kept * self._odd + (gained_mg - expected_mg) ** 2
-        self._mean = kept * self._mean + expected_mg
-        self.surge_mg = max(self._odd / self._mean / 2.0, LEAST_SURGE_MG)
-        self._fell = kept * self._fell + gained_mg
-        self._passed = kept * self._passed + phi_s
-        self.coefficient = max(self._fell / self._passed, LEAST_SHARE * self.request.powder.coefficient)
+        gap_mm, in_cone_mg, model = self._hand.gap_mm, self._world.ledger.masses_mg[CONE], self._model
+        missing_mg = self.missing_mg - apex_mg(self._flow, in_cone_mg)
+        known = model.rate(gap_mm)
+        if known <= 0.0:
+            return SHUT, model.action(missing_mg, SHUT)
+        flow, now = flowing(self._flow, gap_mm, in_cone_mg)
+        self._strength = now / known if now > 0.0 else self._strength
+        index = int(np.argmin(np.abs(model.log_rates - math.log(known * self._strength))))
+        more_mg = model.closing_mg(flow, gap_mm, in_cone_mg) - model.closings_mg[index] if now > 0.0 else 0.0
+        return index, model.action(missing_mg - more_mg, index)
 
-    def tail_mg(self, opening_mm: float) -> float:
-        request = self.request
-        return self.coefficient * self.shape.closing(
-            opening_mm, request.valve_dead_time_s, request.valve_speed_mm_per_s
-        )
+    def _go_to(self, index: int) -> Steps[None]:
+        """The opening that lets as much through as the median flow does at this one."""
+        hand = self._hand
+        real_mm = self._model.opening_mm(math.exp(self._model.log_rates[index]) / self._strength)
+        error_mm = hand._error_mm if hand.opening_mm > 0.0 else hand._sample_error_mm
+        servo_mm = real_mm - error_mm
+        servo_mm = servo_mm if servo_mm >= FADE_MM else real_mm / max(0.2, 1.0 + error_mm / FADE_MM)
+        servo_mm = min(max(servo_mm, 0.02), hand.spec.max_opening_mm)
+        hand.set_vibration(1.0)
+        hand.set_opening(servo_mm)
+        yield from self._wait(self._way_s(servo_mm))
 
+    def _is_freed_by_shutting(self) -> bool:
+        """Nothing comes now, and would if the valve were shut and opened anew."""
+        flow, gap_mm = copy.copy(self._flow), self._hand.gap_mm
 
-def run_oracle(oracle: Oracle, cell: Cell, world: World, container: str) -> Steps[DoseRun]:
-    """Run it to its end."""
-    request, hand, clock = oracle.request, cell.hand, cell.clock
-    begin_s = clock.now_s
-    vibration = request.powder.vibration
-    openings = 0
-    reason = "step_limit"
+        def comes() -> bool:
+            return (
+                sum(flow.step(STEP_S, gap_mm, 1.0, self._world.ledger.masses_mg[CONE], MIDDLE) for _ in range(10)) > 0.0
+            )
 
-    def left_mg() -> float:
-        return world.true_mass(container) + world.ledger.masses_mg[FLIGHT]
+        if comes():
+            return False
+        flow.step(STEP_S, 0.0, 0.0, self._world.ledger.masses_mg[CONE], MIDDLE)
+        return comes()
 
-    while openings < 25:
-        openings += 1
-        quiet_s, shaking = 0.0, vibration
-        before_mg, opening_mm, slowest = left_mg(), 0.0, min(3.0, max(0.3 / oracle.surge_mg, 0.25))
-        while left_mg() + oracle.tail_mg(hand.opening_mm) < oracle.aim_mg():
-            opening_mm = oracle.opening_mm(oracle.aim_mg() - left_mg(), slowest)
-            hand.set_vibration(shaking)
-            hand.set_opening(opening_mm)
-            end_s = clock.now_s + LOOK_S
-            phi = oracle.shape.value(hand.opening_mm)
-            while clock.now_s < end_s - 1e-9:
-                yield Wake(end_s)
-            now_mg = left_mg()
-            gained_mg, before_mg = now_mg - before_mg, now_mg
-            phi = (phi + oracle.shape.value(hand.opening_mm)) / 2.0
-            oracle.learn(gained_mg, phi * LOOK_S)
-            if gained_mg > 0.0:
-                quiet_s = 0.0
-            elif phi > 0.0:
-                quiet_s += LOOK_S
-                if quiet_s > QUIET_S:
-                    shaking = 1.0
-                if quiet_s > 2.0 * QUIET_S:
-                    slowest = min(slowest * 1.02, 50.0)
-                if quiet_s > 30.0:
-                    break
-        shut_s = request.valve_dead_time_s + hand.opening_mm / request.valve_speed_mm_per_s
-        hand.stop()
-        end_s = clock.now_s + shut_s + SLACK_S + WATCH_LAGS * cell.spec.balance.simulation.lag_s
-        while clock.now_s < end_s:
+    @property
+    def _flow(self) -> PowderFlow:
+        flow = self._world.load._flow
+        assert flow is not None
+        return flow
+
+    def _way_s(self, opening_mm: float) -> float:
+        spec = self._hand.spec
+        return spec.valve_dead_time_s + abs(opening_mm - self._hand.opening_mm) / spec.valve_speed_mm_per_s
+
+    def _wait(self, duration_s: float) -> Steps[None]:
+        end_s = self._clock.now_s + duration_s
+        while self._clock.now_s < end_s - 1e-9:
             yield Wake(end_s)
-        mean = yield from cell.balance.stable_mean()
-        error_mg = world.true_mass(container) - request.target_mg
-        if quiet_s > 30.0:
-            reason = "no_flow"
-            break
-        if error_mg >= -request.tolerance_mg + 0.02:
-            reason = "reached" if error_mg <= request.tolerance_mg else "overshoot"
-            break
-    true_mg = world.true_mass(container)
-    finish = Finish(reason, true_mg, math.sqrt(2.0) * mean.uncertainty_mg)  # type: ignore[arg-type]
-    return DoseRun(finish, weighing_of(mean), openings, 0.0, clock.now_s - begin_s)
+
+
+def run_oracle(dispense: Any, cell: Cell, world: World, container: str) -> Steps[DoseRun]:
+    """A dose as `dispense` makes it, weighed before and watched afterwards like any other."""
+    assert cell.believed.bracket is not None
+    _, mean = yield from weigh_until_still(cell, cell.believed.bracket.last, dispense._allowed_mg)
+    before, begin_s = weighing_of(mean), cell.clock.now_s
+    oracle = Oracle(dispense.request(cell), cell, world, container)
+    reason: Any = yield from oracle.dose()
+    last = weighing_of((yield from cell.balance.stable_mean()))
+    duration_s = cell.clock.now_s - begin_s
+    _, mean = yield from weigh_until_still(cell, last, 0.0, dispense._watch_s(before, last))
+    finish = Finish(reason, world.true_mass(container), math.sqrt(2.0) * mean.uncertainty_mg)
+    return DoseRun(finish, weighing_of(mean), oracle.openings, 0.0, duration_s)

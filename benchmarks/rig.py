@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import yaml
 
-from benchmarks.oracle import Oracle, run_oracle
+from benchmarks.oracle import run_oracle
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.weighing import weighing_of
@@ -209,7 +209,7 @@ class Bench:
         )
 
     def _oracle(self, dispense: Any) -> Steps[DoseRun]:
-        return run_oracle(Oracle(dispense.request(self.cell)), self.cell, self.world, DISH.id)
+        return run_oracle(dispense, self.cell, self.world, DISH.id)
 
     def _as_in_the_paper(self, name: str) -> Steps[DoseRun]:
         cell, known = self.cell, "paper" if name == UNWAITING else name

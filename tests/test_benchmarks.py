@@ -1,9 +1,12 @@
 """The benchmarks' own code; no other test imports it."""
 
+import math
+
 import numpy as np
 import pytest
 from dose_bench import shipped_powders
 
+from benchmarks import dosing_random
 from benchmarks.calibration import (
     TABLES,
     Result,
@@ -16,7 +19,11 @@ from benchmarks.calibration import (
     spread_interval,
 )
 from benchmarks.code_mutator import mutants_of
+from benchmarks.oracle_model import SHUT, Model
 from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
+from harness.random_physics import DrawnFlow, FlowFigures
+from harness.random_plants import draw
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.specs import Departure
 
 pytestmark = pytest.mark.slow
@@ -92,6 +99,45 @@ def test_a_redone_dose_is_judged_by_its_second_attempt_and_takes_both_their_time
     for first, last in zip(once, twice, strict=True):
         assert last == first if first.accepted else last.duration_s > first.duration_s
     assert not all(trial.accepted for trial in once)
+
+
+def model_of(figures: FlowFigures) -> Model:
+    return Model(lambda: DrawnFlow(figures), HandSpec(), tolerance_mg=2.0)
+
+
+def test_the_oracle_ends_a_dose_that_is_good_and_opens_the_wider_the_more_is_missing() -> None:
+    model = model_of(FlowFigures(flow_mg_per_s=50.0))
+    assert [model.action(missing_mg, SHUT) for missing_mg in (-5.0, -1.0, 0.0, 0.2)] == [SHUT] * 4
+    opened = [model.action(missing_mg, SHUT) for missing_mg in (5.0, 20.0, 100.0, 500.0, 3000.0)]
+    assert opened == sorted(opened)
+    assert SHUT < opened[0] < opened[-1]
+    widest = len(model.openings_mm) - 1
+    assert model.action(0.5 * model.closings_mg[widest], widest) == SHUT, "too late is shut at once"
+
+
+def test_of_exponential_lumps_the_oracle_expects_about_as_many_good_as_end_within_the_tolerance() -> None:
+    figures = FlowFigures(flow_mg_per_s=10.0, gravity=0.0, lump_share=0.99, lump_mg=4.0)
+    good = 1.0 - math.exp(-4.0 / 4.0)  # the first to cross the lower edge is memoryless beyond it
+    assert good - 0.05 < model_of(figures).worth(40.0) < good + 0.18  # the best of 16 samples flatters itself
+
+
+@pytest.mark.parametrize(("family", "target_mg"), [("beads", 500.0), ("clogging", 20.0), ("lumps", 50.0)])
+def test_the_oracle_is_as_good_as_adaptive_on_each_plant_and_faster(family: str, target_mg: float) -> None:
+    def of(controller: str) -> tuple[int, float]:
+        doses = [
+            dose
+            for drawn in draw(family, shipped_powders(), 3)
+            for dose in dosing_random.run_of_doses(drawn, target_mg, controller, 4)
+        ]
+        return sum(abs(dose.error_mg) <= 2.0 for dose in doses), sum(dose.duration_s for dose in doses)
+
+    (most, least_s), (good, taken_s) = of("oracle"), of("adaptive")
+    assert most >= good
+    assert least_s < taken_s
+
+
+def test_wilsons_interval_of_99_in_100_is_the_published_one() -> None:
+    assert dosing_random.wilson(99, 100) == pytest.approx((0.9455, 0.9982), abs=1e-4)
 
 
 CODE = '''
