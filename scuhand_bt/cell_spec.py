@@ -164,8 +164,8 @@ class BalanceLimits(Spec):
     """Within this time before a run it must have weighed a check weight right."""
     minimum_weight_mg: Annotated[Milligrams, NotNegative] = 0.0
     """The least mass to be dosed."""
-    usp_41: bool = False
-    """That, and at least 2000 times the measured repeatability (USP 41)."""
+    usp_41: bool | None = None
+    """That, and at least 2000 times the repeatability (USP 41); unset, a mass below it is warned of, not refused."""
     when_beyond: Literal["refuse", "warn"] = "refuse"
 
 

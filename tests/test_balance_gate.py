@@ -27,7 +27,7 @@ from scuhand_bt.problems import Problem
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.record import Record
-from scuhand_bt.run.balance_limits import beyond_limits
+from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
 from scuhand_bt.run.resume import checked_history, resumable
@@ -353,6 +353,28 @@ def test_a_mass_below_the_minimum_weight_is_told_where_it_stands(
     found = beyond_limits(*plan_of(**limits), figures, NOW)
     assert [problem.message for problem in found] == ([said] if said else [])
     assert [at(problem) for problem in found] == ([("recipe.yaml", 9, 19)] if said else [])
+
+
+@pytest.mark.parametrize(
+    ("limits", "repeatability_mg", "minimum"),
+    [
+        ({}, None, None),
+        ({}, 0.014, "82.0 mg (2000 x 0.041 mg, USP 41)"),
+        ({}, 0.2, "400.0 mg (2000 x 0.2 mg, USP 41)"),
+        ({"usp_41": False}, 0.2, None),
+        ({"usp_41": True}, 0.2, None),
+        ({"minimum_weight_mg": 10.0}, 0.2, None),
+    ],
+)
+def test_a_measured_repeatability_warns_of_small_masses_where_the_lab_has_no_rule_of_its_own(
+    plan_of: Callable[..., tuple[Plan, Lab]], limits: Any, repeatability_mg: float | None, minimum: str | None
+) -> None:
+    figures = {"repeatability_mg": measured(repeatability_mg)} if repeatability_mg is not None else {}
+    found = below_usp(*plan_of(**limits), figures)
+    assert [problem.message.partition("minimum weight, ")[2].partition(" (and")[0] for problem in found] == (
+        [minimum] if minimum else []
+    )
+    assert [at(problem) for problem in found] == ([("recipe.yaml", 9, 19)] if minimum else [])
 
 
 def test_a_rule_that_several_samples_break_is_told_once(plan_of: Callable[..., tuple[Plan, Lab]]) -> None:

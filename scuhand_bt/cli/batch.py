@@ -237,7 +237,7 @@ def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
     from scuhand_bt.lab import state_folder, without_driver
     from scuhand_bt.lab_state.beliefs import LabState
     from scuhand_bt.lab_state.inventory import Inventory
-    from scuhand_bt.run.balance_limits import beyond_limits
+    from scuhand_bt.run.balance_limits import below_usp, beyond_limits
     from scuhand_bt.run.inventory_conflicts import conflicts
 
     problems = without_driver(lab)
@@ -245,7 +245,9 @@ def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
         stock = Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
         problems += [conflict.problem for conflict in conflicts(made, lab.cell, stock)]
         last = list(LabState(state_folder(lab)).figures(simulated=False).values())[-1:]  # which it is, only a run knows
-        problems += beyond_limits(made, lab, last[0] if last else {}, datetime.now().astimezone())
+        figures = last[0] if last else {}
+        problems += beyond_limits(made, lab, figures, datetime.now().astimezone())
+        problems += below_usp(made, lab, figures)
     except SourceError as error:
         problems += error.problems
     notes = [str(problem) for problem in problems]

@@ -20,6 +20,14 @@ def beyond_limits(plan: Plan, lab: Lab, figures: Figures, now: datetime) -> list
     return [*_check_weight(lab, figures, now), *_too_little(plan, lab, figures)]
 
 
+def below_usp(plan: Plan, lab: Lab, figures: Figures) -> list[Problem]:
+    """Doses below USP 41's minimum weight, by a repeatability that was measured, where the lab has no rule of its own."""
+    measured, limits = figures.get("repeatability_mg"), lab.cell.balance.limits
+    if measured is None or limits.usp_41 is not None or limits.minimum_weight_mg > 0.0:
+        return []
+    return _too_light(plan, *_usp(least_repeatability_mg(measured.value, lab.cell.balance.readability_mg)))
+
+
 def _check_weight(lab: Lab, figures: Figures, now: datetime) -> Iterator[Problem]:
     every_s = lab.cell.balance.limits.check_weight_every_s
     if every_s is None:
@@ -37,19 +45,9 @@ def _too_little(plan: Plan, lab: Lab, figures: Figures) -> Iterator[Problem]:
     balance, measured = lab.cell.balance, figures.get("repeatability_mg")
     repeatability_mg = least_repeatability_mg(measured.value if measured else None, balance.readability_mg)
     minimum_mg, source = balance.limits.minimum_weight_mg, "robot/cell.yaml"
-    usp_mg = usp_minimum_weight_mg(repeatability_mg)
-    if balance.limits.usp_41 and usp_mg > minimum_mg:
-        minimum_mg, source = usp_mg, f"2000 x {repeatability_mg:.3g} mg, USP 41"
-    masses = [
-        (mass_mg, sample)
-        for sample in plan.recipe.samples
-        for mass_mg in (take.mass_mg for take in sample.takes)
-        if mass_mg is not None and mass_mg < minimum_mg
-    ]
-    if masses:
-        mass_mg, sample = masses[0]
-        what = f"{format_mass(mass_mg)} is less than the balance's minimum weight, {format_mass(minimum_mg)} ({source})"
-        yield Problem(_mark(plan, sample.id, "mass", sample.mark), what + _more(len(masses)))
+    if balance.limits.usp_41:
+        minimum_mg, source = max((minimum_mg, source), _usp(repeatability_mg))
+    yield from _too_light(plan, minimum_mg, source)
     least_mg = least_tolerance_mg(repeatability_mg)
     narrow = [one for one in plan.recipe.samples if one.tolerance_mg is not None and one.tolerance_mg < least_mg]
     if narrow:
@@ -59,6 +57,24 @@ def _too_little(plan: Plan, lab: Lab, figures: Figures) -> Iterator[Problem]:
         )
         mark = _mark(plan, first.id, "tolerance", first.mark)
         yield Problem(mark, f"{what}: at least {least_mg:.2g} mg" + _more(len(narrow)))
+
+
+def _usp(repeatability_mg: float) -> tuple[float, str]:
+    return usp_minimum_weight_mg(repeatability_mg), f"2000 x {repeatability_mg:.3g} mg, USP 41"
+
+
+def _too_light(plan: Plan, minimum_mg: float, source: str) -> list[Problem]:
+    masses = [
+        (mass_mg, sample)
+        for sample in plan.recipe.samples
+        for mass_mg in (take.mass_mg for take in sample.takes)
+        if mass_mg is not None and mass_mg < minimum_mg
+    ]
+    if not masses:
+        return []
+    mass_mg, sample = masses[0]
+    what = f"{format_mass(mass_mg)} is less than the balance's minimum weight, {format_mass(minimum_mg)} ({source})"
+    return [Problem(_mark(plan, sample.id, "mass", sample.mark), what + _more(len(masses)))]
 
 
 def _mark(plan: Plan, sample: str, key: str, otherwise: Mark) -> Mark:

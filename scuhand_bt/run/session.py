@@ -38,7 +38,7 @@ from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
-from scuhand_bt.run.balance_limits import beyond_limits
+from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
@@ -167,7 +167,7 @@ class Session:
         beyond = beyond_limits(self.plan, self._lab, figures, datetime.now().astimezone())
         if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
             raise SourceError(beyond)
-        self.warnings = [str(problem) for problem in beyond]
+        self.warnings = [str(problem) for problem in [*beyond, *below_usp(self.plan, self._lab, figures)]]
 
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
