@@ -21,7 +21,7 @@ def beyond_limits(plan: Plan, lab: Lab, figures: Figures, now: datetime) -> list
 
 
 def below_usp(plan: Plan, lab: Lab, figures: Figures) -> list[Problem]:
-    """Doses below USP 41's minimum weight, by a repeatability that was measured, where the lab has no rule of its own."""
+    """Doses below USP 41's minimum weight, by a measured repeatability, where the lab has no rule of its own."""
     measured, limits = figures.get("repeatability_mg"), lab.cell.balance.limits
     if measured is None or limits.usp_41 is not None or limits.minimum_weight_mg > 0.0:
         return []
