@@ -192,8 +192,11 @@ class Knowledge:
             self.filter.widen(self._widened, self.filter.coefficient)
 
     def begin_opening(self) -> None:
-        """The valve is where it is told to be, until its flow says otherwise."""
         self.record.clear()
+        self.trust_valve()
+
+    def trust_valve(self) -> None:
+        """The valve is where it is told to be, until its flow says otherwise."""
         self.shape = self.valve.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
         self._usual = self.reference
 

@@ -14,8 +14,8 @@ from typing import Literal
 from scuhand_bt.dosing.controller import Command, Observation
 from scuhand_bt.dosing.dose_state import FULL, GENTLE, SLACK_S, Knowledge
 
-Ended = Literal["reached", "surprise", "bridged", "dry"]
-"""Closed on the prediction; shut on readings far above it; shut to break a bridge; nothing came at last."""
+Ended = Literal["reached", "surprise", "dry"]
+"""Closed on the prediction; shut on readings far above it; nothing came at last."""
 PROBE_SHARE, PROBE_MG = 0.4, 60.0
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
@@ -96,9 +96,10 @@ class Opening:
                 continue
             if self._is_dry():
                 return "dry"
-            if self._is_bridged():
-                return "bridged"
-            self._steer()
+            if self._is_bridged:
+                yield from self._reopen()
+            else:
+                self._steer()
 
     # --- when it ends ---
 
@@ -127,12 +128,20 @@ class Opening:
         known = self._known
         return not known.flows_only_shaken and self._remaining_mg < SPARED_MG and known.reopened < REOPENED
 
+    @property
     def _is_bridged(self) -> bool:
-        """A bridge breaks as the valve shuts and opens."""
-        if not (self._is_spared and self._vibration == 0.0 and self._quiet_s > self._patience_s):
-            return False
-        self._known.reopened += 1
-        return True
+        return self._is_spared and self._vibration == 0.0 and self._quiet_s > self._patience_s
+
+    def _reopen(self) -> Generator[Command, Observation, None]:
+        """A bridge breaks as the valve shuts and opens; then powder comes as it usually does."""
+        known = self._known
+        known.reopened += 1
+        while known.valve.opening_mm > 0.0:
+            yield from known.act(0.0, 0.0)
+        known.trust_valve()
+        known.filter.expect(known.reference)
+        self._opening_mm = known.opening_mm(self._remaining_mg)
+        self._evident_mg, self._expected_mg, self._quiet_s = known.filter.mass_mg, 0.0, 0.0
 
     def _is_barren(self, dt_s: float) -> bool:
         estimate = self._known.filter
