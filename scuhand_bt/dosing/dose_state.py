@@ -19,7 +19,7 @@ VALVE_ERROR_MM = 0.04
 """What the real opening may be off by; it makes the flow at small openings uncertain."""
 EXPONENT_ERROR = 1.0
 """What a powder's exponent may be off by: its coefficient changes with the opening."""
-FORGIVEN = 0.65
+FORGIVEN = 0.85
 """Share of the room above the aim, inside the tolerance, that the unseen part of the slowest flow may be off by."""
 LUMPS_UNSEEN = 0.08
 """A flow of less than so many lumps in the time that is not seen gains nothing."""

@@ -40,6 +40,8 @@ LONGEST_BARREN_S = 120.0
 SPARED_MG, REOPENED = 30.0, 2
 """This near to the target a bridge is broken by shutting and opening the valve; by shaking only when that has failed so
 often in a row."""
+REOPEN_S = 0.3
+"""So long nothing has come when the valve is shut to break a bridge."""
 MOST_STALLS = 1
 """A powder that stalls this often in a dose is shaken from then on: what bridged once bridges again."""
 
@@ -130,7 +132,7 @@ class Opening:
 
     @property
     def _is_bridged(self) -> bool:
-        return self._is_spared and self._vibration == 0.0 and self._quiet_s > self._patience_s
+        return self._is_spared and self._vibration == 0.0 and self._quiet_s > REOPEN_S
 
     def _reopen(self) -> Generator[Command, Observation, None]:
         """A bridge breaks as the valve shuts and opens; then powder comes as it usually does."""
