@@ -162,7 +162,7 @@ def test_a_valve_that_slips_open_is_seen_before_much_has_fallen(target_mg: float
         bench = Bench(BEADS, target_mg, 21, dose, Setting() if dose < 3 else slips)
         dosed = bench.dose("adaptive", belief, balance)
         belief, balance = dosed.learnt(belief, balance)
-    assert dosed.true_error_mg <= 6.0
+    assert dosed.true_error_mg <= 8.0
 
 
 class MovingMean:
