@@ -128,8 +128,8 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.BALANCE_COARSE: Failure(
-        "The balance shows finer digits than it weighs.",
-        "Set its readability in robot/cell.yaml to what it really resolves, or switch its display to all digits.",
+        "The balance shows finer digits than it weighs, or holds back small changes.",
+        "Set its readability in robot/cell.yaml to what it resolves; switch off its hold, its stable-display filter.",
     ),
     Code.BALANCE_DRIFTING: Failure(
         "Two weighings of one thing, one after the other, went on differing: a mass cannot be told.",

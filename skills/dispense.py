@@ -18,6 +18,7 @@ from scuhand_bt.dosing.bracket import (
     drift_between,
     significant,
 )
+from scuhand_bt.dosing.characteristic import held_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
     Cell,
@@ -147,9 +148,15 @@ class Dispense(Skill[Dose]):
 
     @staticmethod
     def _require_readability(cell: Cell, run: DoseRun) -> None:
-        """A balance that shows finer digits than it weighs: all that it has shown are multiples of something."""
+        """A balance that holds its display, or shows finer digits than it weighs: all are multiples of something."""
         digit_mg = cell.spec.balance.readability_mg
-        seen = {round(point.net_mg / digit_mg) for point in run.curve if not point.stable}
+        readings_mg = [point.net_mg for point in run.curve if not point.stable]
+        if (held := held_mg(readings_mg, digit_mg)) > 0.0:
+            raise SkillFailed(
+                Code.BALANCE_COARSE,
+                f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows",
+            )
+        seen = {round(mg / digit_mg) for mg in readings_mg}
         first = min(seen, default=0)
         step = math.gcd(*(digits - first for digits in seen))
         if len(seen) >= DIFFERENT_READINGS and step > 1:

@@ -15,11 +15,14 @@ import pytest
 from conftest import Call, LabFolder, problems_of
 from running import Ran, dry_run, shared_planner
 
+from harness.falsify import Falsifier
+from harness.worlds import BY_NAME
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.weighing import require_known_delay, step_delay
 from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.dosing.characteristic import held_mg
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState, Measured
@@ -487,3 +490,29 @@ def test_limits_are_written_as_the_docs_say(lab_folder: LabFolder) -> None:
     lab_folder.replace("robot/cell.yaml", "limits: {check_weight_every: 24 h}", limits)
     expected = BalanceLimits(check_weight_every_s=43200.0, minimum_weight_mg=50.0, usp_41=True, when_beyond="warn")
     assert lab_folder.load().cell.balance.limits == expected
+
+
+STILL = [5.0] * 8
+
+
+@pytest.mark.parametrize(
+    ("readings_mg", "mg"),
+    [
+        ([*STILL, 5.6], 0.6),
+        ([*STILL, 4.4], 0.6),
+        ([*STILL, 5.5], 0.0),
+        ([*STILL[1:], 5.6], 0.0),
+        ([*STILL, 5.1, 5.8], 0.0),
+        ([*STILL, 5.6, *[5.6] * 7, 8.6], 3.0),
+        ([*STILL, 8.0, *[8.0] * 7, 8.6], 3.0),
+        ([], 0.0),
+    ],
+)
+def test_a_display_that_stands_still_and_jumps_was_held(readings_mg: list[float], mg: float) -> None:
+    assert held_mg(readings_mg, 0.1) == pytest.approx(mg)
+
+
+def test_a_balance_that_holds_its_display_gives_no_dose(tmp_path: Path) -> None:
+    falsifier = Falsifier(tmp_path, recipes=("msg-once",))
+    tally = falsifier.run(BY_NAME["hold-3"], 1)
+    assert tally.failed == {Code.BALANCE_COARSE: 1}

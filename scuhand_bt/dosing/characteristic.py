@@ -18,6 +18,7 @@ then the mass drops out, and the tolerance is to be at least k s, with a margin 
 
 import statistics
 from collections.abc import Sequence
+from itertools import pairwise
 
 from scuhand_bt.dosing.verdict import COVERAGE
 
@@ -29,6 +30,9 @@ MARGIN = 2.0
 """cg-18 has a safety factor of two or more, for a repeatability that was measured once, on a quiet day."""
 STEP_SHARE = 0.01
 """A step has come when more than this share of it is shown."""
+
+HELD_READINGS, HELD_DIGITS = 8, 5
+"""A display that shows the same so often, and in the next reading more than so many digits more or less, held it."""
 
 Curve = Sequence[tuple[float, float]]
 """Readings: times [s], growing, and masses [mg]."""
@@ -56,6 +60,20 @@ def step_delay_s(curve: Curve, before_mg: float, after_mg: float, latest_s: floa
             area_s += (last_share + share) / 2.0 * (time_s - last_s)
             last_s, last_share = time_s, share
     return area_s
+
+
+def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
+    """The most that a display has held back: it stood still, to the digit, and then jumped; 0 for one that follows.
+
+    What it holds back at the end nobody sees. A filter of a tenth of a second or more makes a ramp of whatever falls.
+    """
+    digits = [round(mg / readability_mg) for mg in readings_mg]
+    held, still = 0, 1
+    for last, now in pairwise(digits):
+        if still >= HELD_READINGS and abs(now - last) > HELD_DIGITS:
+            held = max(held, abs(now - last))
+        still = still + 1 if now == last else 1
+    return held * readability_mg
 
 
 def noise_and_drift(curve: Curve) -> tuple[float, float]:
