@@ -5,9 +5,9 @@ open again. In tolerance, beyond two standard uncertainties of the mean: done. W
 
 * The balance's lag decides how much falls unseen. Until it was fitted from an opening of this balance, the
   pessimistic first guess holds and the first opening is a probe, at one opening, for a part of the dose.
-* No flow means shake, not open wider: while nothing comes the opening holds and vibration rises. The flow's
-  coefficient is never believed to be far below its reference when an opening is chosen (`knowledge`), so that a
-  bridge that breaks lets out little more than was allowed for.
+* No flow means shake, or near the target shut and open again, not open wider: while nothing comes the opening holds and
+  vibration rises. The flow's coefficient is never believed to be far below its reference when an opening is chosen
+  (`dose_state`), so that a bridge that breaks lets out little more than was allowed for.
 * Readings that are three times in a row more than five standard deviations above what was predicted shut the valve
   until a stable mean says why. A balance that falls silent shuts it in the dose loop.
 * A hand that takes step commands only gets pulses limited by the same risk rule (`pulses`).

@@ -5,7 +5,8 @@
 M [mg] and k come from `FlowFilter`, Phi_close from the valve's tail, T is the balance's period, m [mg] the powder's
 surge scale. Closing early by it makes the best of lumps, which can be waited for but not taken back.
 
-While nothing comes the opening holds and vibration rises: no flow means shake, not open wider.
+While nothing comes the opening holds and vibration rises: no flow means shake, not open wider. Near the target, where
+what is shaken loose may be too much, the valve is shut and opened again first.
 """
 
 from collections.abc import Generator
