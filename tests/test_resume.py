@@ -487,7 +487,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
     plan, lab = run.plan()
     options = Options(DryRun(plant="test_resume:Unpicklable"), folder=run.folder)
     session = Session(plan, lab, options, shared_planner(plan, lab))
-    watch = Watch("stop_now", 90)
+    watch = Watch("stop_now", 200)
     watch.session = session
     try:
         session.run(watch)
