@@ -192,6 +192,7 @@ class Knowledge:
             self.filter.widen(self._widened, self.filter.coefficient)
 
     def begin_opening(self) -> None:
+        """What is learnt of it is learnt of this opening alone."""
         self.record.clear()
         self.trust_valve()
 

@@ -5,7 +5,7 @@ State (yn, .. y1, M, k), with the balance as n equal poles of time constant tau,
     y1' = (M - y1) / tau,  yi' = (y(i-1) - yi) / tau,  M' = k phi(D(t)),  k' = noise;   reading = yn + noise
 
 M [mg] is what has left the nozzle: while powder lands steadily its momentum weighs as much as what is in
-flight (the hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/4, 2010), so the pan reads what
+flight (the hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/3, 2010), so the pan reads what
 has left. k [mg s^-1 mm^-n] is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`). Between two
 readings phi is taken at its mean, for which the transition is exact. No balance is just n poles: what it has not
 shown yet, M - yn, is taken to be off by a share of it, the misfit. M is disturbed by surges: lumps of
