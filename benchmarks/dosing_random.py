@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
 from benchmarks.rig import TOLERANCE_MG, Bench, Setting, shipped_powders
 from harness.random_plants import BALANCES, FAMILIES, SETS, Drawn, RandomPlant, draw
@@ -135,20 +136,12 @@ def gives_still(bench: Bench) -> bool:
     return False
 
 
-def wilson(hits: int, trials: int) -> tuple[float, float]:
-    """Wilson's two-sided 95 % interval of a share (J. Am. Stat. Assoc. 22, 209, 1927)."""
-    z = 1.959964
-    middle = (hits + z * z / 2.0) / (trials + z * z)
-    half = z / (trials + z * z) * math.sqrt(hits * (trials - hits) / trials + z * z / 4.0)
-    return middle - half, middle + half
-
-
 def figures(doses: Sequence[Dosed], floor_s: float | None) -> dict[str, float]:
     """Of one family, target and controller; `floor_s` is the oracle's mean time."""
     errors_mg = np.array([dose.error_mg for dose in doses])
     times_s = np.array([dose.duration_s for dose in doses])
     good = np.abs(errors_mg) <= TOLERANCE_MG
-    low, high = wilson(int(good.sum()), len(doses))
+    low, high = binomtest(int(good.sum()), len(doses)).proportion_ci(method="wilson")
     return {
         "doses": len(doses),
         "true": 100.0 * float(good.mean()),

@@ -136,10 +136,6 @@ def test_the_oracle_is_as_good_as_adaptive_on_each_plant_and_faster(family: str,
     assert least_s < taken_s
 
 
-def test_wilsons_interval_of_99_in_100_is_the_published_one() -> None:
-    assert dosing_random.wilson(99, 100) == pytest.approx((0.9455, 0.9982), abs=1e-4)
-
-
 CODE = '''
 """A text is left alone: 1 < 2."""
 LIMIT_MG = 50.0
