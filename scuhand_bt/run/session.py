@@ -112,7 +112,7 @@ class Session:
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
-        self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
+        self.journal = _open_journal(path, is_new=resumes is None, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
             self._make_cell(motion, opened)
@@ -290,8 +290,11 @@ class Session:
             self._trouble(what)
 
 
-def _open_journal(path: Path, *, durable: bool) -> Journal:
+def _open_journal(path: Path, *, is_new: bool, durable: bool) -> Journal:
     try:
+        if is_new:  # two runs of one second may draw one id: the second one ends here
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch(exist_ok=False)
         return Journal(path, durable=durable)
     except (OSError, sqlite3.Error) as error:
         problem = Problem(Mark(str(path)), f"the journal cannot be written: {error}; nothing was moved")
