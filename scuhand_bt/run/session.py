@@ -46,6 +46,7 @@ from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
+from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.sim.fault_rules import parse_faults
@@ -208,7 +209,11 @@ class Session:
 
     def run(self, observer: BatchObserver) -> BatchResult:
         """Run the batch to its end; whatever happens, the cell ends safe."""
-        world = self.world
+        world, first = self.world, None
+        if self._conflicts:
+            first = resolve(self.cell, self._conflicts)
+        elif self._history is not None and self._history.state:
+            first = settle_outage(self.journal, self.cell)
         batch = Batch(
             self.plan,
             self.cell,
@@ -218,7 +223,7 @@ class Session:
             self.control,
             world.true_mass if world is not None else None,
             self._history,
-            first=resolve(self.cell, self._conflicts) if self._conflicts else None,
+            first=first,
             after_job=self._after_job,
         )
         try:

@@ -40,6 +40,7 @@ class SimulatedBalance:
         "_readings",
         "_overloaded",
         "_heard_s",
+        "_zero_mg",
     )
     """What the world's file keeps of it."""
 
@@ -54,6 +55,7 @@ class SimulatedBalance:
         """What is wrong with it, in a simulation of faults."""
         self._heard_s = 0.0  # when it last gave out something
         self._was_lost = False
+        self._zero_mg = 0.0  # what it shows as nothing
         self.next_reading_s = spec.period_s
         self._clock = clock
         self._plant = plant
@@ -112,6 +114,15 @@ class SimulatedBalance:
         """Draw from this generator from now on."""
         self._rng = rng
 
+    def take_zero(self, on_pan_mg: float) -> None:
+        """Be switched on with so much on the pan: that is nothing from now on."""
+        self._zero_mg, self.latest = on_pan_mg, None
+        self._values.clear()
+
+    def move_zero(self, by_mg: float) -> None:
+        """Show so much more from now on."""
+        self._zero_mg -= by_mg
+
     def advance(self, end_s: float, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float) -> None:
         """Go on by `dt_s`; at the end of a period a reading is given out."""
         value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
@@ -124,6 +135,7 @@ class SimulatedBalance:
                 return
             value_mg += self._error_mg(end_s)
         self._heard_s = end_s
+        value_mg -= self._zero_mg
         digit_mg = self.spec.readability_mg
         value_mg = round(value_mg / digit_mg) * digit_mg
         self._overloaded = value_mg > self.spec.maximum_mg or "balance.overload" in self.faults.active
