@@ -29,6 +29,7 @@ from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Options, Session
+from scuhand_bt.sim.fault_rules import FaultFile
 
 BROKEN = 70
 """Exit code of a child that ended by an exception."""
@@ -49,6 +50,7 @@ class Batch:
     motion: MotionPlanner
     folder: Path
     seed: int
+    faults: FaultFile | None = None
 
 
 @dataclass
@@ -118,7 +120,7 @@ def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
         if code is not None and code not in (0, 1):
             tally.problems.append(f"seed {batch.seed}: a child ended with {code} before it was killed")
             return
-        begun = begun or next(iter(_journals(batch.folder)), None)
+        begun = begun or next(iter(journals(batch.folder)), None)
         if code is not None:
             break
         tally.kills += 1
@@ -129,14 +131,14 @@ def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
                 break
     else:
         code = run_child(batch, begun, Kill())
-    begun = begun or next(_journals(batch.folder))
+    begun = begun or next(journals(batch.folder))
     tally.batches += 1
     if code not in (0, 1):
         tally.problems.append(f"seed {batch.seed}: ended with {code}")
     _judge(batch, begun, tally)
 
 
-def _journals(folder: Path) -> Iterator[Path]:
+def journals(folder: Path) -> Iterator[Path]:
     return (path for path in sorted(folder.glob("*.sqlite")) if _has_begun(path))
 
 
@@ -171,7 +173,7 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
 
 
 def _run(batch: Batch, begun: Path | None, last_tick: int | None) -> int:
-    options = Options(DryRun(batch.seed), folder=batch.folder)
+    options = Options(DryRun(batch.seed, faults=batch.faults), folder=batch.folder)
     found = None
     if begun is not None:
         found = resumable(begun, checked_history(begun), batch.plan, batch.lab, accept_changes=False)

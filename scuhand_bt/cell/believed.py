@@ -65,6 +65,8 @@ class Bracket:
     """The filled container, the hand away, before it is taken off the pan."""
     carried: Nets = field(default_factory=lambda: MappingProxyType({}))
     """What it held before these weighings began: after an outage the balance has another zero, and all begin anew."""
+    empty: Net | None = None
+    """What it weighed empty, before such an outage; None where `bare` and `loaded` tell."""
 
     def dosed_mg(self, lot: str) -> Net:
         """What was dosed of a powder lot until now."""
@@ -215,7 +217,7 @@ class Believed:
             raise ValueError("no container stands on the pan")
         self._set(pan_gross_mg=loaded.gross_mg, bracket=Bracket(self.pan.id, bare, loaded, loaded), given_up="")
 
-    def rebracketed(self, bare: Gross, loaded: Gross, held: Net, left_cone_mg: float) -> None:
+    def rebracketed(self, bare: Gross, loaded: Gross, empty: Net, held: Net, left_cone_mg: float) -> None:
         """After an outage the same container was weighed by the bare pan, and holds so much; all weighings begin anew.
 
         What has come meanwhile has left the cone, and is of the lot that was dosed last. ValueError without a bracket.
@@ -233,8 +235,16 @@ class Believed:
             pan_empty_mg=loaded.gross_mg - sum(net.mass_mg for net in carried.values()),
             pan_gross_mg=loaded.gross_mg,
             dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
-            bracket=Bracket(
-                bracket.container, bare, loaded, loaded, lot=bracket.lot, carried=MappingProxyType(carried)
+            bracket=replace(
+                bracket,
+                bare=bare,
+                loaded=loaded,
+                last=loaded,
+                doses=MappingProxyType({}),
+                drift=Drift(0.0, 0.0),
+                lifted=None,
+                carried=MappingProxyType(carried),
+                empty=empty,
             ),
         )
 

@@ -69,12 +69,13 @@ def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[N
     full = [standing(zero, after, digit_mg)]
     if before.value_mg - bare.value_mg > CHANGED_MG:  # it was not on its way already
         full.append(standing(zero, weighing_of(before), digit_mg))
-    found = _found(cell, held(standing(bracket.bare, bracket.loaded, digit_mg), full), bracket)
+    empty = bracket.empty or standing(bracket.bare, bracket.loaded, digit_mg)
+    found = _found(cell, held(empty, full), bracket)
     is_same = found.is_possible
     if was_dosing or not is_same:
         is_same = yield from _is_the_same(cell, bracket, found)
     if is_same:
-        believed.rebracketed(zero, after, found.held, found.held.mass_mg - found.expected.mass_mg - seen_mg)
+        believed.rebracketed(zero, after, empty, found.held, found.held.mass_mg - found.expected.mass_mg - seen_mg)
     else:
         believed.container_given_up(found.in_words(bracket.container))
     journal.event(
