@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from py_trees.common import Status
+
 from scuhand_bt.journal.hash_chain import verify
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
@@ -51,6 +53,7 @@ class Batch:
     folder: Path
     seed: int
     faults: FaultFile | None = None
+    unattended: bool = False
 
 
 @dataclass
@@ -71,12 +74,16 @@ class Tally:
 
 
 class Deadly(BatchObserver):
-    """Shows nothing, and ends its own process at a tick."""
+    """Shows nothing, and ends its own process at a tick; of those at which a skill is at work, where one is named."""
 
-    def __init__(self, last_tick: int | None) -> None:
-        self._left = last_tick
+    def __init__(self, last_tick: int | None, within: str = "") -> None:
+        self._left, self._within = last_tick, within
 
     def ticked(self, root: Any) -> None:
+        if self._within and not any(
+            node.name == self._within and node.status is Status.RUNNING for node in root.iterate()
+        ):
+            return
         if self._left is not None:
             self._left -= 1
             if self._left <= 0:
@@ -96,6 +103,8 @@ class Kill:
 
     after_s: float = math.inf
     at_tick: int | None = None
+    within: str = ""
+    """The skill that is at work then."""
 
 
 def at_any_time(rng: random.Random, whole_s: float, kills: int) -> Iterator[Kill]:
@@ -156,7 +165,7 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
     if child == 0:
         code = BROKEN
         try:
-            code = _run(batch, begun, kill.at_tick)
+            code = _run(batch, begun, Deadly(kill.at_tick, kill.within))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -172,14 +181,14 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
     return None
 
 
-def _run(batch: Batch, begun: Path | None, last_tick: int | None) -> int:
-    options = Options(DryRun(batch.seed, faults=batch.faults), folder=batch.folder)
+def _run(batch: Batch, begun: Path | None, observer: BatchObserver) -> int:
+    options = Options(DryRun(batch.seed, faults=batch.faults), folder=batch.folder, unattended=batch.unattended)
     found = None
     if begun is not None:
         found = resumable(begun, checked_history(begun), batch.plan, batch.lab, accept_changes=False)
     session = Session(batch.plan, batch.lab, options, batch.motion, resumes=found)
     try:
-        return session.run(Deadly(last_tick)).exit_code
+        return session.run(observer).exit_code
     finally:
         session.close()
 

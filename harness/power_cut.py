@@ -62,11 +62,13 @@ class Tally:
     problems: list[str] = field(default_factory=list)
 
 
-def make_power_batch(folder: Path, seed: int, motion: MotionPlanner | None = None, only: str = "") -> Batch:
+def make_power_batch(
+    folder: Path, seed: int, motion: MotionPlanner | None = None, only: str = "", text: str = RECIPE
+) -> Batch:
     """The batch, each of whose cuts may do anything; or always and alone `only` this."""
     folder.mkdir(parents=True, exist_ok=True)
     recipe = folder / "recipe.yaml"
-    recipe.write_text(RECIPE, encoding="utf-8")
+    recipe.write_text(text, encoding="utf-8")
     rules = (
         [f"{{fault: {only}, probability: 1}}"] if only else [f"{{fault: {k}, probability: {LIKELY}}}" for k in OUTAGES]
     )

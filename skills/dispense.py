@@ -11,7 +11,7 @@ from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import (
     SCOOP_DOUBT,
     possible_mg,
-    require_container,
+    require_unchanged,
     weigh_until_still,
     weighing_of,
 )
@@ -90,14 +90,14 @@ class Dispense(Skill[Dose]):
     """A dosing controller by name; the run's, if none is named."""
 
     def run(self, cell: Cell) -> Steps[Dose]:
-        untared = "no container was weighed empty: `tare` comes before `dispense`"
-        bracket = require_container(cell, untared)
-        if cell.believed.pan_empty_mg is None:
-            raise SkillFailed(Code.CONTAINER_MISSING, untared)
+        require_unchanged(cell)
+        bracket = cell.believed.bracket
+        if bracket is None or cell.believed.pan_empty_mg is None:
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
         self.request(cell)  # what cannot be dosed is refused before anything is weighed
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
-            bracket = require_container(cell, untared)
+            bracket = cell.believed.bracket
         points: list[tuple[float, float, float, float, bool, float]] = []
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
         for _ in range(ROUNDS):
@@ -190,9 +190,12 @@ class Dispense(Skill[Dose]):
         SkillFailed container.changed where more has come, or less, than can have.
         """
         believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
-        bracket = require_container(cell, "no container was weighed before the interruption")
-        if not believed.dosing.is_unweighed or believed.pan is None:
+        require_unchanged(cell)
+        if not believed.dosing.is_unweighed:
             return
+        bracket = believed.bracket
+        if believed.pan is None or bracket is None:
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
         place, _ = over_balance(cell.spec, believed.pan)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)

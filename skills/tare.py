@@ -1,7 +1,7 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.cell.weighing import require_container, weigh_until_still, weighing_of
-from scuhand_bt.skill import Cell, Code, Milligrams, Skill, Steps, Tared
+from scuhand_bt.cell.weighing import require_unchanged, weigh_until_still, weighing_of
+from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
 
 STILL_DIGITS = 2.0
 """A container that comes to rest changes its weight by no more than this from one weighing to the next."""
@@ -16,7 +16,10 @@ class Tare(Skill[Milligrams]):
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
-        bracket = require_container(cell, "no container was placed; `place_container` comes before `tare`")
+        require_unchanged(cell)
+        bracket = cell.believed.bracket
+        if cell.believed.weighed_container is None or bracket is None:
+            raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")
         allowed_mg = STILL_DIGITS * cell.spec.balance.readability_mg
         _, mean = yield from weigh_until_still(cell, bracket.last, allowed_mg)
         cell.believed.tared(weighing_of(mean))

@@ -5,7 +5,7 @@ import statistics
 from collections.abc import Sequence
 from contextlib import closing
 
-from scuhand_bt.cell.believed import Bracket, ClosedBracket
+from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
@@ -142,14 +142,10 @@ def require_known_delay(cell: Cell, delay_s: float) -> None:
     cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
 
 
-def require_container(cell: Cell, before: str) -> Bracket:
-    """The weighings of the container on the pan. SkillFailed container.missing, or container.changed."""
-    believed = cell.believed
-    if believed.given_up:
-        raise SkillFailed(Code.CONTAINER_CHANGED, believed.given_up)
-    if believed.bracket is None or believed.weighed_container is None:
-        raise SkillFailed(Code.CONTAINER_MISSING, before)
-    return believed.bracket
+def require_unchanged(cell: Cell) -> None:
+    """SkillFailed container.changed where the container that was on the pan counts no more."""
+    if cell.believed.given_up:
+        raise SkillFailed(Code.CONTAINER_CHANGED, cell.believed.given_up)
 
 
 def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
