@@ -19,6 +19,7 @@ from typing import Any
 
 from py_trees.common import Status
 
+from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.hash_chain import verify
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
@@ -105,6 +106,8 @@ class Kill:
     at_tick: int | None = None
     within: str = ""
     """The skill that is at work then."""
+    at_event: str = ""
+    """Or as soon as an entry of this kind is in the journal."""
 
 
 def at_any_time(rng: random.Random, whole_s: float, kills: int) -> Iterator[Kill]:
@@ -165,7 +168,7 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
     if child == 0:
         code = BROKEN
         try:
-            code = _run(batch, begun, Deadly(kill.at_tick, kill.within))
+            code = _run(batch, begun, kill)
         except BaseException:
             traceback.print_exc()
         finally:
@@ -181,14 +184,22 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
     return None
 
 
-def _run(batch: Batch, begun: Path | None, observer: BatchObserver) -> int:
+def _run(batch: Batch, begun: Path | None, kill: Kill) -> int:
     options = Options(DryRun(batch.seed, faults=batch.faults), folder=batch.folder, unattended=batch.unattended)
     found = None
     if begun is not None:
         found = resumable(begun, checked_history(begun), batch.plan, batch.lab, accept_changes=False)
     session = Session(batch.plan, batch.lab, options, batch.motion, resumes=found)
+    heard = session.journal.heard
+
+    def deadly(event: Event | Note) -> None:
+        heard(event)
+        if event.entry()[0] == kill.at_event:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    session.journal.heard = deadly
     try:
-        return session.run(observer).exit_code
+        return session.run(Deadly(kill.at_tick, kill.within)).exit_code
     finally:
         session.close()
 

@@ -191,14 +191,14 @@ class Dispense(Skill[Dose]):
         """
         believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
         require_unchanged(cell)
-        if not believed.dosing.is_unweighed:
-            return
         bracket = believed.bracket
         if believed.pan is None or bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
         place, _ = over_balance(cell.spec, believed.pan)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
+        if not believed.dosing.is_unweighed:
+            return
         mean = yield from cell.balance.stable_mean()
         gained, _ = dose_between(bracket.last, bracket.last, weighing_of(mean), weighing_of(mean), digit_mg)
         cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))

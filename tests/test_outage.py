@@ -106,15 +106,15 @@ def test_a_zero_that_moved_while_a_filled_container_stood_there_leaves_its_dose_
         assert [dose["bracket"] for dose in run.sample(name)["doses"]] == ["closed"]
 
 
-def test_a_cut_while_it_is_settled_what_the_last_one_did_changes_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("at_event", ["asked", "answered", "container_reweighed"])
+def test_a_cut_while_it_is_settled_what_the_last_one_did_changes_nothing(tmp_path: Path, at_event: str) -> None:
     run = CutRun(tmp_path, "outage.zero_at_power_on")
-    run.cut("dispense", 40)
-    killed = 0
-    for after_s in (0.02, 0.05, 0.1):
-        killed += run_child(run.batch, run.journal, Kill(after_s=after_s)) is None
-    assert killed
+    run.cut("dispense", 60)
+    assert run_child(run.batch, run.journal, Kill(at_event=at_event)) is None
     assert run.resume() == 0
     assert good(run.sample())
+    assert [one["bracket"] for one in run.sample()["doses"]] == ["closed"]
+    assert run.told("matter")[-1]["spilled"] == 0.0, "the arm was over the container again"
 
 
 @pytest.mark.parametrize("only", ["outage.container_taken", "outage.container_exchanged"])
