@@ -15,6 +15,7 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.run.make_cell import Rehearsal
 from scuhand_bt.run.session import Options, Session
+from scuhand_bt.sim.fault_rules import parse_faults
 
 HEAD = """
 recipe: cut
@@ -193,3 +194,16 @@ def test_a_rehearsal_refuses_outages_as_it_cannot_be_resumed(tmp_path: Path) -> 
     options = Options(Rehearsal(faults=run.batch.faults), folder=tmp_path)
     with pytest.raises(SourceError, match=r"'outage\.zero_moved' has no effect here: a rehearsal cannot be resumed"):
         Session(run.batch.plan, run.batch.lab, options, run.batch.motion)
+
+
+def test_a_balance_that_was_off_within_a_dose_stops_it_and_the_resumed_run_weighs_about_the_bare_pan(
+    tmp_path: Path,
+) -> None:
+    made = CutRun(tmp_path, "outage.zero_moved")
+    off = parse_faults("faults: [{fault: balance.restarted, at_pulse: 1}]", "off")
+    made.batch = replace(made.batch, faults=off)
+    assert made.resume() == 3
+    assert made.sample()["code"] == "container.changed"
+    assert made.resume() == 0
+    assert good(made.sample())
+    assert made.sample()["dispensed_mg"] == pytest.approx(made.sample()["true_mg"], abs=0.5)

@@ -41,6 +41,7 @@ class SimulatedBalance:
         "_overloaded",
         "_heard_s",
         "_zero_mg",
+        "_is_off",
     )
     """What the world's file keeps of it."""
 
@@ -56,6 +57,7 @@ class SimulatedBalance:
         self._heard_s = 0.0  # when it last gave out something
         self._was_lost = False
         self._zero_mg = 0.0  # what it shows as nothing
+        self._is_off = False
         self.next_reading_s = spec.period_s
         self._clock = clock
         self._plant = plant
@@ -130,7 +132,10 @@ class SimulatedBalance:
             return
         self._readings += 1
         self.next_reading_s = self._readings * self.spec.period_s
-        if self.faults.active or self._was_lost:
+        if self.faults.active or self._was_lost or self._is_off:
+            was_off, self._is_off = self._is_off, "balance.restarted" in self.faults.active
+            if was_off and not self._is_off:
+                self.take_zero(on_pan_mg + landing_mg)
             if self._is_silent(end_s):
                 return
             value_mg += self._error_mg(end_s)
@@ -162,7 +167,7 @@ class SimulatedBalance:
     def _is_silent(self, now_s: float) -> bool:
         """Whether it says nothing that is a reading; after a while that is news."""
         active = self.faults.active
-        is_silent = "balance.silent" in active or "balance.garbage" in active
+        is_silent = self._is_off or "balance.silent" in active or "balance.garbage" in active
         is_silent = is_silent or ("balance.bit_flips" in active and self._readings % FLIPPED == 0)  # not believed
         if self._was_lost != (is_silent and now_s - self._heard_s >= self.spec.lost_after_s):
             self._was_lost = not self._was_lost

@@ -58,6 +58,9 @@ KINDS: Mapping[str, FaultKind] = {
     "balance.bit_flips": FaultKind(
         "In every fifth line of the balance a bit is flipped on the way.", "opening", TO_THE_END, "balance"
     ),
+    "balance.restarted": FaultKind(
+        "The balance is off, and on again: its zero is what stands on the pan.", "opening", 2.0, "balance"
+    ),
     "balance.unstable": FaultKind("The balance calls no reading stable.", "opening", TO_THE_END, "balance"),
     "balance.overload": FaultKind(
         "The balance says it is loaded beyond its maximum.", "opening", TO_THE_END, "balance"
