@@ -10,7 +10,6 @@ import json
 import random
 import sys
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
 
 from harness.power_cut import Tally, cut_until_done, make_power_batch
@@ -49,7 +48,7 @@ def main() -> None:
     for problem in tally.problems:
         print(problem)
     if given.json:
-        given.json.write_text(json.dumps(asdict(tally), indent=1) + "\n", encoding="utf-8")
+        given.json.write_text(json.dumps(vars(tally), indent=1) + "\n", encoding="utf-8")
     sys.exit(bool(tally.problems))
 
 
