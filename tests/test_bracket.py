@@ -283,8 +283,10 @@ def test_what_stands_on_the_pan_is_told_by_the_bare_pan_before_or_after_it_whate
     assert one.uncertainty_mg == pytest.approx(other.uncertainty_mg)
 
 
-def test_what_a_container_holds_is_what_it_weighs_more_than_empty_and_its_drift_is_doubt() -> None:
+def test_what_a_container_holds_is_what_it_weighs_more_than_empty_and_drift_and_span_are_doubts() -> None:
+    span_mg = 1e-5 * 9200.0
     once = held(Net(9200.0, 0.3), [Net(9240.0, 0.4)])
-    assert (once.mass_mg, once.uncertainty_mg) == (40.0, pytest.approx(0.5))
+    assert (once.mass_mg, once.uncertainty_mg) == (40.0, pytest.approx(math.hypot(0.5, span_mg)))
     about = held(Net(9200.0, 0.3), [Net(9240.0, 0.4), Net(9242.0, 0.2)])
-    assert (about.mass_mg, about.uncertainty_mg) == (41.0, pytest.approx(math.hypot(0.5, 2.0 / math.sqrt(12.0))))
+    u_mg = math.hypot(0.5, span_mg, 2.0 / math.sqrt(12.0))
+    assert (about.mass_mg, about.uncertainty_mg) == (41.0, pytest.approx(u_mg))

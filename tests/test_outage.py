@@ -134,6 +134,17 @@ def test_a_container_that_a_hand_took_or_exchanged_counts_no_more_and_its_sample
     assert run.sample()["true_mg"] == pytest.approx(80.0, abs=2.0)
 
 
+@pytest.mark.parametrize("within", ["tare", "scoop"])
+def test_a_container_exchanged_before_its_first_powder_counts_no_more(tmp_path: Path, within: str) -> None:
+    run = CutRun(tmp_path, "outage.container_exchanged", ONE + REDO)
+    run.cut(within, 4)
+    assert run.resume() == 0
+    (found,) = run.told("container_reweighed")
+    assert not found["counts"]
+    assert run.told("sample")[0]["code"] == "container.changed"
+    assert good(run.sample())
+
+
 def test_unattended_a_container_that_cannot_weigh_so_ends_the_run_safe_with_a_code_of_its_own(tmp_path: Path) -> None:
     run = CutRun(tmp_path, "outage.container_taken", unattended=True)
     run.cut("dispense")

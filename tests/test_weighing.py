@@ -5,16 +5,23 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from dose_bench import DISH
+from dose_bench import DISH, MORTAR, shipped_powders
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.weighing import take_container_away, weigh_until_still, weighing_of
+from scuhand_bt.cell.weighing import (
+    SCOOP_DOUBT,
+    possible_mg,
+    take_container_away,
+    weigh_until_still,
+    weighing_of,
+)
 from scuhand_bt.clock import Steps, T, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.events import BracketClosed, ContainerLifted
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.specs import Source
 
 TAKES_S, PERIOD_S = 2.0, 0.1
 """How long one weighing takes, and one reading."""
@@ -127,6 +134,11 @@ def test_patience_begins_with_the_first_weighing_and_what_agrees_late_is_taken()
     assert shown.now_s > 1060.0
 
 
+def source(name: str) -> Source:
+    powder = shipped_powders()["glass_beads"]
+    return Source(name=name, station="bay", mortar=MORTAR, powder=powder, amount_mg=5000.0)
+
+
 def a_dosed_container(shown: Shown) -> None:
     """A dish of 20 g on the pan since 8 s, with 50 mg by two lots in it since 40 s."""
     believed = shown.believed
@@ -207,3 +219,24 @@ def test_an_empty_pan_is_weighed_bare() -> None:
     shown = Shown(10.0)
     assert weighing_of(shown.drive(take_container_away(shown.cell))) == Gross(10.0, U_MG, 2.0)
     assert (shown.events, shown.believed.closed) == ([], ())
+
+
+def test_nothing_goes_back_and_no_more_comes_than_the_cone_can_have_lost() -> None:
+    shown = Shown()
+    shown.cell.sources = {"beads": source("beads")}
+    a_dosed_container(shown)
+    shown.believed.cone_holds(shown.cell.sources["beads"], 1000.0)
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 0.5), "no dose is under way"
+    shown.believed.dosing_towards(80.0, BEADS, Gross(20_060.0, U_MG, 45.0))
+    more_mg = SCOOP_DOUBT * shown.cell.sources["beads"].powder.load_limit_mg
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 1000.0 + more_mg + 0.5)
+    shown.believed.dosing_ended(30.0, 20_090.0)
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 1000.0 + more_mg + 0.5), "what was seen has left the cone already"
+
+
+def test_what_leaves_no_source_known_brings_nothing() -> None:
+    shown = Shown()
+    shown.cell.sources = {}
+    a_dosed_container(shown)
+    shown.believed.dosing_towards(80.0, BEADS, Gross(20_060.0, U_MG, 45.0))
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 0.5)

@@ -33,6 +33,8 @@ AGREEMENT = 4.0
 SOUND_DIGITS_PER_S = 0.05
 """A sound balance that has warmed up drifts no faster (standard deviation), in digits: 3 in a minute. One that does is
 seen by A-B-A: the drift is in D and N with opposite signs."""
+SPAN_SHARE = 1e-5
+"""By how much a balance's span may differ (standard deviation) before and after it was off: 2 ppm/K over 5 K."""
 WALK_DIGITS = 1.0
 """Random walk of a sound balance's zero: standard deviation after a minute, in digits."""
 
@@ -146,12 +148,14 @@ def standing(bare: Gross, loaded: Gross, readability_mg: float) -> Net:
 def held(empty: Net, full: Sequence[Net]) -> Net:
     """What a container holds, by what it weighed empty, and what it weighs now: once, or about the bare pan (A-B-A).
 
-    Between the two its balance may have been off, and have another zero, as each is a difference by itself. What the
-    weighings of now differ by is a drift, which may have been anywhere between them.
+    Between the two its balance may have been off, and have another zero, as each is a difference by itself; and a
+    little other span, which counts with all of the container's mass. What the weighings of now differ by is a drift,
+    or a loss, which may have been anywhere between them.
     """
     masses_mg = [one.mass_mg for one in full]
     drifted_mg = (max(masses_mg) - min(masses_mg)) / math.sqrt(12.0)
-    u_mg = math.hypot(empty.uncertainty_mg, max(one.uncertainty_mg for one in full), drifted_mg)
+    span_mg = SPAN_SHARE * empty.mass_mg
+    u_mg = math.hypot(empty.uncertainty_mg, max(one.uncertainty_mg for one in full), drifted_mg, span_mg)
     return Net(sum(masses_mg) / len(full) - empty.mass_mg, u_mg)
 
 

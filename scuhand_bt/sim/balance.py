@@ -41,6 +41,7 @@ class SimulatedBalance:
         "_overloaded",
         "_heard_s",
         "_zero_mg",
+        "_span",
         "_is_off",
     )
     """What the world's file keeps of it."""
@@ -57,6 +58,7 @@ class SimulatedBalance:
         self._heard_s = 0.0  # when it last gave out something
         self._was_lost = False
         self._zero_mg = 0.0  # what it shows as nothing
+        self._span = 1.0
         self._is_off = False
         self.next_reading_s = spec.period_s
         self._clock = clock
@@ -118,8 +120,12 @@ class SimulatedBalance:
 
     def take_zero(self, on_pan_mg: float) -> None:
         """Be switched on with so much on the pan: that is nothing from now on."""
-        self._zero_mg, self.latest = on_pan_mg, None
+        self._zero_mg, self.latest = on_pan_mg * self._span, None
         self._values.clear()
+
+    def change_span(self, by_share: float) -> None:
+        """Show so much more of whatever is weighed from now on."""
+        self._span *= 1.0 + by_share
 
     def move_zero(self, by_mg: float) -> None:
         """Show so much more from now on."""
@@ -140,7 +146,7 @@ class SimulatedBalance:
                 return
             value_mg += self._error_mg(end_s)
         self._heard_s = end_s
-        value_mg -= self._zero_mg
+        value_mg = value_mg * self._span - self._zero_mg
         digit_mg = self.spec.readability_mg
         value_mg = round(value_mg / digit_mg) * digit_mg
         self._overloaded = value_mg > self.spec.maximum_mg or "balance.overload" in self.faults.active

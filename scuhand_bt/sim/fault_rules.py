@@ -88,6 +88,7 @@ KINDS: Mapping[str, FaultKind] = {
         "The balance goes off and on: its zero is what stands on the pan.", "outage", A_MOMENT, "balance"
     ),
     "outage.zero_moved": FaultKind("The balance's zero moves by up to 15 mg.", "outage", A_MOMENT, "balance"),
+    "outage.span_moved": FaultKind("The balance's span changes by some ppm.", "outage", A_MOMENT, "balance"),
     "outage.valve_open": FaultKind("The hand is off: the valve stays as it is.", "outage", A_MOMENT, "hand"),
     "outage.roller_lost": FaultKind("The roller forgets its turns.", "outage", A_MOMENT, "roller"),
     "outage.arm_limp": FaultKind("The arm is off, and sinks.", "outage", A_MOMENT, "arm"),

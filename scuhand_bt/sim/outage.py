@@ -15,6 +15,8 @@ from scuhand_bt.sim.pan import Pan
 
 ZERO_MOVES_MG = (-15.0, -3.0, -1.0, 1.0, 2.5, 15.0)
 """How far a balance's zero may be elsewhere after some hours: warmed up, levelled, re-zeroed a little off."""
+SPAN_MOVES = 1e-5
+"""Standard deviation of what a span changes by: other temperatures, an adjustment as it was switched on."""
 SAG_RAD = 0.15
 """How far a limp joint sinks at most; farther, the arm rests on something."""
 LEAST_FALL_MG = 1.0
@@ -53,6 +55,8 @@ class PowerCut:
             pan.carry_off()
         if "outage.container_exchanged" in self._comes:
             pan.exchange(self._rng)
+        if "outage.span_moved" in self._comes:
+            balance.change_span(SPAN_MOVES * float(self._rng.standard_normal()))
         if "outage.zero_at_power_on" in self._comes:
             balance.take_zero(pan.gross_mg(0.0))
         if "outage.zero_moved" in self._comes:
