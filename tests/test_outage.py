@@ -156,6 +156,14 @@ def test_unattended_a_container_that_cannot_weigh_so_ends_the_run_safe_with_a_co
     assert not found["counts"]
 
 
+def test_unattended_what_physics_allows_counts_and_nobody_is_asked(tmp_path: Path) -> None:
+    run = CutRun(tmp_path, "outage.zero_at_power_on", unattended=True)
+    run.cut("dispense", 70)
+    assert run.resume() == 0
+    assert good(run.sample())
+    assert run.told("asked") == []
+
+
 def test_where_a_dose_was_under_way_a_person_says_whether_it_is_the_same_container(tmp_path: Path) -> None:
     run = CutRun(tmp_path, "outage.zero_moved")
     run.cut("dispense")
