@@ -10,6 +10,7 @@ import pytest
 
 from harness.kill import Batch, Kill, journals, run_child
 from harness.power_cut import make_power_batch
+from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
@@ -82,7 +83,7 @@ def test_a_dose_whose_balance_lost_its_zero_is_told_by_the_bare_pan(
     assert run.sample()["dispensed_mg"] == pytest.approx(run.sample()["true_mg"], abs=0.5)
     found = run.told("container_reweighed")
     assert [one["counts"] for one in found] == [True] * len(ticks)
-    assert run.told("outage") == []
+    assert run.told("reweighed") == [], "it was weighed already"
 
 
 def test_what_the_outage_adds_to_the_uncertainty_is_in_the_dose(tmp_path: Path) -> None:
@@ -111,7 +112,10 @@ def test_a_zero_that_moved_while_a_filled_container_stood_there_leaves_its_dose_
 def test_a_cut_while_it_is_settled_what_the_last_one_did_changes_nothing(tmp_path: Path, at_event: str) -> None:
     run = CutRun(tmp_path, "outage.zero_at_power_on")
     run.cut("dispense", 60)
+    assert run.journal is not None
+    stood = read_history(run.journal).state["joints_rad"]
     assert run_child(run.batch, run.journal, Kill(at_event=at_event)) is None
+    assert read_history(run.journal).state["joints_rad"] == stood, "where the arm is to go back to"
     assert run.resume() == 0
     assert good(run.sample())
     assert [one["bracket"] for one in run.sample()["doses"]] == ["closed"]

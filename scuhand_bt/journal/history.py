@@ -10,7 +10,6 @@ from scuhand_bt.events import Dose, Event
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
-    ContainerReweighed,
     Decided,
     Ended,
     JobEnded,
@@ -127,10 +126,7 @@ def history_of(database: sqlite3.Connection) -> History:
     for seq, job_seq, action, time_s, at, state, kind, payload in database.execute(query, _KINDS):
         history.time_s, history.at = time_s, at
         if state is not None:
-            stood = history.state.get("joints_rad")
             history.state = json.loads(state)
-            if kind == ContainerReweighed.KIND:  # the arm has gone aside for it, and is yet to go back
-                history.state["joints_rad"] = stood
         event = parsed(kind, json.loads(payload)) if payload is not None else None
         match event:
             case RunBegun():
