@@ -313,3 +313,10 @@ def test_adaptive_is_done_exactly_where_the_verdict_will_be_in_tolerance(
         command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, False))
     command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, True))
     assert (command.reason if isinstance(command, Finish) else None) == reason
+
+
+def test_into_a_container_that_was_given_up_nothing_is_dosed(rig: Rig) -> None:
+    rig.cell.believed.container_given_up("it is another one")
+    with pytest.raises(SkillFailed, match=r"container\.changed: it is another one"):
+        rig.dispense(TARGET_MG)
+    assert rig.seen == []
