@@ -103,17 +103,18 @@ def significant(drift: Drift, readability_mg: float) -> Drift:
     return Drift(0.0, min(drift.uncertainty, SOUND_DIGITS_PER_S * readability_mg))
 
 
-def mean_drift(before: Drift, after: Drift) -> Drift:
+def drift_of_dose(before: Drift, after: Drift, readability_mg: float) -> Drift:
     """During a dose, by the drift before it and after it.
 
-    Where they agree, their weighted mean; where they do not, anything between them is as likely.
+    Where they agree, their weighted mean, or none where that is no more than chance. Where they do not, it began or
+    ended in between, and may have been faster there than at either end: a creep that sets in when the valve opens is.
     """
     difference, chance = after.rate - before.rate, math.hypot(before.uncertainty, after.uncertainty)
     if abs(difference) > AGREEMENT * chance:
-        return Drift((before.rate + after.rate) / 2.0, math.hypot(chance / 2.0, difference / math.sqrt(12.0)))
+        return Drift((before.rate + after.rate) / 2.0, math.hypot(chance / 2.0, difference / math.sqrt(3.0)))
     weight = after.uncertainty**2 / chance**2
     rate = weight * before.rate + (1.0 - weight) * after.rate
-    return Drift(rate, before.uncertainty * after.uncertainty / chance)
+    return significant(Drift(rate, before.uncertainty * after.uncertainty / chance), readability_mg)
 
 
 def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, readability_mg: float) -> tuple[Net, Drift]:
@@ -124,7 +125,10 @@ def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, read
     """
     seen = [drift_between(one, two, readability_mg) for one, two in ((earlier, before), (after, later)) if one != two]
     unseen = Drift(0.0, SOUND_DIGITS_PER_S * readability_mg)
-    drift = significant(mean_drift(*seen) if len(seen) == 2 else seen[0] if seen else unseen, readability_mg)
+    if len(seen) == 2:
+        drift = drift_of_dose(*seen, readability_mg)
+    else:
+        drift = significant(seen[0], readability_mg) if seen else unseen
     duration_s = later.time_s - before.time_s
     mass_mg = later.gross_mg - before.gross_mg
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)
