@@ -126,7 +126,7 @@ def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, read
     seen = [drift_between(one, two, readability_mg) for one, two in ((earlier, before), (after, later)) if one != two]
     unseen = Drift(0.0, SOUND_DIGITS_PER_S * readability_mg)
     if len(seen) == 2:
-        drift = drift_of_dose(*seen, readability_mg)
+        drift = drift_of_dose(seen[0], seen[1], readability_mg)
     else:
         drift = significant(seen[0], readability_mg) if seen else unseen
     duration_s = later.time_s - before.time_s
