@@ -178,8 +178,8 @@ CATALOGUE: Mapping[str, Failure] = {
         "Discard or return what is in the cone and swap the sheet.",
     ),
     Code.HAND_NO_FLOW: Failure(
-        "The cone should hold powder, but none comes out, even with vibration.",
-        "Look whether the scoop brought any; else for a bridge or a lump at the apex. Dry or sieve the powder.",
+        "The cone should hold more powder, but none comes out, even with vibration: a bridge, or a poor scoop.",
+        "Let it out and scoop again (the shipped workflows do); look for a lump at the apex. Dry or sieve the powder.",
     ),
     Code.HAND_VALVE_STUCK: Failure(
         "The valve does not move; powder may be running out of it.",
@@ -192,8 +192,8 @@ CATALOGUE: Mapping[str, Failure] = {
         ("run",),
     ),
     Code.SCOOP_NOTHING: Failure(
-        "The scoop brought (almost) nothing.",
-        "Check that the mortar holds powder and stands at its station.",
+        "Two scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
+        "See that the mortar holds powder and stands at its station, and that none bridges in the cone; then resume.",
     ),
     Code.SOURCE_EMPTY: Failure(
         "The source holds less than a scoop can reach.",

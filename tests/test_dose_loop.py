@@ -258,3 +258,19 @@ def test_a_pulse_before_any_reading_is_no_point_of_the_curve() -> None:
 def test_a_wait_before_weighing_is_as_long_as_it_was_asked_for() -> None:
     for wait_s in (0.0, 0.7, 30.0):
         assert Loop([Weigh(wait_s)], [3.0]).run().duration_s == pytest.approx(wait_s)
+
+
+def test_a_minute_of_pulses_without_a_gain_ends_the_dose_whatever_its_controller_hopes_for() -> None:
+    run = Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 40 + [5.0] * 160).run()
+    assert (run.finish.reason, run.finish.estimate_mg) == ("no_flow", 5.0)
+    assert run.pulses == 41 + 61, "the gain at the 41st begins a new minute"
+
+
+@pytest.mark.parametrize(("seconds", "reason"), [(59, "reached"), (61, "no_flow")])
+def test_a_stream_that_brings_nothing_is_told_by_the_weighing_after_a_minute(seconds: int, reason: str) -> None:
+    commands = [*[Stream(1.0)] * (10 * seconds), Weigh(), *[Stream(0.0)] * 100, Weigh()]
+    assert Loop(commands, [0.0] * len(commands)).run().finish.reason == reason
+
+
+def test_a_shut_valve_is_no_reason_to_give_up() -> None:
+    assert Loop([Stream(0.0), Weigh()] * 700, [0.0] * 1400).run().finish.reason == "reached"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
-from scuhand_bt.dosing.bracket import Gross, Reference
+from scuhand_bt.dosing.bracket import Gross, Reference, moved_mg
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.events import Pulsed
 from scuhand_bt.failures import Code, SkillFailed
@@ -61,6 +61,9 @@ class DoseRun:
         )
 
 
+BARREN_S = 60.0
+"""Open for so long without a gain that weighings can tell: nothing comes, whatever the controller hopes for. A fresh
+load primes within 10 s, and an arch stands for 40 s at the most before it is shaken."""
 LONGEST_S = 1800.0
 """No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
 
@@ -84,6 +87,7 @@ def run_dose(
     streaming = False
     last = reference.before
     most_mg, below = -math.inf, 0
+    gained, barren_s = reference.before, 0.0
 
     def require_nothing_lost(seen: Observation) -> None:
         nonlocal most_mg, below
@@ -130,6 +134,7 @@ def run_dose(
                     hand.opening_mm,
                 )
                 vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
+                barren_s += (clock.now_s - acted_s) * (command.opening_mm > 0.0)
                 level = command.vibration
             else:
                 streaming = False
@@ -138,6 +143,7 @@ def run_dose(
                     note(command.opening_mm, command.vibration)
                     yield from hand.pulse(command.opening_mm, command.dwell_s, command.vibration)
                     note(0.0, 0.0)
+                    barren_s += command.dwell_s
                     vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
                 else:
                     hand.stop()
@@ -151,6 +157,10 @@ def run_dose(
                 record.event(_pulsed(command, seen, acted_s, mean))
             require_nothing_lost(seen)
             command = controller.decide(seen)
+            if seen.stable and moved_mg(gained, last, balance.spec.readability_mg) > 0.0:
+                gained, barren_s = last, 0.0
+            elif seen.stable and barren_s > BARREN_S and not isinstance(command, Finish):
+                command = Finish("no_flow", seen.net_mg, seen.uncertainty_mg)
             curve.append(
                 CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
             )

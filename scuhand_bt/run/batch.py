@@ -140,6 +140,10 @@ class Batch:
 
     def _run_sample(self, job: Job, sample: Sample) -> Ended | None:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
+        if (barren := self._barren_source(sample)) is not None and (job.name, 1) not in self._history.jobs:
+            what = f"'{barren}' has brought nothing before, and was not tried again for this sample"
+            self._note(self._result(sample, (), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1))
+            return None
         attempt = 1
         while True:
             before = self._history.jobs.get((job.name, attempt))
@@ -171,6 +175,11 @@ class Batch:
                 return None
             attempt += 1
 
+    def _barren_source(self, sample: Sample) -> str | None:
+        """The first of its sources that was seen to give nothing."""
+        barren = self._cell.believed.barren_sources
+        return next((source.name for source in sample.sources if source.name in barren), None)
+
     def _action_for(self, sample: Sample, failure: SkillFailed, attempt: int) -> str:
         """What the recipe says, or the person it lets decide."""
         action = self._plan.recipe.action_for(failure.code)
@@ -188,6 +197,8 @@ class Batch:
                 return "stop"
             if answer != "stop":  # which is asked anew when the run is resumed
                 self._journal.event(Chosen(sample=sample.id, attempt=attempt, action=answer))
+            if answer == "redo":
+                self._cell.believed.sources_mended()
         return answer
 
     def _recover(self, sample: Sample, attempt: int) -> Ended | None:

@@ -176,6 +176,7 @@ class Session:
         """The first words of the journal, or the first ones of a resumed run."""
         if resumes is not None:
             take_up(self.cell, resumes.history.state)
+            self.cell.believed.sources_mended()
         if not self.cell.simulated:  # what was forgotten since the run broke off stays so
             self._state.recall(self.cell, datetime.now().astimezone())
         if resumes is None:
