@@ -40,6 +40,7 @@ class Code(StrEnum):
     SCOOP_NOTHING = "scoop.nothing"
     SOURCE_EMPTY = "source.empty"
     DOSE_OVERSHOOT = "dose.overshoot"
+    DOSE_OVERSHOOTS = "dose.overshoots"
     DOSE_RUNAWAY = "dose.runaway"
     DOSE_NOT_REACHED = "dose.not_reached"
     DOSE_TOO_SMALL = "dose.too_small"
@@ -202,6 +203,11 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.DOSE_OVERSHOOT: Failure(
         "More than the target plus its tolerance has been dispensed; it cannot be taken back.",
         "Discard and dose a new container, or accept the mass that was measured.",
+    ),
+    Code.DOSE_OVERSHOOTS: Failure(
+        "Samples in a row overshot, as many as the recipe's `overshoot_limit` allows: something is not what it was.",
+        "Look at the balance's filter (and say `scuhand-bt balance forget`), the valve and the powder; then resume.",
+        ("run",),
     ),
     Code.DOSE_RUNAWAY: Failure(
         "Far more than the target is in the container, and the valve is still open.",

@@ -119,6 +119,7 @@ workflow: scoop_and_dispense
 defaults: {source: beads, container: pellet_die_13mm, mass: 100 mg}
 samples: [{id: a}, {id: b}]
 on_failure: {dose.overshoot: %s, hand.no_flow: %s, otherwise: stop}
+overshoot_limit: 0
 """
 
 
