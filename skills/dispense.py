@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field
 
 from scuhand_bt.cell.believed import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell.doubt import doubt_balance
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
 from scuhand_bt.devices.interfaces import StableMean
@@ -126,6 +127,7 @@ class Dispense(Skill[Dose]):
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
+        doubt_balance(cell, request.balance, run.curve)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last), may_gain=True)
         gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)

@@ -117,6 +117,8 @@ class LabState:
             news.append(("balance", name, belief))
         figures = [(name, figure, value) for figure, value in cell.balance_figures.items()]
         written = [(kind, name, belief.model_dump_json()) for kind, name, belief in news]
+        if not belief.fits and name in balances and not cell.simulated:  # it was given up, or was too old
+            written.append(("balance", name, FORGOTTEN))
         self._write(written, figures, simulated=cell.simulated, says=run)
 
     def forget_balances(self) -> list[str]:
