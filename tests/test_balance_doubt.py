@@ -127,6 +127,13 @@ def test_a_weighing_may_differ_by_noise_and_a_share_of_what_came_last(
     assert [event.lag_s for event in events] == [0.5] * is_doubted
 
 
+def test_a_weighing_after_a_weighing_tells_nothing_of_a_lag(cell: Cell) -> None:
+    """As those of step commands: between them powder has come that nobody has estimated."""
+    trusting = replace(cell, balance_belief=LEARNT, record=Record(lambda event: None))
+    doubt_balance(trusting, LEARNT, [*dose(STILL, 100.0), *dose((), 150.0, 10.0)])
+    assert trusting.balance_belief == LEARNT
+
+
 def test_a_fine_noise_counts_as_a_digit(cell: Cell) -> None:
     quiet = LEARNT.model_copy(update={"noise_mg": 0.001})
     for off_mg, expected in ((0.49, quiet), (0.51, BalanceBelief())):

@@ -262,6 +262,8 @@ def test_a_load_that_gives_more_than_its_source_did_of_late_is_doubted_and_told_
     assert (believed.is_load_doubted, believed.yields) == (True, {"beads": 0.5})
     believed.dosing_ended(9000.0, 0.0)
     assert believed.yields == {"beads": 1.0}
+    believed.gave_out(is_short=False)
+    assert believed.yields == {"beads": 1.0}, "a scoop brings no more than all of it"
 
 
 def test_a_sound_load_that_ran_empty_a_little_early_or_late_teaches_nothing() -> None:
@@ -300,7 +302,9 @@ def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_no
         believed.emptied()
     believed.cone_holds(BEADS, 500.0)
     believed.gave_out(is_short=True)
-    assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({"beads": 1}, {}, True)
+    believed.dosing_ended(31.0, 0.0)
+    believed.gave_out(is_short=True)
+    assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
 
 
 def test_a_loaded_cone_goes_into_no_other_powder_and_an_emptied_one_may_have() -> None:

@@ -61,9 +61,10 @@ PROBED = 2
 """Flows that are tried before a run: one for each powder."""
 
 
-def run(tmp_path: Path, loads: set[int], recipe: str = SIX, policy: str = "flag") -> Ran:
+def run(tmp_path: Path, loads: set[int], recipe: str = SIX, policy: str = "flag", faults: str | None = None) -> Ran:
     Gushing.loads, Gushing.seen = frozenset(loads), 0
-    return dry_run(tmp_path, recipe.replace("POLICY", policy), plant=f"{__name__}:Gushing", controller="adaptive")
+    recipe = recipe.replace("POLICY", policy)
+    return dry_run(tmp_path, recipe, plant=f"{__name__}:Gushing", controller="adaptive", faults=faults)
 
 
 def codes(ran: Any) -> list[str | None]:
@@ -85,6 +86,13 @@ def test_overshoots_with_a_good_sample_between_them_do_not_stop_it(tmp_path: Pat
     ran = run(tmp_path, {1, 3, 5})
     assert codes(ran.result) == ["dose.overshoot", None, "dose.overshoot", None, "dose.overshoot", None]
     assert ran.result.exit_code == ExitCode.FLAGGED
+
+
+def test_a_sample_that_was_not_dosed_is_no_good_one_between_two_overshoots(tmp_path: Path) -> None:
+    recipe = SIX.replace("otherwise: stop", "container.wrong_mass: skip_sample, otherwise: stop")
+    ran = run(tmp_path, {1, 2}, recipe, faults="faults: [{fault: container.wrong, sample: b}]")
+    told = ["dose.overshoot", "container.wrong_mass", "dose.overshoot", "not run", "not run", "not run"]
+    assert codes(ran.result) == told
 
 
 @pytest.mark.parametrize(("limit", "dosed"), [(0, 6), (1, 2), (3, 4)])
