@@ -164,6 +164,10 @@ def test_too_much_for_the_tolerance_is_an_overshoot_and_the_dose_is_recorded_as_
     assert [event.verdict for event in rig.kept(Dose)] == ["over"]
 
 
+def test_a_dose_at_its_tolerance_is_no_overshoot_and_not_surely_in_it(rig: Rig) -> None:
+    assert rig.dispense(TARGET_MG + TOLERANCE_MG).verdict == "over"
+
+
 def test_a_dose_that_its_controller_took_for_done_and_that_weighs_less_is_gone_on_with(rig: Rig) -> None:
     """A draught weighs on the pan just while the controller looks."""
     began_s = rig.clock.now_s

@@ -261,9 +261,16 @@ def test_a_wait_before_weighing_is_as_long_as_it_was_asked_for() -> None:
 
 
 def test_a_minute_of_pulses_without_a_gain_ends_the_dose_whatever_its_controller_hopes_for() -> None:
-    run = Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 40 + [5.0] * 160).run()
-    assert (run.finish.reason, run.finish.estimate_mg) == ("no_flow", 5.0)
+    run = Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 40 + [0.9] * 160).run()
+    assert (run.finish.reason, run.finish.estimate_mg) == ("no_flow", pytest.approx(0.9))
     assert run.pulses == 41 + 61, "the gain at the 41st begins a new minute"
+    assert Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 200).run().pulses == 61
+
+
+def test_what_the_weighing_after_a_barren_minute_shows_counts_and_so_does_a_controllers_own_word() -> None:
+    stream = [Stream(1.0)] * 650
+    for mean_mg, commands in ((5.0, [*stream, Weigh(), Stream(0.0)]), (0.0, [*stream, Weigh()])):
+        assert Loop(commands, [0.0] * 650 + [mean_mg] * 2).run().finish.reason == "reached"
 
 
 @pytest.mark.parametrize(("seconds", "reason"), [(59, "reached"), (61, "no_flow")])

@@ -157,7 +157,7 @@ def run_dose(
                 record.event(_pulsed(command, seen, acted_s, mean))
             require_nothing_lost(seen)
             command = controller.decide(seen)
-            if seen.stable and moved_mg(gained, last, balance.spec.readability_mg) > 0.0:
+            if moved_mg(gained, last, balance.spec.readability_mg) > 0.0:
                 gained, barren_s = last, 0.0
             elif seen.stable and barren_s > BARREN_S and not isinstance(command, Finish):
                 command = Finish("no_flow", seen.net_mg, seen.uncertainty_mg)
