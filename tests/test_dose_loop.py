@@ -261,8 +261,8 @@ def test_a_wait_before_weighing_is_as_long_as_it_was_asked_for() -> None:
 
 
 def test_a_minute_of_pulses_without_a_gain_ends_the_dose_whatever_its_controller_hopes_for() -> None:
-    run = Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 40 + [0.9] * 160).run()
-    assert (run.finish.reason, run.finish.estimate_mg) == ("no_flow", pytest.approx(0.9))
+    run = Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 40 + [1.1] * 160).run()
+    assert (run.finish.reason, run.finish.estimate_mg) == ("no_flow", pytest.approx(1.1))
     assert run.pulses == 41 + 61, "the gain at the 41st begins a new minute"
     assert Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 200).run().pulses == 61
 
@@ -281,3 +281,22 @@ def test_a_stream_that_brings_nothing_is_told_by_the_weighing_after_a_minute(sec
 
 def test_a_shut_valve_is_no_reason_to_give_up() -> None:
     assert Loop([Stream(0.0), Weigh()] * 700, [0.0] * 1400).run().finish.reason == "reached"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "word", "reason"),
+    [(61, "step_limit", "no_flow"), (59, "step_limit", "step_limit"), (61, "overshoot", "overshoot")],
+)
+def test_a_minute_counts_from_when_powder_last_came_by_the_readings(seconds: int, word: Any, reason: str) -> None:
+    coming = [float(mg) for mg in range(50)]
+    still = [50.0 + 0.4 * (-1) ** number for number in range(10 * seconds)]
+    commands = [*[Stream(1.0)] * (len(coming) + len(still)), Weigh(), Finish(word, 50.0, 0.1)]
+    assert Loop(commands, [*coming, *still, 50.2]).run().finish.reason == reason
+
+
+def test_what_a_draught_has_pushed_is_no_gain_that_stays() -> None:
+    commands = [Stream(1.0)] * 20 + [Weigh()] + ([Stream(1.0)] * 200 + [Weigh()]) * 4
+    net_mg = [*[9.0] * 20, 0.0]
+    for gained_mg in (2.0, 4.0, 6.0, 8.0):
+        net_mg += [gained_mg] * 201
+    assert Loop(commands, net_mg).run().finish.reason == "reached"

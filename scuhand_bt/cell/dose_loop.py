@@ -5,11 +5,13 @@ the motor off when it ends, however it ends: a reading that does not come for `s
 """
 
 import math
+import statistics
+from collections import deque
 from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
-from scuhand_bt.dosing.bracket import Gross, Reference, moved_mg
+from scuhand_bt.dosing.bracket import Gross, Reference
 from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.events import Pulsed
 from scuhand_bt.failures import Code, SkillFailed
@@ -62,10 +64,29 @@ class DoseRun:
 
 
 BARREN_S = 60.0
-"""Open for so long without a gain that weighings can tell: nothing comes, whatever the controller hopes for. A fresh
-load primes within 10 s, and an arch stands for 40 s at the most before it is shaken."""
+"""Open for so long without a gain: nothing comes, whatever the controller hopes for. A fresh load primes within 10 s,
+and an arch stands for 40 s at the most before it is shaken."""
+GAIN_MG, AVERAGED = 1.0, 10
+"""A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
 LONGEST_S = 1800.0
 """No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
+
+
+@dataclass
+class _Flow:
+    """How long the valve has been open since powder was last seen to come."""
+
+    gained_mg: float
+    barren_s: float = 0.0
+    _recent_mg: deque[float] = field(default_factory=lambda: deque(maxlen=AVERAGED))
+
+    def note(self, seen: Observation) -> None:
+        self._recent_mg.append(seen.net_mg)
+        level_mg = seen.net_mg if seen.stable else statistics.fmean(self._recent_mg)
+        if (seen.stable or len(self._recent_mg) == AVERAGED) and level_mg > self.gained_mg + GAIN_MG:
+            self.gained_mg, self.barren_s = level_mg, 0.0
+        if seen.stable:
+            self.gained_mg = min(self.gained_mg, level_mg)  # what a draught has pushed is no gain that stays
 
 
 def silence_s(period_s: float) -> float:
@@ -87,7 +108,7 @@ def run_dose(
     streaming = False
     last = reference.before
     most_mg, below = -math.inf, 0
-    gained, barren_s = reference.before, 0.0
+    flow = _Flow(reference.earlier.mass_mg)
 
     def require_nothing_lost(seen: Observation) -> None:
         nonlocal most_mg, below
@@ -134,7 +155,7 @@ def run_dose(
                     hand.opening_mm,
                 )
                 vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
-                barren_s += (clock.now_s - acted_s) * (command.opening_mm > 0.0)
+                flow.barren_s += (clock.now_s - acted_s) * (command.opening_mm > 0.0)
                 level = command.vibration
             else:
                 streaming = False
@@ -143,7 +164,7 @@ def run_dose(
                     note(command.opening_mm, command.vibration)
                     yield from hand.pulse(command.opening_mm, command.dwell_s, command.vibration)
                     note(0.0, 0.0)
-                    barren_s += command.dwell_s
+                    flow.barren_s += command.dwell_s
                     vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
                 else:
                     hand.stop()
@@ -156,10 +177,10 @@ def run_dose(
                 level = 0.0
                 record.event(_pulsed(command, seen, acted_s, mean))
             require_nothing_lost(seen)
+            flow.note(seen)
             command = controller.decide(seen)
-            if moved_mg(gained, last, balance.spec.readability_mg) > 0.0:
-                gained, barren_s = last, 0.0
-            elif seen.stable and barren_s > BARREN_S and not isinstance(command, Finish):
+            is_going_on = not isinstance(command, Finish) or command.reason == "step_limit"
+            if seen.stable and flow.barren_s > BARREN_S and is_going_on:
                 command = Finish("no_flow", seen.net_mg, seen.uncertainty_mg)
             curve.append(
                 CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
