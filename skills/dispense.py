@@ -121,7 +121,7 @@ class Dispense(Skill[Dose]):
         believed.dosing_towards(self.mass_mg, lot, before)
         cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
         try:
-            run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
+            run = yield from run_dose(controller, request, cell.hand, cell.balance, cell.clock, cell.record, reference)
         finally:
             gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before.gross_mg
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)

@@ -11,7 +11,7 @@ from scuhand_bt.cell.dose_loop import DoseRun, run_dose, silence_s
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
-from scuhand_bt.dosing import Command, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.dosing import Command, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
 from scuhand_bt.events import Note, Pulsed, SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -102,6 +102,8 @@ class Recorded(Record):
 class Loop:
     """Runs the loop on a scripted controller and balance."""
 
+    cone_mg = 5000.0
+
     def __init__(self, commands: Iterable[Command], net_mg: Iterable[float]) -> None:
         self.clock = VirtualClock()
         self.clock.wait([Wake(BEGAN_S)])
@@ -110,7 +112,8 @@ class Loop:
 
     def run(self, against: Reference | None = None) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
-        steps = run_dose(self.controller, hand, balance, self.clock, self.record, against or reference())
+        asked = DoseRequest(100.0, 2.0, 0.3, 2.4, 4.0, 0.1, self.cone_mg)
+        steps = run_dose(self.controller, asked, hand, balance, self.clock, self.record, against or reference())
         try:
             while True:
                 self.clock.wait([next(steps)])
@@ -265,6 +268,13 @@ def test_a_minute_of_pulses_without_a_gain_ends_the_dose_whatever_its_controller
     assert (run.finish.reason, run.finish.estimate_mg) == ("no_flow", pytest.approx(1.1))
     assert run.pulses == 41 + 61, "the gain at the 41st begins a new minute"
     assert Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 200).run().pulses == 61
+
+
+@pytest.mark.parametrize(("came_mg", "reason"), [(240.0, "no_flow"), (260.0, "empty")])
+def test_a_barren_minute_is_an_empty_cone_where_that_has_given_what_it_should_hold(came_mg: float, reason: str) -> None:
+    loop = Loop([Pulse(1.0, 1.0)] * 100, [came_mg] * 100)
+    loop.cone_mg = 1000.0
+    assert loop.run(reference(earlier=Net(500.0, 0.1))).finish.reason == reason
 
 
 def test_what_the_weighing_after_a_barren_minute_shows_counts_and_so_does_a_controllers_own_word() -> None:

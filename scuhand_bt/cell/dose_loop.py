@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
 from scuhand_bt.dosing.bracket import Gross, Reference
-from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.dosing.controller import Controller, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.events import Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
@@ -95,9 +95,15 @@ def silence_s(period_s: float) -> float:
 
 
 def run_dose(
-    controller: Controller, hand: Hand, balance: Balance, clock: Clock, record: Record, reference: Reference
+    controller: Controller,
+    request: DoseRequest,
+    hand: Hand,
+    balance: Balance,
+    clock: Clock,
+    record: Record,
+    reference: Reference,
 ) -> Steps[DoseRun]:
-    """Run a controller to its `Finish`; net masses are against `reference`, weighed with the hand in place.
+    """Run a controller to its `Finish` of a request; net masses are against `reference`, weighed with the hand there.
 
     SkillFailed from the balance: device.lost, balance.unstable, balance.overload; container.moved.
     """
@@ -181,7 +187,8 @@ def run_dose(
             command = controller.decide(seen)
             is_going_on = not isinstance(command, Finish) or command.reason == "step_limit"
             if seen.stable and flow.barren_s > BARREN_S and is_going_on:
-                command = Finish("no_flow", seen.net_mg, seen.uncertainty_mg)
+                why = request.given_up(seen.net_mg - reference.earlier.mass_mg)
+                command = Finish(why, seen.net_mg, seen.uncertainty_mg)
             curve.append(
                 CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
             )
