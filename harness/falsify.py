@@ -46,6 +46,7 @@ samples:
 """
 FLAGS = (
     "on_failure: {dose.overshoot: flag, dose.not_reached: flag, hand.no_flow: skip_sample, otherwise: skip_sample}\n"
+    "overshoot_limit: 0\n"
 )
 OWN = {
     "short": SHORT

@@ -51,7 +51,7 @@ CODES: Mapping[str, set[str]] = {
     "valve.stuck_closed": {"hand.valve_stuck"},
     "valve.slow": {RECOVERS, "dose.overshoot"},
     "vibration.dead": {RECOVERS, "hand.no_flow"},
-    "powder.clog": {RECOVERS, "hand.no_flow", "dose.overshoot"},
+    "powder.clog": {RECOVERS, "dose.overshoot"},
     "cone.leak": {"balance.unstable", "hand.leak"},
     "servo.overheat": {"servo.overload"},
     "servo.overload": {"servo.overload"},
@@ -59,7 +59,7 @@ CODES: Mapping[str, set[str]] = {
     "arm.lost": {"device.lost"},
     "hand.emergency_stop": {"device.emergency_stop"},
     "hand.lost": {"device.lost"},
-    "scoop.nothing": {RECOVERS, "hand.no_flow", "hand.cone_empty"},
+    "scoop.nothing": {RECOVERS},
     "container.wrong": {"container.wrong_mass"},
     "operator.refuses": {"operator.refused"},
 }

@@ -6,7 +6,9 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from scuhand_bt.cell.believed import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell.doubt import doubt_balance
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import (
     SCOOP_DOUBT,
@@ -79,6 +81,7 @@ class Dispense(Skill[Dose]):
         Code.DOSE_TOO_SMALL,
         Code.HAND_CONE_EMPTY,
         Code.HAND_NO_FLOW,
+        Code.SCOOP_NOTHING,
     )
     devices = ("hand", "balance")
     typical_s = 30.0
@@ -125,12 +128,13 @@ class Dispense(Skill[Dose]):
         believed.dosing_towards(self.mass_mg, lot, before)
         cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
         try:
-            run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
+            run = yield from run_dose(controller, request, cell.hand, cell.balance, cell.clock, cell.record, reference)
         finally:
             gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before.gross_mg
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
+        doubt_balance(cell, request.balance, run.curve)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last), may_gain=True)
         gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
@@ -283,13 +287,25 @@ class Dispense(Skill[Dose]):
 
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
-        if run.finish.reason == "empty":
-            # What the cone was thought to hold still, and did not, never left the mortar.
-            cell.believed.cone_ran_empty()
-            raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
-        if run.finish.reason == "no_flow":
-            raise SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, vibrating at full opening")
+        if run.finish.reason in ("empty", "no_flow"):
+            raise self._gave_out(cell, reached)
         if dose.error_mg > self.tolerance_mg:
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "step_limit":
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")
+
+    def _gave_out(self, cell: Cell, reached: str) -> SkillFailed:
+        """Why no powder comes: an empty cone, a bridge or a poor scoop, or a source that gives nothing.
+
+        A valve that does not follow is not among them: the hand has told that, with hand.valve_stuck.
+        """
+        believed, source = cell.believed, self._source(cell)
+        came_mg, held_mg = believed.load.came_mg, believed.cone_mg
+        believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow")
+        if source.name in believed.barren_sources:
+            barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
+            return SkillFailed(Code.SCOOP_NOTHING, f"{barren}, open and shaken; it is not scooped from any more")
+        if not believed.is_load_doubted:
+            return SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
+        came = f"of its load {came_mg:.0f} mg have come, and it should hold {held_mg:.0f} mg more"
+        return SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, open and shaken: {came}")

@@ -56,7 +56,8 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "scooped": st.builds(lambda s, m: lambda b: b.scooped(s, m), sources, masses_mg),
     "emptied": st.just(Believed.emptied),
     "returned": st.builds(lambda n, m: lambda b: b.returned(n, m), names, masses_mg),
-    "cone_ran_empty": st.just(Believed.cone_ran_empty),
+    "gave_out": st.booleans().map(lambda is_short: lambda b: b.gave_out(is_short=is_short)),
+    "sources_mended": st.just(Believed.sources_mended),
     "sheet_swapped": st.just(Believed.sheet_swapped),
     "sheet_is": st.builds(lambda s, n: lambda b: b.sheet_is(s.sheet_key, n), sources, st.integers(-1, 9)),
     "changing_container": st.just(Believed.changing_container),
@@ -180,6 +181,10 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
     assert written == {
         "cone_mg": 3000.0,
         "cone_source": "beads",
+        "load": {"scooped_mg": 3000.0, "came_mg": 0.0},
+        "is_load_doubted": False,
+        "yields": {},
+        "barren_loads": {},
         "sheet": "glass_beads/L7",
         "sheets_used": 1,
         "slots_used": 1,
@@ -229,11 +234,88 @@ def test_a_scoop_takes_from_its_source_what_it_brings_and_an_empty_cone_gives_it
     believed.scooped(BEADS, 3000.0)
     believed.dosing_ended(1000.0, 21_000.0)
     assert (believed.cone_mg, believed.sources_mg, believed.dosing.scoops) == (2000.0, {"beads": 2000.0}, 1)
-    believed.cone_ran_empty()
+    believed.gave_out(is_short=False)
     assert (believed.cone_mg, believed.cone_source, believed.sources_mg) == (0.0, None, {"beads": 4000.0})
     believed.returned("beads", 100.0)
     assert believed.sources_mg == {"beads": 4100.0}
     assert believed.sheet == "glass_beads/L7"
+
+
+def test_a_load_that_gave_less_tells_what_the_next_one_will_bring_and_is_let_out_first() -> None:
+    believed = Believed()
+    believed.source_holds("beads", 20_000.0)
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(400.0, 0.0)
+    believed.dosing_ended(600.0, 0.0)
+    believed.gave_out(is_short=True)
+    assert (believed.yields, believed.is_load_doubted, believed.cone_mg) == ({"beads": 0.25}, True, 3000.0)
+    believed.emptied()
+    believed.returned("beads", 3000.0)
+    assert not believed.is_load_doubted
+    believed.scooped(BEADS, 4000.0)
+    assert (believed.cone_mg, believed.sources_mg) == (1000.0, {"beads": 18_000.0})
+    believed.dosing_ended(900.0, 0.0)
+    believed.gave_out(is_short=False)
+    assert (believed.yields, believed.cone_source) == ({"beads": 0.225}, None)
+    assert believed.sources_mg == {"beads": 18_100.0}
+
+
+def test_a_load_that_gives_more_than_its_source_did_of_late_is_doubted_and_told_by() -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(1000.0, 0.0)
+    believed.gave_out(is_short=True)
+    believed.emptied()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(1000.0, 0.0)
+    assert (believed.is_load_doubted, believed.yields) == (False, {"beads": 0.25})
+    believed.dosing_ended(1000.0, 0.0)
+    assert (believed.is_load_doubted, believed.yields) == (True, {"beads": 0.5})
+    believed.dosing_ended(9000.0, 0.0)
+    assert believed.yields == {"beads": 1.0}
+    believed.gave_out(is_short=False)
+    assert believed.yields == {"beads": 1.0}, "a scoop brings no more than all of it"
+
+
+def test_a_sound_load_that_ran_empty_a_little_early_or_late_teaches_nothing() -> None:
+    believed = Believed()
+    for came_mg in (3900.0, 4100.0):
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(came_mg, 0.0)
+        believed.gave_out(is_short=False)
+        assert (believed.yields, believed.is_load_doubted) == ({}, False)
+
+
+@pytest.mark.parametrize("is_short", [True, False])
+@pytest.mark.parametrize(("came_mg", "barren"), [(29.9, {"beads"}), (30.0, set())])
+def test_two_loads_in_a_row_of_which_nothing_came_make_a_source_barren(
+    came_mg: float, barren: set[str], is_short: bool
+) -> None:
+    believed = Believed()
+    for came in (0.0, came_mg):
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(came, 0.0)
+        assert believed.barren_sources == set()
+        believed.gave_out(is_short=is_short)
+        believed.emptied()
+    assert believed.barren_sources == barren
+    believed.sources_mended()
+    assert believed.barren_sources == set()
+
+
+def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_nothing_of_scoops() -> None:
+    believed = Believed()
+    for came_mg in (0.0, 30.0, 0.0):
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(came_mg, 0.0)
+        if came_mg == 0.0:
+            believed.gave_out(is_short=True)
+        believed.emptied()
+    believed.cone_holds(BEADS, 500.0)
+    believed.gave_out(is_short=True)
+    believed.dosing_ended(31.0, 0.0)
+    believed.gave_out(is_short=True)
+    assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
 
 
 def test_a_loaded_cone_goes_into_no_other_powder_and_an_emptied_one_may_have() -> None:

@@ -99,17 +99,6 @@ class Gusher:
         return self.Flow()
 
 
-class Dry:
-    """A plant whose powder never flows."""
-
-    class Flow:
-        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
-            return 0.0
-
-    def flow(self, powder: object) -> "Dry.Flow":
-        return self.Flow()
-
-
 class LaterNan:
     """A plant that is sound when it is tried, and breaks in the run."""
 
@@ -130,6 +119,7 @@ workflow: scoop_and_dispense
 defaults: {source: beads, container: pellet_die_13mm, mass: 100 mg}
 samples: [{id: a}, {id: b}]
 on_failure: {dose.overshoot: %s, hand.no_flow: %s, otherwise: stop}
+overshoot_limit: 0
 """
 
 
@@ -152,7 +142,7 @@ def test_stop_ends_the_batch_and_what_was_not_run_says_so(tmp_path: Path) -> Non
 
 
 def test_skip_sample_goes_on_with_the_next(tmp_path: Path) -> None:
-    ran = dry_run(tmp_path, TWO_DOSES % ("flag", "skip_sample"), plant="test_run_batch:Dry")
+    ran = dry_run(tmp_path, TWO_DOSES % ("skip_sample", "stop"), plant="test_run_batch:Gusher")
     assert ran.result.exit_code == ExitCode.FLAGGED
     assert [sample.verdict for sample in ran.result.samples] == ["skipped", "skipped"]
 

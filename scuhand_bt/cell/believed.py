@@ -26,9 +26,14 @@ _AS_WRITTEN = PlainSerializer(dict)
 _READ_ONLY = AfterValidator(MappingProxyType)
 Counts: TypeAlias = Annotated[Mapping[str, int], _READ_ONLY, _AS_WRITTEN]
 Masses: TypeAlias = Annotated[Mapping[str, float], _READ_ONLY, _AS_WRITTEN]
-"""Masses [mg] by name; read-only, as the rest of what is believed."""
+"""Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
 Nets: TypeAlias = Annotated[Mapping[str, Net], _READ_ONLY, _AS_WRITTEN]
 """Doses by powder lot (`Source.sheet_key`)."""
+
+BARREN_MG = 30.0
+"""A load of which less than this has come in all has brought nothing worth a scoop."""
+BARREN_LOADS = 2
+"""So many in a row, and a source is not scooped from any more: it is empty, or nothing of it gets out of the cone."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,16 @@ class DoseSoFar:
     """What is being dispensed towards now; None while nothing may flow into the container."""
     is_unweighed: bool = False
     """A dose broke off: what had left the cone then was not weighed by a stable mean yet."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """What the cone was filled with since it was last empty, and what came of it."""
+
+    scooped_mg: float = 0.0
+    """What its scoops should have brought, by their geometry."""
+    came_mg: float = 0.0
+    """What has arrived on the balance."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +112,13 @@ class Believed:
     cone_mg: float = 0.0
     cone_source: str | None = None
     """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
+    load: Load = Load()
+    is_load_doubted: bool = False
+    """The load gave no more, or more, than it was believed to hold: it is let out before the next scoop."""
+    yields: Masses = field(default_factory=lambda: MappingProxyType({}))
+    """By source, the share of what its scoops should bring that they were seen to; 1 where nothing else was seen."""
+    barren_loads: Counts = field(default_factory=lambda: MappingProxyType({}))
+    """By source, how many loads in a row, the last ones, have brought nothing."""
     sheet: str | None = None
     """The powder lot (`Source.sheet_key`) that this sheet has touched; None for a fresh one."""
     sheets_used: int = 1
@@ -135,6 +157,11 @@ class Believed:
         """The container on the pan, if its weight has shown that it is the right one."""
         return self.pan if self.pan_gross_mg is not None else None
 
+    @property
+    def barren_sources(self) -> frozenset[str]:
+        """Those whose scoops have brought nothing so often that no more are made."""
+        return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
+
     # --- the cone and the sources
 
     def source_holds(self, name: str, mass_mg: float) -> None:
@@ -143,7 +170,7 @@ class Believed:
 
     def cone_holds(self, source: Source, mass_mg: float) -> None:
         """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
-        self._set(cone_mg=_mass(mass_mg), cone_source=source.name, sheet=source.sheet_key)
+        self._set(cone_mg=_mass(mass_mg), cone_source=source.name, sheet=source.sheet_key, load=Load())
 
     def touched(self, source: Source) -> None:
         """The sheet has gone into the powder of a source. ValueError while the cone holds another lot."""
@@ -151,34 +178,58 @@ class Believed:
             return
         if self.cone_mg > 0.0:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and is in '{source.name}'")
-        self._set(sheet=source.sheet_key, cone_source=None)
+        self.emptied()
+        self._set(sheet=source.sheet_key)
 
     def scooped(self, source: Source, mass_mg: float) -> None:
-        """A scoop has brought so much of a source into the cone. ValueError while it holds another source's powder."""
+        """A scoop should have brought so much of a source into the cone; it has brought what this source yields of it.
+
+        ValueError while the cone holds another source's powder.
+        """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
-        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - _mass(mass_mg))
+        brought_mg = self.yields.get(source.name, 1.0) * _mass(mass_mg)
+        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - brought_mg)
         self._set(
-            cone_mg=self.cone_mg + mass_mg,
+            cone_mg=self.cone_mg + brought_mg,
             cone_source=source.name,
             sheet=source.sheet_key,
+            load=replace(self.load, scooped_mg=self.load.scooped_mg + mass_mg),
             sources_mg={**self.sources_mg, source.name: left_mg},
             dosing=replace(self.dosing, scoops=self.dosing.scoops + 1),
         )
 
     def emptied(self) -> None:
         """Everything has been let out of the cone."""
-        self._set(cone_mg=0.0, cone_source=None)
+        self._set(cone_mg=0.0, cone_source=None, load=Load(), is_load_doubted=False)
 
     def returned(self, source: str, mass_mg: float) -> None:
         """So much has come back into a source."""
         self.source_holds(source, self.sources_mg.get(source, 0.0) + _mass(mass_mg))
 
-    def cone_ran_empty(self) -> None:
-        """Nothing comes any more: what the cone was thought to hold still never left its source."""
-        if self.cone_source is not None:
-            self.returned(self.cone_source, self.cone_mg)
-        self.emptied()
+    def gave_out(self, *, is_short: bool) -> None:
+        """Nothing comes any more, open and shaken: what that tells of the load, and of what the source's scoops bring.
+
+        A load that `is_short` gave far less than it was believed to hold: a bridge holds it, or it was a poor scoop.
+        Any other was all of it: what it was thought to hold still never left its source.
+        """
+        if (name := self.cone_source) is None:
+            return
+        load = self.load
+        if load.came_mg >= BARREN_MG and load.scooped_mg > 0.0 and (is_short or name in self.yields):
+            self._set(yields={**self.yields, name: min(1.0, load.came_mg / load.scooped_mg)})
+        elif load.came_mg < BARREN_MG and load.scooped_mg > 0.0:
+            self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
+        if is_short:
+            self._set(is_load_doubted=True)
+        else:
+            self.returned(name, self.cone_mg)
+            self.emptied()
+
+    def sources_mended(self) -> None:
+        """A person has looked after the sources that gave nothing: they may be scooped from again."""
+        barren = self.barren_sources
+        self._set(barren_loads={name: loads for name, loads in self.barren_loads.items() if name not in barren})
 
     # --- the sheet
 
@@ -188,7 +239,8 @@ class Believed:
 
     def sheet_is(self, lot: str | None, number: int) -> None:
         """This sheet, by its number, is in the hand, has touched this powder lot (None: it is fresh), and is empty."""
-        self._set(cone_mg=0.0, cone_source=None, sheet=lot, sheets_used=_count(number))
+        self._set(sheet=lot, sheets_used=_count(number))
+        self.emptied()
 
     # --- containers
 
@@ -385,8 +437,15 @@ class Believed:
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""
-        if self.cone_source is not None:
-            self._set(cone_mg=max(0.0, self.cone_mg - mass_mg))
+        if (name := self.cone_source) is None:
+            return
+        load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
+        if load.came_mg >= BARREN_MG and name in self.barren_loads:
+            self._set(barren_loads={one: count for one, count in self.barren_loads.items() if one != name})
+        if mass_mg > self.cone_mg and name in self.yields and load.scooped_mg > 0.0:
+            yields = {**self.yields, name: min(1.0, load.came_mg / load.scooped_mg)}
+            self._set(yields=yields, is_load_doubted=True)  # it brought more than of late: nobody knows how much
+        self._set(cone_mg=max(0.0, self.cone_mg - mass_mg), load=load)
 
     def _weighed(self, gross_mg: float) -> None:
         """A gross belongs to a container that is known: while containers are changed it says nothing."""

@@ -20,6 +20,7 @@ from scuhand_bt.problems import SourceError, nearest
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
+    from scuhand_bt.lab_state.beliefs import LabState
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -106,6 +107,14 @@ def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
     from scuhand_bt.lab import find_lab, load_lab
 
     return load_lab(find_lab(recipe, folder))
+
+
+def lab_state(lab: "Lab") -> "LabState":
+    """What was learnt and measured in a lab."""
+    from scuhand_bt.lab import state_folder
+    from scuhand_bt.lab_state.beliefs import LabState
+
+    return LabState(state_folder(lab))
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:

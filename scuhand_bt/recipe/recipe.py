@@ -39,7 +39,12 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
     "otherwise": "stop",
 }
 ORDERS = ("by_powder", "as_written")
-RECIPE_KEYS = ("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples", "on_failure")
+OVERSHOOT_LIMIT = 2
+"""One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
+RECIPE_KEYS = (
+    *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
+    *("on_failure", "overshoot_limit"),
+)
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Recipe:
     sources: Mapping[str, Source]
     samples: tuple[Sample, ...]
     on_failure: Mapping[str, Action]
+    overshoot_limit: int
+    """So many samples in a row that overshot stop the batch; 0: none does."""
     marks: Mapping[str, Mark]
     """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `samples.ID.KEY`,
     `on_failure.CODE`."""
@@ -128,12 +135,13 @@ class _Reader:
         ]
         if "sources" not in root.keys and needed:
             self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
-        on_failure = self._read_on_failure(root.get("on_failure"))
+        on_failure, limit = self._read_on_failure(root.get("on_failure")), self._read_overshoot_limit(root)
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
         check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
-        return Recipe(self.path, self.text, name, order, controller, sources, tuple(samples), on_failure, self.marks)
+        whole = tuple(samples)
+        return Recipe(self.path, self.text, name, order, controller, sources, whole, on_failure, limit, self.marks)
 
     def _name(self, root: Entries) -> str:
         name = self._word(root, "recipe") or self.path.stem
@@ -381,3 +389,13 @@ class _Reader:
             else:
                 policy[code] = action  # type: ignore[assignment]
         return policy
+
+    def _read_overshoot_limit(self, root: Entries) -> int:
+        text = self._word(root, "overshoot_limit")
+        if text is None:
+            return OVERSHOOT_LIMIT
+        if not (text.isascii() and text.isdigit() and len(text) <= 6):
+            what = f"'overshoot_limit': '{shorten(text)}' is no number of samples"
+            self.problems.add(root.values["overshoot_limit"].mark, what, "2, or 0 for no limit")
+            return OVERSHOOT_LIMIT
+        return int(text)

@@ -78,6 +78,8 @@ class Batch:
         self._after_job = after_job
         self._runner = Runner(cell, library, journal, control, Guards(cell), observer)
         self._results: dict[str, SampleResult] = {}
+        self._overshot: list[SampleResult] = []
+        """The last samples that were dosed, as long as they overshot."""
         self._owners = {
             value.id: sample.id
             for sample in plan.recipe.samples
@@ -127,7 +129,10 @@ class Batch:
             if self._control.is_stopping:
                 return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "stopped")
             self._observer.job_started(job, number)
-            ending = self._run_service(job, 1) if job.sample is None else self._run_sample(job, job.sample)
+            if job.sample is None:
+                ending = self._run_service(job, 1)
+            else:
+                ending = self._run_sample(job, job.sample) or self._too_many_overshoots()
             if ending is not None:
                 return ending
         return _ended(ExitCode.OK, "", complete=True)
@@ -140,6 +145,10 @@ class Batch:
 
     def _run_sample(self, job: Job, sample: Sample) -> Ended | None:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
+        if (barren := self._barren_source(sample)) is not None and (job.name, 1) not in self._history.jobs:
+            what = f"'{barren}' has brought nothing before, and was not tried again for this sample"
+            self._note(self._result(sample, (), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1))
+            return None
         attempt = 1
         while True:
             before = self._history.jobs.get((job.name, attempt))
@@ -158,8 +167,13 @@ class Batch:
             recorded = self._history.samples.get((sample.id, attempt))
             if recorded is not None and before is not None and before.is_over:
                 self._show(recorded)
+                self._count_overshoots(recorded)
+                if self._too_many_overshoots() is not None:
+                    self._overshot = []  # a person has looked since
             else:
-                self._note(self._result(sample, self._journal.doses, verdict, failure, began_s, attempt))
+                result = self._result(sample, self._journal.doses, verdict, failure, began_s, attempt)
+                self._count_overshoots(result)
+                self._note(result)
             self._note_brackets()
             if failure is None:
                 return None
@@ -170,6 +184,25 @@ class Batch:
             if action != "redo":
                 return None
             attempt += 1
+
+    def _count_overshoots(self, result: SampleResult) -> None:
+        """Whichever the powder: samples share the balance and the valve. One that was not dosed tells nothing."""
+        if result.overshot_mg is not None:
+            self._overshot = [*(one for one in self._overshot if one.id != result.id), result]
+        elif result.doses:
+            self._overshot = []
+
+    def _too_many_overshoots(self) -> Ended | None:
+        """How the run ends where as many samples in a row have overshot as the recipe allows."""
+        if not 0 < self._plan.recipe.overshoot_limit <= len(self._overshot):
+            return None
+        by = ", ".join(f"{one.id} by {one.overshot_mg:.1f} mg" for one in self._overshot)
+        return _ended(ExitCode.CELL_FAULT, f"{Code.DOSE_OVERSHOOTS}: samples overshot in a row: {by}")
+
+    def _barren_source(self, sample: Sample) -> str | None:
+        """The first of its sources that was seen to give nothing."""
+        barren = self._cell.believed.barren_sources
+        return next((source.name for source in sample.sources if source.name in barren), None)
 
     def _action_for(self, sample: Sample, failure: SkillFailed, attempt: int) -> str:
         """What the recipe says, or the person it lets decide."""
@@ -188,6 +221,8 @@ class Batch:
                 return "stop"
             if answer != "stop":  # which is asked anew when the run is resumed
                 self._journal.event(Chosen(sample=sample.id, attempt=attempt, action=answer))
+            if answer == "redo":
+                self._cell.believed.sources_mended()
         return answer
 
     def _recover(self, sample: Sample, attempt: int) -> Ended | None:

@@ -119,7 +119,6 @@ class Session:
             self._make_cell(motion, opened)
             if not self.cell.simulated:
                 self._meet_balance()
-                self._state.recall(self.cell)
                 recall(self.cell, self._stock)
             self._begin(resumes)
             for warning in self.warnings:
@@ -176,10 +175,14 @@ class Session:
 
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""
+        if resumes is not None:
+            take_up(self.cell, resumes.history.state)
+            self.cell.believed.sources_mended()
+        if not self.cell.simulated:  # what was forgotten since the run broke off stays so
+            self._state.recall(self.cell, datetime.now().astimezone())
         if resumes is None:
             self.journal.event(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
             return
-        take_up(self.cell, resumes.history.state)
         recall(self.cell, corrections(self._stock, since=resumes.history.at))
         self.journal.event(
             Resumed(
