@@ -44,6 +44,7 @@ def resume(
 ) -> None:
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
     from scuhand_bt.journal.presence import is_held
+    from scuhand_bt.run.holds import take_run
     from scuhand_bt.run.resume import checked_history, find_run, resumable
     from scuhand_bt.run.session import Session, options_of
 
@@ -51,21 +52,22 @@ def resume(
     if is_held(journal):
         _tell(journal, "continue", "continues")
         return
-    history = checked_history(journal)
-    options = options_of(history, journal.parent, journal)
-    plan, its_lab = the_plan(Path(history.run.recipe_path), Path(history.run.lab))
-    found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes)
-    for line in what_is_known(history, len(plan.recipe.samples)):
-        out.print(Text(line))
-    for change in found.changes:
-        out.print(Text(f"Accepted: {change}."))
-    if out.is_terminal and options.simulation is None and not yes:
-        typer.confirm("Is the cell as described, and may the run go on?", abort=True)
+    with take_run(journal) as presence:  # before anything is read of it
+        history = checked_history(journal)
+        options = options_of(history, journal.parent, journal)
+        plan, its_lab = the_plan(Path(history.run.recipe_path), Path(history.run.lab))
+        found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes, presence=presence)
+        for line in what_is_known(history, len(plan.recipe.samples)):
+            out.print(Text(line))
+        for change in found.changes:
+            out.print(Text(f"Accepted: {change}."))
+        if out.is_terminal and options.simulation is None and not yes:
+            typer.confirm("Is the cell as described, and may the run go on?", abort=True)
 
-    def make(control: "Control") -> "Session":
-        return Session(plan, its_lab, options, control=control, resumes=found)
+        def make(control: "Control") -> "Session":
+            return Session(plan, its_lab, options, control=control, resumes=found)
 
-    run_to_its_end(make, json_file)
+        run_to_its_end(make, json_file)
 
 
 @app.command()
@@ -121,7 +123,7 @@ def _tell(journal: Path, wish: "Wish", done: str) -> None:
     deadline = time.monotonic() + HEARD_S
     while journal.with_suffix(".wish").exists():
         if time.monotonic() > deadline or not is_held(journal):
-            err.print(Text(f"{journal.stem} does not answer."))
+            err.print(Text(f"{journal.stem} does not answer: another process is about to begin or to resume it."))
             raise typer.Exit(ExitCode.BAD_INPUT)
         time.sleep(0.02)
     out.print(Text(f"{journal.stem} {done}."))

@@ -2,6 +2,10 @@
 
 It is one table of entries, which are only ever added, and chained by their hashes (`journal/hash_chain.py`). What a
 reader would rather see (jobs, actions, pulses, doses, events) are views of it.
+
+Its head, the last entry's hash, is also what keeps two writers apart: an entry is added only behind the one that its
+writer knows, which is looked at in the transaction that adds it. Who was overtaken writes nothing more, and as every
+action is written before it starts, moves nothing more. (In the literature: a fencing token.)
 """
 
 import json
@@ -62,6 +66,7 @@ CREATE VIEW event AS SELECT seq AS id, action, time_s, kind, payload FROM entry
     WHERE kind NOT IN ('run', 'job_started', 'job_ended', 'job_resumed', 'action_started', 'action_ended', 'pulse',
         'dose', 'frames') ORDER BY seq;
 """
+_HEAD = "SELECT seq, hash FROM entry ORDER BY seq DESC LIMIT 1"
 _INSERT = f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})"
 
 
@@ -98,9 +103,7 @@ class Journal:
         self._db.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
         if self._db.execute("PRAGMA user_version").fetchone()[0] == 0:
             self._db.executescript(f"BEGIN; {SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
-        last = self._db.execute("SELECT seq, hash FROM entry ORDER BY seq DESC LIMIT 1").fetchone()
-        self._seq: int = last[0] if last else 0
-        self._head: bytes = last[1] if last else GENESIS
+        self._seq, self._head = self._last()
 
     @property
     def head(self) -> str:
@@ -174,12 +177,23 @@ class Journal:
         entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
         head = digest(self._head, entry)
         try:
+            self._db.execute("BEGIN IMMEDIATE")
+            if self._last() != (self._seq, self._head):
+                raise sqlite3.Error("another process has gone on with this run")
             self._db.execute(_INSERT, (*entry, head))
+            self._db.execute("COMMIT")
         except sqlite3.Error as error:
             self._lost = True
+            with suppress(sqlite3.Error):
+                self._db.execute("ROLLBACK")
             raise RecordLost(f"the journal {self.path} cannot be written any more: {error}") from error
         self._seq, self._head = seq, head
         return seq
+
+    def _last(self) -> tuple[int, bytes]:
+        """The number and the hash of the last entry that is in the file."""
+        last: tuple[int, bytes] | None = self._db.execute(_HEAD).fetchone()
+        return last or (0, GENESIS)
 
     def _changed_state(self) -> str | None:
         state = self.state()

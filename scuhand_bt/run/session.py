@@ -29,7 +29,6 @@ from scuhand_bt.journal.events import (
 )
 from scuhand_bt.journal.history import History
 from scuhand_bt.journal.plain import plain_values
-from scuhand_bt.journal.presence import Held, Presence
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.beliefs import LabState
@@ -43,6 +42,7 @@ from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
+from scuhand_bt.run.holds import take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
@@ -112,9 +112,17 @@ class Session:
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
-        self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
+            self._holds = opened.enter_context(ExitStack())
+            presence = resumes.presence if resumes is not None else None
+            self._holds.callback((presence or take_run(path)).end)
+            if options.simulation is None:
+                self._holds.callback(take_cell(path.parent.parent).end)
+            self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
+            if self._history is not None and self.journal.head != self._history.head:
+                problem = "another process went on with it meanwhile; resume it again, to hear where it stands now"
+                raise SourceError([Problem(Mark(str(path)), problem)])
             self._make_cell(motion, opened)
             if not self.cell.simulated:
                 self._meet_balance()
@@ -127,12 +135,6 @@ class Session:
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
-        try:
-            self._presence = Presence(journal.path)
-        except Held:
-            problem = f"the run is going on in another process; `scuhand-bt stop {self.run_id}` ends it"
-            raise SourceError([Problem(Mark(str(journal.path)), problem)]) from None
-        opened.callback(self._presence.end)
         self._listener = WishListener(journal.path, self.control)
         opened.callback(self._listener.end)
         setup = set_up(
@@ -279,7 +281,7 @@ class Session:
     def close(self) -> None:
         """Close the devices, wait for what is being told of the run, and close the journal."""
         with ExitStack() as closing:
-            closing.callback(self._presence.end)
+            closing.callback(self._holds.close)
             closing.callback(self._listener.end)
             closing.callback(self.journal.close)
             closing.callback(self._finish_telling)
