@@ -1,4 +1,4 @@
-"""Between two actions the devices are at rest, whatever a skill leaves behind; or the run stops with the skill's name."""
+"""Between two actions the devices are at rest, whatever a skill leaves; or the run stops with the skill's name."""
 
 from pathlib import Path
 from typing import ClassVar

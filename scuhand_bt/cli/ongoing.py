@@ -1,6 +1,5 @@
 """Commands about runs that go on, or were interrupted: resume, pause, stop."""
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,15 +20,13 @@ RunArgument = Annotated[
     str, typer.Argument(metavar="RUN", help="A run's id, a unique beginning of it, or 'last'.", show_default=False)
 ]
 NowFlag = Annotated[bool, typer.Option("--now", help="Halt what is at work: valve closed, vibration off, arm stopped.")]
-HEARD_S = 5.0
-"""A run that goes on takes up a wish within this time."""
 
 
 def runs_folder(lab: Path | None) -> Path:
-    """Where the runs of the lab (or of the one around this folder) are."""
-    from scuhand_bt.lab import find_lab, load_lab, state_folder
+    """Where the runs of the lab (or of the one around this folder) are; nothing of the lab is read."""
+    from scuhand_bt.lab import find_state
 
-    return state_folder(load_lab(find_lab(None, lab))) / "runs"
+    return find_state(lab) / "runs"
 
 
 @app.command()
@@ -112,18 +109,17 @@ def what_is_known(history: "History", samples: int) -> list[str]:
 
 
 def _tell(journal: Path, wish: "Wish", done: str) -> None:
-    """Leave a wish, and see that the run has heard it."""
+    """Say a wish to the process that has the run, and what it answers."""
     from scuhand_bt.journal.presence import is_held
-    from scuhand_bt.run.control import leave_wish
+    from scuhand_bt.run.control import HEARD, say_wish
 
-    if not is_held(journal):
-        err.print(Text(f"{journal.stem} is not running."))
+    try:
+        answer = say_wish(journal, wish)
+    except TimeoutError:
+        answer = "it does not answer"
+    if answer is None:
+        answer = "another process is about to begin or to resume it" if is_held(journal) else "it is not running"
+    if answer != HEARD:
+        err.print(Text(f"{journal.stem}: {answer}."))
         raise typer.Exit(ExitCode.BAD_INPUT)
-    leave_wish(journal, wish)
-    deadline = time.monotonic() + HEARD_S
-    while journal.with_suffix(".wish").exists():
-        if time.monotonic() > deadline or not is_held(journal):
-            err.print(Text(f"{journal.stem} does not answer: another process is about to begin or to resume it."))
-            raise typer.Exit(ExitCode.BAD_INPUT)
-        time.sleep(0.02)
     out.print(Text(f"{journal.stem} {done}."))

@@ -10,11 +10,12 @@ from scuhand_bt.journal.presence import Held, Presence
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 CELL = "cell"
+BEING_RUN = "the run is going on in another process; `scuhand-bt stop {}` ends it"
 
 
 def take_run(journal: Path) -> Presence:
     """Have a run, from before its history is read until it ends. Raises SourceError where another process has it."""
-    return _take(journal, f"the run is going on in another process; `scuhand-bt stop {journal.stem}` ends it")
+    return _take(journal, BEING_RUN.format(journal.stem))
 
 
 def take_cell(state_folder: Path) -> Presence:

@@ -42,7 +42,7 @@ from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
-from scuhand_bt.run.holds import take_cell, take_run
+from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
@@ -135,7 +135,7 @@ class Session:
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
-        self._listener = WishListener(journal.path, self.control)
+        self._listener = _listen(journal.path, self.control)
         opened.callback(self._listener.end)
         setup = set_up(
             self.plan,
@@ -290,6 +290,13 @@ class Session:
     def _finish_telling(self) -> None:
         for what in self._notifier.finish():
             self._trouble(what)
+
+
+def _listen(journal: Path, control: Control) -> WishListener:
+    try:
+        return WishListener(journal, control)
+    except OSError:  # though it is not locked any more
+        raise SourceError([Problem(Mark(str(journal)), BEING_RUN.format(journal.stem))]) from None
 
 
 def _open_journal(path: Path, *, durable: bool) -> Journal:
