@@ -88,7 +88,7 @@ def test_a_run_that_is_overtaken_ends_safe_with_code_3_and_says_why(run: Run) ->
                 self.session.journal.path.with_suffix(".lock").unlink()  # as a tidy person may
                 other = Journal(self.session.journal.path, durable=False)
                 other.event(Note("lab.overtaken", {}))
-                other._db.close()
+                other.close()
 
     watch = Overtaking()
     result = run.go(watch)

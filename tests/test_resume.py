@@ -502,7 +502,7 @@ def test_a_full_disk_ends_the_run_safe_and_says_so(run: Run) -> None:
         def ticked(self, root: Any) -> None:
             super().ticked(root)
             if self.ticks == 60:
-                database = self.session.journal._db
+                database = self.session.journal._store.db
                 pages = database.execute("PRAGMA page_count").fetchone()[0]
                 database.execute(f"PRAGMA max_page_count={pages}")
 

@@ -38,7 +38,7 @@ class Shown:
                 spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1)),
                 balance=self,
                 believed=self.believed,
-                record=SimpleNamespace(event=self.events.append),
+                record=Record(self.events.append),
                 changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
             ),
         )

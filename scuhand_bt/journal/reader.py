@@ -18,7 +18,7 @@ from typing import Any
 from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
 from scuhand_bt.journal.kinds import NewerShape
 from scuhand_bt.journal.migrations import MIGRATIONS, in_memory
-from scuhand_bt.journal.writer import SCHEMA_VERSION
+from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 _JSON_COLUMNS = ("inputs", "result", "payload", "state")

@@ -108,8 +108,17 @@ class Batch:
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
                 code = ExitCode.FLAGGED
-            self._journal.event(_ended(code, ending.reason, complete=ending.is_complete))
-        return BatchResult(in_order, code, ending.reason, self._cell.clock.now_s, ending.is_complete)
+            ending = self._said(_ended(code, ending.reason, complete=ending.is_complete))
+        return BatchResult(in_order, ending.exit_code, ending.reason, self._cell.clock.now_s, ending.is_complete)
+
+    def _said(self, ending: Ended) -> Ended:
+        """The run's end, as its journal has it: what is not in it did not end well."""
+        try:
+            self._journal.event(ending)
+            self._journal.settle()
+        except RecordLost as lost:
+            ending = _ended(ExitCode.CELL_FAULT, str(lost))
+        return ending
 
     def _is_safe(self) -> bool:
         try:
@@ -226,6 +235,7 @@ class Batch:
                 return Outcome(fault, "tripped")
             if self._control.is_stopping:
                 return Outcome(interrupted="stopped")
+            journal.settle()
             history = read_history(journal.path)
             again = history.jobs[job.name, attempt]
             journal.job_resumed(again.seq, again.doses)

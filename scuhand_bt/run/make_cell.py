@@ -148,7 +148,7 @@ def _dry_run(
         lab.cell,
         plan.recipe.sources,
         clock=clock,
-        record=Record(journal.event),
+        record=Record(journal.event, journal.waits),
         motion=motion,
         operator=operator,
         seed=dry_run.seed,
@@ -242,7 +242,7 @@ def _wired_cell(
     return Cell(
         spec=lab.cell,
         clock=clock,
-        record=Record(journal.event),
+        record=Record(journal.event, journal.waits),
         arm=devices.arm,
         hand=devices.hand,
         balance=devices.balance,

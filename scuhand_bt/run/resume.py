@@ -10,7 +10,7 @@ from scuhand_bt.journal.hash_chain import NO_ENTRY
 from scuhand_bt.journal.history import History, history_of
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents
-from scuhand_bt.journal.writer import SCHEMA_VERSION
+from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, recoveries

@@ -37,6 +37,10 @@ class Listener(Protocol):
 
     def started(self, leaf: "SkillLeaf", inputs: Values) -> None: ...
 
+    def waits(self, leaf: "SkillLeaf") -> Wake | None:
+        """What the leaf has to wait for until it is on disk that it starts; None where it is."""
+        ...
+
     def acting(self, leaf: "SkillLeaf") -> None:
         """The leaf is about to do its next step; what is recorded now is its doing."""
         ...
@@ -150,6 +154,9 @@ class SkillLeaf(Behaviour):
                 return Status.RUNNING
             if self._ended is not None:
                 return self._come_to_rest(*self._ended)
+            if self._wake is None and (writing := self._shared.listener.waits(self)) is not None:
+                self._shared.wait(self, writing)
+                return Status.RUNNING
             if self._wake is not None and not self._is_due(self._wake):
                 return Status.RUNNING
             assert self._steps is not None
