@@ -23,12 +23,14 @@ from scuhand_bt.cli.shared import (
     on_signals,
     out,
     the_lab,
+    unwatched,
 )
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
+    from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.lab import Lab
     from scuhand_bt.recipe.plan import Plan
     from scuhand_bt.run.control import Control
@@ -76,7 +78,8 @@ def run(
         made, loaded = the_plan(recipe, lab)
         return Session(made, loaded, Options(simulation, controller, unattended=unattended), control=control)
 
-    run_to_its_end(make, json_file)
+    with unwatched():
+        run_to_its_end(make, json_file)
 
 
 def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None) -> None:
@@ -84,6 +87,7 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
 
     Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample.
     """
+    from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.journal.export import canonical
     from scuhand_bt.report.live import doses_table, end_line
     from scuhand_bt.run.control import Control
@@ -92,13 +96,22 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
 
     began, control = time.monotonic(), Control()
     others = {signal.SIGTSTP: control.toggle_pause, signal.SIGQUIT: lambda: control.wish("stop")}
-    with on_signals(lambda: control.wish("stop_now"), others):
+    supervisors: list[Supervisor] = []
+
+    def stop() -> None:
+        if control.stops_now:
+            for supervisor in supervisors:
+                supervisor.hurry()
+        control.wish("stop_now")
+
+    with on_signals(stop, others):
         try:
             session = make(control)
             out.print(Text(session.title))
             for warning in session.warnings:
                 err.print(Text(f"Note: {warning}"))
-            result = _watched(session)
+            supervisors.append(Supervisor(session))
+            result = _watched(session, supervisors[0])
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(ExitCode.BAD_INPUT) from None
@@ -110,26 +123,28 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
         err.print(Text(notice))
     if not result.is_complete and session.can_be_resumed:
         out.print(Text(f"`scuhand-bt resume {session.run_id}` goes on with it."))
-    out.print(Text(f"Journal: {session.journal.path}"))
+    out.print(Text(f"Journal: {session.journal.kept_in or 'lost'}"))
     out.print(Text(f"Head of its chain: {session.journal.head}"))
     if json_file is not None:
         try:
-            json_file.write_text(canonical(session.journal.path), encoding="utf-8")
+            json_file.write_text(canonical(session.journal.kept_in or session.journal.path), encoding="utf-8")
         except OSError as error:
             err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has it all"))
             raise typer.Exit(result.exit_code or ExitCode.BAD_INPUT) from None
     raise typer.Exit(result.exit_code)
 
 
-def _watched(session: "Session") -> "BatchResult":
+def _watched(session: "Session", supervisor: "Supervisor") -> "BatchResult":
     """Run with the live view on a terminal, else with plain lines."""
     from scuhand_bt.report.live import LiveView, PlainLines
 
     try:
         if out.is_terminal:
-            with LiveView(out, session.cell, session.plan, session.control) as view:
+            with LiveView(out, session.cell, session.plan, session.control) as view, supervisor:
                 return session.run(view)
-        return session.run(PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples)))
+        lines = PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples))
+        with supervisor:
+            return session.run(lines)
     finally:
         session.close()
 

@@ -7,7 +7,7 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.batch import run_to_its_end, the_plan
-from scuhand_bt.cli.shared import LabOption, app, err, out
+from scuhand_bt.cli.shared import LabOption, app, err, out, unwatched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -49,7 +49,7 @@ def resume(
     if is_held(journal):
         _tell(journal, "continue", "continues")
         return
-    with take_run(journal) as presence:  # before anything is read of it
+    with unwatched(), take_run(journal) as presence:  # before anything is read of it
         history = checked_history(journal)
         options = options_of(history, journal.parent, journal)
         plan, its_lab = the_plan(Path(history.run.recipe_path), Path(history.run.lab))

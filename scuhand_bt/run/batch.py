@@ -8,6 +8,7 @@ from py_trees.behaviour import Behaviour
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
+from scuhand_bt.devices.liveness import Hung
 from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
@@ -91,7 +92,7 @@ class Batch:
         ending = _ended(ExitCode.CELL_FAULT, "broken")
         try:
             ending = self._run_jobs()
-        except (SkillBug, PlantError, RecordLost, SkillFailed) as error:
+        except (SkillBug, PlantError, RecordLost, SkillFailed, Hung) as error:
             ending = _ended(ExitCode.CELL_FAULT, str(error))
         except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
             ending = _ended(ExitCode.CELL_FAULT, f"{type(error).__name__}: {error}")
@@ -116,8 +117,8 @@ class Batch:
         try:
             self._journal.event(ending)
             self._journal.settle()
-        except RecordLost as lost:
-            ending = _ended(ExitCode.CELL_FAULT, str(lost))
+        except (RecordLost, Hung) as lost:
+            ending = _ended(ExitCode.CELL_FAULT, f"how the run ended is not written: {lost}")
         return ending
 
     def _is_safe(self) -> bool:
@@ -125,7 +126,7 @@ class Batch:
             return self._runner.make_safe()
         except RecordLost:
             return self._runner.make_safe()
-        except Exception:  # a simulated world that breaks at every step cannot come to rest
+        except (Exception, Hung):  # a simulated world that breaks at every step cannot come to rest
             self._journal.event(Broken(traceback=traceback.format_exc()))
             return False
 

@@ -37,6 +37,7 @@ from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
+from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
@@ -148,6 +149,7 @@ class Session:
             resumed_at_s=None if history is None else history.time_s,
         )
         self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
+        self.liveness = setup.liveness
         opened.callback(self._close_cell)
         if options.controller is not None:
             self.cell.controller = options.controller
@@ -226,13 +228,16 @@ class Session:
         try:
             result = batch.run()
         finally:
-            if world is not None:
-                self.journal.event(Matter(**world.masses_mg))
-                if world.faults.rules:
-                    self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
-            if (problem := self._state.keep(self.cell, self.run_id)) is not None:
-                self._trouble(problem)
-            self._keep_inventory()
+            try:
+                if world is not None:
+                    self.journal.event(Matter(**world.masses_mg))
+                    if world.faults.rules:
+                        self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
+                if (problem := self._state.keep(self.cell, self.run_id)) is not None:
+                    self._trouble(problem)
+                self._keep_inventory()
+            except RecordLost as lost:  # its end was still written
+                self.notices.append(str(lost))
         self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)

@@ -173,7 +173,7 @@ class SkillLeaf(Behaviour):
             return self._has_ended("failed", failure)
         except (RecordLost, SkillBug):
             raise
-        except Exception as error:
+        except BaseException as error:  # sys.exit() too: how a run ends is not a skill's to say
             self._end("broken", None)
             raise bug_of(self.name, error) from error
         self._shared.wait(self, self._wake)
@@ -215,7 +215,7 @@ class SkillLeaf(Behaviour):
         try:
             if self._steps is not None:
                 self._steps.close()
-        except Exception as error:
+        except BaseException as error:
             outcome = "broken"
             self._shared.bugs.append(bug_of(self.name, error))
         self._end(outcome, None)
@@ -285,7 +285,7 @@ class SkillLeaf(Behaviour):
             self._shared.listener.ended(self, outcome, result)
 
 
-def bug_of(name: str, error: Exception) -> SkillBug:
+def bug_of(name: str, error: BaseException) -> SkillBug:
     """What an exception of a skill's own code is."""
     return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}")
 
