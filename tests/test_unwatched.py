@@ -178,9 +178,9 @@ def test_a_second_ctrl_c_ends_a_skill_that_hangs_at_once(lab_folder: LabFolder) 
         assert process.stdout is not None
         while process.stdout.readline() != "hangs\n":
             pass
-        time.sleep(0.2)
+        time.sleep(1.2)
         process.send_signal(signal.SIGINT)
-        time.sleep(1.0)
+        time.sleep(0.5)
         assert process.poll() is None, "the first one waits for the skill"
         began_s = time.monotonic()
         process.send_signal(signal.SIGINT)

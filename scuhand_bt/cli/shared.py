@@ -24,7 +24,7 @@ from scuhand_bt.problems import SourceError, nearest
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
 
-END_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 MOST_WAITING = 1000
 """So many parts of the output may wait for who reads it; what comes then is left out."""
 LAST_WORDS_S = 2.0
@@ -94,11 +94,8 @@ def _options(
 
 @contextmanager
 def on_signals(stop: Callable[[], None], others: Mapping[signal.Signals, Callable[[], None]] = {}) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end a run safely instead of the process at once, a closed terminal (SIGHUP) changes nothing.
-
-    `others` as they say.
-    """
-    wishes = {**dict.fromkeys(END_SIGNALS, stop), signal.SIGHUP: lambda: None, **others}
+    """Ctrl-C, SIGTERM and a closed terminal end what goes on safely, not the process at once; `others` as they say."""
+    wishes = {**dict.fromkeys(END_SIGNALS, stop), **others}
 
     def handle(number: int, frame: FrameType | None) -> None:
         wishes[signal.Signals(number)]()

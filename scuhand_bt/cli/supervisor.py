@@ -12,8 +12,9 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
-from types import FrameType, TracebackType
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from scuhand_bt.devices.liveness import Hung
@@ -21,13 +22,14 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.skill import DEVICES
 
 if TYPE_CHECKING:
+    from scuhand_bt.run.control import Control
     from scuhand_bt.run.session import Session
 
 HANGS_S = 20.0
 """A tick takes milliseconds, the longest plan of a motion a few seconds."""
 GRACE_S = 5.0
 """What was interrupted has ended by then, or is deaf."""
-IMPATIENT_S = 0.5
+IMPATIENT_S = 1.0
 """Who wishes a second time that the run stops does not wait longer for a silent tick."""
 LAST_WORDS_S = 2.0
 """The devices have been told to stop by then, and the journal has been written, or never will be."""
@@ -36,41 +38,54 @@ SKILLS = "scuhand_lab.skills."
 
 
 class Supervisor:
-    """Watches over one session's run, from the thread that runs it; to be used as a context."""
+    """Stops a run when it is told to, and watches over it, from the thread that runs it."""
 
-    def __init__(self, session: "Session") -> None:
-        self._session = session
+    def __init__(self, control: "Control") -> None:
+        self._control = control
+        self._session: Session | None = None
+        self._is_over = False
         self._limit_s = HANGS_S
         self._main = threading.get_ident()
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._watch, daemon=True, name="supervisor")
 
-    def __enter__(self) -> "Supervisor":
-        self._before = signal.signal(signal.SIGALRM, self._interrupt)
-        self._thread.start()
-        return self
+    def stop(self) -> None:
+        """Stop now. The second time at once: what does not answer has no more patience.
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._over.set()
-        self._thread.join()
-        signal.signal(signal.SIGALRM, self._before)
+        Raises Hung within a run that is silent, KeyboardInterrupt before there is one; after it nothing is to stop.
+        """
+        if not self._control.stops_now:
+            self._control.wish("stop_now")
+        elif self._session is None:
+            raise KeyboardInterrupt
+        elif not self._is_over:
+            self._limit_s = IMPATIENT_S
+            if self._session.liveness.silent_s > IMPATIENT_S:
+                self._interrupt(signal.SIGALRM, None)
 
-    def hurry(self) -> None:
-        """A person wishes again that the run stops: what is silent has no more patience. Raises Hung."""
-        self._limit_s = min(self._limit_s, IMPATIENT_S)
-        if self._session.liveness.silent_s > self._limit_s:
-            self._interrupt(signal.SIGALRM, None)
+    @contextmanager
+    def watching(self, session: "Session") -> Iterator[None]:
+        """Whatever hangs of this session's run in here is ended."""
+        self._session = session
+        over = threading.Event()
+        thread = threading.Thread(target=self._watch, args=(session, over), daemon=True, name="supervisor")
+        before = signal.signal(signal.SIGALRM, self._interrupt)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+            self._is_over = True
+            signal.signal(signal.SIGALRM, before)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        raise Hung(f"it did nothing for {self._session.liveness.silent_s:.1f} s, and did not yield")
+        silent_s = self._session.liveness.silent_s if self._session is not None else 0.0
+        raise Hung(f"it did nothing for {silent_s:.1f} s, and did not yield")
 
-    def _watch(self) -> None:
+    def _watch(self, session: "Session", over: threading.Event) -> None:
         """Count how long the tick is silent: by this thread's own looks, so that a program that slept is not blamed."""
-        last_s, silent_s, is_interrupted = self._session.liveness.last_s, 0.0, False
-        while not self._over.wait(LOOK_S):
-            before_s, last_s = last_s, self._session.liveness.last_s
+        last_s, silent_s, is_interrupted = session.liveness.last_s, 0.0, False
+        while not over.wait(LOOK_S):
+            before_s, last_s = last_s, session.liveness.last_s
             if last_s != before_s or last_s is None:
                 silent_s, is_interrupted = 0.0, False
                 continue
@@ -79,13 +94,13 @@ class Supervisor:
                 is_interrupted = True
                 signal.pthread_kill(self._main, signal.SIGALRM)
             if silent_s >= self._limit_s + GRACE_S:
-                self._end()
+                self._end(session)
 
-    def _end(self) -> None:
+    def _end(self, session: "Session") -> None:
         """Make the cell safe, write down what happened, and end the program, whatever hangs of it."""
         from scuhand_bt.journal.events import Broken, Ended
 
-        session, stack = self._session, sys._current_frames()[self._main]
+        stack = sys._current_frames()[self._main]
         reason = f"{_who(stack)} hangs and cannot be ended; the program was ended with it"
 
         def write() -> None:

@@ -2,6 +2,7 @@
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -119,6 +120,8 @@ class Batch:
             self._journal.settle()
         except (RecordLost, Hung) as lost:
             ending = _ended(ExitCode.CELL_FAULT, f"how the run ended is not written: {lost}")
+            with suppress(RecordLost):
+                self._journal.event(ending)  # where it goes on, if anywhere
         return ending
 
     def _is_safe(self) -> bool:
