@@ -170,6 +170,18 @@ def test_a_skill_that_hangs_is_ended_with_code_3_and_named(lab_folder: LabFolder
     assert (state, code) == ("fault", 3)
 
 
+def test_a_device_that_hangs_when_it_is_told_to_stop_keeps_no_run_from_its_end(recipe: Path) -> None:
+    program = "import time; from scuhand_bt.sim.hand import SimulatedHand; SimulatedHand.stop = lambda self: "
+    program += "time.sleep(3600); from scuhand_bt.cli import main, supervisor; supervisor.HANGS_S = 1.0; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "run", str(recipe), "--dry-run"],
+        cwd=REPOSITORY, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 3, done.stderr
+    assert "a device did not stop" in done.stdout
+    assert ended(recipe) == ("complete", 3), "its doses were"
+
+
 def test_a_second_ctrl_c_ends_a_skill_that_hangs_at_once(lab_folder: LabFolder) -> None:
     recipe = hanging(lab_folder, LOOP)
     with subprocess.Popen(
