@@ -197,13 +197,13 @@ def test_an_action_begins_once_it_is_on_disk_that_it_does_and_all_before_it(
 def test_an_action_waits_for_a_slow_disk_and_the_control_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A rehearsal on twins, in real time, with every third write half a second long."""
+    """A rehearsal on twins, in real time, with every other write half a second long."""
     add, beat = Store.add, Liveness.beat
     writes, beats_s = [0], list[float]()
 
     def slow(store: Store, rows: Sequence[Row]) -> None:
         writes[0] += 1
-        if writes[0] % 3 == 0:
+        if writes[0] % 2 == 0:
             time.sleep(0.5)
         add(store, rows)
 
@@ -222,7 +222,7 @@ def test_an_action_waits_for_a_slow_disk_and_the_control_does_not(
     finally:
         session.close()
     assert result.exit_code == 0, result.reason
-    assert writes[0] >= 6
+    assert writes[0] >= 4, "two of them slow"
     at_work_s = beats_s[: beats_at_rest[-1]]
     assert max(later - sooner for sooner, later in itertools.pairwise(at_work_s)) < LIMIT_S
     doing = [(row["skill"], row["outcome"]) for row in read(session.journal.path, "action")]

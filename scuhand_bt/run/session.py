@@ -3,6 +3,7 @@
 import secrets
 import sqlite3
 from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -108,6 +109,7 @@ class Session:
         self.run_id = path.stem
         self._state = LabState(path.parent.parent)
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
+        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
         self._notifier = Notifier(lab.cell.notify)
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
@@ -236,6 +238,7 @@ class Session:
                 if (problem := self._state.keep(self.cell, self.run_id)) is not None:
                     self._trouble(problem)
                 self._keep_inventory()
+                self._beside.shutdown()
             except RecordLost as lost:  # its end was still written
                 self.notices.append(str(lost))
         self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
@@ -257,8 +260,14 @@ class Session:
             self._keep_inventory()
 
     def _keep_inventory(self) -> None:
-        if (problem := self._inventory.keep(self.cell, self.run_id)) is not None:
-            self._trouble(problem)
+        """Written beside the tick, as the journal is."""
+        keeping = self._beside.submit(self._inventory.keeping(self.cell, self.run_id))
+        keeping.add_done_callback(self._kept_inventory)
+
+    def _kept_inventory(self, keeping: Future[str | None]) -> None:
+        if (problem := keeping.result()) is not None:
+            with suppress(RecordLost):
+                self._trouble(problem)
 
     def _heard(self, event: Event | Note) -> None:
         """What goes into the journal, and a person who is not here should know."""
