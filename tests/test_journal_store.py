@@ -80,9 +80,10 @@ def test_a_run_whose_journal_is_lost_ends_safe_within_a_second_and_its_whole_sto
     assert kinds[-2:] == ["ended", "matter"]
 
 
-@pytest.mark.parametrize("durable", [False, True])
-def test_a_lost_journal_is_noticed_within_a_second_though_nothing_is_written(tmp_path: Path, durable: bool) -> None:
-    journal = Journal(tmp_path / "runs" / "r.sqlite", durable=durable)
+@pytest.mark.parametrize("is_beside", [False, True])
+def test_a_lost_journal_is_noticed_within_a_second_though_nothing_is_written(tmp_path: Path, is_beside: bool) -> None:
+    journal = Journal(tmp_path / "runs" / "r.sqlite", durable=False)
+    journal.is_beside = is_beside
     journal.event(NOTE)
     journal.settle()
     before = journal.news.count
@@ -121,6 +122,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> SlowDisk:
 @pytest.fixture
 def journal(tmp_path: Path, disk: SlowDisk) -> Iterator[Journal]:
     journal = Journal(tmp_path / "runs" / "r.sqlite", durable=True)
+    journal.is_beside = True
     yield journal
     disk.is_held = False
     journal.close()
@@ -179,6 +181,7 @@ def test_an_action_begins_once_it_is_on_disk_that_it_does_and_all_before_it(
 
     def open_journal(path: Path, *, durable: bool) -> Journal:
         journals.append(Journal(path, durable=True))
+        journals[0].is_beside = True
         return journals[0]
 
     def let_go() -> None:

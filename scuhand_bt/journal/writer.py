@@ -38,15 +38,18 @@ LOOK_S = 0.25
 
 
 class Journal:
-    """Writes one run, new or continued. No call waits for a disk, but for `settle` and `close`.
+    """Writes one run, new or continued.
 
-    `durable` is full fsync, for real runs, on a thread beside; a dry run goes without, and every call is committed when
-    it returns. Every call may raise RecordLost, once: what is told to a lost journal after that goes to where it is
-    `kept_in`, so that the cell can still be made safe. Raises OSError, sqlite3.Error for a file that is none.
+    `durable` is full fsync, for real runs; a dry run goes without. Every call is committed when it returns, or, with
+    `is_beside`, waits for no disk (but for `settle` and `close`). Every call may raise RecordLost, once: what is told to
+    a lost journal after that goes to where it is `kept_in`, so that the cell can still be made safe. Raises OSError,
+    sqlite3.Error for a file that is none.
     """
 
     def __init__(self, path: Path, *, durable: bool) -> None:
         self.path = path
+        self.is_beside = False
+        """Whether a thread beside puts entries on disk; set where time is real."""
         self.news = Signal()
         """Fires when entries have come on disk, or never will."""
         self.before_commit: Callable[[], None] = lambda: None
@@ -62,7 +65,6 @@ class Journal:
         """The action that is acting now; what devices record is its doing."""
         self.doses: list[Dose] = []
         """The doses of the current job."""
-        self._durable = durable
         self._lost: RecordLost | None = None
         self._is_told = False
         self._state: Mapping[str, JsonValue] | None = None
@@ -172,7 +174,7 @@ class Journal:
             entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
             self._seq, self._head = seq, digest(self._head, entry)
             self._queue.append(((entry, self._head), event if is_told else None))
-        if self._durable:
+        if self.is_beside:
             self._wanted.set()
         else:
             self._write()
@@ -203,7 +205,7 @@ class Journal:
         for _, event in waiting:
             if event is not None:
                 self.heard(event)
-        if self._durable and rows:
+        if self.is_beside and rows:
             self.news.fire()
 
     def _lose(self, lost: RecordLost, rows: Sequence[Row]) -> None:

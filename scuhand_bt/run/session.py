@@ -159,6 +159,7 @@ class Session:
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         journal.heard = self._heard
+        journal.is_beside = not isinstance(self.cell.clock, VirtualClock)
         if isinstance(self.cell.clock, VirtualClock):
             self.cell.clock.hurries = lambda: self.control.halts
         if self.world is not None:
