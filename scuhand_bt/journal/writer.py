@@ -41,8 +41,8 @@ class Journal:
     """Writes one run, new or continued.
 
     `durable` is full fsync, for real runs; a dry run goes without. Every call is committed when it returns, or, with
-    `is_beside`, waits for no disk (but for `settle` and `close`). Every call may raise RecordLost, once: what is told to
-    a lost journal after that goes to where it is `kept_in`, so that the cell can still be made safe. Raises OSError,
+    `is_beside`, waits for no disk (but for `settle` and `close`). Every call may raise RecordLost, once: what is told
+    to a lost journal after that goes to where it is `kept_in`, so that the cell can still be made safe. Raises OSError,
     sqlite3.Error for a file that is none.
     """
 
