@@ -48,9 +48,11 @@ def lose(path: Path, how: str) -> None:
         path.with_name("copy").replace(path)
     else:
         shutil.rmtree(path.parent)
+    if how == "folder replaced":
+        path.parent.touch()
 
 
-@pytest.mark.parametrize("how", ["removed", "replaced", "folder removed"])
+@pytest.mark.parametrize("how", ["removed", "replaced", "folder removed", "folder replaced"])
 def test_a_run_whose_journal_is_lost_ends_safe_within_a_second_and_its_whole_story_is_kept_elsewhere(
     tmp_path: Path, how: str
 ) -> None:
@@ -93,6 +95,18 @@ def test_a_lost_journal_is_noticed_within_a_second_though_nothing_is_written(tmp
         journal.keep_up()
     journal.keep_up()
     journal.close()
+    assert journal.kept_in is not None
+    assert len(read(journal.kept_in, "entry")) == 1
+
+
+def test_a_journal_that_is_lost_before_its_first_entry_has_it_elsewhere(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "runs" / "r.sqlite", durable=False)
+    journal.path.unlink()
+    with pytest.raises(RecordLost):
+        journal.event(NOTE)
+    journal.close()
+    assert journal.kept_in is not None
+    assert len(read(journal.kept_in, "entry")) == 1
 
 
 # --- beside the tick

@@ -10,6 +10,7 @@ on a full disk) ends the run, and what happens until then is kept in a file else
 """
 
 import json
+import sqlite3
 import threading
 import time
 import zlib
@@ -198,8 +199,8 @@ class Journal:
                     self._store.add(rows)
                 elif self._store is not None:
                     self._store.look()
-            except RecordLost as lost:
-                self._lose(lost, rows)
+            except (RecordLost, sqlite3.Error, OSError) as why:
+                self._lose(why, rows)
             if rows:
                 self._on_disk = rows[-1][0].seq
         for _, event in waiting:
@@ -208,13 +209,13 @@ class Journal:
         if self.is_beside and rows:
             self.news.fire()
 
-    def _lose(self, lost: RecordLost, rows: Sequence[Row]) -> None:
+    def _lose(self, why: Exception, rows: Sequence[Row]) -> None:
         assert self._store is not None
         before, self._store = self._store, self._store.moved(rows)
         before.close()
         if self._lost is None:
             where = f"what happened is in {self.kept_in}" if self.kept_in else "what happens now is kept nowhere"
-            self._lost = RecordLost(f"the journal {self.path} cannot be written any more: {lost}; {where}")
+            self._lost = RecordLost(f"the journal {self.path} cannot be written any more: {why}; {where}")
         self.news.fire()
 
     def _raise_lost(self) -> None:
