@@ -113,7 +113,6 @@ class Store:
     def close(self) -> None:
         """The journal is one file again, which may be copied as it is."""
         with suppress(sqlite3.Error):
-            self.db.rollback()  # what could not be added
             self.db.execute("PRAGMA journal_mode=DELETE")
         self.db.close()
 
