@@ -345,3 +345,15 @@ def test_into_a_container_that_was_given_up_nothing_is_dosed(rig: Rig) -> None:
     with pytest.raises(SkillFailed, match=r"container\.changed: it is another one"):
         rig.dispense(TARGET_MG)
     assert rig.seen == []
+
+
+def test_the_valve_opens_once_the_empty_containers_weighing_is_on_disk(rig: Rig) -> None:
+    on_disk: list[tuple[str, float, bool]] = []
+
+    def waits() -> None:
+        on_disk.append((type(rig.written[-1]).__name__, rig.balance.load_mg, rig.cell.hand.is_stopped))
+
+    rig.cell.record = Record(rig.written.append, waits)
+    empty_mg = rig.balance.load_mg
+    rig.dispense(TARGET_MG)
+    assert on_disk == [("DoseBegun", empty_mg, True)]

@@ -173,6 +173,7 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         mean = yield from cell.balance.stable_mean()
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
+        yield from cell.record.kept()  # before the container goes
         # A gain may be what has dripped; it may as well be a creep that was there while it dosed.
         believed.zero_stepped(abs(moved_mg(bracket.last, weighing_of(mean), digit_mg)))
     was_mg = believed.pan_gross_mg

@@ -59,6 +59,9 @@ def set_entry(
     lab: LabOption = None,
 ) -> None:
     """Correct the inventory: what is at a station or in the cone, a fresh sheet, slots or containers used."""
+    from scuhand_bt.lab import state_folder
+    from scuhand_bt.run.holds import take_cell
+
     loaded = the_lab(lab or context.obj)
     stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
     if powder is not None and powder not in loaded.library.powders:
@@ -78,7 +81,8 @@ def set_entry(
     if kind == "changer" and changer.driver != "operator" and (entry.used or 0) > changer.slots:
         what = f"'{value}' is more than the changer's {changer.slots} slots; write 0 to {changer.slots}"
         raise typer.BadParameter(what, param_hint="VALUE")
-    kept.enter(entry)
+    with take_cell(state_folder(loaded)):  # what a run has in the cell is not corrected beside it
+        kept.enter(entry)
     out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
 
 

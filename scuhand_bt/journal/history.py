@@ -85,6 +85,8 @@ class History:
     """Run time of the last entry."""
     at: str = ""
     """Wall time of the last entry."""
+    head: str = ""
+    """The hash of the last entry: who goes on with the run goes on behind that one."""
     lost_world: str = ""
     """Why the simulated world could not be kept; empty where it was."""
     ended: Ended | None = None
@@ -121,10 +123,10 @@ def history_of(database: sqlite3.Connection) -> History:
     started: dict[int, tuple[JobHistory, Key]] = {}
     jobs: dict[int, JobHistory] = {}
     marks = ", ".join("?" * len(_KINDS))
-    query = f"""SELECT seq, job, action, time_s, at, state, kind, CASE WHEN kind IN ({marks}) THEN payload END
+    query = f"""SELECT seq, job, action, time_s, at, state, kind, hash, CASE WHEN kind IN ({marks}) THEN payload END
         FROM entry ORDER BY seq"""
-    for seq, job_seq, action, time_s, at, state, kind, payload in database.execute(query, _KINDS):
-        history.time_s, history.at = time_s, at
+    for seq, job_seq, action, time_s, at, state, kind, head, payload in database.execute(query, _KINDS):
+        history.time_s, history.at, history.head = time_s, at, head.hex()
         if state is not None:
             history.state = json.loads(state)
         event = parsed(kind, json.loads(payload)) if payload is not None else None

@@ -67,14 +67,24 @@ class TerminalOperator:
             threading.Thread(target=_read_line, args=(answers, answered), daemon=True).start()
             while answers.empty():
                 yield Wake.on(answered, self._clock.now_s + 60.0)
-            answer = answers.get().strip().lower()
+            if (line := answers.get()) == GONE:
+                raise SkillFailed(Code.OPERATOR_ABSENT, question)
+            answer = line.strip().lower()
             if answer in choices:
                 self._tell(Answered(question=question, answer=answer))
                 return answer
 
 
+GONE = ""
+"""What is read where nobody can answer any more."""
+
+
 def _read_line(answers: "queue.SimpleQueue[str]", answered: Signal) -> None:
-    answers.put(sys.stdin.readline() or "stop")
+    try:
+        line = sys.stdin.readline()
+    except (OSError, ValueError):
+        line = GONE
+    answers.put(line)
     answered.fire()
 
 
