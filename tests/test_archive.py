@@ -291,12 +291,12 @@ def test_a_text_that_would_be_a_formula_is_none(tmp_path: Path) -> None:
 def test_export_writes_files_that_spreadsheets_and_programs_read(run: Path, tmp_path: Path, command: Call) -> None:
     table, text = tmp_path / "record.csv", tmp_path / "export.json"
     assert command("export", run, "--csv", "-o", table)[0] == 0
-    assert table.read_bytes().startswith(b"\xef\xbb\xbfrun,simulated,")
+    assert table.read_bytes().startswith(b'\xef\xbb\xbf"run","simulated",')
     assert b"\r\n" in table.read_bytes()
     assert command("export", run, "--json", "-o", text)[0] == 0
     assert json.loads(text.read_bytes())["samples"][0]["id"] == "a"
     out = command("export", run, "--csv")[1]
-    assert out.splitlines()[0] == ",".join(COLUMNS)
+    assert next(csv.reader(out.splitlines())) == list(COLUMNS)
     assert command("export", run)[0] == 2
     assert command("export", run, "--csv", "-o", tmp_path)[0] == 2
 

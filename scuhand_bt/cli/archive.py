@@ -1,6 +1,5 @@
 """Commands about what runs have left: runs, show, verify, export."""
 
-import json
 import re
 import sys
 from dataclasses import asdict
@@ -9,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import RenderableType
-from rich.json import JSON
 from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.ongoing import runs_folder
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, print_json
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -46,7 +44,7 @@ def runs(as_json: JsonFlag = False, lab: LabOption = None) -> None:
 
     found = summaries(runs_folder(lab))
     if as_json:
-        out.print_json(json.dumps([asdict(one) for one in found]))
+        print_json([asdict(one) for one in found])
         return
     table = Table("run", "recipe", "mode", "started", "state", "good", show_edge=False)
     for one in found:
@@ -76,9 +74,12 @@ def show(
         problem = contents.verified.problem
         if contents.verified.entries:
             found = frames_of(contents, frames) if frames is not None else story(contents)
-            parts = [JSON(json.dumps(found))] if as_json else list(_frames(found) if frames else _told(found))
+            if as_json:
+                print_json(found)
+            else:
+                parts = list(_frames(found) if frames else _told(found))
     for part in parts:
-        out.print(part, soft_wrap=as_json)
+        out.print(part)
     if problem is not None:
         err.print(Text(f"The journal is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)

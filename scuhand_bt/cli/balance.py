@@ -1,6 +1,5 @@
 """Commands about the cell's balance: what is known of it and since when, and to forget that."""
 
-import json
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +7,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, out, the_lab
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, out, print_json, the_lab
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
@@ -44,7 +43,7 @@ def balance(
     rows = _rows(_state(loaded), loaded.cell.balance.readability_mg, simulated=simulated)
     if as_json:
         keys = ("balance", "figure", "value", "says", "at")
-        out.print_json(json.dumps([dict(zip(keys, row, strict=True)) for row in rows]))
+        print_json([dict(zip(keys, row, strict=True)) for row in rows])
         return
     if not rows:
         out.print("Nothing is known yet: `scuhand-bt run recipes/start_of_day.yaml` and doses measure the balance.")

@@ -1,6 +1,5 @@
 """Commands about a recipe: run it, check it, plan it."""
 
-import json
 import signal
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from scuhand_bt.cli.shared import (
     err,
     on_signals,
     out,
+    print_json,
     the_lab,
 )
 from scuhand_bt.exit_codes import ExitCode
@@ -151,10 +151,10 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
             {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
             for p in error.problems
         ]
-        out.print_json(json.dumps({"ok": False, "problems": problems}))
+        print_json({"ok": False, "problems": problems})
         raise typer.Exit(ExitCode.BAD_INPUT) from None
     if as_json:
-        out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes}))
+        print_json({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes})
     else:
         out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
 
@@ -165,7 +165,7 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
     made, loaded = the_plan(recipe, lab)
     notes = _notes(made, loaded, quiet=as_json)
     if as_json:
-        out.print_json(json.dumps({**_plan_values(made), "notes": notes}))
+        print_json({**_plan_values(made), "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):

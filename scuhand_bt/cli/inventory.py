@@ -1,6 +1,5 @@
 """Commands about the cell between runs: what it is believed to hold, an operator's corrections, and who is told."""
 
-import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +7,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, the_lab, unknown
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, print_json, the_lab, unknown
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import MASS, parse
 
@@ -36,7 +35,7 @@ def inventory(
         return
     stock = _inventory(the_lab(lab)).stock(simulated=simulated)
     if as_json:
-        out.print_json(json.dumps([asdict(entry) for entry in stock.values()]))
+        print_json([asdict(entry) for entry in stock.values()])
         return
     if not stock:
         out.print("Nothing is known yet: a run, or `scuhand-bt inventory set`, tells the inventory.")

@@ -1,27 +1,41 @@
 """What all commands share: the application, its two consoles, common options, and how errors end a command."""
 
 import io
+import json
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
 
 import scuhand_bt
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import CATALOGUE, SkillFailed
-from scuhand_bt.problems import SourceError, nearest
+from scuhand_bt.problems import SourceError, harmless, nearest
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class PlainConsole(Console):
+    """A console on which text is only text, wherever it comes from: no markup, and no command to the terminal."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=harmless(segment.text, keep="\n"))
+
 
 app = typer.Typer(
     help="Scoop and dispense powders by recipe. Exit codes: "
@@ -31,8 +45,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+out = PlainConsole(width=None if sys.stdout.isatty() else 160)
+err = PlainConsole(stderr=True, soft_wrap=True)
 
 RecipeArgument = Annotated[Path, typer.Argument(help="A recipe file (YAML).", show_default=False)]
 LabOption = Annotated[
@@ -108,9 +122,14 @@ def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
     return load_lab(find_lab(recipe, folder))
 
 
+def print_json(values: object) -> None:
+    """Values as JSON on the standard output; what is not ASCII is escaped, so that nothing in it is lost or shown."""
+    out.print_json(json.dumps(values), ensure_ascii=True)
+
+
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
     """The error for a name that is not known, with the nearest that is."""
     known = sorted(known)
     meant = nearest(name, tuple(known))
     hint = f"; did you mean '{meant}'?" if meant else ""
-    return typer.BadParameter(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}")
+    return typer.BadParameter(harmless(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}"))

@@ -20,7 +20,7 @@ from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-from scuhand_bt.problems import SourceError
+from scuhand_bt.problems import SourceError, harmless
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
@@ -285,7 +285,7 @@ def _find_plants(lab: Lab) -> None:
 
 
 def _show(question: str) -> None:
-    print(question, flush=True)
+    print(harmless(question), flush=True)
 
 
 def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:
