@@ -1,6 +1,5 @@
-"""Commands about what runs have left: runs, show, verify, export."""
+"""Commands about what runs have left: runs, show, export."""
 
-import re
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -104,45 +103,6 @@ def _frames(lines: Any) -> "Iterator[RenderableType]":
     for line in lines:
         stable = "stable" if line["stable"] else "moving"
         yield Text(f"{line['time_s']:10.3f} s  {line['value_mg']:12.3f} mg  {stable}  {line['raw']!r}")
-
-
-@app.command()
-def verify(
-    run: JournalArgument,
-    head: Annotated[str | None, typer.Option(metavar="HASH", help="The head that the run printed at its end.")] = None,
-    lab: LabOption = None,
-) -> None:
-    """Find out whether a journal is as it was written: every entry there, and none altered."""
-    from scuhand_bt.journal.archive import summary_of
-    from scuhand_bt.journal.reader import open_contents
-
-    expected = head.strip().lower() if head is not None else None
-    if expected is not None and not re.fullmatch("[0-9a-f]{64}", expected):
-        raise typer.BadParameter("a head is 64 hexadecimal digits", param_hint="--head")
-    path = find_journal(run, lab)
-    with open_contents(path, expected) as contents:
-        verified, is_chained = contents.verified, contents.is_chained
-        summary = summary_of(path, contents.database) if verified.problem is None else None
-        its_name = next((row["value"] for row in contents.rows("run") if row["key"] == "run"), path.stem)
-    if not is_chained:
-        what = "an older scuhand-bt wrote it, without a chain: whether it was altered cannot be told"
-        err.print(Text(f"{path}: {what}."))
-        raise typer.Exit(ExitCode.BAD_INPUT)
-    if verified.problem is not None or summary is None:
-        err.print(Text(f"{path}: {verified.problem}."))
-        raise typer.Exit(EXIT_ALTERED)
-    if its_name != path.stem:
-        err.print(Text(f"{path}: it is the journal of another run, {its_name}."))
-        raise typer.Exit(EXIT_ALTERED)
-    out.print(Text(f"{path.stem}: {verified.entries} entries, each as it was written. Head: {verified.head}"))
-    if expected is not None:
-        out.print("The head is the expected one: no entry is missing.")
-        return
-    out.print("Without --head, entries cut off at the end cannot be told: compare the head with the one printed then.")
-    if summary.state == "interrupted":
-        out.print("The run has no end: it was interrupted, or its end was cut off.")
-    elif summary.state in ("running", "paused"):
-        out.print(f"The run has no end yet: it is {summary.state}.")
 
 
 @app.command()

@@ -81,6 +81,8 @@ class RunBegun(Event):
     libraries: dict[str, str] = Field(default_factory=dict)
     started: str
     """ISO 8601 with its offset from UTC."""
+    ledger: str | None = None
+    """The head of the lab's ledger before this run."""
 
 
 class Resumed(Event):

@@ -103,6 +103,11 @@ class Journal:
         self._head: bytes = last[1] if last else GENESIS
 
     @property
+    def entries(self) -> int:
+        """How many there are."""
+        return self._seq
+
+    @property
     def head(self) -> str:
         """The hash of the last entry: who knows it can tell whether any entry is missing."""
         return self._head.hex()

@@ -35,6 +35,7 @@ from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.lab_state.lab_db import user_name
+from scuhand_bt.lab_state.ledger import Ledger, Occasion
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
@@ -107,6 +108,7 @@ class Session:
         self.run_id = path.stem
         self._state = LabState(path.parent.parent)
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
+        self._ledger = Ledger(path.parent.parent)
         self._notifier = Notifier(lab.cell.notify)
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
@@ -121,6 +123,10 @@ class Session:
                 self._state.recall(self.cell)
                 recall(self.cell, self._stock)
             self._begin(resumes)
+            if (problem := self._anchor("begun" if resumes is None else "resumed")) is not None:
+                if not self.cell.simulated:
+                    raise SourceError([Problem(Mark(str(path)), problem)])
+                self.warnings.append(problem)
             for warning in self.warnings:
                 self.journal.event(Trouble(what=warning))
             opened.pop_all()
@@ -176,7 +182,10 @@ class Session:
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""
         if resumes is None:
-            self.journal.event(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
+            begun = _describe(self.plan, self._lab, self._options, self.cell, self.run_id)
+            with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
+                begun = begun.model_copy(update={"ledger": self._ledger.last()[0]})
+            self.journal.event(begun)
             return
         take_up(self.cell, resumes.history.state)
         recall(self.cell, corrections(self._stock, since=resumes.history.at))
@@ -248,6 +257,17 @@ class Session:
     def _after_job(self) -> None:
         if not self.cell.simulated:
             self._keep_inventory()
+            if (problem := self._anchor("job")) is not None:
+                self._trouble(problem)
+
+    def _anchor(self, occasion: Occasion) -> str | None:
+        """Write the journal's head into the lab's ledger; what went wrong, or None."""
+        try:
+            entries, head = self.journal.entries, self.journal.head
+            self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
+        except SourceError as error:
+            return f"the run is not in the lab's ledger: {error}"
+        return None
 
     def _keep_inventory(self) -> None:
         if (problem := self._inventory.keep(self.cell, self.run_id)) is not None:
@@ -282,8 +302,14 @@ class Session:
             closing.callback(self._presence.end)
             closing.callback(self._listener.end)
             closing.callback(self.journal.close)
+            closing.callback(self._anchor_end)
             closing.callback(self._finish_telling)
             closing.callback(self._close_cell)
+
+    def _anchor_end(self) -> None:
+        """What the journal ends in; nothing is written into it any more."""
+        if (problem := self._anchor("ended")) is not None:
+            self.notices.append(problem)
 
     def _finish_telling(self) -> None:
         for what in self._notifier.finish():
