@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from scuhand_bt.journal.reader import Contents
 
 EXIT_ALTERED = ExitCode.CELL_FAULT
+NEWEST = 100
+"""So many runs are listed where not all are asked for."""
 JournalArgument = Annotated[
     str,
     typer.Argument(
@@ -37,7 +39,11 @@ def find_journal(run: str, lab: Path | None) -> Path:
 
 
 @app.command()
-def runs(as_json: JsonFlag = False, lab: LabOption = None) -> None:
+def runs(
+    every: Annotated[bool, typer.Option("--all", help=f"All of them, not only the newest {NEWEST}.")] = False,
+    as_json: JsonFlag = False,
+    lab: LabOption = None,
+) -> None:
     """List the lab's runs, the newest first: what each was, in what state it is, and how many samples are good."""
     from scuhand_bt.journal.archive import summaries
 
@@ -46,12 +52,14 @@ def runs(as_json: JsonFlag = False, lab: LabOption = None) -> None:
         print_json([asdict(one) for one in found])
         return
     table = Table("run", "recipe", "mode", "started", "state", "good", show_edge=False)
-    for one in found:
+    for one in found if every else found[:NEWEST]:
         good = f"{one.good}" if one.total is None else f"{one.good}/{one.total}"
         state = f"{one.state}: {one.reason}" if one.reason else one.state
         mode = "SIMULATED" if one.mode == "SIMULATED" else one.mode.partition(" (")[0]
         table.add_row(*(Text(cell) for cell in (one.id, one.recipe, mode, one.started, state, good)))
     out.print(table if found else Text(f"There are no runs in {runs_folder(lab)}."))
+    if not every and len(found) > NEWEST:
+        out.print(f"… and {len(found) - NEWEST} older ones (--all).")
 
 
 @app.command()

@@ -124,7 +124,7 @@ def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
 
 def print_json(values: object) -> None:
     """Values as JSON on the standard output; what is not ASCII is escaped, so that nothing in it is lost or shown."""
-    out.print_json(json.dumps(values), ensure_ascii=True)
+    out.file.write(json.dumps(values, indent=2) + "\n")
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:

@@ -8,7 +8,7 @@ from pathlib import Path
 import scuhand_bt
 from scuhand_bt.journal.hash_chain import NO_ENTRY
 from scuhand_bt.journal.history import History, history_of
-from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.reader import open_verified
 from scuhand_bt.journal.writer import SCHEMA_VERSION
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
@@ -49,15 +49,15 @@ def find_run(folder: Path, name: str) -> Path:
 
 def checked_history(path: Path) -> History:
     """The history of a run whose chain is whole and that has something left to do. Raises SourceError if not."""
-    with open_contents(path) as contents:
-        if contents.version < SCHEMA_VERSION:
+    with open_verified(path) as (database, version, verified):
+        if version < SCHEMA_VERSION:
             what = "an older scuhand-bt wrote it, which noted less than resuming needs"
             raise _refused(path, f"{what}: start the run anew, with the samples that are left")
-        if contents.verified.problem == NO_ENTRY:
+        if verified.problem == NO_ENTRY:
             raise _refused(path, "the journal is empty: nothing had moved when the run ended; start it anew")
-        if contents.verified.problem is not None:
-            raise _refused(path, f"the journal is not as it was written: {contents.verified.problem}")
-        history = history_of(contents.database)
+        if verified.problem is not None:
+            raise _refused(path, f"the journal is not as it was written: {verified.problem}")
+        history = history_of(database)
     if history.begun is None:
         raise _refused(path, "nothing had moved when the run ended; start it anew")
     if history.is_complete:
