@@ -44,7 +44,7 @@ def resume(
 ) -> None:
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
     from scuhand_bt.journal.presence import is_held
-    from scuhand_bt.run.resume import checked_history, find_run, resumable
+    from scuhand_bt.run.resume import checked_history, find_run, its_places, resumable
     from scuhand_bt.run.session import Session, options_of
 
     journal = find_run(runs_folder(lab), run)
@@ -53,7 +53,7 @@ def resume(
         return
     history = checked_history(journal)
     options = options_of(history, journal.parent, journal)
-    plan, its_lab = the_plan(Path(history.run.recipe_path), Path(history.run.lab))
+    plan, its_lab = the_plan(*its_places(journal, history.run))
     found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes)
     for line in what_is_known(history, len(plan.recipe.samples)):
         out.print(Text(line))

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import scuhand_bt
+from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.hash_chain import NO_ENTRY
 from scuhand_bt.journal.history import History, history_of
 from scuhand_bt.journal.reader import open_verified
 from scuhand_bt.journal.writer import SCHEMA_VERSION
-from scuhand_bt.lab import Lab
+from scuhand_bt.lab import Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, recoveries
 
@@ -67,6 +68,14 @@ def checked_history(path: Path) -> History:
     return history
 
 
+def its_places(path: Path, run: RunBegun) -> tuple[Path, Path]:
+    """Where a run's recipe and its lab are now: a lab may have been moved, with all that is in it."""
+    recipe, lab, here = Path(run.recipe_path), Path(run.lab), path.absolute().parent.parent.parent
+    if not is_lab(here):  # its runs are kept elsewhere
+        return recipe, lab
+    return (here / recipe.relative_to(lab) if recipe.is_relative_to(lab) else recipe), here
+
+
 def resumable(path: Path, history: History, plan: Plan, lab: Lab, *, accept_changes: bool) -> Resumable:
     """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError.
 
@@ -85,7 +94,7 @@ def lab_files(lab: Lab) -> dict[str, str]:
     """SHA-256 of everything in the lab that a run depends on, beside its recipe."""
     files: dict[str, str] = {}
     for folder in LAB_FOLDERS:
-        for path in sorted((lab.folder / folder).rglob("*")):
+        for path in files_of(lab.folder / folder, "**/*"):
             if path.is_file() and "__pycache__" not in path.parts:
                 name = path.relative_to(lab.folder).as_posix()
                 files[name] = hashlib.sha256(path.read_bytes()).hexdigest()

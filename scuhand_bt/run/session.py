@@ -49,6 +49,7 @@ from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
+from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.skill import SkillFailed
 
@@ -110,6 +111,7 @@ class Session:
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
         self._ledger = Ledger(path.parent.parent)
         self._notifier = Notifier(lab.cell.notify)
+        self._clock_watch = ClockWatch()
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
@@ -122,6 +124,7 @@ class Session:
                 self._meet_balance()
                 self._state.recall(self.cell)
                 recall(self.cell, self._stock)
+            self._look_at_the_clock()
             self._begin(resumes)
             if (problem := self._anchor("begun" if resumes is None else "resumed")) is not None:
                 if not self.cell.simulated:
@@ -174,6 +177,14 @@ class Session:
         if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
             raise SourceError(beyond)
         self.warnings = [str(problem) for problem in [*beyond, *below_usp(self.plan, self._lab, figures)]]
+
+    def _look_at_the_clock(self) -> None:
+        """Before the first word: is it later than the last one of this lab, and of this run?"""
+        with suppress(SourceError):  # of a ledger that cannot be read
+            written = [self._ledger.last()[1], self._history.at if self._history is not None else None]
+            last_at = max(filter(None, written), key=datetime.fromisoformat, default=None)
+            if (odd := disagreement(last_at)) is not None:
+                self.warnings.append(odd)
 
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
@@ -275,6 +286,8 @@ class Session:
 
     def _heard(self, event: Event | Note) -> None:
         """What goes into the journal, and a person who is not here should know."""
+        if (jump := self._clock_watch.jump()) is not None:
+            self._trouble(jump)
         if isinstance(event, Paused):
             self._notifier.tell(self._notice("paused"))
         elif isinstance(event, Asked) and not isinstance(self._options.simulation, DryRun):
