@@ -1,12 +1,13 @@
 """What looking through evidence costs: `python -m benchmarks.evidence [--json FILE]`.
 
-Lists ten thousand runs (one journal under ten thousand names): with no index yet, with it, and after one has changed;
-in seconds of the whole command. Kills a dry run of a thousand samples at its 950th, and takes it up until its first
-action begins; in seconds of the processor, the program's start included.
+Lists ten thousand runs (one journal under ten thousand names): with no index yet, with it, and after one has changed.
+Kills a dry run of a thousand samples at its 950th, and takes it up until its first action begins. All in seconds of the
+processor, the program's start included.
 """
 
 import argparse
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -44,10 +45,11 @@ def lab(folder: Path) -> Path:
 
 
 def command(*arguments: object) -> float:
-    """Wall seconds of one cold start of the command line."""
-    began = time.perf_counter()
+    """Seconds of the processor for one cold start of the command line."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run([sys.executable, "-m", "scuhand_bt", *map(str, arguments)], stdout=subprocess.DEVNULL, check=True)
-    return time.perf_counter() - began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
 def listing(folder: Path) -> dict[str, float]:
@@ -61,11 +63,11 @@ def listing(folder: Path) -> dict[str, float]:
     changing = runs / "changing.sqlite"
     shutil.copy(journal, changing)
     time.sleep(SETTLED_S + 0.5)
-    figures = {"list_without_index_s": command("runs", "--lab", place)}
-    figures["list_s"] = min(command("runs", "--lab", place) for _ in range(3))
+    figures = {"list_without_index_cpu_s": command("runs", "--lab", place)}
+    figures["list_cpu_s"] = min(command("runs", "--lab", place) for _ in range(3))
     changing.touch()
-    figures["list_after_a_change_s"] = command("runs", "--lab", place)
-    figures["list_all_as_json_s"] = command("runs", "--lab", place, "--json")
+    figures["list_after_a_change_cpu_s"] = command("runs", "--lab", place)
+    figures["list_all_as_json_cpu_s"] = command("runs", "--lab", place, "--json")
     return figures
 
 
@@ -93,7 +95,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         figures = listing(Path(name) / "many") | taking_up(Path(name) / "long")
-    goals = {"list_s": "< 1", "list_after_a_change_s": "< 1", "resume_to_first_action_cpu_s": "< 2"}
+    goals = {"list_cpu_s": "< 1", "list_after_a_change_cpu_s": "< 1", "resume_to_first_action_cpu_s": "< 2"}
     show(f"Evidence ({RUNS} runs; a run of {SAMPLES} samples)", figures, goals, options.json)
 
 

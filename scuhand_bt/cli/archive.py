@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scuhand_bt.journal.reader import Contents
 
 EXIT_ALTERED = ExitCode.CELL_FAULT
-NEWEST = 100
+NEWEST = 50
 """So many runs are listed where not all are asked for."""
 JournalArgument = Annotated[
     str,

@@ -61,18 +61,17 @@ def summaries(folder: Path) -> list[Summary]:
     found: list[Summary] = []
     news: dict[str, Kept] = {}
     for name, stamp in now.items():
-        path = folder / name
         if stamp and name in kept and kept[name][0] == stamp:
             found.append(Summary(**json.loads(kept[name][1])))
             continue
-        one = summary(path)
+        one = summary(folder / name)
         found.append(one)
         if stamp and one.state not in ("running", "paused", "unreadable"):
             news[name] = stamp, json.dumps(asdict(one))
     gone = kept.keys() - now.keys()
     if news or gone:
         write_index(folder, news, gone)
-    return sorted(found, key=lambda one: _began(folder / f"{one.id}.sqlite", one), reverse=True)
+    return sorted(found, key=lambda one: _began(folder, one), reverse=True)
 
 
 def summary(path: Path) -> Summary:
@@ -171,7 +170,8 @@ def frames(contents: Contents, sample: str) -> list[dict[str, Any]]:
     return found
 
 
-def _began(path: Path, one: Summary) -> float:
+def _began(folder: Path, one: Summary) -> float:
     if one.started:
         return datetime.fromisoformat(one.started).timestamp()
+    path = folder / f"{one.id}.sqlite"
     return path.stat().st_mtime if path.exists() else 0.0
