@@ -1,6 +1,19 @@
 """The command line. Each command is a few lines over the public API; heavy imports wait until they are needed."""
 
-from scuhand_bt.cli import archive, balance, batch, bench, content, evidence, failures, inventory, look, ongoing
+from scuhand_bt.cli import (
+    archive,
+    balance,
+    batch,
+    bench,
+    content,
+    evidence,
+    failures,
+    inventory,
+    keeping,
+    look,
+    ongoing,
+    persons,
+)
 from scuhand_bt.cli.shared import app, main
 
 __all__ = [
@@ -13,7 +26,9 @@ __all__ = [
     "evidence",
     "failures",
     "inventory",
+    "keeping",
     "look",
     "main",
     "ongoing",
+    "persons",
 ]

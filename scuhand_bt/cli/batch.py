@@ -14,6 +14,7 @@ from scuhand_bt.cli.shared import (
     FaultsOption,
     JsonFlag,
     LabOption,
+    OperatorOption,
     RecipeArgument,
     SeedOption,
     UnattendedFlag,
@@ -49,10 +50,13 @@ def run(
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
     faults: FaultsOption = None,
     unattended: UnattendedFlag = False,
+    operator: OperatorOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
+    from scuhand_bt.cli.persons import the_person
+    from scuhand_bt.lab import state_folder
     from scuhand_bt.run.make_cell import DryRun, Rehearsal
     from scuhand_bt.run.session import Options, Session
     from scuhand_bt.sim.fault_rules import read_faults
@@ -74,7 +78,9 @@ def run(
 
     def make(control: "Control") -> "Session":
         made, loaded = the_plan(recipe, lab)
-        return Session(made, loaded, Options(simulation, controller, unattended=unattended), control=control)
+        person = the_person(operator, state_folder(loaded), is_asked=simulation is None)
+        options = Options(simulation, controller, unattended=unattended, person=person)
+        return Session(made, loaded, options, control=control)
 
     run_to_its_end(make, json_file)
 

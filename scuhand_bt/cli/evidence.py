@@ -1,4 +1,4 @@
-"""Commands about what can be proven: verify, ledger."""
+"""Commands about what can be proven, and by whom it was done: verify, ledger, audit."""
 
 import re
 from dataclasses import asdict
@@ -11,7 +11,7 @@ from rich.text import Text
 
 from scuhand_bt.cli.archive import EXIT_ALTERED, JournalArgument, find_journal
 from scuhand_bt.cli.ongoing import runs_folder
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, print_json
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, print_json, the_lab
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 
@@ -96,6 +96,42 @@ def ledger(
         out.print(f"{len(found.kept)} lines, each fits the one before it. Head of the ledger: {found.head}")
         if head is not None:
             out.print("It has had the head that you noted: nothing before that was altered since.")
+
+
+@app.command()
+def audit(
+    run: Annotated[
+        str | None, typer.Argument(help="A run, as for `show`; the lab's own records without.", show_default=False)
+    ] = None,
+    as_json: JsonFlag = False,
+    lab: LabOption = None,
+) -> None:
+    """The audit trail of a run, or of the lab's own records: who did what, when, and why."""
+    from scuhand_bt.journal.reader import open_contents
+    from scuhand_bt.lab import state_folder
+    from scuhand_bt.lab_state.inventory import Inventory
+    from scuhand_bt.lab_state.persons import Persons
+    from scuhand_bt.report.audit import deeds_in_lab, deeds_of_run
+
+    problem = None
+    if run is not None:
+        with open_contents(find_journal(run, lab)) as contents:
+            deeds, problem = list(deeds_of_run(contents)), contents.verified.problem
+    else:
+        loaded = the_lab(lab)
+        state = state_folder(loaded)
+        deeds = list(deeds_in_lab(Inventory(state, loaded.cell.cell).corrections(), Persons(state).enrolled()))
+    if as_json:
+        print_json([asdict(deed) for deed in deeds])
+    else:
+        table = Table("at", "who", "what", "why", "entry", show_edge=False)
+        for deed in deeds:
+            cells = (deed.at, deed.who, deed.what, deed.why, "" if deed.entry is None else str(deed.entry))
+            table.add_row(*map(Text, cells))
+        out.print(table if deeds else "Nobody has done anything yet that is kept here.")
+    if problem is not None:
+        err.print(Text(f"The journal is not as it was written: {problem}."))
+        raise typer.Exit(EXIT_ALTERED)
 
 
 def _digits(text: str | None, option: str) -> str | None:

@@ -59,6 +59,10 @@ FaultsOption = Annotated[
 UnattendedFlag = Annotated[
     bool, typer.Option("--unattended", help="Nobody is there: refuse a plan that needs a person, never wait for one.")
 ]
+OperatorOption = Annotated[
+    str | None,
+    typer.Option("--operator", metavar="NAME", help="Who is at the cell; a run on the cell asks without it."),
+]
 NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
 

@@ -1,4 +1,5 @@
-"""The lab's own small database, `.scuhand/lab.db`: what was learnt and measured, the inventory, and the ledger.
+"""The lab's own small database, `.scuhand/lab.db`: what was learnt and measured, the inventory, the ledger, and who
+signs with a PIN.
 
 Its schema is versioned (`PRAGMA user_version`). Opening it brings an older one up to date, in place and as one
 transaction; one that a newer program has written is left alone. Rows are only ever added.
@@ -35,6 +36,11 @@ MIGRATIONS = (
         number INTEGER PRIMARY KEY, at TEXT NOT NULL, run TEXT NOT NULL, occasion TEXT NOT NULL,
         entries INTEGER NOT NULL, head TEXT NOT NULL, key TEXT, hash TEXT NOT NULL, signature TEXT) STRICT
     """,
+    """
+    CREATE TABLE person (
+        number INTEGER PRIMARY KEY, name TEXT NOT NULL, at TEXT NOT NULL, salt BLOB NOT NULL, hash BLOB NOT NULL) STRICT
+    """,
+    "ALTER TABLE inventory ADD COLUMN reason TEXT",
 )
 """One statement for each version of the schema, from the one before."""
 FILE = "lab.db"

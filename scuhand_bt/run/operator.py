@@ -4,6 +4,8 @@ import queue
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from getpass import getpass
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
@@ -16,6 +18,15 @@ Tell = Callable[[Asked | Answered], None]
 """Writes a question or its answer into the journal."""
 ANSWER_S = 60.0
 """Run time that a simulated person takes to do what is asked."""
+
+
+@dataclass(frozen=True)
+class Person:
+    """Who runs the cell and answers."""
+
+    name: str
+    is_pin: Callable[[str], bool] | None = None
+    """Who has a PIN has proven by it who this is, and signs every answer with it."""
 
 
 class SimulatedOperator:
@@ -48,8 +59,9 @@ class Nobody:
 class TerminalOperator:
     """Asks on the terminal; the answer is read on a thread, so that the cell stays watched meanwhile."""
 
-    def __init__(self, clock: Clock, tell: Tell, show: Callable[[str], None]) -> None:
+    def __init__(self, clock: Clock, tell: Tell, show: Callable[[str], None], person: Person) -> None:
         self._clock = clock
+        self._person = person
         self._tell = tell
         self._show = show
 
@@ -57,22 +69,37 @@ class TerminalOperator:
         if not sys.stdin.isatty():
             raise SkillFailed(Code.OPERATOR_ABSENT, question)
         self._tell(Asked(question=question, choices=list(choices)))
-        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
-        answered = Signal()
+        person = self._person
         while True:
             self._show(f"{question} [{'/'.join(choices)}]")
-            threading.Thread(target=_read_line, args=(answers, answered), daemon=True).start()
-            while answers.empty():
-                yield Wake.on(answered, self._clock.now_s + 60.0)
-            answer = answers.get().strip().lower()
-            if answer in choices:
-                self._tell(Answered(question=question, answer=answer))
-                return answer
+            answer = (yield from self._read(lambda: sys.stdin.readline() or "stop")).strip().lower()
+            if answer not in choices:
+                continue
+            if person.is_pin is not None and not person.is_pin((yield from self._read(lambda: _hidden(person.name)))):
+                self._show("That is not the PIN.")
+                continue
+            self._tell(Answered(question=question, answer=answer, by=person.name, signed=person.is_pin is not None))
+            return answer
+
+    def _read(self, read: Callable[[], str]) -> Steps[str]:
+        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+        answered = Signal()
+
+        def put() -> None:
+            answers.put(read())
+            answered.fire()
+
+        threading.Thread(target=put, daemon=True).start()
+        while answers.empty():
+            yield Wake.on(answered, self._clock.now_s + 60.0)
+        return answers.get()
 
 
-def _read_line(answers: "queue.SimpleQueue[str]", answered: Signal) -> None:
-    answers.put(sys.stdin.readline() or "stop")
-    answered.fire()
+def _hidden(name: str) -> str:
+    try:
+        return getpass(f"PIN of {name}: ")
+    except EOFError:
+        return ""
 
 
 UNKNOWN = ""

@@ -47,6 +47,7 @@ from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
+from scuhand_bt.run.operator import Person
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.run.wall_clock import ClockWatch, disagreement
@@ -66,6 +67,8 @@ class Options:
     """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
     unattended: bool = False
     """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
+    person: Person | None = None
+    """Who runs it, and answers; the user of the computer if None."""
 
 
 class Session:
@@ -111,6 +114,7 @@ class Session:
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
         self._ledger = Ledger(path.parent.parent)
         self._notifier = Notifier(lab.cell.notify)
+        self._person = options.person or Person(user_name())
         self._clock_watch = ClockWatch()
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
@@ -151,6 +155,7 @@ class Session:
             journal,
             motion,
             unattended=options.unattended,
+            person=self._person,
             world_path=world_path(journal.path),
             resumed_at_s=None if history is None else history.time_s,
         )
@@ -193,7 +198,7 @@ class Session:
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""
         if resumes is None:
-            begun = _describe(self.plan, self._lab, self._options, self.cell, self.run_id)
+            begun = _describe(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
             with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
                 begun = begun.model_copy(update={"ledger": self._ledger.last()[0]})
             self.journal.event(begun)
@@ -205,7 +210,8 @@ class Session:
                 last_at=resumes.history.at,
                 changes=list(resumes.changes),
                 version=scuhand_bt.__version__,
-                operator=user_name(),
+                operator=self._person.name,
+                signed=self._person.is_pin is not None,
             )
         )
 
@@ -343,7 +349,7 @@ def _check_controller(name: str | None) -> None:
         raise SourceError([Problem(Mark("--controller", 0), problem)])
 
 
-def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> RunBegun:
+def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, person: Person) -> RunBegun:
     simulation = options.simulation
     faults = simulation.faults if simulation is not None else None
     return RunBegun(
@@ -377,7 +383,8 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
             SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
             for sample in plan.recipe.samples
         ],
-        operator=user_name(),
+        operator=person.name,
+        signed=person.is_pin is not None,
         devices={
             name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
             for name in ("arm", "hand", "balance", "changer")
