@@ -12,7 +12,7 @@ from conftest import Call
 from running import dry_run, make_lab
 
 from scuhand_bt.cli import persons as commands
-from scuhand_bt.journal.events import Answered, Asked, Continued, Paused, Resumed, RunBegun
+from scuhand_bt.journal.events import Answered, Asked, Continued, Paused, Resumed, RunBegun, Trouble
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.persons import Persons, person_name
@@ -48,9 +48,11 @@ class Typed:
         return next(self._hidden if hide_input else self._lines)
 
 
-def ask(person: Person, choices: tuple[str, ...] = ("done", "stop")) -> tuple[str, list[Asked | Answered], list[str]]:
+def ask(
+    person: Person, choices: tuple[str, ...] = ("done", "stop")
+) -> tuple[str, list[Asked | Answered | Trouble], list[str]]:
     """What a terminal's operator answers, what the journal is told, and what is shown."""
-    told: list[Asked | Answered] = []
+    told: list[Asked | Answered | Trouble] = []
     shown: list[str] = []
     clock = WallClock()
     steps: Iterator[object] = TerminalOperator(clock, told.append, shown.append, person).ask("Is it?", choices)
@@ -78,6 +80,8 @@ def test_who_has_a_pin_signs_every_answer_with_it(tmp_path: Path, monkeypatch: p
     ]
     assert answer == "done"
     assert "That is not the PIN." in shown
+    (noted,) = (one for one in told if isinstance(one, Trouble))
+    assert noted.what == "a wrong PIN was given for Eve, to answer 'done': Is it?"
 
 
 def test_the_run_and_its_resumption_have_the_name_that_was_given(tmp_path: Path, command: Call) -> None:

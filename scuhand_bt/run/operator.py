@@ -10,12 +10,12 @@ from getpass import getpass
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.journal.events import Answered, Asked
+from scuhand_bt.journal.events import Answered, Asked, Trouble
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
 
-Tell = Callable[[Asked | Answered], None]
-"""Writes a question or its answer into the journal."""
+Tell = Callable[[Asked | Answered | Trouble], None]
+"""Writes a question, its answer, or a wrong PIN into the journal."""
 ANSWER_S = 60.0
 """Run time that a simulated person takes to do what is asked."""
 
@@ -76,6 +76,7 @@ class TerminalOperator:
             if answer not in choices:
                 continue
             if person.is_pin is not None and not person.is_pin((yield from self._read(lambda: _hidden(person.name)))):
+                self._tell(Trouble(what=f"a wrong PIN was given for {person.name}, to answer '{answer}': {question}"))
                 self._show("That is not the PIN.")
                 continue
             self._tell(Answered(question=question, answer=answer, by=person.name, signed=person.is_pin is not None))
