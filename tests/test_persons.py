@@ -12,6 +12,7 @@ from conftest import Call
 from running import dry_run, make_lab
 
 from scuhand_bt.cli import persons as commands
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import Answered, Asked, Continued, Paused, Resumed, RunBegun, Trouble
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
@@ -48,6 +49,16 @@ class Typed:
         return next(self._hidden if hide_input else self._lines)
 
 
+class Closed:
+    """A terminal that has just been closed."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def readline(self) -> str:
+        return ""
+
+
 def ask(
     person: Person, choices: tuple[str, ...] = ("done", "stop")
 ) -> tuple[str, list[Asked | Answered | Trouble], list[str]]:
@@ -68,6 +79,12 @@ def test_an_answer_carries_the_name_of_who_gave_it(monkeypatch: pytest.MonkeyPat
     answer, told, _ = ask(Person("Eve"))
     assert answer == "done"
     assert told[-1] == Answered(question="Is it?", answer="done", by="Eve", signed=False)
+
+
+def test_a_terminal_that_is_closed_has_nobody_who_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", Closed())
+    with pytest.raises(SkillFailed, match=r"operator\.absent"):
+        ask(Person("Eve"))
 
 
 def test_who_has_a_pin_signs_every_answer_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,37 +72,40 @@ class TerminalOperator:
         person = self._person
         while True:
             self._show(f"{question} [{'/'.join(choices)}]")
-            answer = (yield from self._read(lambda: sys.stdin.readline() or "stop")).strip().lower()
+            answer = (yield from self._read(question, sys.stdin.readline)).strip().lower()
             if answer not in choices:
                 continue
-            if person.is_pin is not None and not person.is_pin((yield from self._read(lambda: _hidden(person.name)))):
-                self._tell(Trouble(what=f"a wrong PIN was given for {person.name}, to answer '{answer}': {question}"))
-                self._show("That is not the PIN.")
-                continue
+            if person.is_pin is not None:
+                pin = yield from self._read(question, lambda: getpass(f"PIN of {person.name}: ") + "\n")
+                if not person.is_pin(pin.removesuffix("\n")):
+                    what = f"a wrong PIN was given for {person.name}, to answer '{answer}': {question}"
+                    self._tell(Trouble(what=what))
+                    self._show("That is not the PIN.")
+                    continue
             self._tell(Answered(question=question, answer=answer, by=person.name, signed=person.is_pin is not None))
             return answer
 
-    def _read(self, read: Callable[[], str]) -> Steps[str]:
-        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
-        answered = Signal()
+    def _read(self, question: str, read: Callable[[], str]) -> Steps[str]:
+        lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        is_read = Signal()
 
         def put() -> None:
-            answers.put(read())
-            answered.fire()
+            try:
+                lines.put(read())
+            except (EOFError, OSError, ValueError):
+                lines.put(GONE)
+            is_read.fire()
 
         threading.Thread(target=put, daemon=True).start()
-        while answers.empty():
-            yield Wake.on(answered, self._clock.now_s + 60.0)
-        return answers.get()
+        while lines.empty():
+            yield Wake.on(is_read, self._clock.now_s + 60.0)
+        if (line := lines.get()) == GONE:
+            raise SkillFailed(Code.OPERATOR_ABSENT, question)
+        return line
 
 
-def _hidden(name: str) -> str:
-    try:
-        return getpass(f"PIN of {name}: ")
-    except EOFError:
-        return ""
-
-
+GONE = ""
+"""What is read where nobody can answer any more."""
 UNKNOWN = ""
 """Whatever an earlier run may have left on the pan."""
 
