@@ -130,10 +130,10 @@ class Session:
                 recall(self.cell, self._stock)
             self._look_at_the_clock()
             self._begin(resumes)
-            if (problem := self._anchor("begun" if resumes is None else "resumed")) is not None:
+            if (untold := self._anchor("begun" if resumes is None else "resumed")) is not None:
                 if not self.cell.simulated:
-                    raise SourceError([Problem(Mark(str(path)), problem)])
-                self.warnings.append(problem)
+                    raise SourceError([Problem(Mark(str(path)), untold)])
+                self.warnings.append(untold)
             for warning in self.warnings:
                 self.journal.event(Trouble(what=warning))
             opened.pop_all()
@@ -320,13 +320,13 @@ class Session:
         with ExitStack() as closing:
             closing.callback(self._presence.end)
             closing.callback(self._listener.end)
-            closing.callback(self.journal.close)
             closing.callback(self._anchor_end)
+            closing.callback(self.journal.close)
             closing.callback(self._finish_telling)
             closing.callback(self._close_cell)
 
     def _anchor_end(self) -> None:
-        """What the journal ends in; nothing is written into it any more."""
+        """What the journal ends in, closed and on disk."""
         if (problem := self._anchor("ended")) is not None:
             self.notices.append(problem)
 
