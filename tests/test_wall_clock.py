@@ -51,6 +51,11 @@ def test_a_clock_that_is_corrected_a_little_is_not_noted(monkeypatch: pytest.Mon
     assert watch.jump() is None
 
 
+def test_the_clock_is_held_against_the_time_since_the_computer_was_started() -> None:
+    up_s = float(Path("/proc/uptime").read_text().split()[0])
+    assert wall_clock._now()[1] == pytest.approx(up_s, abs=5.0)
+
+
 def test_a_computer_that_slept_has_a_clock_that_is_right(monkeypatch: pytest.MonkeyPatch) -> None:
     watch, now = ClockWatch(), wall_clock._now()
     monkeypatch.setattr(wall_clock, "_now", lambda: (now[0] + 9000.0, now[1] + 9000.0))

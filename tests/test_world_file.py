@@ -30,7 +30,7 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim import cell as cell_module
 from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.mass_ledger import Compartment
-from scuhand_bt.sim.plain_state import read, written
+from scuhand_bt.sim.plain_state import Misplaced, read, written
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.world import DEAD_MAN_S, OUTAGE_S, SERVO_WATCHDOG_S, World
@@ -447,6 +447,7 @@ def test_a_crafted_file_is_refused_and_runs_nothing(
     "plain",
     [
         {"object": ["test_world_file.Hopper", {"__class__": 1}]},
+        {"object": ["test_world_file.Hopper"]},
         {"generator": {"bit_generator": "default_rng"}},
         {"array": ["|O", ["x"]]},
         {"eval": "1"},
@@ -455,6 +456,12 @@ def test_a_crafted_file_is_refused_and_runs_nothing(
 def test_state_that_was_never_written_is_not_read(plain: Any) -> None:
     with pytest.raises((LookupError, TypeError, ValueError)):
         read(plain, Hopper())
+
+
+@pytest.mark.parametrize("onto", [None, Figures()])
+def test_an_object_is_read_only_onto_one_of_its_class(onto: object) -> None:
+    with pytest.raises(Misplaced, match=r"there is no test_world_file.Hopper where one was"):
+        read(json.loads(json.dumps(written(Hopper()))), onto)
 
 
 @pytest.mark.parametrize("name", ["PCG64", "MT19937", "Philox", "SFC64"])

@@ -78,8 +78,6 @@ def _read_object(content: Plain, onto: Any) -> Any:
     if is_dataclass(onto):
         onto = copy(onto)
     for field, plain in attributes.items():
-        if field.startswith("__"):
-            raise ValueError(f"{name} has no attribute {field!r}")
         object.__setattr__(onto, field, read(plain, getattr(onto, field, None)))
     return onto
 
