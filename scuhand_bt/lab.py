@@ -32,6 +32,7 @@ S = TypeVar("S", bound=Spec)
 
 PACKAGE = "scuhand_lab"
 CELL_FILE = Path("robot") / "cell.yaml"
+STATE = ".scuhand"
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,27 @@ def state_folder(lab: Lab) -> Path:
 
     The working folder's for the packed starter lab, and for one that cannot be written.
     """
-    packed = lab.folder == starter_lab() and lab.folder.name == "starter_lab"
-    home = Path.cwd() if packed or not os.access(lab.folder, os.W_OK) else lab.folder
-    return home / ".scuhand"
+    return _state_of(lab.folder)
+
+
+def _state_of(folder: Path) -> Path:
+    packed = folder == starter_lab() and folder.name == "starter_lab"
+    home = Path.cwd() if packed or not os.access(folder, os.W_OK) else folder
+    return home / STATE
+
+
+def find_state(chosen: Path | None = None) -> Path:
+    """Where a lab's journals are, to look at or to stop a run: nothing of the lab is read, which may be broken or gone.
+
+    Raises SourceError if the chosen folder is no lab and was none.
+    """
+    here = Path().resolve()
+    for folder in (here, *here.parents) if chosen is None else (chosen,):
+        if (folder / STATE).is_dir():
+            return folder / STATE
+        if is_lab(folder):
+            break
+    return _state_of(find_lab(None, chosen))
 
 
 def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:

@@ -117,6 +117,7 @@ class Dispense(Skill[Dose]):
         controller = new_controller(self.controller or cell.controller, request)
         believed.dosing_towards(self.mass_mg, lot, before)
         cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
+        yield from cell.record.kept()  # before powder falls
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
         finally:

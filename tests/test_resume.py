@@ -23,7 +23,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.control import Control, take_wish
+from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.resume import checked_history, find_run, resumable
@@ -502,7 +502,7 @@ def test_a_full_disk_ends_the_run_safe_and_says_so(run: Run) -> None:
         def ticked(self, root: Any) -> None:
             super().ticked(root)
             if self.ticks == 60:
-                database = self.session.journal._db
+                database = self.session.journal._store.db
                 pages = database.execute("PRAGMA page_count").fetchone()[0]
                 database.execute(f"PRAGMA max_page_count={pages}")
 
@@ -515,13 +515,8 @@ def test_a_full_disk_ends_the_run_safe_and_says_so(run: Run) -> None:
     assert run.go(Watch(), resumes=True).exit_code == 0
 
 
-def test_a_wish_that_is_none_is_taken_away_and_a_run_that_is_looked_at_is_not_held(tmp_path: Path) -> None:
+def test_a_run_that_is_looked_at_is_not_held(tmp_path: Path) -> None:
     journal = tmp_path / "a.sqlite"
-    wish = journal.with_suffix(".wish")
-    for text in ("{", '"dance"', "[1]", "\x00"):
-        wish.write_text(text, encoding="utf-8")
-        assert take_wish(wish) is None
-        assert not wish.exists()
     with journal.with_suffix(".lock").open("w+") as looking:
         fcntl.flock(looking, fcntl.LOCK_SH)  # as another who looks whether the run is held
         assert not is_held(journal)

@@ -15,6 +15,7 @@ from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.events import BracketClosed, ContainerLifted
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.record import Record
 
 TAKES_S, PERIOD_S = 2.0, 0.1
 """How long one weighing takes, and one reading."""
@@ -38,7 +39,7 @@ class Shown:
                 spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1)),
                 balance=self,
                 believed=self.believed,
-                record=SimpleNamespace(event=self.events.append),
+                record=Record(self.events.append),
                 changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
             ),
         )

@@ -151,6 +151,7 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         mean = yield from cell.balance.stable_mean()
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
+        yield from cell.record.kept()  # before the container goes
         believed.zero_stepped(max(0.0, -moved_mg(bracket.last, weighing_of(mean), digit_mg)))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket

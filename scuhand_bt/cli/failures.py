@@ -3,7 +3,8 @@
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, out, print_json, the_lab, unknown
+from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, err, out, print_json, the_lab, unknown
+from scuhand_bt.problems import SourceError
 
 
 @app.command()
@@ -11,10 +12,14 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     """Explain a failure code: meaning, remedy, who raises it, what a recipe can do about it; or list all of them."""
     from scuhand_bt.failures import CATALOGUE
     from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
+    from scuhand_bt.tree.check import Library
     from scuhand_bt.tree.grammar import Decorator, walk
 
-    loaded = the_lab(lab)
-    library = loaded.library
+    try:
+        library = the_lab(lab).library
+    except SourceError as error:  # the shared catalogue is explained all the same
+        library = Library({}, {})
+        err.print(Text(f"Without what this lab's skills add, as it cannot be read: {error.problems[0]}"))
     failures = library.failures()
     if code is not None and code not in failures:
         raise unknown("failure code", code, failures)

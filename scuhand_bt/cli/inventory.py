@@ -62,6 +62,7 @@ def set_entry(
     """Correct the inventory: what is at a station or in the cone, a fresh sheet, slots or containers used."""
     from scuhand_bt.cli.persons import the_person
     from scuhand_bt.lab import state_folder
+    from scuhand_bt.run.holds import take_cell
 
     loaded = the_lab(lab or context.obj)
     stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
@@ -83,7 +84,8 @@ def set_entry(
         what = f"'{value}' is more than the changer's {changer.slots} slots; write 0 to {changer.slots}"
         raise typer.BadParameter(what, param_hint="VALUE")
     person = the_person(operator, state_folder(loaded), is_asked=False)
-    kept.enter(replace(entry, reason=reason), person.name if person is not None else None)
+    with take_cell(state_folder(loaded)):  # what a run has in the cell is not corrected beside it
+        kept.enter(replace(entry, reason=reason), person.name if person is not None else None)
     out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
 
 

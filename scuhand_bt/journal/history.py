@@ -88,6 +88,8 @@ class History:
     """Run time of the last entry."""
     at: str = ""
     """Wall time of the last entry."""
+    head: str = ""
+    """The hash of the last entry: who goes on with the run goes on behind that one."""
     lost_world: str = ""
     """Why the simulated world could not be kept; empty where it was."""
     ended: Ended | None = None
@@ -125,10 +127,10 @@ def history_of(database: sqlite3.Connection) -> History:
     acted: dict[int, list[tuple[int, int | None, str, str]]] = {}
     last_state = "{}"
     marks = ", ".join("?" * len(_KINDS))
-    query = f"""SELECT seq, job, action, time_s, at, state, kind, CASE WHEN kind IN ({marks}) THEN payload END
+    query = f"""SELECT seq, job, action, time_s, at, state, kind, hash, CASE WHEN kind IN ({marks}) THEN payload END
         FROM entry ORDER BY seq"""
-    for seq, job_seq, action, time_s, at, state, kind, payload in database.execute(query, _KINDS):
-        history.time_s, history.at = time_s, at
+    for seq, job_seq, action, time_s, at, state, kind, head, payload in database.execute(query, _KINDS):
+        history.time_s, history.at, history.head = time_s, at, head.hex()
         last_state = state or last_state
         if kind in _OF_ACTIONS:
             acted.setdefault(job_seq, []).append((seq, action, kind, payload))

@@ -2,12 +2,14 @@
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from py_trees.behaviour import Behaviour
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
+from scuhand_bt.devices.liveness import Hung
 from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
@@ -93,7 +95,7 @@ class Batch:
         ending = _ended(ExitCode.CELL_FAULT, "broken")
         try:
             ending = self._run_jobs()
-        except (SkillBug, PlantError, RecordLost, SkillFailed) as error:
+        except (SkillBug, PlantError, RecordLost, SkillFailed, Hung) as error:
             ending = _ended(ExitCode.CELL_FAULT, str(error))
         except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
             ending = _ended(ExitCode.CELL_FAULT, f"{type(error).__name__}: {error}")
@@ -110,15 +112,26 @@ class Batch:
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
                 code = ExitCode.FLAGGED
-            self._journal.event(_ended(code, ending.reason, complete=ending.is_complete))
-        return BatchResult(in_order, code, ending.reason, self._cell.clock.now_s, ending.is_complete)
+            ending = self._said(_ended(code, ending.reason, complete=ending.is_complete))
+        return BatchResult(in_order, ending.exit_code, ending.reason, self._cell.clock.now_s, ending.is_complete)
+
+    def _said(self, ending: Ended) -> Ended:
+        """The run's end, as its journal has it: what is not in it did not end well."""
+        try:
+            self._journal.event(ending)
+            self._journal.settle()
+        except (RecordLost, Hung) as lost:
+            ending = _ended(ExitCode.CELL_FAULT, f"how the run ended is not written: {lost}")
+            with suppress(RecordLost):
+                self._journal.event(ending)  # where it goes on, if anywhere
+        return ending
 
     def _is_safe(self) -> bool:
         try:
             return self._runner.make_safe()
         except RecordLost:
             return self._runner.make_safe()
-        except Exception:  # a simulated world that breaks at every step cannot come to rest
+        except (Exception, Hung):  # a simulated world that breaks at every step cannot come to rest
             self._journal.event(Broken(traceback=traceback.format_exc()))
             return False
 
@@ -228,6 +241,7 @@ class Batch:
                 return Outcome(fault, "tripped")
             if self._control.is_stopping:
                 return Outcome(interrupted="stopped")
+            journal.settle()
             history = read_history(journal.path)
             again = history.jobs[job.name, attempt]
             journal.job_resumed(again.seq, again.doses)

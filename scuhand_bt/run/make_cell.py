@@ -78,11 +78,12 @@ Simulation = DryRun | Rehearsal
 
 @dataclass(frozen=True)
 class Setup:
-    """A cell made ready: what judges its doses (None: nobody knows the true mass), and what closes it."""
+    """A cell made ready: what judges its doses (None: nobody knows the true mass), what closes it, its run's pulse."""
 
     cell: Cell
     world: World | None
     close: Callable[[], None]
+    liveness: Liveness
 
 
 def set_up(
@@ -143,14 +144,15 @@ def _dry_run(
     restore: bool,
 ) -> Setup:
     _find_plants(lab)
-    clock = VirtualClock(speed=dry_run.speed)
+    liveness = Liveness()
+    clock = VirtualClock(speed=dry_run.speed, beat=liveness.beat)
     faults = _faults(plan, dry_run)
     operator = SimulatedOperator(clock, journal.event, faults=faults)
     cell, world = simulated_cell(
         lab.cell,
         plan.recipe.sources,
         clock=clock,
-        record=Record(journal.event),
+        record=Record(journal.event, journal.waits),
         motion=motion,
         operator=operator,
         seed=dry_run.seed,
@@ -170,7 +172,7 @@ def _dry_run(
         clock.go_on_from(world.restore(world_path, tell))
     elif world_path is not None:
         world.keep_in(world_path, tell)
-    return Setup(cell, world, world.close)
+    return Setup(cell, world, world.close, liveness)
 
 
 def _rehearsal(
@@ -207,7 +209,7 @@ def _rehearsal(
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=True)
         cell.begin_sample = world.begin_sample
         _follow_hands(world, cell)
-        return Setup(cell, world, opened.pop_all().close)
+        return Setup(cell, world, opened.pop_all().close, liveness)
 
 
 def _faults(plan: Plan, simulation: Simulation) -> Faults:
@@ -227,7 +229,7 @@ def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s
         operator = TerminalOperator(clock, journal.event, _show, person)
         changer = OperatorChanger(operator, may_be_loaded=began_s > 0.0)
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=False)
-        return Setup(cell, None, opened.pop_all().close)
+        return Setup(cell, None, opened.pop_all().close, liveness)
 
 
 def _wired_cell(
@@ -246,7 +248,7 @@ def _wired_cell(
     return Cell(
         spec=lab.cell,
         clock=clock,
-        record=Record(journal.event),
+        record=Record(journal.event, journal.waits),
         arm=devices.arm,
         hand=devices.hand,
         balance=devices.balance,

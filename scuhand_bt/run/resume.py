@@ -9,8 +9,9 @@ import scuhand_bt
 from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.hash_chain import NO_ENTRY
 from scuhand_bt.journal.history import History, history_of
+from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_verified
-from scuhand_bt.journal.writer import SCHEMA_VERSION
+from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.lab import Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, recoveries
@@ -25,6 +26,8 @@ class Resumable:
     path: Path
     history: History
     changes: tuple[str, ...]
+    presence: Presence | None = None
+    """The hold on it that whoever resumes it has had since before the history was read; None: yet to be taken."""
 
 
 def world_path(journal: Path) -> Path:
@@ -76,7 +79,15 @@ def its_places(path: Path, run: RunBegun) -> tuple[Path, Path]:
     return (here / recipe.relative_to(lab) if recipe.is_relative_to(lab) else recipe), here
 
 
-def resumable(path: Path, history: History, plan: Plan, lab: Lab, *, accept_changes: bool) -> Resumable:
+def resumable(
+    path: Path,
+    history: History,
+    plan: Plan,
+    lab: Lab,
+    *,
+    accept_changes: bool,
+    presence: Presence | None = None,
+) -> Resumable:
     """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError.
 
     No acceptance lets another job come before what has begun: it would take the pan and the cone from under it.
@@ -87,7 +98,7 @@ def resumable(path: Path, history: History, plan: Plan, lab: Lab, *, accept_chan
     if changes and not accept_changes:
         hint = "--accept-changes resumes with what is there now, and notes it"
         raise SourceError([Problem(Mark(str(path)), f"since this run began, {change}; {hint}") for change in changes])
-    return Resumable(path, history, changes)
+    return Resumable(path, history, changes, presence)
 
 
 def lab_files(lab: Lab) -> dict[str, str]:

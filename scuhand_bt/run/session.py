@@ -29,7 +29,6 @@ from scuhand_bt.journal.events import (
 )
 from scuhand_bt.journal.history import History
 from scuhand_bt.journal.plain import plain_values
-from scuhand_bt.journal.presence import Held, Presence
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.beliefs import LabState
@@ -39,11 +38,13 @@ from scuhand_bt.lab_state.ledger import Ledger, Occasion
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
+from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
+from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
@@ -120,9 +121,17 @@ class Session:
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
-        self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
+            self._holds = opened.enter_context(ExitStack())
+            presence = resumes.presence if resumes is not None else None
+            self._holds.callback((presence or take_run(path)).end)
+            if options.simulation is None:
+                self._holds.callback(take_cell(path.parent.parent).end)
+            self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
+            if self._history is not None and self.journal.head != self._history.head:
+                problem = "another process went on with it meanwhile; resume it again, to hear where it stands now"
+                raise SourceError([Problem(Mark(str(path)), problem)])
             self._make_cell(motion, opened)
             if not self.cell.simulated:
                 self._meet_balance()
@@ -140,13 +149,7 @@ class Session:
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
-        try:
-            self._presence = Presence(journal.path)
-        except Held:
-            problem = f"the run is going on in another process; `scuhand-bt stop {self.run_id}` ends it"
-            raise SourceError([Problem(Mark(str(journal.path)), problem)]) from None
-        opened.callback(self._presence.end)
-        self._listener = WishListener(journal.path, self.control)
+        self._listener = _listen(journal.path, self.control)
         opened.callback(self._listener.end)
         setup = set_up(
             self.plan,
@@ -160,6 +163,7 @@ class Session:
             resumed_at_s=None if history is None else history.time_s,
         )
         self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
+        self.liveness = setup.liveness
         opened.callback(self._close_cell)
         if options.controller is not None:
             self.cell.controller = options.controller
@@ -250,13 +254,16 @@ class Session:
         try:
             result = batch.run()
         finally:
-            if world is not None:
-                self.journal.event(Matter(**world.masses_mg))
-                if world.faults.rules:
-                    self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
-            if (problem := self._state.keep(self.cell, self.run_id)) is not None:
-                self._trouble(problem)
-            self._keep_inventory()
+            try:
+                if world is not None:
+                    self.journal.event(Matter(**world.masses_mg))
+                    if world.faults.rules:
+                        self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
+                if (problem := self._state.keep(self.cell, self.run_id)) is not None:
+                    self._trouble(problem)
+                self._keep_inventory()
+            except RecordLost as lost:  # its end was still written
+                self.notices.append(str(lost))
         self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)
@@ -279,6 +286,8 @@ class Session:
 
     def _anchor(self, occasion: Occasion) -> str | None:
         """Write the journal's head into the lab's ledger; what went wrong, or None."""
+        if occasion != "ended":
+            self.journal.settle()  # the ledger never has what a power cut could take from the journal
         try:
             entries, head = self.journal.entries, self.journal.head
             self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
@@ -318,7 +327,7 @@ class Session:
     def close(self) -> None:
         """Close the devices, wait for what is being told of the run, and close the journal."""
         with ExitStack() as closing:
-            closing.callback(self._presence.end)
+            closing.callback(self._holds.close)
             closing.callback(self._listener.end)
             closing.callback(self._anchor_end)
             closing.callback(self.journal.close)
@@ -333,6 +342,13 @@ class Session:
     def _finish_telling(self) -> None:
         for what in self._notifier.finish():
             self._trouble(what)
+
+
+def _listen(journal: Path, control: Control) -> WishListener:
+    try:
+        return WishListener(journal, control)
+    except OSError:  # though it is not locked any more
+        raise SourceError([Problem(Mark(str(journal)), BEING_RUN.format(journal.stem))]) from None
 
 
 def _open_journal(path: Path, *, durable: bool) -> Journal:
