@@ -20,7 +20,7 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.session import Options, Session
-from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.sim.fault_rules import KINDS, OUTAGES, parse_faults
 
 RECIPE = """\
 recipe: matrix
@@ -35,11 +35,14 @@ samples:
 """
 MOMENTS = {"approach": "move_over", "dosing": "dispense", "return": "return_leftover"}
 """The moments, each in the middle of the first action of a skill."""
+FAULTS = [name for name in KINDS if name not in OUTAGES]
+"""Those that come while a run goes on."""
 RECOVERS = "recovers"
 CODES: Mapping[str, set[str]] = {
     "balance.silent": {"device.lost"},
     "balance.garbage": {RECOVERS, "device.lost"},
     "balance.bit_flips": {RECOVERS},
+    "balance.restarted": {RECOVERS, "container.changed", "device.lost"},
     "balance.unstable": {"balance.unstable"},
     "balance.overload": {"balance.overload"},
     "balance.drifting": {"balance.unstable", "hand.leak"},

@@ -30,6 +30,7 @@ class Code(StrEnum):
     BALANCE_BRACKET_OPEN = "balance.bracket_open"
     CONTAINER_MISSING = "container.missing"
     CONTAINER_MOVED = "container.moved"
+    CONTAINER_CHANGED = "container.changed"
     CONTAINER_WRONG_MASS = "container.wrong_mass"
     CONTAINER_TOO_SMALL = "container.too_small"
     HAND_CONE_EMPTY = "hand.cone_empty"
@@ -159,6 +160,11 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.CONTAINER_MOVED: Failure(
         "The pan lost mass while a dose was going on.",
         "See whether the container was touched, tipped or taken away; begin its dose again with a new one.",
+        ("cell",),
+    ),
+    Code.CONTAINER_CHANGED: Failure(
+        "After an interruption the container on the pan weighs what it cannot, or is another one.",
+        "See whether it was touched, tipped, exchanged or taken away; give the sample a new one (`on_failure: redo`).",
         ("cell",),
     ),
     Code.CONTAINER_WRONG_MASS: Failure(

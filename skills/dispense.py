@@ -8,10 +8,17 @@ from pydantic import AfterValidator, Field
 
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
-from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
+from scuhand_bt.cell.weighing import (
+    SCOOP_DOUBT,
+    possible_mg,
+    require_unchanged,
+    weigh_until_still,
+    weighing_of,
+)
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import (
+    AGREEMENT,
     Gross,
     Reference,
     dose_between,
@@ -48,8 +55,6 @@ DIFFERENT_READINGS = 12
 """So many that are all multiples of two digits apart come by chance once in 2^(n-1); of more digits, more rarely."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
-SCOOP_DOUBT = 0.15
-"""How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 
 
 def _known_controller(name: str) -> str:
@@ -66,6 +71,7 @@ class Dispense(Skill[Dose]):
 
     raises = (
         Code.BALANCE_COARSE,
+        Code.CONTAINER_CHANGED,
         Code.CONTAINER_MISSING,
         Code.CONTAINER_TOO_SMALL,
         Code.DOSE_NOT_REACHED,
@@ -84,6 +90,7 @@ class Dispense(Skill[Dose]):
     """A dosing controller by name; the run's, if none is named."""
 
     def run(self, cell: Cell) -> Steps[Dose]:
+        require_unchanged(cell)
         bracket = cell.believed.bracket
         if bracket is None or cell.believed.pan_empty_mg is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
@@ -179,17 +186,30 @@ class Dispense(Skill[Dose]):
         return min(max(watch_s, SHORTEST_WATCH_S), LONGEST_WATCH_S)
 
     def settle(self, cell: Cell) -> Steps[None]:
-        """The apex over the container again; what has arrived since that was last weighed has left the cone."""
+        """The apex over the container again; what has arrived since that was last weighed has left the cone.
+
+        SkillFailed container.changed where more has come, or less, than can have.
+        """
         believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+        require_unchanged(cell)
         bracket = believed.bracket
         if believed.pan is None or bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
         place, _ = over_balance(cell.spec, believed.pan)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
+        if not believed.dosing.is_unweighed:
+            return
         mean = yield from cell.balance.stable_mean()
         gained, _ = dose_between(bracket.last, bracket.last, weighing_of(mean), weighing_of(mean), digit_mg)
         cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
+        least_mg, most_mg = possible_mg(cell, AGREEMENT * gained.uncertainty_mg)
+        if not least_mg <= gained.mass_mg <= most_mg:
+            raise SkillFailed(
+                Code.CONTAINER_CHANGED,
+                f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
+                f"and {least_mg:.1f} to {most_mg:.1f} mg can have come",
+            )
         believed.reweighed(gained, weighing_of(mean), self._source(cell).sheet_key)
 
     def request(self, cell: Cell) -> DoseRequest:

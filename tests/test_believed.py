@@ -63,6 +63,14 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "removed": st.just(Believed.removed),
     "brought": st.builds(lambda by: lambda b: b.brought(DISH, from_changer=by), st.booleans()),
     "placed": st.builds(lambda bare, loaded: lambda b: b.placed(bare, loaded), weighings, weighings),
+    "rebracketed": st.builds(
+        lambda bare, loaded, held, left: lambda b: b.rebracketed(bare, loaded, Net(20_000.0, 0.1), held, left),
+        weighings,
+        weighings,
+        nets,
+        masses_mg,
+    ),
+    "container_given_up": st.just(lambda b: b.container_given_up("it is another one")),
     "slots_refilled": st.just(Believed.slots_refilled),
     "containers_taken": st.builds(lambda n: lambda b: b.containers_taken(n, {"die": n}), st.integers(-1, 9)),
     "dose_began": st.just(lambda b: b.dose_began(1.0)),
@@ -196,9 +204,12 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "drift": {"rate": 0.0, "uncertainty": 0.005},
             "lot": SALT.sheet_key,
             "lifted": None,
+            "carried": {},
+            "empty": None,
         },
         "closed": [],
         "is_zero_doubted": False,
+        "given_up": "",
         "zero_stepped_mg": 0.0,
     }
     assert JSON.validate_python({**written, "pan": pan}, by_name=True, by_alias=False) == believed
@@ -388,3 +399,58 @@ def test_of_all_steps_that_were_seen_the_largest_stays() -> None:
         believed.zero_stepped(by_mg)
     believed.bracket_closed(gone())
     assert (believed.zero_stepped_mg, believed.is_zero_doubted) == (3.0, False)
+
+
+def test_after_an_outage_all_weighings_begin_anew_and_what_it_holds_is_what_was_weighed() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.dosed(Net(20.0, 0.1), STILL, weighed(20_030.5, 9.0), 3, 1.5)
+    believed.dosing_towards(50.0, SALT.sheet_key, weighed(20_030.5, 10.0))
+    believed.rebracketed(weighed(-20_000.0, 20.0), weighed(35.0, 30.0), Net(20_000.0, 0.1), Net(35.0, 0.3), 15.0)
+    bracket = believed.bracket
+    assert bracket is not None
+    assert (bracket.bare, bracket.loaded, bracket.last) == (weighed(-20_000.0, 20.0), *2 * [weighed(35.0, 30.0)])
+    assert (bracket.doses, bracket.empty, bracket.lifted) == ({}, Net(20_000.0, 0.1), None)
+    assert bracket.dosed_mg(BEADS.sheet_key) == Net(20.0, 0.1), "as it was weighed before"
+    assert bracket.dosed_mg(SALT.sheet_key) == Net(15.0, pytest.approx(0.1**0.5, rel=1e-6)), "what came since"
+    assert (believed.pan_gross_mg, believed.pan_empty_mg, believed.cone_mg) == (35.0, 0.0, 85.0)
+    assert not believed.dosing.is_unweighed
+    believed.dosing_towards(50.0, SALT.sheet_key, weighed(35.5, 40.0))
+    believed.dosed(Net(5.0, 0.1), STILL, weighed(40.5, 50.0), 1, 0.0)
+    assert believed.bracket is not None
+    assert believed.bracket.dosed_mg(SALT.sheet_key).mass_mg == 20.0
+
+
+def test_an_outage_before_any_powder_leaves_none_in_the_container() -> None:
+    believed = on_the_pan()
+    believed.rebracketed(weighed(0.0, 20.0), weighed(20_000.1, 30.0), Net(20_000.0, 0.1), Net(0.1, 0.3), 0.1)
+    assert believed.bracket is not None
+    assert (believed.bracket.holds, believed.pan_empty_mg, believed.cone_mg) == ({}, 20_000.1, 100.0)
+
+
+def test_a_container_that_is_given_up_confirms_no_dose_and_has_no_weight_until_another_is_placed() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.container_given_up("it is another one")
+    (told,) = believed.closed
+    assert (told.container, told.closes, told.detail) == (DISH.id, False, "it is another one")
+    assert (believed.bracket, believed.weighed_container, believed.pan) == (None, None, DISH)
+    assert (believed.given_up, believed.dosing.is_unweighed) == ("it is another one", False)
+    believed.placed(weighed(10.0), weighed(20_010.0))
+    assert believed.given_up == ""
+
+
+def test_an_empty_container_that_is_given_up_has_no_dose_to_deny() -> None:
+    believed = on_the_pan()
+    believed.container_given_up("it is another one")
+    assert (believed.closed, believed.given_up) == ((), "it is another one")
+
+
+def test_what_the_last_reading_of_a_broken_dose_has_shown_was_seen() -> None:
+    believed = on_the_pan()
+    assert believed.seen_mg == 0.0
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.dosing_ended(12.0, 20_022.5)
+    assert believed.seen_mg == pytest.approx(12.0)
+    believed.dosed(Net(12.0, 0.1), STILL, weighed(20_022.5, 9.0), 1, 0.5)
+    assert believed.seen_mg == 0.0

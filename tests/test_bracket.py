@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt.dosing.bracket import (
+    SOUND_DIGITS_PER_S,
     Closed,
     Drift,
     Gross,
@@ -19,9 +20,11 @@ from scuhand_bt.dosing.bracket import (
     close,
     dose_between,
     drift_between,
+    held,
     mean_drift,
     moved_mg,
     significant,
+    standing,
     walk_mg,
 )
 
@@ -269,3 +272,21 @@ def test_a_bare_pan_that_moved_beyond_the_walk_and_the_drift_closes_nothing() ->
         one = replace(steady, difference_mg=difference_mg, allowance_mg=2.0, stepped_mg=stepped_mg)
         assert one.closes is closes
     assert not replace(steady, difference_mg=-2.1, allowance_mg=2.0).closes
+
+
+def test_what_stands_on_the_pan_is_told_by_the_bare_pan_before_or_after_it_whatever_the_zero() -> None:
+    bare, loaded = Gross(-9100.0, 0.1, 20.0), Gross(150.0, 0.2, 10.0)
+    one, other = standing(bare, loaded, 0.1), standing(replace(bare, time_s=0.0), loaded, 0.1)
+    assert one.mass_mg == other.mass_mg == 9250.0
+    drifted_mg = SOUND_DIGITS_PER_S * 0.1 * 10.0
+    assert one.uncertainty_mg == pytest.approx(math.hypot(0.1, 0.2, walk_mg(0.1, 10.0), drifted_mg))
+    assert one.uncertainty_mg == pytest.approx(other.uncertainty_mg)
+
+
+def test_what_a_container_holds_is_what_it_weighs_more_than_empty_and_drift_and_span_are_doubts() -> None:
+    span_mg = 1e-5 * 9200.0
+    once = held(Net(9200.0, 0.3), [Net(9240.0, 0.4)])
+    assert (once.mass_mg, once.uncertainty_mg) == (40.0, pytest.approx(math.hypot(0.5, span_mg)))
+    about = held(Net(9200.0, 0.3), [Net(9240.0, 0.4), Net(9242.0, 0.2)])
+    u_mg = math.hypot(0.5, span_mg, 2.0 / math.sqrt(12.0))
+    assert (about.mass_mg, about.uncertainty_mg) == (41.0, pytest.approx(u_mg))

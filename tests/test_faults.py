@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from running import Ran, Watching, dry_run, shared_planner
 from wire_helpers import carry_out, wait_for
 
-from harness.fault_matrix import MOMENTS, Matrix
+from harness.fault_matrix import FAULTS, MOMENTS, Matrix
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.journal.export import canonical
@@ -337,7 +337,7 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> tuple[Matrix, dict[str, 
     return made, made.moments(0)
 
 
-@pytest.mark.parametrize("fault", KINDS)
+@pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize(
     "moment", [moment if moment == "dosing" else pytest.param(moment, marks=pytest.mark.slow) for moment in MOMENTS]
 )

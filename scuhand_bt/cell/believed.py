@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import AfterValidator, PlainSerializer
 
-from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.dosing.bracket import Drift, Gross, Net, total
 from scuhand_bt.specs import Container, Source
 
 _AS_WRITTEN = PlainSerializer(dict)
@@ -63,10 +63,19 @@ class Bracket:
     """What is being dosed."""
     lifted: Gross | None = None
     """The filled container, the hand away, before it is taken off the pan."""
+    carried: Nets = field(default_factory=lambda: MappingProxyType({}))
+    """What it held before these weighings began: after an outage the balance has another zero, and all begin anew."""
+    empty: Net | None = None
+    """What it weighed empty, before such an outage; None where `bare` and `loaded` tell."""
 
     def dosed_mg(self, lot: str) -> Net:
         """What was dosed of a powder lot until now."""
-        return self.doses.get(lot, Net(0.0, 0.0))
+        return total(nets[lot] for nets in (self.carried, self.doses) if lot in nets)
+
+    @property
+    def holds(self) -> dict[str, Net]:
+        """All that was dosed, by powder lot."""
+        return {lot: self.dosed_mg(lot) for lot in {**self.carried, **self.doses}}
 
 
 @dataclass(frozen=True)
@@ -109,8 +118,17 @@ class Believed:
     """What containers that have gone came to; until the batch has noted it."""
     is_zero_doubted: bool = False
     """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
+    given_up: str = ""
+    """Why the container that was last on the pan counts no more; empty where it does."""
     zero_stepped_mg: float = 0.0
     """By how much the balance's zero was seen to step at most: so much may have hidden in any dose of the run."""
+
+    @property
+    def seen_mg(self) -> float:
+        """What has come since the container was last weighed, by the last reading of a dose that broke off."""
+        if not self.dosing.is_unweighed or self.bracket is None or self.pan_gross_mg is None:
+            return 0.0
+        return max(0.0, self.pan_gross_mg - self.bracket.last.gross_mg)
 
     @property
     def weighed_container(self) -> Container | None:
@@ -197,7 +215,54 @@ class Believed:
         """The container on the pan has the weight that its kind has. ValueError without one."""
         if self.pan is None:
             raise ValueError("no container stands on the pan")
-        self._set(pan_gross_mg=loaded.gross_mg, bracket=Bracket(self.pan.id, bare, loaded, loaded))
+        self._set(pan_gross_mg=loaded.gross_mg, bracket=Bracket(self.pan.id, bare, loaded, loaded), given_up="")
+
+    def rebracketed(self, bare: Gross, loaded: Gross, empty: Net, held: Net, left_cone_mg: float) -> None:
+        """After an outage the same container was weighed by the bare pan, and holds so much; all weighings begin anew.
+
+        What has come meanwhile has left the cone, and is of the lot that was dosed last. ValueError without a bracket.
+        """
+        bracket = self.bracket
+        if bracket is None or self.pan is None:
+            raise ValueError("no container on the pan was weighed before")
+        carried = bracket.holds
+        if carried or self.dosing.is_unweighed:
+            others = total(net for lot, net in carried.items() if lot != bracket.lot)
+            u_mg = math.hypot(held.uncertainty_mg, others.uncertainty_mg)
+            carried[bracket.lot] = Net(held.mass_mg - others.mass_mg, u_mg)
+            self._left_cone(max(0.0, left_cone_mg))
+        self._set(
+            pan_empty_mg=loaded.gross_mg - sum(net.mass_mg for net in carried.values()),
+            pan_gross_mg=loaded.gross_mg,
+            dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
+            bracket=replace(
+                bracket,
+                bare=bare,
+                loaded=loaded,
+                last=loaded,
+                doses=MappingProxyType({}),
+                drift=Drift(0.0, 0.0),
+                lifted=None,
+                carried=MappingProxyType(carried),
+                empty=empty,
+            ),
+        )
+
+    def container_given_up(self, why: str) -> None:
+        """What stands on the pan, if anything does, is not what was weighed there, or nobody knows."""
+        bracket = self.bracket
+        if bracket is None:
+            return
+        had = bool(bracket.holds) or self.dosing.is_unweighed
+        lost = (ClosedBracket(bracket.container, MappingProxyType({}), False, 0.0, why),) if had else ()
+        self._set(
+            bracket=None,
+            pan_empty_mg=None,
+            pan_gross_mg=None,
+            given_up=why,
+            closed=(*self.closed, *lost),
+            dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
+        )
 
     def lifted(self, weighing: Gross) -> None:
         """What is about to be taken off the pan weighs so much, the hand away. ValueError without a bracket."""
@@ -313,9 +378,8 @@ class Believed:
 
     def _gained(self, gained: Net, drift: Drift, now: Gross) -> None:
         bracket = self._open_bracket
-        before = bracket.dosed_mg(bracket.lot)
-        total = Net(before.mass_mg + gained.mass_mg, math.hypot(before.uncertainty_mg, gained.uncertainty_mg))
-        doses = MappingProxyType({**bracket.doses, bracket.lot: total})
+        before = bracket.doses.get(bracket.lot, Net(0.0, 0.0))
+        doses = MappingProxyType({**bracket.doses, bracket.lot: total([before, gained])})
         self._weighed(now.gross_mg)
         self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now))
 

@@ -92,6 +92,10 @@ class Cell:
         x_m, y_m, z_m = apex(self.arm.positions, self.spec.hand.apex_offset_mm / 1000).position_m
         return (1000 * x_m, 1000 * y_m, 1000 * z_m)
 
+    def aside_of_pan_mm(self) -> float:
+        """How far the cone's apex is from the middle of the pan, seen from above."""
+        return math.dist(self.apex_mm()[:2], self.spec.station_of_kind("balance").position_mm[:2])
+
     def place(self, name: str) -> ApexPose:
         """The apex pose of a named place, cone upright; KeyError for an unknown one."""
         return ApexPose(np.array(self.places_mm[name]) / 1000)

@@ -302,6 +302,27 @@ class PanCompared(Event, Weighing):
     """Its gross before."""
 
 
+class ContainerReweighed(Event):
+    """A resumed run has weighed the container that was on the pan about the bare pan, whatever the zero is by now."""
+
+    KIND: ClassVar = "container_reweighed"
+
+    container: Text
+    before: Weighing
+    """The pan as it was found."""
+    bare: Weighing
+    loaded: Weighing
+    """The container put back."""
+    held_mg: float
+    """What it holds, by what it weighed empty."""
+    uncertainty_mg: float
+    least_mg: float
+    most_mg: float
+    """What it can hold: what it held, and what the cone can have lost."""
+    counts: bool
+    """False: it was given up, and its sample fails."""
+
+
 class Settled(Event):
     """An action that had begun and not ended begins again, as its skill declares."""
 
@@ -359,6 +380,7 @@ ENGINE_EVENTS: tuple[type[Event], ...] = (
     Decided,
     ArmMoved,
     PanCompared,
+    ContainerReweighed,
     Settled,
     Asked,
     Answered,

@@ -1,7 +1,6 @@
 """Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
 
 import hashlib
-import re
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,6 +14,8 @@ from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
+from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
+from scuhand_bt.recipe.identity import Ids, wrong_id
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
 from scuhand_bt.recipe.takes import Take, sources_of, takes_of
 from scuhand_bt.specs import Container, Positive, Source, Spec
@@ -39,8 +40,6 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
 }
 ORDERS = ("by_powder", "as_written")
 RECIPE_KEYS = ("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples", "on_failure")
-_ID = re.compile(r"\w[\w.+-]{0,63}")
-_ID_ALLOWED = "letters, digits and . _ - +, at most 64, beginning with a letter or digit"
 
 
 @dataclass(frozen=True)
@@ -138,9 +137,11 @@ class _Reader:
 
     def _name(self, root: Entries) -> str:
         name = self._word(root, "recipe") or self.path.stem
-        if not _ID.fullmatch(name):
+        if (wrong := wrong_id(name)) is not None:
             mark = root.values["recipe"].mark if "recipe" in root.values else root.mark
-            self.problems.add(mark, f"'{shorten(name)}' is no name for a recipe", _ID_ALLOWED)
+            what, allowed = wrong
+            what = "is no name for a recipe" if allowed == ID_ALLOWED else what
+            self.problems.add(mark, f"'{shorten(name)}' {what}", allowed)
         return name
 
     def _word(self, node: Entries, key: str) -> str | None:
@@ -234,7 +235,7 @@ class _Reader:
         if default_workflow is not None:
             self._workflow(default_workflow)
         samples: list[Sample] = []
-        seen: dict[str, Mark] = {}
+        ids = Ids()
         folder, lab = self.path.parent, self.lab.folder
         expanded = (one for item in node.items for one in expand(item, folder, lab, self.problems))
         entries = list(islice(expanded, MAX_SAMPLES + 1))
@@ -245,15 +246,11 @@ class _Reader:
             return []
         for entry in entries:
             sample = self._read_sample(entry, defaults, default_workflow, sources)
-            id_node = entry.get("id")
-            if isinstance(id_node, Scalar) and id_node.text:
-                if id_node.text in seen:
-                    first = seen[id_node.text]
-                    where = f"line {first.line}" if first.file == id_node.mark.file else str(first)
-                    self.problems.add(id_node.mark, f"the id '{shorten(id_node.text)}' is taken", f"first in {where}")
-                seen.setdefault(id_node.text, id_node.mark)
-            if sample is not None:
-                samples.append(sample)
+            if sample is None:
+                continue
+            samples.append(sample)
+            if sample.id and (clash := ids.add(sample.id, entry.values["id"].mark)) is not None:
+                self.problems.add(entry.values["id"].mark, *clash)
         inputs = {name for workflow in self.workflows.values() for name in workflow.inputs}
         for key, mark in defaults.keys.items():
             if self.workflows and key not in inputs:
@@ -326,8 +323,9 @@ class _Reader:
             self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own")
             return ""
         text = node.text if isinstance(node, Scalar) else None
-        if text is None or not _ID.fullmatch(text):
-            self.problems.add(node.mark, f"{describe(node)} is no id", _ID_ALLOWED)
+        what, allowed = ("is no id", ID_ALLOWED) if text is None else wrong_id(text) or ("", "")
+        if text is None or what:
+            self.problems.add(node.mark, f"{describe(node)} {what}", allowed)
             return ""
         return text
 

@@ -28,7 +28,7 @@ from scuhand_bt.events import (
     Weighing,
     WeightChecked,
 )
-from scuhand_bt.journal.events import JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
+from scuhand_bt.journal.events import ContainerReweighed, JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
@@ -213,6 +213,9 @@ def _weighed(
             return row | {"standard_uncertainty_mg": bare.uncertainty_mg}
         case Reweighed():
             return _gross(event) | {"weighing": "after an interruption", "net_mg": event.arrived_mg}
+        case ContainerReweighed():
+            row = _between(event.bare, event.loaded, event.held_mg) | {"weighing": "after an outage"}
+            return row | {"container": event.container, "standard_uncertainty_mg": event.uncertainty_mg}
         case PanCompared():
             return _gross(event) | {"weighing": "zero after an interruption"}
         case WeightChecked():

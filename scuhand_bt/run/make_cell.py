@@ -27,7 +27,7 @@ from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, SimulatedOperator, TerminalOperator
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
-from scuhand_bt.sim.fault_rules import FaultFile
+from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
@@ -40,6 +40,7 @@ NOT_WITHOUT_A_RECIPE = {
     "vibration.dead": "no powder is behind twins alone that would feel it",
     "container.wrong": "nothing is put on the pan of twins alone",
     "operator.refuses": "nobody is asked by twins alone",
+    **dict.fromkeys(OUTAGES, "twins end with their program"),
 }
 """Faults that twins without a recipe cannot show, and why."""
 REHEARSED_ANSWER_S = 2.0
@@ -164,6 +165,7 @@ def _dry_run(
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove, may_be_loaded=restore)
     _follow_hands(world, cell)
+    operator.sees = lambda: "another" if world.pan.is_exchanged else "same"
 
     def tell(why: str) -> None:
         journal.event(NotResumable(why=why))
@@ -189,6 +191,8 @@ def _rehearsal(
     firmware = lab.folder / "robot" / "firmware"
     faults = _faults(plan, rehearsal)
     has_person = sys.stdin.isatty()
+    if rehearsal.faults is not None:
+        rehearsal.faults.refuse(dict.fromkeys(OUTAGES, "a rehearsal cannot be resumed"))
     if rehearsal.faults is not None and has_person:
         rehearsal.faults.refuse({"operator.refuses": "a person at this terminal answers for the operator"})
     bench = WireBench(

@@ -37,6 +37,8 @@ class SimulatedOperator:
         self._tell = tell
         self._answer_s = answer_s
         self._faults = faults or Faults()
+        self.sees: Callable[[], str] = lambda: ""
+        """What it answers where it is asked about what it can see."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         self._tell(Asked(question=question, choices=list(choices)))
@@ -44,7 +46,8 @@ class SimulatedOperator:
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
         refuses = self._faults.comes("operator.refuses", self._clock.now_s)
-        answer = choices[-1 if refuses else 0]
+        seen = self.sees()
+        answer = choices[-1] if refuses else seen if seen in choices else choices[0]
         self._tell(Answered(question=question, answer=answer))
         return answer
 
@@ -142,7 +145,7 @@ class OperatorChanger:
             return
         if self._on_pan not in (None, UNKNOWN):
             raise SkillFailed(Code.CONTAINER_MISSING, f"the pan is not free: '{self._on_pan}' stands on it")
-        yield from self._do(f"Put the empty {container.name} '{container.id}' on the pan.")
+        yield from self._do(f"Put the {container.name} '{container.id}' on the pan.")
         self._place(container)
         self._on_pan = container.id
         self.news.fire()

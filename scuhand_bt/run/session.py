@@ -49,6 +49,7 @@ from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, r
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.operator import Person
+from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.run.wall_clock import ClockWatch, disagreement
@@ -127,7 +128,9 @@ class Session:
             self._holds.callback((presence or take_run(path)).end)
             if options.simulation is None:
                 self._holds.callback(take_cell(path.parent.parent).end)
-            self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
+            self.journal = _open_journal(
+                path, is_new=resumes is None, durable=not isinstance(options.simulation, DryRun)
+            )
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
             if self._history is not None and self.journal.head != self._history.head:
                 problem = "another process went on with it meanwhile; resume it again, to hear where it stands now"
@@ -238,7 +241,11 @@ class Session:
 
     def run(self, observer: BatchObserver) -> BatchResult:
         """Run the batch to its end; whatever happens, the cell ends safe."""
-        world = self.world
+        world, first = self.world, None
+        if self._conflicts:
+            first = resolve(self.cell, self._conflicts)
+        elif self._history is not None and self._history.state:
+            first = settle_outage(self.journal, self.cell)
         batch = Batch(
             self.plan,
             self.cell,
@@ -248,7 +255,7 @@ class Session:
             self.control,
             world.true_mass if world is not None else None,
             self._history,
-            first=resolve(self.cell, self._conflicts) if self._conflicts else None,
+            first=first,
             after_job=self._after_job,
         )
         try:
@@ -351,8 +358,11 @@ def _listen(journal: Path, control: Control) -> WishListener:
         raise SourceError([Problem(Mark(str(journal)), BEING_RUN.format(journal.stem))]) from None
 
 
-def _open_journal(path: Path, *, durable: bool) -> Journal:
+def _open_journal(path: Path, *, is_new: bool, durable: bool) -> Journal:
     try:
+        if is_new:  # two runs of one second may draw one id: the second one ends here
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch(exist_ok=False)
         return Journal(path, durable=durable)
     except (OSError, sqlite3.Error) as error:
         problem = Problem(Mark(str(path)), f"the journal cannot be written: {error}; nothing was moved")

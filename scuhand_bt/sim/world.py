@@ -19,6 +19,7 @@ from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
 from scuhand_bt.sim.mass_ledger import CONE, Compartment, MassLedger, in_container, in_source
+from scuhand_bt.sim.outage import PowerCut
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
@@ -169,15 +170,21 @@ class World:
         self._memory.close()
 
     def _sit_out(self) -> None:
-        """What happens while nobody speaks to the devices: the valve stays as it is until its dead-man closes it."""
+        """What happens while nobody speaks to the devices: the valve stays as it is until its dead-man closes it.
+
+        And what a power cut does to them (`outage.…` of the faults), whose end shuts the valve, too.
+        """
         hand, silent_s = self._hand, self.now_s
+        cut = PowerCut(self.faults, silent_s, substream(self._seed, f"{silent_s:.4f}", 0, "outage"))
         self._go_on_to(silent_s + SERVO_WATCHDOG_S)
         hand.hold_sheet()
         self._go_on_to(silent_s + DEAD_MAN_S)
-        hand.shut(self.now_s)
+        cut.begin(self.now_s, self._arm, hand, self.pan)
         self._go_on_to(silent_s + OUTAGE_S)
+        cut.go_on(self.now_s, hand, self.load, self.ledger.masses_mg[CONE])
         while self._is_at_work and self.now_s < silent_s + LONGEST_OUTAGE_S:
             self._go_on_to(self.now_s + STEP_S)
+        cut.end(self._balance, self.pan)
 
     @property
     def _is_at_work(self) -> bool:
