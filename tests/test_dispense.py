@@ -313,3 +313,15 @@ def test_adaptive_is_done_exactly_where_the_verdict_will_be_in_tolerance(
         command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, False))
     command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, True))
     assert (command.reason if isinstance(command, Finish) else None) == reason
+
+
+def test_the_valve_opens_once_the_empty_containers_weighing_is_on_disk(rig: Rig) -> None:
+    on_disk: list[tuple[str, float, bool]] = []
+
+    def waits() -> None:
+        on_disk.append((type(rig.written[-1]).__name__, rig.balance.load_mg, rig.cell.hand.is_stopped))
+
+    rig.cell.record = Record(rig.written.append, waits)
+    empty_mg = rig.balance.load_mg
+    rig.dispense(TARGET_MG)
+    assert on_disk == [("DoseBegun", empty_mg, True)]

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import Bench, FakeCell, wait_until
 from running import Watching, make_lab
 from test_journal import problem_of
 from test_rehearse import HEAD, session_of
 from test_resume import Run, Watch
 
+from scuhand_bt.clock import Steps
 from scuhand_bt.devices.liveness import LIMIT_S, Liveness
 from scuhand_bt.events import Note
 from scuhand_bt.journal.reader import read
@@ -21,6 +23,7 @@ from scuhand_bt.journal.writer import LOOK_S, Journal
 from scuhand_bt.lab import load_lab
 from scuhand_bt.record import Record, RecordLost
 from scuhand_bt.run.make_cell import Rehearsal
+from scuhand_bt.skill import Skill
 
 NOTE = Note("lab.note", {})
 
@@ -160,6 +163,34 @@ def test_a_journal_is_whole_once_it_is_closed(journal: Journal, disk: SlowDisk) 
     journal.close()
     assert len(read(journal.path, "entry")) == 5
     assert [path.name for path in journal.path.parent.iterdir()] == ["r.sqlite"]
+
+
+def test_an_action_begins_once_it_is_on_disk_that_it_does_and_all_before_it(
+    bench: Bench, disk: SlowDisk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Work(Skill[None]):
+        """Note when it begins."""
+
+        def run(self, cell: FakeCell) -> Steps[None]:  # type: ignore[override]
+            cell.note("begun")
+            yield from wait_until(cell, cell.clock.now_s + 1.0)
+
+    journals: list[Journal] = []
+
+    def open_journal(path: Path, *, durable: bool) -> Journal:
+        journals.append(Journal(path, durable=True))
+        return journals[0]
+
+    def let_go() -> None:
+        disk.is_held = False
+        journals[0].settle()
+
+    monkeypatch.setattr("conftest.Journal", open_journal)
+    disk.is_held = True
+    bench.agenda.at(5.0, let_go)
+    bench.run("work:", {"work": Work})
+    assert bench.log == [(5.0, "begun")]
+    assert bench.actions() == [("work", "done")]
 
 
 @pytest.mark.real_time

@@ -324,3 +324,17 @@ def test_a_dose_that_broke_off_takes_from_the_cone_what_no_reading_had_shown() -
     assert resumed.settle().counts
     assert resumed.asked[0][1] == ["same", "another", "stop"]
     assert resumed.believed.cone_mg == pytest.approx(960.0)
+
+
+def test_a_filled_container_goes_once_its_weight_is_on_disk() -> None:
+    shown = Shown(20_060.3, 10.1)
+    a_dosed_container(shown)
+    writes: list[Wake | None] = [Wake(60.0), Wake(70.0), None]
+
+    def waits() -> Wake | None:
+        shown.done.append(f"{type(shown.events[-1]).__name__} not on disk" if writes[0] else "on disk")
+        return writes.pop(0)
+
+    shown.cell.record = Record(shown.events.append, waits)
+    shown.drive(take_container_away(shown.cell))
+    assert shown.done == ["weighed", *2 * ["ContainerLifted not on disk"], "on disk", "taken away", "weighed"]
