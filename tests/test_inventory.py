@@ -2,10 +2,12 @@
 
 import json
 import sqlite3
+import threading
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import Call, Desk, Ended, LabFolder, problems_of
@@ -359,6 +361,31 @@ def test_a_real_run_goes_on_from_what_the_one_before_left(real: Callable[..., tu
     assert second.sources_mg["beads"] < first.sources_mg["beads"] < 5000.0
     assert (first.slots_used, second.slots_used) == (2, 4)
     assert second.containers_used == {"xrd_holder": 4}
+
+
+def test_a_run_goes_on_while_the_inventory_is_written(
+    real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, after_job = Inventory._write, Session._after_job
+    jobs, second, waited = list[int](), threading.Event(), list[bool]()
+
+    def slow(inventory: Inventory, *arguments: Any) -> None:
+        waited.append(second.wait(5.0))
+        write(inventory, *arguments)
+
+    def ended(session: Session) -> None:
+        after_job(session)
+        jobs.append(1)
+        if len(jobs) == 2:
+            second.set()
+
+    monkeypatch.setattr(Inventory, "_write", slow)
+    monkeypatch.setattr(Session, "_after_job", ended)
+    believed = real()[1].cell.believed
+    assert waited[0], "the second job has ended before the first one was written"
+    assert Inventory(tmp_path, "starter").stock(simulated=False)["station", "mortar_bay"].mass_mg == pytest.approx(
+        believed.sources_mg["beads"]
+    )
 
 
 def test_a_real_run_settles_its_doubts_before_anything_moves(

@@ -346,6 +346,8 @@ def test_a_lost_journal_says_so_once_and_what_is_told_to_it_then_is_kept_elsewhe
     assert rescued is not None
     assert (rescued.parent.parent, rescued.name) == (path.parent.parent, path.name)
     assert rows(rescued, "seq, kind") == [(1, "sheet"), (2, "sheet"), (3, "action_started")]
+    with closing(sqlite3.connect(path)) as database:
+        assert database.execute("PRAGMA journal_mode").fetchone() == ("delete",), "one file again"
     for file, last in ((path, head), (rescued, journal.head)):
         with closing(sqlite3.connect(file)) as database:
             assert verify(database, last).problem is None

@@ -77,31 +77,23 @@ class Store:
         """The number and the hash of the last entry that this writer knows."""
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Put entries on disk, all or none. Raises RecordLost where that cannot be any more."""
-        try:
-            self.db.execute("BEGIN IMMEDIATE")
-            self.look()
-            self.db.executemany(_INSERT, [(*entry, head) for entry, head in rows])
-            self.db.execute("COMMIT")
-        except sqlite3.Error as error:
-            self._roll_back()
-            raise RecordLost(str(error)) from error
-        except RecordLost:
-            self._roll_back()
-            raise
+        """Put entries on disk, all or none. Raises RecordLost, sqlite3.Error, OSError: then it takes none any more."""
+        self.db.execute("BEGIN IMMEDIATE")
+        self.look()
+        self.db.executemany(_INSERT, [(*entry, head) for entry, head in rows])
+        self.db.execute("COMMIT")
         self.last = rows[-1][0].seq, rows[-1][1]
 
     def look(self) -> None:
         """Raises RecordLost for a file that is gone, or another, or that another process has added to."""
         try:
-            if not os.path.samestat(self.path.stat(), self._file):
-                raise RecordLost("another file stands in its place")
-            if self._last() != self.last:
-                raise RecordLost(OVERTAKEN)
+            is_there = os.path.samestat(self.path.stat(), self._file)
         except FileNotFoundError:
             raise RecordLost("it was taken away") from None
-        except (OSError, sqlite3.Error) as error:
-            raise RecordLost(str(error)) from error
+        if not is_there:
+            raise RecordLost("another file stands in its place")
+        if self._last() != self.last:
+            raise RecordLost(OVERTAKEN)
 
     def moved(self, rows: Sequence[Row]) -> "Store | None":
         """A new file elsewhere with all that this writer has added here, and these; None where no place takes it."""
@@ -121,13 +113,10 @@ class Store:
     def close(self) -> None:
         """The journal is one file again, which may be copied as it is."""
         with suppress(sqlite3.Error):
+            self.db.rollback()  # what could not be added
             self.db.execute("PRAGMA journal_mode=DELETE")
         self.db.close()
 
     def _last(self) -> tuple[int, bytes]:
         last: tuple[int, bytes] | None = self.db.execute(_LAST).fetchone()
         return last or (0, GENESIS)
-
-    def _roll_back(self) -> None:
-        with suppress(sqlite3.Error):
-            self.db.execute("ROLLBACK")

@@ -10,6 +10,7 @@ on a full disk) ends the run, and what happens until then is kept in a file else
 """
 
 import json
+import sqlite3
 import threading
 import time
 import zlib
@@ -46,15 +47,18 @@ LOOK_S = 0.25
 
 
 class Journal:
-    """Writes one run, new or continued. No call waits for a disk, but for `settle` and `close`.
+    """Writes one run, new or continued.
 
-    `durable` is full fsync, for real runs, on a thread beside; a dry run goes without, and every call is committed when
-    it returns. Every call may raise RecordLost, once: what is told to a lost journal after that goes to where it is
-    `kept_in`, so that the cell can still be made safe. Raises OSError, sqlite3.Error for a file that is none.
+    `durable` is full fsync, for real runs; a dry run goes without. Every call is committed when it returns, or, with
+    `is_beside`, waits for no disk (but for `settle` and `close`). Every call may raise RecordLost, once: what is told
+    to a lost journal after that goes to where it is `kept_in`, so that the cell can still be made safe. Raises OSError,
+    sqlite3.Error for a file that is none.
     """
 
     def __init__(self, path: Path, *, durable: bool) -> None:
         self.path = path
+        self.is_beside = False
+        """Whether a thread beside puts entries on disk; set where time is real."""
         self.news = Signal()
         """Fires when entries have come on disk, or never will."""
         self.before_commit: Callable[[], None] = lambda: None
@@ -70,7 +74,6 @@ class Journal:
         """The action that is acting now; what devices record is its doing."""
         self.doses: list[Dose] = []
         """The doses of the current job."""
-        self._durable = durable
         self._lost: RecordLost | None = None
         self._is_told = False
         self._state: Mapping[str, JsonValue] | None = None
@@ -88,9 +91,10 @@ class Journal:
         self._thread.start()
 
     @property
-    def entries(self) -> int:
-        """How many there are."""
-        return self._seq
+    def last(self) -> tuple[int, str]:
+        """The number and the hash of the last entry."""
+        with self._numbering:
+            return self._seq, self._head.hex()
 
     @property
     def head(self) -> str:
@@ -185,7 +189,7 @@ class Journal:
             entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
             self._seq, self._head = seq, digest(self._head, entry)
             self._queue.append(((entry, self._head), event if is_told else None))
-        if self._durable:
+        if self.is_beside:
             self._wanted.set()
         else:
             self._write()
@@ -209,23 +213,23 @@ class Journal:
                     self._store.add(rows)
                 elif self._store is not None:
                     self._store.look()
-            except RecordLost as lost:
-                self._lose(lost, rows)
+            except (RecordLost, sqlite3.Error, OSError) as why:
+                self._lose(why, rows)
             if rows:
                 self._on_disk = rows[-1][0].seq
         for _, event in waiting:
             if event is not None:
                 self.heard(event)
-        if self._durable and rows:
+        if self.is_beside and rows:
             self.news.fire()
 
-    def _lose(self, lost: RecordLost, rows: Sequence[Row]) -> None:
+    def _lose(self, why: Exception, rows: Sequence[Row]) -> None:
         assert self._store is not None
         before, self._store = self._store, self._store.moved(rows)
         before.close()
         if self._lost is None:
             where = f"what happened is in {self.kept_in}" if self.kept_in else "what happens now is kept nowhere"
-            self._lost = RecordLost(f"the journal {self.path} cannot be written any more: {lost}; {where}")
+            self._lost = RecordLost(f"the journal {self.path} cannot be written any more: {why}; {where}")
         self.news.fire()
 
     def _raise_lost(self) -> None:

@@ -5,7 +5,7 @@ corrects it with `scuhand-bt inventory set`. Rows are only ever added: the last 
 its history. What was simulated is kept apart, and never read by a run.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -96,19 +96,25 @@ class Inventory:
             }
 
     def keep(self, cell: Cell, run: str) -> str | None:
-        """Write what has changed of a run's belief since it was last written; what went wrong, or None.
+        """Write what has changed of a run's belief since it was last written; what went wrong, or None."""
+        return self.keeping(cell, run)()
 
-        What an operator has corrected meanwhile stands until the run itself changes it.
-        """
-        try:
-            kept = self._kept.setdefault(cell.simulated, dict(self.stock(simulated=cell.simulated)))
-            news = [entry for entry in _believed(cell) if kept.get((entry.kind, entry.name)) != entry]
-            if news:
-                self._write(news, cell.simulated, run, None)
-            kept |= {(entry.kind, entry.name): entry for entry in news}
-        except SourceError as error:
-            return str(error)
-        return None
+    def keeping(self, cell: Cell, run: str) -> Callable[[], str | None]:
+        """As `keep`, of what is believed now, to be called where nobody waits for a disk."""
+        believed, simulated = list(_believed(cell)), cell.simulated
+
+        def keep() -> str | None:
+            try:
+                kept = self._kept.setdefault(simulated, dict(self.stock(simulated=simulated)))
+                news = [entry for entry in believed if kept.get((entry.kind, entry.name)) != entry]
+                if news:
+                    self._write(news, simulated, run, None)
+                kept |= {(entry.kind, entry.name): entry for entry in news}
+            except SourceError as error:
+                return str(error)
+            return None
+
+        return keep
 
     def enter(self, entry: StockEntry, operator: str | None = None) -> None:
         """A correction of the real cell, by this operator, or the user of the computer."""

@@ -241,7 +241,7 @@ class Batch:
                 return Outcome(fault, "tripped")
             if self._control.is_stopping:
                 return Outcome(interrupted="stopped")
-            journal.settle()
+            self._runner.settle()
             history = read_history(journal.path)
             again = history.jobs[job.name, attempt]
             journal.job_resumed(again.seq, again.doses)

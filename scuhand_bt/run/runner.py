@@ -131,6 +131,12 @@ class Runner:
         self._journal.event(Continued())
         return None
 
+    def settle(self) -> None:
+        """Let time pass until all that has happened is on disk. Raises RecordLost where it will not be."""
+        while (writing := self._journal.waits()) is not None:
+            self._cell.clock.wait([writing])
+            self._journal.keep_up()
+
     def _wish(self) -> Wake:
         """The next wish; made before looking at what is wished, so that none falls between."""
         return Wake.on(self._control.news)

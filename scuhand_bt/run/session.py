@@ -2,7 +2,9 @@
 
 import secrets
 import sqlite3
+import time
 from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -115,6 +117,7 @@ class Session:
         self._state = LabState(path.parent.parent)
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
         self._ledger = Ledger(path.parent.parent)
+        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
         self._notifier = Notifier(lab.cell.notify)
         self._person = options.person or Person(user_name())
         self._clock_watch = ClockWatch()
@@ -142,7 +145,8 @@ class Session:
                 recall(self.cell, self._stock)
             self._look_at_the_clock()
             self._begin(resumes)
-            if (untold := self._anchor("begun" if resumes is None else "resumed")) is not None:
+            self.journal.settle()  # before the ledger has it
+            if (untold := self._anchor("begun" if resumes is None else "resumed", *self.journal.last)) is not None:
                 if not self.cell.simulated:
                     raise SourceError([Problem(Mark(str(path)), untold)])
                 self.warnings.append(untold)
@@ -174,6 +178,7 @@ class Session:
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         journal.heard = self._heard
+        journal.is_beside = not isinstance(self.cell.clock, VirtualClock)
         if isinstance(self.cell.clock, VirtualClock):
             self.cell.clock.hurries = lambda: self.control.halts
         if self.world is not None:
@@ -269,6 +274,7 @@ class Session:
                 if (problem := self._state.keep(self.cell, self.run_id)) is not None:
                     self._trouble(problem)
                 self._keep_inventory()
+                self._beside.shutdown()
             except RecordLost as lost:  # its end was still written
                 self.notices.append(str(lost))
         self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
@@ -288,23 +294,33 @@ class Session:
     def _after_job(self) -> None:
         if not self.cell.simulated:
             self._keep_inventory()
-            if (problem := self._anchor("job")) is not None:
+            self._beside.submit(self._anchor_job, *self.journal.last)
+
+    def _anchor_job(self, entries: int, head: str) -> None:
+        """On its own thread, and once it is on disk: the ledger never has what a power cut takes from the journal."""
+        while self.journal.waits(entries) is not None:
+            time.sleep(0.05)
+        if (problem := self._anchor("job", entries, head)) is not None:
+            with suppress(RecordLost):
                 self._trouble(problem)
 
-    def _anchor(self, occasion: Occasion) -> str | None:
+    def _anchor(self, occasion: Occasion, entries: int, head: str) -> str | None:
         """Write the journal's head into the lab's ledger; what went wrong, or None."""
-        if occasion != "ended":
-            self.journal.settle()  # the ledger never has what a power cut could take from the journal
         try:
-            entries, head = self.journal.entries, self.journal.head
             self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
         except SourceError as error:
             return f"the run is not in the lab's ledger: {error}"
         return None
 
     def _keep_inventory(self) -> None:
-        if (problem := self._inventory.keep(self.cell, self.run_id)) is not None:
-            self._trouble(problem)
+        """Written beside the tick, as the journal is."""
+        keeping = self._beside.submit(self._inventory.keeping(self.cell, self.run_id))
+        keeping.add_done_callback(self._kept_inventory)
+
+    def _kept_inventory(self, keeping: Future[str | None]) -> None:
+        if (problem := keeping.result()) is not None:
+            with suppress(RecordLost):
+                self._trouble(problem)
 
     def _heard(self, event: Event | Note) -> None:
         """What goes into the journal, and a person who is not here should know."""
@@ -343,7 +359,7 @@ class Session:
 
     def _anchor_end(self) -> None:
         """What the journal ends in, closed and on disk."""
-        if (problem := self._anchor("ended")) is not None:
+        if (problem := self._anchor("ended", *self.journal.last)) is not None:
             self.notices.append(problem)
 
     def _finish_telling(self) -> None:
