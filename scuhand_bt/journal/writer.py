@@ -103,9 +103,9 @@ class Journal:
         self._head: bytes = last[1] if last else GENESIS
 
     @property
-    def entries(self) -> int:
-        """How many there are."""
-        return self._seq
+    def last(self) -> tuple[int, str]:
+        """The number and the hash of the last entry."""
+        return self._seq, self._head.hex()
 
     @property
     def head(self) -> str:

@@ -280,8 +280,7 @@ class Session:
     def _anchor(self, occasion: Occasion) -> str | None:
         """Write the journal's head into the lab's ledger; what went wrong, or None."""
         try:
-            entries, head = self.journal.entries, self.journal.head
-            self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
+            self._ledger.add(self.run_id, occasion, *self.journal.last, durable=not self.cell.simulated)
         except SourceError as error:
             return f"the run is not in the lab's ledger: {error}"
         return None
