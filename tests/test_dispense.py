@@ -325,3 +325,10 @@ def test_the_valve_opens_once_the_empty_containers_weighing_is_on_disk(rig: Rig)
     empty_mg = rig.balance.load_mg
     rig.dispense(TARGET_MG)
     assert on_disk == [("DoseBegun", empty_mg, True)]
+
+
+def test_into_a_container_that_was_given_up_nothing_is_dosed(rig: Rig) -> None:
+    rig.cell.believed.container_given_up("it is another one")
+    with pytest.raises(SkillFailed, match=r"container\.changed: it is another one"):
+        rig.dispense(TARGET_MG)
+    assert rig.seen == []

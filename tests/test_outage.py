@@ -1,6 +1,9 @@
 """A power cut changes what it can, and a resumed run says no 'in tolerance' that the container does not hold."""
 
+import csv
 import functools
+import io
+import random
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +12,12 @@ from typing import Any
 import pytest
 
 from harness.kill import Batch, Kill, journals, run_child
-from harness.power_cut import make_power_batch
-from scuhand_bt.journal.reader import read
+from harness.power_cut import Tally, cut_until_done, make_power_batch
+from scuhand_bt.journal.history import read_history
+from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
+from scuhand_bt.report.weighing_record import weighing_record
 from scuhand_bt.run.make_cell import Rehearsal
 from scuhand_bt.run.session import Options, Session
 from scuhand_bt.sim.fault_rules import parse_faults
@@ -82,7 +87,31 @@ def test_a_dose_whose_balance_lost_its_zero_is_told_by_the_bare_pan(
     assert run.sample()["dispensed_mg"] == pytest.approx(run.sample()["true_mg"], abs=0.5)
     found = run.told("container_reweighed")
     assert [one["counts"] for one in found] == [True] * len(ticks)
-    assert run.told("outage") == []
+    assert run.told("reweighed") == [], "it was weighed already"
+
+
+def test_what_was_weighed_after_the_outage_is_in_the_weighing_record(tmp_path: Path) -> None:
+    run = CutRun(tmp_path, "outage.zero_at_power_on")
+    run.cut("dispense", 70)
+    run.resume()
+    assert run.journal is not None
+    with open_contents(run.journal) as contents:
+        rows = list(csv.DictReader(io.StringIO(weighing_record(contents))))
+    (row,) = [row for row in rows if row["weighing"] == "after an outage"]
+    (found,) = run.told("container_reweighed")
+    assert row["container"] == "a"
+    assert float(row["net_mg"]) == pytest.approx(found["held_mg"], abs=1e-3)
+    assert row["tare_lines"]
+    assert row["gross_lines"]
+
+
+def test_a_batch_whose_power_is_cut_again_and_again_calls_nothing_good_that_is_not(tmp_path: Path) -> None:
+    tally = Tally()
+    cut_until_done(make_power_batch(tmp_path, 1), random.Random(1), 6, tally)
+    assert tally.problems == []
+    assert (tally.batches, tally.doses) == (1, 4)
+    assert tally.good >= 2
+    assert tally.came.total() > 0
 
 
 def test_what_the_outage_adds_to_the_uncertainty_is_in_the_dose(tmp_path: Path) -> None:
@@ -111,7 +140,10 @@ def test_a_zero_that_moved_while_a_filled_container_stood_there_leaves_its_dose_
 def test_a_cut_while_it_is_settled_what_the_last_one_did_changes_nothing(tmp_path: Path, at_event: str) -> None:
     run = CutRun(tmp_path, "outage.zero_at_power_on")
     run.cut("dispense", 60)
+    assert run.journal is not None
+    stood = read_history(run.journal).state["joints_rad"]
     assert run_child(run.batch, run.journal, Kill(at_event=at_event)) is None
+    assert read_history(run.journal).state["joints_rad"] == stood, "where the arm is to go back to"
     assert run.resume() == 0
     assert good(run.sample())
     assert [one["bracket"] for one in run.sample()["doses"]] == ["closed"]

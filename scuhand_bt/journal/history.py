@@ -11,7 +11,6 @@ from scuhand_bt.events import Dose, Event
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
-    ContainerReweighed,
     Decided,
     Ended,
     JobEnded,
@@ -126,15 +125,13 @@ def history_of(database: sqlite3.Connection) -> History:
     history = History()
     jobs: dict[int, JobHistory] = {}
     acted: dict[int, list[tuple[int, int | None, str, str]]] = {}
-    last_state = stood_state = "{}"
+    last_state = "{}"
     marks = ", ".join("?" * len(_KINDS))
     query = f"""SELECT seq, job, action, time_s, at, state, kind, hash, CASE WHEN kind IN ({marks}) THEN payload END
         FROM entry ORDER BY seq"""
     for seq, job_seq, action, time_s, at, state, kind, head, payload in database.execute(query, _KINDS):
         history.time_s, history.at, history.head = time_s, at, head.hex()
         last_state = state or last_state
-        if kind != ContainerReweighed.KIND:  # for which the arm has gone aside, and is yet to go back
-            stood_state = state or stood_state
         if kind in _OF_ACTIONS:
             acted.setdefault(job_seq, []).append((seq, action, kind, payload))
             continue
@@ -157,8 +154,6 @@ def history_of(database: sqlite3.Connection) -> History:
         if event is not None and job_seq in jobs:
             _note(jobs[job_seq], event)
     history.state = json.loads(last_state)
-    if stood_state != last_state:
-        history.state["joints_rad"] = json.loads(stood_state).get("joints_rad")
     for job_seq, job in jobs.items():
         if not job.is_over:
             _note_actions(job, acted.get(job_seq, ()))

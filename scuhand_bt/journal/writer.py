@@ -24,21 +24,13 @@ from pydantic import JsonValue
 from scuhand_bt.clock import Signal, Wake
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events import BracketClosed, ContainerLifted, Dose, DoseBegun, DoseWeighed, Event, Note
-from scuhand_bt.journal.events import (
-    ActionEnded,
-    ActionStarted,
-    ContainerReweighed,
-    Frames,
-    JobEnded,
-    JobResumed,
-    JobStarted,
-)
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.hash_chain import Entry, digest
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.record import RecordLost
 
-POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed, ContainerReweighed)
+POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed)
 """What is weighed before powder falls or a container goes: what is believed then is written with it, in mid-action."""
 FLUSH_S = 0.5
 """Readings of the balance wait this long in memory, by the wall's time, before they are written down."""

@@ -61,7 +61,8 @@ class _Found:
 
 def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[None]:
     believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
-    if cell.aside_of_pan_mm() < CLEAR_MM:
+    stood = cell.apex()
+    if is_in_the_way := cell.aside_of_pan_mm() < CLEAR_MM:
         yield from cell.move_to(cell.spec.station_of_kind("park").name)
     seen_mg, was_dosing = believed.seen_mg, believed.dosing.is_unweighed
     before, bare, loaded = yield from _weigh_about_the_bare_pan(cell)
@@ -91,6 +92,8 @@ def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[N
             counts=is_same,
         )
     )
+    if is_in_the_way:
+        yield from cell.move_to(stood)
 
 
 def _weigh_about_the_bare_pan(cell: Cell) -> Steps[tuple[StableMean, StableMean, StableMean]]:
