@@ -92,7 +92,7 @@ def find_state(chosen: Path | None = None) -> Path:
     for folder in (here, *here.parents) if chosen is None else (chosen,):
         if (folder / STATE).is_dir():
             return folder / STATE
-        if _is_lab(folder):
+        if is_lab(folder):
             break
     return _state_of(find_lab(None, chosen))
 
@@ -103,19 +103,26 @@ def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
     Raises SourceError if the chosen folder is no lab.
     """
     if chosen is not None:
-        if not _is_lab(chosen):
+        if not is_lab(chosen):
             problems = Problems()
             problems.add(Mark(str(chosen)), "is no lab", f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one")
             problems.raise_any()
         return chosen
     start = (recipe.parent if recipe is not None else Path()).resolve()
     for folder in (start, *start.parents):
-        if _is_lab(folder):
+        if is_lab(folder):
             return folder
     return starter_lab()
 
 
-def _is_lab(folder: Path) -> bool:
+def files_of(folder: Path, pattern: str) -> list[Path]:
+    """The files of a lab's folder, in order; not what an editor leaves beside them (`x~`, `#x#`, `.x.swp`, `.#x`)."""
+    found = folder.glob(pattern)
+    return sorted(path for path in found if not (path.name.startswith((".", "#")) or path.name.endswith("~")))
+
+
+def is_lab(folder: Path) -> bool:
+    """Whether a folder is a lab."""
     try:
         return (folder / CELL_FILE).is_file()
     except OSError:  # not ours to read, or a name that cannot be
@@ -196,7 +203,7 @@ def _load_cell(path: Path, problems: Problems) -> CellSpec | None:
 def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]]:
     _mount(folder)
     skills: dict[str, type[Skill[Any]]] = {}
-    for path in sorted((folder / "skills").glob("*.py")):
+    for path in files_of(folder / "skills", "*.py"):
         if path.stem.startswith("_"):
             continue
         module_name = f"{PACKAGE}.skills.{path.stem}"
@@ -306,7 +313,7 @@ def _where(error: BaseException, path: Path) -> Mark:
 
 def _load_workflows(folder: Path, problems: Problems) -> dict[str, Workflow]:
     workflows: dict[str, Workflow] = {}
-    for path in sorted(folder.glob("*.yaml")):
+    for path in files_of(folder, "*.yaml"):
         try:
             root = load(path, "a workflow")
         except SourceError as error:
@@ -350,7 +357,7 @@ def _check_what_was_read(library: Library, folder: Path, problems: Problems) -> 
         name: {part.name for part in walk(workflow.tree) if isinstance(part, Call)}
         for name, workflow in workflows.items()
     }
-    wrong = {path.stem for path in (folder / "trees").glob("*.yaml")}
+    wrong = {path.stem for path in files_of(folder / "trees", "*.yaml")}
     wrong -= {name for name, workflow in workflows.items() if workflow.is_whole}
     doubtful = set(wrong)
     while more := {name for name in calls if name not in doubtful and calls[name] & doubtful}:

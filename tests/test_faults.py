@@ -1,6 +1,6 @@
 """Faults by a file: how it is read, when they come, and what they do to a run."""
 
-import pickle
+import json
 from contextlib import suppress
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session, options_of
 from scuhand_bt.sim.fault_rules import KINDS, parse_faults
 from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.plain_state import read, written
 from scuhand_bt.skill import SkillFailed
 
 BATCH = """
@@ -165,7 +166,7 @@ def test_the_state_of_faults_can_be_kept_and_taken_up() -> None:
     first.push_mg()
     first.comes("scoop.nothing", 2.0)
     for name in Faults.STATE:
-        setattr(second, name, pickle.loads(pickle.dumps(getattr(first, name))))
+        setattr(second, name, read(json.loads(json.dumps(written(getattr(first, name)))), getattr(second, name)))
     assert second.active == first.active == {"balance.draught": 2.0}
     assert [second.push_mg() for _ in range(9)] == [first.push_mg() for _ in range(9)]
     later = [[f.comes("scoop.nothing", 3.0) for _ in range(20)] for f in (first, second)]

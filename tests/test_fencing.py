@@ -113,7 +113,7 @@ def test_two_runs_do_not_have_one_cell(command: Call, lab_folder: LabFolder) -> 
     recipe = lab_folder.write("recipes/one.yaml", "recipe: one\nworkflow: park_only\nsamples: [{id: a}]\n")
     lab_folder.write("trees/park_only.yaml", "workflow: park_only\ntree: {park: }\n")
     other = take_cell(lab_folder.folder / ".scuhand")
-    refused = command("run", recipe)
+    refused = command("run", recipe, "--operator", "Eve")
     other.end()
     assert refused.returncode == 2
     assert "is in use" in refused.stderr

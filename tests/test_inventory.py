@@ -76,9 +76,9 @@ def test_a_migration_that_breaks_leaves_the_database_as_it_was(tmp_path: Path, m
 def test_a_database_of_a_newer_program_is_refused_and_left_alone(tmp_path: Path) -> None:
     learnt_before(tmp_path)
     with closing(sqlite3.connect(tmp_path / "lab.db")) as database, database:
-        database.execute("PRAGMA user_version=7")
+        database.execute("PRAGMA user_version=99")
     before = (tmp_path / "lab.db").read_bytes()
-    with pytest.raises(SourceError, match=r"lab\.db:1:1: .* has the schema 7, and this program knows 3; a newer"):
+    with pytest.raises(SourceError, match=r"lab\.db:1:1: .* has the schema 99, and this program knows [0-9]+; a newer"):
         LabState(tmp_path).powders(simulated=False)
     assert (tmp_path / "lab.db").read_bytes() == before
 

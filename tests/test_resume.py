@@ -469,7 +469,7 @@ def test_what_a_workflow_kept_is_kept_over_an_interruption(tmp_path: Path) -> No
     assert [what for _, what in bench.log] == ["4.5"]
 
 
-class Unpicklable:
+class Unwritable:
     """A plant whose powder cannot be saved."""
 
     class Flow:
@@ -479,13 +479,13 @@ class Unpicklable:
         def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
             return min(in_cone_mg, 100.0 * opening_mm * dt_s)
 
-    def flow(self, powder: object) -> "Unpicklable.Flow":
+    def flow(self, powder: object) -> "Unwritable.Flow":
         return self.Flow()
 
 
 def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(run: Run) -> None:
     plan, lab = run.plan()
-    options = Options(DryRun(plant="test_resume:Unpicklable"), folder=run.folder)
+    options = Options(DryRun(plant="test_resume:Unwritable"), folder=run.folder)
     session = Session(plan, lab, options, shared_planner(plan, lab))
     watch = Watch("stop_now", 200)
     watch.session = session
@@ -493,7 +493,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
         session.run(watch)
     finally:
         session.close()
-    with pytest.raises(SourceError, match=r"Unpicklable cannot be pickled.*anew"):
+    with pytest.raises(SourceError, match=r"Unwritable cannot be written down.*anew"):
         checked_history(run.journal)
 
 

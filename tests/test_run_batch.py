@@ -9,6 +9,9 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
+from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.session import Session
 
 ONE_DOSE = """
 recipe: one
@@ -377,3 +380,33 @@ def test_a_value_that_a_skill_refuses_is_found_by_the_check(tmp_path: Path, call
     lab = make_lab(tmp_path / "lab", trees__w=tree)
     with pytest.raises(SourceError, match=r"w\.yaml:3:"):
         dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)
+
+
+def test_a_step_of_the_zero_that_is_seen_later_doubts_what_was_confirmed_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sessions: list[Session] = []
+    run = Session.run
+
+    def noticed(session: Session, observer: BatchObserver) -> BatchResult:
+        sessions.append(session)
+        return run(session, observer)
+
+    def step_while_c_stands_there(root: object) -> None:
+        (session,) = sessions
+        assert session.world is not None
+        if session.world.pan.container_id == "c" and session.cell.believed.zero_stepped_mg == 0.0:
+            session.cell.believed.zero_stepped(8.0)
+
+    monkeypatch.setattr(Session, "run", noticed)
+    recipe = """
+recipe: steps
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, source: beads, mass: 30 mg}
+samples: [{id: a}, {id: b}, {id: c}]
+"""
+    assert dry_run(tmp_path, recipe).sample("a").is_good
+    sessions.clear()
+    doubted = dry_run(tmp_path, recipe, at_tick=step_while_c_stands_there).sample("a")
+    assert not doubted.is_good
+    assert "zero was seen to step by 8.00 mg in this run" in (doubted.detail or "")

@@ -1,6 +1,5 @@
 """Commands about the cell's balance: what is known of it and since when, and to forget that."""
 
-import json
 from collections.abc import Mapping
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +8,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, the_lab
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, print_json, the_lab
 
 if TYPE_CHECKING:
     from scuhand_bt.lab_state.beliefs import LabState
@@ -47,7 +46,7 @@ def balance(
     rows = _rows(state, loaded.cell.balance.readability_mg, simulated=simulated)
     if as_json:
         keys = ("balance", "figure", "value", "says", "at")
-        out.print_json(json.dumps([dict(zip(keys, row, strict=True)) for row in rows]))
+        print_json([dict(zip(keys, row, strict=True)) for row in rows])
         return
     if not rows:
         out.print("Nothing is known yet: `scuhand-bt run recipes/start_of_day.yaml` and doses measure the balance.")

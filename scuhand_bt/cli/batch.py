@@ -1,6 +1,5 @@
 """Commands about a recipe: run it, check it, plan it."""
 
-import json
 import signal
 import time
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from scuhand_bt.cli.shared import (
     FaultsOption,
     JsonFlag,
     LabOption,
+    OperatorOption,
     RecipeArgument,
     SeedOption,
     UnattendedFlag,
@@ -23,6 +23,7 @@ from scuhand_bt.cli.shared import (
     err,
     on_signals,
     out,
+    print_json,
     the_lab,
     unwatched,
 )
@@ -53,10 +54,13 @@ def run(
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
     faults: FaultsOption = None,
     unattended: UnattendedFlag = False,
+    operator: OperatorOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
+    from scuhand_bt.cli.persons import the_person
+    from scuhand_bt.lab import state_folder
     from scuhand_bt.run.make_cell import DryRun, Rehearsal
     from scuhand_bt.run.session import Options, Session
     from scuhand_bt.sim.fault_rules import read_faults
@@ -78,7 +82,9 @@ def run(
 
     def make(control: "Control") -> "Session":
         made, loaded = the_plan(recipe, lab)
-        return Session(made, loaded, Options(simulation, controller, unattended=unattended), control=control)
+        person = the_person(operator, state_folder(loaded), is_asked=simulation is None)
+        options = Options(simulation, controller, unattended=unattended, person=person)
+        return Session(made, loaded, options, control=control)
 
     with unwatched():
         run_to_its_end(make, json_file)
@@ -177,10 +183,10 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
             {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
             for p in error.problems
         ]
-        out.print_json(json.dumps({"ok": False, "problems": problems}))
+        print_json({"ok": False, "problems": problems})
         raise typer.Exit(ExitCode.BAD_INPUT) from None
     if as_json:
-        out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes}))
+        print_json({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes})
     else:
         out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
 
@@ -191,7 +197,7 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
     made, loaded = the_plan(recipe, lab)
     notes = _notes(made, loaded, quiet=as_json)
     if as_json:
-        out.print_json(json.dumps({**_plan_values(made), "notes": notes}))
+        print_json({**_plan_values(made), "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):

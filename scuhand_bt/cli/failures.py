@@ -1,11 +1,9 @@
 """Commands about failures: what a code means and what to do about it, and what can be made to fail in a simulation."""
 
-import json
-
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, err, out, the_lab, unknown
+from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, err, out, print_json, the_lab, unknown
 from scuhand_bt.problems import SourceError
 
 
@@ -43,7 +41,7 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
         if code in (None, name)
     }
     if as_json:
-        out.print_json(json.dumps(explained))
+        print_json(explained)
     elif code is None:
         table = Table("code", "meaning", "remedy", show_edge=False)
         for name, values in explained.items():

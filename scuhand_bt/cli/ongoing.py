@@ -1,5 +1,6 @@
 """Commands about runs that go on, or were interrupted: resume, pause, stop."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,7 +8,7 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.batch import run_to_its_end, the_plan
-from scuhand_bt.cli.shared import LabOption, app, err, out, unwatched
+from scuhand_bt.cli.shared import LabOption, OperatorOption, app, err, out, unwatched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -36,13 +37,15 @@ def resume(
         bool, typer.Option("--accept-changes", help="Go on though recipe, lab or program have changed; it is noted.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
+    operator: OperatorOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
+    from scuhand_bt.cli.persons import the_person
     from scuhand_bt.journal.presence import is_held
     from scuhand_bt.run.holds import take_run
-    from scuhand_bt.run.resume import checked_history, find_run, resumable
+    from scuhand_bt.run.resume import checked_history, find_run, its_places, resumable
     from scuhand_bt.run.session import Session, options_of
 
     journal = find_run(runs_folder(lab), run)
@@ -52,12 +55,14 @@ def resume(
     with unwatched(), take_run(journal) as presence:  # before anything is read of it
         history = checked_history(journal)
         options = options_of(history, journal.parent, journal)
-        plan, its_lab = the_plan(Path(history.run.recipe_path), Path(history.run.lab))
+        plan, its_lab = the_plan(*its_places(journal, history.run))
         found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes, presence=presence)
         for line in what_is_known(history, len(plan.recipe.samples)):
             out.print(Text(line))
         for change in found.changes:
             out.print(Text(f"Accepted: {change}."))
+        person = the_person(operator, journal.parent.parent, is_asked=options.simulation is None)
+        options = replace(options, person=person)
         if out.is_terminal and options.simulation is None and not yes:
             typer.confirm("Is the cell as described, and may the run go on?", abort=True)
 

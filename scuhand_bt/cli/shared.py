@@ -1,6 +1,7 @@
 """What all commands share: the application, its two consoles, common options, and how errors end a command."""
 
 import io
+import json
 import os
 import queue
 import signal
@@ -10,16 +11,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
 
 import scuhand_bt
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import CATALOGUE, SkillFailed
-from scuhand_bt.problems import SourceError, nearest
+from scuhand_bt.problems import SourceError, harmless, nearest
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
@@ -31,6 +33,18 @@ MOST_WAITING = 1000
 LAST_WORDS_S = 2.0
 """So long a program waits at its end for who reads its output."""
 
+
+class PlainConsole(Console):
+    """A console on which text is only text, wherever it comes from: no markup, and no command to the terminal."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=harmless(segment.text, keep="\n"))
+
+
 app = typer.Typer(
     help="Scoop and dispense powders by recipe. Exit codes: "
     + "; ".join(f"{code} {code.meaning}" for code in ExitCode)
@@ -39,8 +53,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+out = PlainConsole(width=None if sys.stdout.isatty() else 160)
+err = PlainConsole(stderr=True, soft_wrap=True)
 
 RecipeArgument = Annotated[Path, typer.Argument(help="A recipe file (YAML).", show_default=False)]
 LabOption = Annotated[
@@ -52,6 +66,10 @@ FaultsOption = Annotated[
 ]
 UnattendedFlag = Annotated[
     bool, typer.Option("--unattended", help="Nobody is there: refuse a plan that needs a person, never wait for one.")
+]
+OperatorOption = Annotated[
+    str | None,
+    typer.Option("--operator", metavar="NAME", help="Who is at the cell; a run on the cell asks without it."),
 ]
 NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
@@ -196,9 +214,14 @@ def lab_state(lab: "Lab") -> "LabState":
     return LabState(state_folder(lab))
 
 
+def print_json(values: object) -> None:
+    """Values as JSON on the standard output; what is not ASCII is escaped, so that nothing in it is lost or shown."""
+    out.file.write(json.dumps(values, indent=2) + "\n")
+
+
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
     """The error for a name that is not known, with the nearest that is."""
     known = sorted(known)
     meant = nearest(name, tuple(known))
     hint = f"; did you mean '{meant}'?" if meant else ""
-    return typer.BadParameter(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}")
+    return typer.BadParameter(harmless(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}"))

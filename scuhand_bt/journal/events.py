@@ -74,6 +74,8 @@ class RunBegun(Event):
     sources: dict[Text, SourceUsed] = Field(default_factory=dict)
     samples: list[SamplePlanned] | None = None
     operator: Text | None = None
+    signed: bool = False
+    """The operator has proven it by a PIN."""
     devices: dict[str, dict[str, JsonValue]] = Field(default_factory=dict)
     """Each device as `cell.yaml` has it."""
     version: str
@@ -81,6 +83,8 @@ class RunBegun(Event):
     libraries: dict[str, str] = Field(default_factory=dict)
     started: str
     """ISO 8601 with its offset from UTC."""
+    ledger: str | None = None
+    """The head of the lab's ledger before this run."""
 
 
 class Resumed(Event):
@@ -94,6 +98,8 @@ class Resumed(Event):
     """What had changed since, and was accepted."""
     version: str
     operator: Text | None = None
+    signed: bool = False
+    """The operator has proven it by a PIN."""
 
 
 class Paused(Event):
@@ -346,6 +352,10 @@ class Answered(Event):
 
     question: Text
     answer: str
+    by: Text | None = None
+    """Who; None for a simulated person."""
+    signed: bool = False
+    """With this person's PIN."""
 
 
 ENGINE_EVENTS: tuple[type[Event], ...] = (

@@ -87,15 +87,27 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
 
 
 @contextmanager
-def open_contents(path: Path, head: str | None = None) -> Iterator[Contents]:
-    """What a journal holds, verified; `head` is what its chain should end in. Raises SourceError as `open_journal`."""
+def open_verified(path: Path, head: str | None = None) -> Iterator[tuple[sqlite3.Connection, int, Verified]]:
+    """A journal's database, its version, and how far its chain is whole, all of one moment. Raises as `open_journal`.
+
+    Its views are the file's own: only the table of entries is verified.
+    """
     with open_journal(path) as (database, version):
         if version < SCHEMA_VERSION:
             count = database.execute("SELECT COUNT(*) FROM entry").fetchone()[0]
-            yield Contents(path, version, database, Verified(count, "", None))
+            yield database, version, Verified(count, "", None)
             return
         database.execute("BEGIN")  # a run that goes on writes meanwhile
-        verified = verify(database, head)
+        yield database, version, verify(database, head)
+
+
+@contextmanager
+def open_contents(path: Path, head: str | None = None) -> Iterator[Contents]:
+    """What a journal holds, verified; `head` is what its chain should end in. Raises SourceError as `open_journal`."""
+    with open_verified(path, head) as (database, version, verified):
+        if version < SCHEMA_VERSION:
+            yield Contents(path, version, database, verified)
+            return
         rows = database.execute(f"SELECT {COLUMNS}, hash FROM entry WHERE seq <= {verified.entries} ORDER BY seq")
         with closing(in_memory((Entry(*row[:-1]), row[-1]) for row in rows)) as whole:
             yield Contents(path, version, whole, verified)

@@ -83,6 +83,12 @@ class Journal:
         self._thread.start()
 
     @property
+    def last(self) -> tuple[int, str]:
+        """The number and the hash of the last entry."""
+        with self._numbering:
+            return self._seq, self._head.hex()
+
+    @property
     def head(self) -> str:
         """The hash of the last entry: who knows it can tell whether any entry is missing."""
         return self._head.hex()

@@ -17,6 +17,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_mass
 
 StockKind = Literal["station", "cone", "sheet", "changer", "container"]
+_COLUMNS = "kind, name, powder, lot, mass_mg, used, run, operator, at, reason"
 STOCK_KINDS: tuple[StockKind, ...] = ("station", "cone", "sheet", "changer", "container")
 
 
@@ -36,6 +37,8 @@ class StockEntry:
     run: str | None = field(default=None, compare=False)
     operator: str | None = field(default=None, compare=False)
     at: str = field(default="", compare=False)
+    reason: str | None = field(default=None, compare=False)
+    """Why an operator has corrected it, if that was said."""
 
     @property
     def lot_key(self) -> str:
@@ -83,7 +86,7 @@ class Inventory:
             if database is None:
                 return {}
             rows = database.execute(
-                "SELECT kind, name, powder, lot, mass_mg, used, run, operator, at FROM inventory WHERE id IN "
+                f"SELECT {_COLUMNS} FROM inventory WHERE id IN "
                 "(SELECT max(id) FROM inventory WHERE cell = ? AND simulated = ? GROUP BY kind, name)",
                 (self._cell, simulated),
             )
@@ -113,21 +116,26 @@ class Inventory:
 
         return keep
 
-    def enter(self, entry: StockEntry) -> None:
-        """An operator's correction, of the real cell."""
-        self._write([entry], False, None, user_name())
+    def enter(self, entry: StockEntry, operator: str | None = None) -> None:
+        """A correction of the real cell, by this operator, or the user of the computer."""
+        self._write([entry], False, None, operator or user_name())
+
+    def corrections(self) -> list[StockEntry]:
+        """All that operators have corrected, in order."""
+        with lab_db(self._folder, write=False) as database:
+            query = f"SELECT {_COLUMNS} FROM inventory WHERE cell = ? AND operator IS NOT NULL ORDER BY id"
+            return [StockEntry(*row) for row in database.execute(query, (self._cell,))] if database is not None else []
 
     def _write(self, entries: Iterable[StockEntry], simulated: bool, run: str | None, operator: str | None) -> None:
         at = datetime.now().astimezone().isoformat(timespec="seconds")
         rows = [
-            (self._cell, simulated, e.kind, e.name, e.powder, e.lot, e.mass_mg, e.used, run, operator, at)
+            (self._cell, simulated, e.kind, e.name, e.powder, e.lot, e.mass_mg, e.used, run, operator, at, e.reason)
             for e in entries
         ]
         with lab_db(self._folder, write=True, durable=not simulated) as database:
             assert database is not None
             database.executemany(
-                "INSERT INTO inventory (cell, simulated, kind, name, powder, lot, mass_mg, used, run, operator, at) "
-                "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                f"INSERT INTO inventory (cell, simulated, {_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 rows,
             )
 

@@ -244,7 +244,8 @@ class _Reader:
             self._workflow(default_workflow)
         samples: list[Sample] = []
         ids = Ids()
-        expanded = (one for item in node.items for one in expand(item, self.path.parent, self.problems))
+        folder, lab = self.path.parent, self.lab.folder
+        expanded = (one for item in node.items for one in expand(item, folder, lab, self.problems))
         entries = list(islice(expanded, MAX_SAMPLES + 1))
         if len(entries) > MAX_SAMPLES:
             self.problems.add(

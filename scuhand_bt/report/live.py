@@ -121,7 +121,7 @@ class LiveView(BatchObserver):
         name = self._job.name if self._job is not None else ""
         parts: list[RenderableType] = [
             progress,
-            Panel(tree, title=name, title_align="left"),
+            Panel(tree, title=Text(name), title_align="left"),
             status,
         ]
         if self._results:

@@ -82,6 +82,8 @@ class Batch:
         self._results: dict[str, SampleResult] = {}
         self._overshot: list[SampleResult] = []
         """The last samples that were dosed, as long as they overshot."""
+        self._doubted: dict[str, tuple[SampleResult, float]] = {}
+        """The results that were last doubted, and of how large a step of the balance's zero."""
         self._owners = {
             value.id: sample.id
             for sample in plan.recipe.samples
@@ -335,8 +337,13 @@ class Batch:
             elif owner is not None and (owner == waiting or result is None):
                 continue
             believed.noted(closed)
+        stepped_mg = believed.zero_stepped_mg
         for name, before in noted.items():
-            now = doubted(self._results[name], believed.zero_stepped_mg)
+            result, of_mg = self._doubted.get(name, (None, 0.0))
+            if result is self._results[name] and of_mg == stepped_mg:
+                continue  # as it mostly is: a run of many samples comes here after each
+            now = doubted(self._results[name], stepped_mg)
+            self._doubted[name] = now, stepped_mg
             if now is not before:
                 self._note(now)
 

@@ -20,11 +20,11 @@ from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-from scuhand_bt.problems import SourceError
+from scuhand_bt.problems import SourceError, harmless
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.operator import Nobody, OperatorChanger, SimulatedOperator, TerminalOperator
+from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, SimulatedOperator, TerminalOperator
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
@@ -94,12 +94,14 @@ def set_up(
     journal: Journal,
     motion: MotionPlanner | None = None,
     *,
+    person: Person,
     unattended: bool = False,
     world_path: Path | None = None,
     resumed_at_s: float | None = None,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
+    `person` is who answers, where one can be asked.
     `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at
     which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
     are needed, as they were all found possible before.
@@ -118,9 +120,9 @@ def set_up(
         case DryRun():
             setup = _dry_run(plan, lab, simulation, journal, motion, world_path, resumed_at_s is not None)
         case Rehearsal():
-            setup = _rehearsal(plan, lab, simulation, journal, motion)
+            setup = _rehearsal(plan, lab, simulation, journal, motion, person)
         case None:
-            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0)
+            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0, person)
     cell = setup.cell
     cell.places_mm = places_of(plan, lab)
     for name, source in plan.recipe.sources.items():
@@ -175,7 +177,9 @@ def _dry_run(
     return Setup(cell, world, world.close, liveness)
 
 
-def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner) -> Setup:
+def _rehearsal(
+    plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner, person: Person
+) -> Setup:
     _find_plants(lab)
     liveness = Liveness()
 
@@ -201,7 +205,7 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
         opened.callback(devices.close)
         opened.callback(liveness.end)
         if has_person:
-            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, journal.event, _show)
+            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, journal.event, _show, person)
         else:
             operator = SimulatedOperator(clock, journal.event, REHEARSED_ANSWER_S, faults)
         by_hand = lab.cell.changer.driver == "operator"
@@ -219,14 +223,14 @@ def _faults(plan: Plan, simulation: Simulation) -> Faults:
     return Faults(simulation.faults.rules, simulation.seed)
 
 
-def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float) -> Setup:
+def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float, person: Person) -> Setup:
     liveness = Liveness()
     clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
         devices = connect_cell_devices(lab.cell, clock, liveness)
         opened.callback(devices.close)
         opened.callback(liveness.end)
-        operator = TerminalOperator(clock, journal.event, _show)
+        operator = TerminalOperator(clock, journal.event, _show, person)
         changer = OperatorChanger(operator, may_be_loaded=began_s > 0.0)
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=False)
         return Setup(cell, None, opened.pop_all().close, liveness)
@@ -291,7 +295,7 @@ def _find_plants(lab: Lab) -> None:
 
 
 def _show(question: str) -> None:
-    print(question, flush=True)
+    print(harmless(question), flush=True)
 
 
 def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:

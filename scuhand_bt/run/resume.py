@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import scuhand_bt
+from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.hash_chain import NO_ENTRY
 from scuhand_bt.journal.history import History, history_of
 from scuhand_bt.journal.presence import Presence
-from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.reader import open_verified
 from scuhand_bt.journal.store import SCHEMA_VERSION
-from scuhand_bt.lab import Lab
+from scuhand_bt.lab import Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, recoveries
 
@@ -52,15 +53,15 @@ def find_run(folder: Path, name: str) -> Path:
 
 def checked_history(path: Path) -> History:
     """The history of a run whose chain is whole and that has something left to do. Raises SourceError if not."""
-    with open_contents(path) as contents:
-        if contents.version < SCHEMA_VERSION:
+    with open_verified(path) as (database, version, verified):
+        if version < SCHEMA_VERSION:
             what = "an older scuhand-bt wrote it, which noted less than resuming needs"
             raise _refused(path, f"{what}: start the run anew, with the samples that are left")
-        if contents.verified.problem == NO_ENTRY:
+        if verified.problem == NO_ENTRY:
             raise _refused(path, "the journal is empty: nothing had moved when the run ended; start it anew")
-        if contents.verified.problem is not None:
-            raise _refused(path, f"the journal is not as it was written: {contents.verified.problem}")
-        history = history_of(contents.database)
+        if verified.problem is not None:
+            raise _refused(path, f"the journal is not as it was written: {verified.problem}")
+        history = history_of(database)
     if history.begun is None:
         raise _refused(path, "nothing had moved when the run ended; start it anew")
     if history.is_complete:
@@ -68,6 +69,14 @@ def checked_history(path: Path) -> History:
     if history.lost_world:
         raise _refused(path, f"its simulated world could not be kept: {history.lost_world}; start the dry run anew")
     return history
+
+
+def its_places(path: Path, run: RunBegun) -> tuple[Path, Path]:
+    """Where a run's recipe and its lab are now: a lab may have been moved, with all that is in it."""
+    recipe, lab, here = Path(run.recipe_path), Path(run.lab), path.absolute().parent.parent.parent
+    if not is_lab(here):  # its runs are kept elsewhere
+        return recipe, lab
+    return (here / recipe.relative_to(lab) if recipe.is_relative_to(lab) else recipe), here
 
 
 def resumable(
@@ -96,7 +105,7 @@ def lab_files(lab: Lab) -> dict[str, str]:
     """SHA-256 of everything in the lab that a run depends on, beside its recipe."""
     files: dict[str, str] = {}
     for folder in LAB_FOLDERS:
-        for path in sorted((lab.folder / folder).rglob("*")):
+        for path in files_of(lab.folder / folder, "**/*"):
             if path.is_file() and "__pycache__" not in path.parts:
                 name = path.relative_to(lab.folder).as_posix()
                 files[name] = hashlib.sha256(path.read_bytes()).hexdigest()

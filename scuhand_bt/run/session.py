@@ -2,6 +2,7 @@
 
 import secrets
 import sqlite3
+import time
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
@@ -35,6 +36,7 @@ from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.lab_state.lab_db import user_name
+from scuhand_bt.lab_state.ledger import Ledger, Occasion
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
@@ -48,9 +50,11 @@ from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
+from scuhand_bt.run.operator import Person
 from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
+from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.skill import SkillFailed
 
@@ -67,6 +71,8 @@ class Options:
     """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
     unattended: bool = False
     """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
+    person: Person | None = None
+    """Who runs it, and answers; the user of the computer if None."""
 
 
 class Session:
@@ -110,8 +116,11 @@ class Session:
         self.run_id = path.stem
         self._state = LabState(path.parent.parent)
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
+        self._ledger = Ledger(path.parent.parent)
         self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
         self._notifier = Notifier(lab.cell.notify)
+        self._person = options.person or Person(user_name())
+        self._clock_watch = ClockWatch()
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
@@ -133,7 +142,13 @@ class Session:
             if not self.cell.simulated:
                 self._meet_balance()
                 recall(self.cell, self._stock)
+            self._look_at_the_clock()
             self._begin(resumes)
+            self.journal.settle()  # before the ledger has it
+            if (untold := self._anchor("begun" if resumes is None else "resumed", *self.journal.last)) is not None:
+                if not self.cell.simulated:
+                    raise SourceError([Problem(Mark(str(path)), untold)])
+                self.warnings.append(untold)
             for warning in self.warnings:
                 self.journal.event(Trouble(what=warning))
             opened.pop_all()
@@ -149,6 +164,7 @@ class Session:
             journal,
             motion,
             unattended=options.unattended,
+            person=self._person,
             world_path=world_path(journal.path),
             resumed_at_s=None if history is None else history.time_s,
         )
@@ -178,6 +194,14 @@ class Session:
             raise SourceError(beyond)
         self.warnings = [str(problem) for problem in [*beyond, *below_usp(self.plan, self._lab, figures)]]
 
+    def _look_at_the_clock(self) -> None:
+        """Before the first word: is it later than the last one of this lab, and of this run?"""
+        with suppress(SourceError):  # of a ledger that cannot be read
+            written = [self._ledger.last()[1], self._history.at if self._history is not None else None]
+            last_at = max(filter(None, written), key=datetime.fromisoformat, default=None)
+            if (odd := disagreement(last_at)) is not None:
+                self.warnings.append(odd)
+
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
         self.journal.weighed(reading)
@@ -190,7 +214,10 @@ class Session:
         if not self.cell.simulated:  # what was forgotten since the run broke off stays so
             self._state.recall(self.cell, datetime.now().astimezone())
         if resumes is None:
-            self.journal.event(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
+            begun = _describe(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
+            with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
+                begun = begun.model_copy(update={"ledger": self._ledger.last()[0]})
+            self.journal.event(begun)
             return
         recall(self.cell, corrections(self._stock, since=resumes.history.at))
         self.journal.event(
@@ -198,7 +225,8 @@ class Session:
                 last_at=resumes.history.at,
                 changes=list(resumes.changes),
                 version=scuhand_bt.__version__,
-                operator=user_name(),
+                operator=self._person.name,
+                signed=self._person.is_pin is not None,
             )
         )
 
@@ -269,6 +297,23 @@ class Session:
     def _after_job(self) -> None:
         if not self.cell.simulated:
             self._keep_inventory()
+            self._beside.submit(self._anchor_job, *self.journal.last)
+
+    def _anchor_job(self, entries: int, head: str) -> None:
+        """On its own thread, and once it is on disk: the ledger never has what a power cut takes from the journal."""
+        while self.journal.waits(entries) is not None:
+            time.sleep(0.05)
+        if (problem := self._anchor("job", entries, head)) is not None:
+            with suppress(RecordLost):
+                self._trouble(problem)
+
+    def _anchor(self, occasion: Occasion, entries: int, head: str) -> str | None:
+        """Write the journal's head into the lab's ledger; what went wrong, or None."""
+        try:
+            self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
+        except SourceError as error:
+            return f"the run is not in the lab's ledger: {error}"
+        return None
 
     def _keep_inventory(self) -> None:
         """Written beside the tick, as the journal is."""
@@ -282,6 +327,8 @@ class Session:
 
     def _heard(self, event: Event | Note) -> None:
         """What goes into the journal, and a person who is not here should know."""
+        if (jump := self._clock_watch.jump()) is not None:
+            self._trouble(jump)
         if isinstance(event, Paused):
             self._notifier.tell(self._notice("paused"))
         elif isinstance(event, Asked) and not isinstance(self._options.simulation, DryRun):
@@ -308,9 +355,15 @@ class Session:
         with ExitStack() as closing:
             closing.callback(self._holds.close)
             closing.callback(self._listener.end)
+            closing.callback(self._anchor_end)
             closing.callback(self.journal.close)
             closing.callback(self._finish_telling)
             closing.callback(self._close_cell)
+
+    def _anchor_end(self) -> None:
+        """What the journal ends in, closed and on disk."""
+        if (problem := self._anchor("ended", *self.journal.last)) is not None:
+            self.notices.append(problem)
 
     def _finish_telling(self) -> None:
         for what in self._notifier.finish():
@@ -341,7 +394,7 @@ def _check_controller(name: str | None) -> None:
         raise SourceError([Problem(Mark("--controller", 0), problem)])
 
 
-def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> RunBegun:
+def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, person: Person) -> RunBegun:
     simulation = options.simulation
     faults = simulation.faults if simulation is not None else None
     return RunBegun(
@@ -375,7 +428,8 @@ def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -
             SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
             for sample in plan.recipe.samples
         ],
-        operator=user_name(),
+        operator=person.name,
+        signed=person.is_pin is not None,
         devices={
             name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
             for name in ("arm", "hand", "balance", "changer")

@@ -4,7 +4,7 @@ A container that stood there before comes back with what it holds, and with an e
 """
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,8 +19,8 @@ EMPTY_SPREAD = 0.2
 WRONG_MASS = 0.2
 """How much heavier a wrong container is, as a share; at least three tolerances."""
 
-Known = tuple[Container, float, float]
-"""A container, its empty mass [mg] and what it holds [mg]."""
+Known = tuple[dict[str, Any], float, float]
+"""A container's fields, its empty mass [mg] and what it holds [mg]."""
 
 
 class Pan:
@@ -151,7 +151,8 @@ class Pan:
 
     def recall(self, containers: list[Known], held_mg: float) -> None:
         """Know these containers; the one on the pan by now holds `held_mg`."""
-        for container, empty_mg, mass_mg in containers:
+        for fields, empty_mg, mass_mg in containers:
+            container = Container.model_validate(fields)
             self._containers[container.id] = (container, empty_mg)
             self._ledger.masses_mg[in_container(container.id)] = mass_mg
         if self.container_id is not None:
@@ -159,7 +160,8 @@ class Pan:
         self._put(self.container_id)
 
     def _known(self, container_id: str) -> Known:
-        return (*self._containers[container_id], self._ledger.masses_mg[in_container(container_id)])
+        container, empty_mg = self._containers[container_id]
+        return container.model_dump(), empty_mg, self._ledger.masses_mg[in_container(container_id)]
 
     def _know(self, container: Container, now_s: float) -> None:
         if container.id in self._containers:

@@ -25,7 +25,6 @@ from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.sim.snapshot import Memory
 from scuhand_bt.sim.under_the_cone import Surroundings
-from scuhand_bt.sim.world_file import broken
 from scuhand_bt.specs import Container, Source
 
 STEP_S = 0.020
@@ -57,7 +56,7 @@ class World:
         self.ledger = MassLedger(sources)
         self.pan = Pan(self.ledger, seed, self.faults)
         self.load = ConeLoad(self.ledger, self.pan, Surroundings(spec, sources), sources, plant, arm, hand, self.faults)
-        self._seed, self._sources = seed, sources
+        self._seed = seed
         self._arm, self._hand, self._balance = arm, hand, balance
         self._compartments = tuple((str(compartment), compartment) for compartment in self.ledger.masses_mg)
         self._memory = Memory(
@@ -151,9 +150,6 @@ class World:
         Raises SourceError for a file that is missing, damaged, or of a world that could not be saved.
         """
         (self.now_s, joints, masses_mg, held_mg), containers = self._memory.take_up(path, tell)
-        if self.load.source is not None and self.load.source not in self._sources:
-            self.close()
-            raise broken(path, f"powder of '{self.load.source}', which the recipe no longer has, is in the cone")
         self.pan.recall(containers, held_mg)
         self.ledger.masses_mg.update({Compartment.of_text(text): mass_mg for text, mass_mg in masses_mg.items()})
         self._arm.hold(joints)
