@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from scuhand_bt.cell.believed import Believed, ClosedBracket
+from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.specs import Source
 

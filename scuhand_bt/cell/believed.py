@@ -11,29 +11,23 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from pydantic import AfterValidator, PlainSerializer
-
-from scuhand_bt.dosing.bracket import Drift, Gross, Net, total
+from scuhand_bt.cell.load import Load
+from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
+from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.specs import Container, Source
 
-_AS_WRITTEN = PlainSerializer(dict)
-_READ_ONLY = AfterValidator(MappingProxyType)
-Counts: TypeAlias = Annotated[Mapping[str, int], _READ_ONLY, _AS_WRITTEN]
-Masses: TypeAlias = Annotated[Mapping[str, float], _READ_ONLY, _AS_WRITTEN]
+Counts: TypeAlias = Annotated[Mapping[str, int], READ_ONLY, AS_WRITTEN]
+Masses: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
 """Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
-Nets: TypeAlias = Annotated[Mapping[str, Net], _READ_ONLY, _AS_WRITTEN]
-"""Doses by powder lot (`Source.sheet_key`)."""
 
-BARREN_MG = 30.0
-"""A load of which less than this has come in all has brought nothing worth a scoop."""
 BARREN_LOADS = 2
-"""So many in a row, and a source is not scooped from any more: it is empty, or nothing of it gets out of the cone."""
+"""So many barren loads in a row, and a source is not scooped from any more: it is empty, or nothing gets out of the
+cone."""
 
 
 @dataclass(frozen=True)
@@ -51,68 +45,13 @@ class DoseSoFar:
 
 
 @dataclass(frozen=True)
-class Load:
-    """What the cone was filled with since it was last empty, and what came of it."""
-
-    scooped_mg: float = 0.0
-    """What its scoops should have brought, by their geometry."""
-    came_mg: float = 0.0
-    """What has arrived on the balance."""
-
-
-@dataclass(frozen=True)
-class Bracket:
-    """The weighings about what is dosed into one container (`dosing/bracket.py`)."""
-
-    container: str
-    bare: Gross
-    """The pan before the container came."""
-    loaded: Gross
-    """With the empty container, the hand away."""
-    last: Gross
-    """The last weighing of what stands there, whether with the hand in place or without."""
-    doses: Nets = field(default_factory=lambda: MappingProxyType({}))
-    drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
-    """What was seen about the last dose."""
-    lot: str = ""
-    """What is being dosed."""
-    lifted: Gross | None = None
-    """The filled container, the hand away, before it is taken off the pan."""
-    carried: Nets = field(default_factory=lambda: MappingProxyType({}))
-    """What it held before these weighings began: after an outage the balance has another zero, and all begin anew."""
-    empty: Net | None = None
-    """What it weighed empty, before such an outage; None where `bare` and `loaded` tell."""
-
-    def dosed_mg(self, lot: str) -> Net:
-        """What was dosed of a powder lot until now."""
-        return total(nets[lot] for nets in (self.carried, self.doses) if lot in nets)
-
-    @property
-    def holds(self) -> dict[str, Net]:
-        """All that was dosed, by powder lot."""
-        return {lot: self.dosed_mg(lot) for lot in {**self.carried, **self.doses}}
-
-
-@dataclass(frozen=True)
-class ClosedBracket:
-    """What came out when a container had gone: its doses, and whether they may be believed."""
-
-    container: str
-    doses: Nets
-    closes: bool
-    difference_mg: float
-    """What the container has gained by the bare pan, less what was dosed."""
-    detail: str
-
-
-@dataclass(frozen=True)
 class Believed:
     """What the cell is believed to hold. Frozen to all but its own verbs."""
 
     cone_mg: float = 0.0
     cone_source: str | None = None
     """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
-    load: Load = Load()
+    load: Load = field(default_factory=Load)
     is_load_doubted: bool = False
     """The load gave no more, or more, than it was believed to hold: it is let out before the next scoop."""
     yields: Masses = field(default_factory=lambda: MappingProxyType({}))
@@ -216,9 +155,9 @@ class Believed:
         if (name := self.cone_source) is None:
             return
         load = self.load
-        if load.came_mg >= BARREN_MG and load.scooped_mg > 0.0 and (is_short or name in self.yields):
-            self._set(yields={**self.yields, name: min(1.0, load.came_mg / load.scooped_mg)})
-        elif load.came_mg < BARREN_MG and load.scooped_mg > 0.0:
+        if load.scooped_mg > 0.0 and not load.is_barren and (is_short or name in self.yields):
+            self._set(yields={**self.yields, name: load.scoops_share})
+        elif load.scooped_mg > 0.0 and load.is_barren:
             self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
         if is_short:
             self._set(is_load_doubted=True)
@@ -277,27 +216,15 @@ class Believed:
         bracket = self.bracket
         if bracket is None or self.pan is None:
             raise ValueError("no container on the pan was weighed before")
-        carried = bracket.holds
-        if carried or self.dosing.is_unweighed:
-            others = total(net for lot, net in carried.items() if lot != bracket.lot)
-            u_mg = math.hypot(held.uncertainty_mg, others.uncertainty_mg)
-            carried[bracket.lot] = Net(held.mass_mg - others.mass_mg, u_mg)
+        carried: dict[str, Net] = {}
+        if bracket.holds or self.dosing.is_unweighed:
+            carried = bracket.carried_of(held)
             self._left_cone(max(0.0, left_cone_mg))
         self._set(
             pan_empty_mg=loaded.gross_mg - sum(net.mass_mg for net in carried.values()),
             pan_gross_mg=loaded.gross_mg,
             dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
-            bracket=replace(
-                bracket,
-                bare=bare,
-                loaded=loaded,
-                last=loaded,
-                doses=MappingProxyType({}),
-                drift=Drift(0.0, 0.0),
-                lifted=None,
-                carried=MappingProxyType(carried),
-                empty=empty,
-            ),
+            bracket=bracket.begun_anew(bare, loaded, empty, carried),
         )
 
     def container_given_up(self, why: str) -> None:
@@ -353,13 +280,8 @@ class Believed:
 
     def tared(self, weighing: Gross) -> None:
         """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
-        bracket = self._open_bracket
-        loaded = bracket.loaded if bracket.doses else weighing
-        self._set(
-            pan_empty_mg=weighing.gross_mg,
-            pan_gross_mg=weighing.gross_mg,
-            bracket=replace(bracket, loaded=loaded, last=weighing),
-        )
+        bracket = self._open_bracket.tared(weighing)
+        self._set(pan_empty_mg=weighing.gross_mg, pan_gross_mg=weighing.gross_mg, bracket=bracket)
         self.dose_began(weighing.time_s)
 
     def zero_stepped(self, by_mg: float) -> None:
@@ -417,8 +339,7 @@ class Believed:
         if self.pan_empty_mg is not None:
             self._set(pan_empty_mg=self.pan_empty_mg + drift_mg)
         if (bracket := self.bracket) is not None:
-            bare, loaded = _shifted(bracket.bare, drift_mg), _shifted(bracket.loaded, drift_mg)
-            self._set(bracket=replace(bracket, bare=bare, loaded=loaded, last=now))
+            self._set(bracket=bracket.with_zero_moved(drift_mg, now))
 
     # --- within
 
@@ -430,20 +351,18 @@ class Believed:
 
     def _gained(self, gained: Net, drift: Drift, now: Gross) -> None:
         bracket = self._open_bracket
-        before = bracket.doses.get(bracket.lot, Net(0.0, 0.0))
-        doses = MappingProxyType({**bracket.doses, bracket.lot: total([before, gained])})
         self._weighed(now.gross_mg)
-        self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now))
+        self._set(bracket=bracket.gained(gained, drift, now))
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""
         if (name := self.cone_source) is None:
             return
         load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
-        if load.came_mg >= BARREN_MG and name in self.barren_loads:
+        if not load.is_barren and name in self.barren_loads:
             self._set(barren_loads={one: count for one, count in self.barren_loads.items() if one != name})
         if mass_mg > self.cone_mg and name in self.yields and load.scooped_mg > 0.0:
-            yields = {**self.yields, name: min(1.0, load.came_mg / load.scooped_mg)}
+            yields = {**self.yields, name: load.scoops_share}
             self._set(yields=yields, is_load_doubted=True)  # it brought more than of late: nobody knows how much
         self._set(cone_mg=max(0.0, self.cone_mg - mass_mg), load=load)
 
@@ -455,10 +374,6 @@ class Believed:
     def _set(self, **changes: Any) -> None:
         for name, value in changes.items():
             object.__setattr__(self, name, MappingProxyType(value) if isinstance(value, dict) else value)
-
-
-def _shifted(weighing: Gross, by_mg: float) -> Gross:
-    return replace(weighing, gross_mg=weighing.gross_mg + by_mg)
 
 
 def _mass(mass_mg: float) -> float:

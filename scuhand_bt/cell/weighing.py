@@ -5,8 +5,8 @@ import statistics
 from collections.abc import Sequence
 from contextlib import closing
 
-from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close, moved_mg, total

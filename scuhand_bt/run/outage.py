@@ -13,8 +13,8 @@ container of its kind may weigh as if it held a part of the dose: where one was 
 
 from dataclasses import dataclass
 
-from scuhand_bt.cell.believed import Bracket
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.pan_bracket import Bracket
 from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.weighing import CHANGED_MG, possible_mg, weigh_changed, weighing_of
 from scuhand_bt.clock import Steps
