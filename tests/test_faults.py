@@ -22,8 +22,9 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
+from scuhand_bt.run.options import options_of
 from scuhand_bt.run.resume import checked_history, resumable
-from scuhand_bt.run.session import Session, options_of
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import KINDS, parse_faults
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.plain_state import read, written

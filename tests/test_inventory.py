@@ -28,8 +28,9 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.inventory_conflicts import conflicts, recall, require_resolvable, resolve
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
+from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.session import Session
 
 RECIPE = """\
 recipe: one

@@ -19,7 +19,8 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report.weighing_record import weighing_record
 from scuhand_bt.run.make_cell import Rehearsal
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import parse_faults
 
 HEAD = """

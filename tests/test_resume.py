@@ -22,12 +22,14 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.report.live import PlainLines
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, find_run, resumable
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.session import Session
 from scuhand_bt.skill import Condition, Ratio, Seconds, Skill, SkillFailed, pause
 
 RECIPE = """
@@ -251,6 +253,28 @@ def test_a_run_that_stops_after_its_sample_leaves_it_finished(run: Run) -> None:
     assert [sample.verdict for sample in stopped.samples] == ["in tolerance", "not run", "not run"]
     assert not stopped.is_complete
     assert run.go(Watch(), resumes=True).exit_code == 0
+
+
+def test_a_resumed_run_tells_in_plain_lines_only_what_is_new_and_counts_on(run: Run) -> None:
+    run.go(Watch("stop", 20))
+    lines: list[str] = []
+
+    class Telling(Watch):
+        def __init__(self) -> None:
+            super().__init__()
+            self._plain = PlainLines(lines.append, 3)
+
+        def job_started(self, job: Any, number: int) -> None:
+            self._plain.job_started(job, number)
+
+        def sample_ended(self, result: Any) -> None:
+            self._plain.sample_ended(result)
+
+        def sample_known(self, result: Any) -> None:
+            self._plain.sample_known(result)
+
+    assert run.go(Telling(), resumes=True).exit_code == 0
+    assert [line.partition(":")[0] for line in lines if line.startswith("[")] == ["[2/3] b", "[3/3] c"]
 
 
 def test_a_changed_recipe_or_lab_is_refused_and_may_be_accepted(run: Run) -> None:

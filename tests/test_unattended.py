@@ -15,7 +15,8 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import Nobody, TerminalOperator
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 
 RECIPE = """\
 recipe: one

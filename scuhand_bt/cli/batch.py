@@ -62,7 +62,8 @@ def run(
     from scuhand_bt.cli.persons import the_person
     from scuhand_bt.lab import state_folder
     from scuhand_bt.run.make_cell import DryRun, Rehearsal
-    from scuhand_bt.run.session import Options, Session
+    from scuhand_bt.run.options import Options
+    from scuhand_bt.run.session import Session
     from scuhand_bt.sim.fault_rules import read_faults
 
     if speed is not None and not 0 < speed < float("inf"):

@@ -45,8 +45,9 @@ def resume(
     from scuhand_bt.cli.persons import the_person
     from scuhand_bt.journal.presence import is_held
     from scuhand_bt.run.holds import take_run
+    from scuhand_bt.run.options import options_of
     from scuhand_bt.run.resume import checked_history, find_run, its_places, resumable
-    from scuhand_bt.run.session import Session, options_of
+    from scuhand_bt.run.session import Session
 
     journal = find_run(runs_folder(lab), run)
     if is_held(journal):

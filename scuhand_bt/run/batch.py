@@ -42,10 +42,14 @@ class BatchObserver:
         """The tree after a tick; must be quick."""
 
     def job_started(self, job: Job, number: int) -> None:
-        """A job of the plan begins, its number counted from 1."""
+        """A job of the plan begins, or a sample's is taken up; its number is counted from 0."""
 
     def sample_ended(self, result: SampleResult) -> None:
-        """A sample has its result, or is known from before a resumed run."""
+        """A sample has its result, or another one than it had."""
+
+    def sample_known(self, result: SampleResult) -> None:
+        """A sample has had its result since before the run was resumed: as if it came now, unless told otherwise."""
+        self.sample_ended(result)
 
 
 class Batch:
@@ -82,8 +86,10 @@ class Batch:
         self._results: dict[str, SampleResult] = {}
         self._overshot: list[SampleResult] = []
         """The last samples that were dosed, as long as they overshot."""
-        self._doubted: dict[str, tuple[SampleResult, float]] = {}
-        """The results that were last doubted, and of how large a step of the balance's zero."""
+        self._undoubted: list[str] = []
+        """The samples whose results have come or changed since all were doubted last."""
+        self._doubted_of_mg = 0.0
+        """How large a step of the balance's zero they were doubted of then."""
         self._owners = {
             value.id: sample.id
             for sample in plan.recipe.samples
@@ -143,7 +149,8 @@ class Batch:
         for number, job in enumerate(self._plan.jobs):
             if self._control.is_stopping:
                 return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "stopped")
-            self._observer.job_started(job, number)
+            if job.sample is not None or not self._was_over(job.name, 1):
+                self._observer.job_started(job, number)
             if job.sample is None:
                 ending = self._run_service(job, 1)
             else:
@@ -151,6 +158,11 @@ class Batch:
             if ending is not None:
                 return ending
         return _ended(ExitCode.OK, "", complete=True)
+
+    def _was_over(self, name: str, attempt: int) -> bool:
+        """Whether an attempt at a job had come to its end before the run was resumed."""
+        before = self._history.jobs.get((name, attempt))
+        return before is not None and before.is_over
 
     def _run_service(self, job: Job, attempt: int) -> Ended | None:
         outcome = self._run_job(job, job.inputs, None, attempt)
@@ -180,8 +192,9 @@ class Batch:
                 action = "flag"
             verdict: SampleVerdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))
-            if recorded is not None and before is not None and before.is_over:
-                self._show(recorded)
+            if recorded is not None and self._was_over(job.name, attempt):
+                self._take(recorded)
+                self._observer.sample_known(recorded)
                 self._count_overshoots(recorded)
                 if self._too_many_overshoots() is not None:
                     self._overshot = []  # a person has looked since
@@ -328,24 +341,26 @@ class Batch:
         One that has gone within the job of its own sample, which is still `waiting` for its result, waits too. What was
         dosed into a container by another job than its sample's is no sample's dose.
         """
-        believed, noted = self._cell.believed, dict(self._results)
+        believed = self._cell.believed
+        noted: dict[str, SampleResult] = {}
         for closed in believed.closed:
             owner = self._owners.get(closed.container.partition("#")[0])
             result = self._results.get(owner) if owner is not None else None
             if result is not None and any(dose.container == closed.container for dose in result.doses):
+                noted.setdefault(result.id, result)
                 self._results[result.id] = confirmed(result, closed)
             elif owner is not None and (owner == waiting or result is None):
                 continue
             believed.noted(closed)
         stepped_mg = believed.zero_stepped_mg
-        for name, before in noted.items():
-            result, of_mg = self._doubted.get(name, (None, 0.0))
-            if result is self._results[name] and of_mg == stepped_mg:
-                continue  # as it mostly is: a run of many samples comes here after each
-            now = doubted(self._results[name], stepped_mg)
-            self._doubted[name] = now, stepped_mg
-            if now is not before:
+        # Not all each time: a run of many samples comes here after each.
+        fresh = (*noted, *self._undoubted) if stepped_mg == self._doubted_of_mg else self._results
+        for name in dict.fromkeys(fresh):
+            before = self._results[name]
+            now = doubted(before, stepped_mg)
+            if now is not noted.get(name, before):
                 self._note(now)
+        self._undoubted, self._doubted_of_mg = [], stepped_mg
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""
@@ -358,11 +373,12 @@ class Batch:
 
     def _note(self, result: SampleResult) -> None:
         self._journal.event(result)
-        self._show(result)
-
-    def _show(self, result: SampleResult) -> None:
-        self._results[result.id] = result
+        self._take(result)
         self._observer.sample_ended(result)
+
+    def _take(self, result: SampleResult) -> None:
+        self._results[result.id] = result
+        self._undoubted.append(result.id)
 
 
 def _ended(exit_code: int, reason: str, *, complete: bool = False) -> Ended:

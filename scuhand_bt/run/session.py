@@ -6,31 +6,21 @@ import time
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.cell.cell import Cell
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.events import (
     Asked,
     FaultRules,
     Matter,
-    OptionsGiven,
     Paused,
     Resumed,
     RuleAccount,
-    RunBegun,
-    SamplePlanned,
-    SourceUsed,
     Trouble,
 )
-from scuhand_bt.journal.history import History
-from scuhand_bt.journal.plain import plain_values
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.beliefs import LabState
@@ -48,31 +38,15 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
-from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
+from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.operator import Person
+from scuhand_bt.run.options import Options, check_controller, described
 from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
-from scuhand_bt.run.resume import Resumable, lab_files, world_path
+from scuhand_bt.run.resume import Resumable, world_path
 from scuhand_bt.run.wall_clock import ClockWatch, disagreement
-from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.skill import SkillFailed
-
-LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
-
-
-@dataclass(frozen=True)
-class Options:
-    """How a plan is run: `simulation` is None on the real cell; `controller` overrides the recipe's."""
-
-    simulation: Simulation | None
-    controller: str | None = None
-    folder: Path | None = None
-    """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
-    unattended: bool = False
-    """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
-    person: Person | None = None
-    """Who runs it, and answers; the user of the computer if None."""
 
 
 class Session:
@@ -96,7 +70,7 @@ class Session:
         control: Control | None = None,
         resumes: Resumable | None = None,
     ) -> None:
-        _check_controller(options.controller)
+        check_controller(options.controller)
         if options.unattended:
             check_unattended(plan)
         self.plan = plan
@@ -214,7 +188,7 @@ class Session:
         if not self.cell.simulated:  # what was forgotten since the run broke off stays so
             self._state.recall(self.cell, datetime.now().astimezone())
         if resumes is None:
-            begun = _describe(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
+            begun = described(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
             with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
                 begun = begun.model_copy(update={"ledger": self._ledger.last()[0]})
             self.journal.event(begun)
@@ -386,73 +360,3 @@ def _open_journal(path: Path, *, is_new: bool, durable: bool) -> Journal:
     except (OSError, sqlite3.Error) as error:
         problem = Problem(Mark(str(path)), f"the journal cannot be written: {error}; nothing was moved")
         raise SourceError([problem]) from None
-
-
-def _check_controller(name: str | None) -> None:
-    if name is not None and name not in CONTROLLERS:
-        problem = f"unknown controller '{name}'; known: {', '.join(CONTROLLERS)}"
-        raise SourceError([Problem(Mark("--controller", 0), problem)])
-
-
-def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, person: Person) -> RunBegun:
-    simulation = options.simulation
-    faults = simulation.faults if simulation is not None else None
-    return RunBegun(
-        run=run_id,
-        recipe=plan.recipe.name,
-        recipe_hash=plan.recipe.hash,
-        recipe_text=plan.recipe.text,
-        recipe_path=str(plan.recipe.path.absolute()),
-        lab=str(lab.folder.absolute()),
-        lab_files=lab_files(lab),
-        cell=lab.cell.cell,
-        simulated=simulation is not None,
-        unattended=options.unattended,
-        mode=simulation.mode if simulation is not None else "real devices",
-        seed=simulation.seed if simulation is not None else None,
-        plant=(simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
-        controller=cell.controller,
-        faults_hash=faults.hash if faults is not None else None,
-        faults_text=faults.text if faults is not None else None,
-        options=OptionsGiven(
-            controller=options.controller,
-            plant=simulation.plant if simulation is not None else None,
-            speed=simulation.speed if isinstance(simulation, DryRun) else None,
-            faults=faults.marks[0].file if faults is not None else None,
-        ),
-        sources={
-            name: SourceUsed(station=source.station, powder=source.powder.name, lot=source.lot)
-            for name, source in plan.recipe.sources.items()
-        },
-        samples=[
-            SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
-            for sample in plan.recipe.samples
-        ],
-        operator=person.name,
-        signed=person.is_pin is not None,
-        devices={
-            name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
-            for name in ("arm", "hand", "balance", "changer")
-        },
-        version=scuhand_bt.__version__,
-        libraries={name: _version(name) for name in LIBRARIES},
-        started=datetime.now().astimezone().isoformat(timespec="seconds"),
-    )
-
-
-def options_of(history: History, folder: Path, path: Path) -> Options:
-    """The options that an interrupted run was begun with; SourceError for a rehearsal, whose twins ended with it."""
-    run, given = history.run, history.run.options
-    if run.mode == Rehearsal.mode:
-        problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
-        raise SourceError([Problem(Mark(str(path)), problem)])
-    faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
-    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults) if run.simulated else None
-    return Options(simulation, given.controller, folder, run.unattended)
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "unknown"
