@@ -201,6 +201,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.SCOOP_NOTHING: Failure(
         "Two scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
         "See that the mortar holds powder and stands at its station, and that none bridges in the cone; then resume.",
+        ("run",),
     ),
     Code.SOURCE_EMPTY: Failure(
         "The source holds less than a scoop can reach.",

@@ -14,7 +14,7 @@ from scuhand_bt.recipe.plan import Plan, check_unattended, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.make_cell import DryRun
-from scuhand_bt.run.operator import Nobody, TerminalOperator
+from scuhand_bt.run.operator import Nobody, Person, TerminalOperator
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 
@@ -128,7 +128,7 @@ def test_nobody_answers_for_a_person_whose_terminal_has_gone(
 
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True, readline=readline))
     told: list[object] = []
-    steps = TerminalOperator(VirtualClock(), told.append, lambda question: None).ask("Is it so?")
+    steps = TerminalOperator(VirtualClock(), told.append, lambda question: None, Person("Ada")).ask("Is it so?")
     with pytest.raises(SkillFailed, match="Is it so") as caught:
         list(steps)
     assert caught.value.code == "operator.absent"

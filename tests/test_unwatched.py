@@ -2,6 +2,8 @@
 
 import os
 import pty
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -58,6 +60,22 @@ def test_a_run_goes_on_to_its_end_whatever_becomes_of_its_output(recipe: Path, w
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     assert "Exception ignored" not in done.stderr
+    assert ended(recipe) == ("complete", 0)
+
+
+def test_a_run_whose_journal_was_removed_tells_how_to_go_on_with_what_was_rescued(recipe: Path) -> None:
+    with subprocess.Popen(
+        [*COMMAND, str(recipe), "--dry-run", "--speed", "4"], stdout=subprocess.PIPE, text=True, cwd=REPOSITORY
+    ) as process:
+        wait_for(lambda: any(recipe.parent.parent.glob(".scuhand/runs/*.sqlite")))
+        time.sleep(1.0)
+        the_journal(recipe).unlink()
+        told = process.communicate(timeout=30)[0]
+    assert process.returncode == 3
+    move, resume = re.findall(r"`(mv .*?|scuhand-bt resume .*?)`", told)
+    subprocess.run(shlex.split(move), check=True)
+    again = [sys.executable, "-m", "scuhand_bt", *shlex.split(resume)[1:], "--yes", "--lab", str(recipe.parent.parent)]
+    assert subprocess.run(again, cwd=REPOSITORY, capture_output=True, timeout=60).returncode == 0
     assert ended(recipe) == ("complete", 0)
 
 

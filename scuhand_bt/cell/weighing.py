@@ -9,7 +9,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close, moved_mg, total
+from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, moved_mg, total
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, step_delay_s
 from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
@@ -167,15 +167,17 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
 
     Whether it closes is for the batch to say of its sample.
     """
-    believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+    believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
     bracket = believed.bracket
     if bracket is not None and bracket.holds and bracket.lifted is None:
         mean = yield from cell.balance.stable_mean()
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
-        # A gain may be what has dripped; it may as well be a creep that was there while it dosed.
-        believed.zero_stepped(abs(moved_mg(bracket.last, weighing_of(mean), digit_mg)))
+        moved = moved_mg(bracket.last, weighing_of(mean), digit_mg)
+        believed.zero_stepped(max(0.0, -moved))
+        # What has dripped, or a force that grows with the container, and did while it was dosed.
+        crept = Net(0.0, max(0.0, moved))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
     believed.changing_container()
@@ -189,7 +191,7 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
     doses = list(bracket.doses.values())
     closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
     believed.zero_stepped(max(0.0, -closed.stepped_mg))
-    since = dict(zip(bracket.doses, closed.doses, strict=True))
+    since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
     adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}
     believed.bracket_closed(
         ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))

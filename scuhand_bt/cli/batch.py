@@ -150,9 +150,11 @@ def _tell(session: "Session", result: "BatchResult", seconds: float) -> None:
         out.print(Text(f"Never came: {rule}"))
     for notice in session.notices:
         err.print(Text(notice))
-    if not result.is_complete and session.can_be_resumed:
-        out.print(Text(f"`scuhand-bt resume {session.run_id}` goes on with it."))
-    out.print(Text(f"Journal: {session.journal.kept_in or 'lost'}"))
+    kept_in, path = session.journal.kept_in, session.journal.path
+    if not result.is_complete and session.can_be_resumed and kept_in is not None:
+        moved = f"`mv {kept_in} {path}` brings it back, then " if kept_in != path else ""
+        out.print(Text(f"{moved}`scuhand-bt resume {session.run_id}` goes on with it."), soft_wrap=True)
+    out.print(Text(f"Journal: {kept_in or 'lost'}"))
     out.print(Text(f"Head of its chain: {session.journal.head}"))
 
 
