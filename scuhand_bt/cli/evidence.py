@@ -136,8 +136,10 @@ def audit(
 
 def _digits(text: str | None, option: str) -> str | None:
     """64 hexadecimal digits, as heads and keys are written."""
-    if text is None or re.fullmatch("[0-9a-f]{64}", text.strip().lower()):
-        return text and text.strip().lower()
+    if text is None:
+        return None
+    if re.fullmatch("[0-9a-f]{64}", digits := text.strip().lower()):
+        return digits
     raise typer.BadParameter("it is 64 hexadecimal digits", param_hint=option)
 
 

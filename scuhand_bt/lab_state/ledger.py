@@ -42,6 +42,9 @@ class Line(NamedTuple):
     """The public key that signed the line, in hexadecimal digits."""
 
 
+_COLUMNS = (*Line._fields, "hash", "signature")
+
+
 @dataclass(frozen=True)
 class Kept:
     """A line as the ledger has it."""
@@ -104,11 +107,8 @@ class Ledger:
             line = Line(number, at, run, occasion, entries, head, key)
             digest = _digest(before, line)
             signature = self._signer.sign(digest) if self._signer is not None else None
-            database.execute(
-                "INSERT INTO ledger (number, at, run, occasion, entries, head, key, hash, signature) "
-                "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                (*line, digest, signature),
-            )
+            marks = ", ".join("?" * len(_COLUMNS))
+            database.execute(f"INSERT INTO ledger ({', '.join(_COLUMNS)}) VALUES ({marks})", (*line, digest, signature))
 
     def verified(self) -> LedgerFound:
         """All lines, each held against the one before it; signatures are looked at one by one (`Kept.is_signed`)."""
@@ -127,9 +127,7 @@ class Ledger:
         with lab_db(self._folder, write=False) as database:
             if database is None:
                 return
-            rows = database.execute(
-                "SELECT number, at, run, occasion, entries, head, key, hash, signature FROM ledger ORDER BY number"
-            ).fetchall()
+            rows = database.execute(f"SELECT {', '.join(_COLUMNS)} FROM ledger ORDER BY number").fetchall()
         for row in rows:
             yield Kept(Line(*row[:-2]), row[-2], row[-1])
 
