@@ -7,6 +7,7 @@ from running import Ran, dry_run, make_lab
 
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
 from scuhand_bt.run.batch import BatchObserver
@@ -410,3 +411,16 @@ samples: [{id: a}, {id: b}, {id: c}]
     doubted = dry_run(tmp_path, recipe, at_tick=step_while_c_stands_there).sample("a")
     assert not doubted.is_good
     assert "zero was seen to step by 8.00 mg in this run" in (doubted.detail or "")
+
+
+def test_what_the_bare_pan_says_of_a_sample_is_in_its_journal_too(tmp_path: Path) -> None:
+    """A resumed run has it from there."""
+    recipe = """
+recipe: one
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, source: beads, mass: 30 mg}
+samples: [{id: a}]
+"""
+    ran = dry_run(tmp_path, recipe)
+    assert ran.sample("a").doses[0].bracket == "closed"
+    assert read_history(ran.journal).samples["a", 1].doses == ran.sample("a").doses
