@@ -37,9 +37,7 @@ def find(bug: Bug, motion: MotionPlanner) -> tuple[int, list[str]]:
     for seed in range(SEEDS):
         with tempfile.TemporaryDirectory() as folder:
             has_outages = bool(bug.only)
-            made = Made(
-                seed, Path(folder), motion, bug.plant, has_outages, bug.only, bug.careless, script=bug.at(seed)
-            )
+            made = Made(seed, Path(folder), motion, bug.plant, has_outages, bug.only, bug.careless, script=bug.at(seed))
             if problems := judge(interleave(made), Tally()):
                 return seed, problems
     return -1, []
@@ -97,7 +95,12 @@ def _planted(names: list[str], motion: MotionPlanner) -> tuple[dict[str, object]
     for name in names:
         seed, problems = find(BUGS[name], motion)
         said = problems[0].partition(": ")[2] if problems else ""
-        found[name] = {"what": BUGS[name].what, "found_with_seed": seed, "directed": bool(BUGS[name].script), "said": said}
+        found[name] = {
+            "what": BUGS[name].what,
+            "found_with_seed": seed,
+            "directed": bool(BUGS[name].script),
+            "said": said,
+        }
         print(f"{name}: {f'found with seed {seed}: {said[:150]}' if problems else 'NOT FOUND'}", flush=True)
     return found, all(found[name]["found_with_seed"] >= 0 for name in names)  # type: ignore[index]
 

@@ -153,7 +153,14 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
 
 
 def _judge_sample(
-    name: str, result: dict[str, Any], matter: dict[str, float], done: Done, tally: Tally, wrong: Any, *, is_complete: bool
+    name: str,
+    result: dict[str, Any],
+    matter: dict[str, float],
+    done: Done,
+    tally: Tally,
+    wrong: Any,
+    *,
+    is_complete: bool,
 ) -> None:
     tally.doses += 1
     containers = {dose["container"] for dose in result["doses"]}

@@ -1,7 +1,7 @@
 """Bugs that the program once had, planted again in the processes of an interleaving: the checker has to find each.
 
 A bug is a change of the program in memory, and what has to happen for it to show. `script` may name the seed's own
-moment (`{ticks}`), so that another seed is another moment of the same story; a bug without one is met by chance.
+moment (`{ticks}` within the first dose, `{later}` after it), so that another seed is another moment of the same story.
 """
 
 import sqlite3
@@ -41,7 +41,7 @@ class Bug:
 
     def at(self, seed: int) -> tuple[str, ...]:
         """The script of this seed."""
-        return tuple(step.format(ticks=15 + 9 * seed) for step in self.script)
+        return tuple(step.format(ticks=160 + 10 * seed, later=300 + 15 * seed) for step in self.script)
 
 
 def _reads_before_locking() -> None:
@@ -89,6 +89,8 @@ def _believes_what_arrived() -> None:
     def anything(*given: Any) -> tuple[float, float]:
         return -1e9, 1e9
 
+    batch.confirmed = batch.doubted = lambda result, told: result  # type: ignore[assignment]
+    batch.Batch._note_open_brackets = lambda one: None  # type: ignore[method-assign]
     session.settle_outage = settles  # type: ignore[assignment]
     weighing.possible_mg = anything
     import scuhand_bt.skill as sdk
@@ -154,12 +156,15 @@ def _needs_the_lab() -> None:
     ongoing.runs_folder = runs_folder
 
 
-def _loses_the_world() -> None:
-    World.save = lambda world: None  # type: ignore[method-assign]
+def _saves_the_world_no_more() -> None:
+    save, left = World.save, [5]
 
+    def saves(world: World) -> None:
+        if left[0]:
+            left[0] -= 1
+            save(world)
 
-def _does_all_again() -> None:
-    leaf.SkillLeaf._is_replayed = lambda one: False  # type: ignore[method-assign]
+    World.save = saves  # type: ignore[method-assign]
 
 
 def _sees_no_full_disk() -> None:
@@ -180,7 +185,7 @@ BUGS = {
     "resume.unlocked": Bug(
         "`resume` reads the history, waits, and only then takes the lock, without reading again",
         _reads_before_locking,
-        ("begin:{ticks}", "kill@0", "resume", "resume", "finish@1", "finish@0"),
+        ("begin:{ticks}", "kill@0", "resume", "resume", "go:1@1", "go:300@1", "kill@1", "finish@0"),
     ),
     "append.anywhere": Bug(
         "an entry is added whatever another process has added since",
@@ -211,9 +216,7 @@ BUGS = {
     "journal.removed": Bug(
         "a journal that is removed in mid-run goes unnoticed", _misses_no_file, ("begin:{ticks}", "lose@0", "finish@0")
     ),
-    "journal.full": Bug(
-        "a full disk goes unnoticed", _sees_no_full_disk, ("begin:{ticks}", "full:1@0", "finish@0")
-    ),
+    "journal.full": Bug("a full disk goes unnoticed", _sees_no_full_disk, ("begin:{ticks}", "full:1@0", "finish@0")),
     "skill.valve": Bug(
         "a skill may end with the valve open",
         _ends_with_the_valve_open,
@@ -230,6 +233,7 @@ BUGS = {
     "stop.needs_lab": Bug(
         "`stop` reads the lab, which somebody has half saved", _needs_the_lab, ("begin:{ticks}", "half_save", "stop")
     ),
-    "world.lost": Bug("a kill loses what had happened in the cell", _loses_the_world, ("begin:{ticks}", "kill@0")),
-    "resume.again": Bug("`resume` does again what was done", _does_all_again, ("begin:{ticks}", "kill@0")),
+    "world.lost": Bug(
+        "a kill loses what had happened in the cell", _saves_the_world_no_more, ("begin:{later}", "kill@0")
+    ),
 }
