@@ -76,7 +76,7 @@ def _random(
                 print("\n".join(done.happened))
                 for command in done.ended:
                     print(f"--- {' '.join(command.args)}: {command.code}\n{command.text}")
-        if file is not None and tally.interleavings % 20 == 0:  # who ends this early has what was seen
+        if file is not None and tally.interleavings % 5 == 0:  # who ends this early has what was seen
             file.write_text(json.dumps(vars(tally), indent=1) + "\n", encoding="utf-8")
         print(f"\r{tally.interleavings} interleavings, {len(tally.problems)} problems", end="", file=sys.stderr)
     print(file=sys.stderr)

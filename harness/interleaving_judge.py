@@ -28,7 +28,7 @@ LOST_MG = 1e-6
 WRONG_MG = 0.1
 """A good dose may be farther from its target than its tolerance by this much: what a balance of 0.1 mg can tell."""
 SPILLED_MG = 1.0
-"""Without a power cut nothing is spilled, but for what a killed process leaves to the hand's dead-man."""
+"""Nothing is spilled without a power cut, or a skill that opens the valve beside the container."""
 CODES = {0, 1, 2, 3, 130}
 
 
@@ -143,7 +143,8 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
     tally.worst_imbalance_mg = max(tally.worst_imbalance_mg, imbalance_mg)
     if imbalance_mg > LOST_MG:
         wrong(f"{imbalance_mg} mg lost or made")
-    if not done.made.has_outages and matter.get("spilled", 0.0) > SPILLED_MG:
+    is_still = not done.made.has_outages and done.made.careless != "leaves the valve open"
+    if is_still and matter.get("spilled", 0.0) > SPILLED_MG:
         wrong(f"{matter['spilled']:.1f} mg spilled, and nothing has fallen")
     results = {event["payload"]["id"]: event["payload"] for event in events if event["kind"] == "sample"}
     if is_complete and set(results) != set(TARGETS_MG):
