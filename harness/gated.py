@@ -54,6 +54,8 @@ class Command:
     seen: Seen = field(default_factory=dict)
     """The last that it told."""
     is_wished_paused: bool = False
+    is_elsewhere: bool = False
+    """On another computer, which hears no wish of ours."""
     is_mute: bool = False
     """Its disk is full: what it says may be lost."""
     came_to: int | None = None
@@ -142,7 +144,7 @@ def start(
             os._exit(code)
     os.close(says)
     os.close(hears)
-    command = Command(args, run, process, ours, words, output)
+    command = Command(args, run, process, ours, words, output, is_elsewhere=computer.is_another)
     command.wait()
     return command
 

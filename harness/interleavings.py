@@ -277,7 +277,9 @@ class _Lab:
         if (run := self._name()) is not None:
             word, *now = name.split()
             self._said(f"{name}")
-            listening = [other for other in self.live if other.run == run and other.gate == "tick"]
+            listening = [
+                other for other in self.live if other.run == run and other.gate == "tick" and not other.is_elsewhere
+            ]
             done = self._now(word, run, *now, "--lab", str(self.done.lab))
             if listening and done.code != 0:
                 self.done.wrong(f"'{name}' is refused by a run that goes on: {done.text.strip()}")
