@@ -13,8 +13,10 @@ from scuhand_bt.events import Note
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.journal.writer import Journal
+from scuhand_bt.lab_state.ledger import Ledger
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
+from scuhand_bt.report.proof import proof_of
 from scuhand_bt.run.holds import take_cell, take_run
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
@@ -97,6 +99,8 @@ def test_a_run_that_is_overtaken_ends_safe_with_code_3_and_says_why(run: Run) ->
     with open_contents(run.journal) as contents:
         assert contents.rows("entry")[-1]["kind"] == "lab.overtaken"
         assert contents.verified.problem is None
+        ledger = Ledger(run.journal.parent.parent).verified()
+        assert proof_of(contents, ledger).problem is None, "the ledger has no head of what was rescued elsewhere"
 
 
 def test_what_a_run_has_in_the_cell_is_not_corrected_beside_it(command: Call, lab_folder: LabFolder) -> None:

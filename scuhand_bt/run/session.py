@@ -282,7 +282,12 @@ class Session:
                 self._trouble(problem)
 
     def _anchor(self, occasion: Occasion, entries: int, head: str) -> str | None:
-        """Write the journal's head into the lab's ledger; what went wrong, or None."""
+        """Write the journal's head into the lab's ledger; what went wrong, or None.
+
+        What was rescued elsewhere is not the journal: who goes on with that has another entry of this number.
+        """
+        if self.journal.kept_in != self.journal.path:
+            return None
         try:
             self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
         except SourceError as error:
