@@ -1,5 +1,6 @@
 """A run does not depend on who watches it, and its exit code is the engine's to say."""
 
+import errno
 import os
 import pty
 import re
@@ -20,6 +21,7 @@ from scuhand_bt.cli import shared, supervisor
 from scuhand_bt.cli.shared import Beside
 from scuhand_bt.journal.archive import summary
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.store import Store
 
 RECIPE = """\
 recipe: small
@@ -77,6 +79,20 @@ def test_a_run_whose_journal_was_removed_tells_how_to_go_on_with_what_was_rescue
     again = [sys.executable, "-m", "scuhand_bt", *shlex.split(resume)[1:], "--yes", "--lab", str(recipe.parent.parent)]
     assert subprocess.run(again, cwd=REPOSITORY, capture_output=True, timeout=60).returncode == 0
     assert ended(recipe) == ("complete", 0)
+
+
+def test_a_disk_that_is_full_before_the_first_entry_moves_nothing_and_says_so(
+    recipe: Path, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(store: Store, rows: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Store, "add", full)
+    done = command("run", recipe, "--dry-run")
+    assert done.returncode == 2
+    told = " ".join(done.stderr.split())
+    assert "No space left on device" in told
+    assert told.endswith("nothing was moved")
 
 
 @pytest.mark.parametrize("how", ["closed", "stopped reading"])

@@ -116,15 +116,18 @@ class Session:
             if not self.cell.simulated:
                 self._meet_balance()
                 recall(self.cell, self._stock)
-            self._look_at_the_clock()
-            self._begin(resumes)
-            self.journal.settle()  # before the ledger has it
-            if (untold := self._anchor("begun" if resumes is None else "resumed", *self.journal.last)) is not None:
-                if not self.cell.simulated:
-                    raise SourceError([Problem(Mark(str(path)), untold)])
-                self.warnings.append(untold)
-            for warning in self.warnings:
-                self.journal.event(Trouble(what=warning))
+            try:
+                self._look_at_the_clock()
+                self._begin(resumes)
+                self.journal.settle()  # before the ledger has it
+                if (untold := self._anchor("begun" if resumes is None else "resumed", *self.journal.last)) is not None:
+                    if not self.cell.simulated:
+                        raise SourceError([Problem(Mark(str(path)), untold)])
+                    self.warnings.append(untold)
+                for warning in self.warnings:
+                    self.journal.event(Trouble(what=warning))
+            except RecordLost as lost:
+                raise SourceError([Problem(Mark(str(path)), f"{lost}; nothing was moved")]) from None
             opened.pop_all()
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
