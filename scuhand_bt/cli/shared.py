@@ -84,16 +84,21 @@ def main() -> None:
         app()
     except SourceError as error:
         for problem in error.problems:
-            err.print(Text(str(problem)))
+            _complain(str(problem))
         count = len(error.problems)
         if count > 1:
-            err.print(f"{count} problems; nothing was moved.")
+            _complain(f"{count} problems; nothing was moved.")
         sys.exit(ExitCode.BAD_INPUT)
     except SkillFailed as error:
         remedy = CATALOGUE[error.code].remedy if error.code in CATALOGUE else ""
-        err.print(Text(f"{error}. {remedy}".rstrip()))
+        _complain(f"{error}. {remedy}".rstrip())
         # No way, or nobody to ask, is found before anything moves; a device that does not answer is the cell's fault.
         sys.exit(ExitCode.BAD_INPUT if error.code.startswith(("arm.", "operator.")) else ExitCode.CELL_FAULT)
+
+
+def _complain(text: str) -> None:
+    with suppress(OSError):  # who cannot be told has the exit code
+        err.print(Text(text))
 
 
 def _version(wanted: bool) -> None:
