@@ -84,7 +84,7 @@ class Believed:
     zero_stepped_mg: float = 0.0
     """By how much the balance's zero was seen to step at most: so much may have hidden in any dose of the run."""
     drift_mg_per_s: float = 0.0
-    """How fast a full container was seen to lose at most, with the valve shut: so fast any dose's may have drifted."""
+    """How fast a full container's weight was seen to change at most, with the valve shut: any dose's may have."""
 
     @property
     def seen_mg(self) -> float:
@@ -292,7 +292,7 @@ class Believed:
             self._set(is_zero_doubted=True, zero_stepped_mg=max(self.zero_stepped_mg, by_mg))
 
     def drifted(self, rate_mg_per_s: float) -> None:
-        """With the valve shut a container was seen to weigh ever less, at this rate; 0: no less."""
+        """With the valve shut a full container was seen to weigh ever more, or less, at this rate; 0: it was not."""
         self._set(drift_mg_per_s=max(self.drift_mg_per_s, _mass(rate_mg_per_s)))
 
     def dosing_towards(self, target_mg: float, lot: str, before: Gross) -> None:

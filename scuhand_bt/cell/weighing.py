@@ -30,6 +30,8 @@ SLOWER = 1.25
 """Times a known delay: a balance that shows a step later is not set as it was."""
 SCOOP_DOUBT = 0.15
 """How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
+DROP_S = 30.0
+"""Powder that drips from a valve that was shut does so once in this time."""
 HAND_S = 1.0
 """What a person takes to put a container down, besides."""
 
@@ -72,12 +74,12 @@ def weigh_until_still(
 def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
     """Remember by how much two weighings of a full container differ, the valve shut; what it has gained [mg].
 
-    What it gains may have dripped. What it loses is the zero's: a step, or a drift that any dose may have had.
+    What it loses is the zero's: a step, or a drift that any dose may have had. What it gains may be so, too, or a drop
+    that fell at once: no faster than over `DROP_S`.
     """
-    moved = moved_mg(before, now, cell.spec.balance.readability_mg)
-    lost_mg = max(0.0, -moved)
-    cell.believed.zero_stepped(lost_mg)
-    cell.believed.drifted(lost_mg / (now.time_s - before.time_s))
+    moved, lasted_s = moved_mg(before, now, cell.spec.balance.readability_mg), now.time_s - before.time_s
+    cell.believed.zero_stepped(max(0.0, -moved))
+    cell.believed.drifted(abs(moved) / (lasted_s if moved < 0.0 else max(lasted_s, DROP_S)))
     return max(0.0, moved)
 
 
