@@ -182,16 +182,16 @@ def test_a_drift_within_three_standard_deviations_is_none_and_within_two_no_more
         assert significant(Drift(rate, 0.125), 0.1) == Drift(rate, 0.125)
 
 
-def test_drifts_are_weighed_by_their_certainty_until_they_are_four_standard_deviations_apart() -> None:
-    one, other = Drift(1.0, 3.0), Drift(21.0, 4.0)
+def test_drifts_are_weighed_by_their_certainty_until_they_are_three_standard_deviations_apart() -> None:
+    one, other = Drift(11.0, 3.0), Drift(25.0, 4.0)
     near = drift_of_dose([one, other], [10.0], 1000.0)
-    assert (near.rate, near.uncertainty) == (pytest.approx(1.0 + 20.0 * 9.0 / 25.0), pytest.approx(12.0 / 5.0))
+    assert (near.rate, near.uncertainty) == (pytest.approx(11.0 + 14.0 * 9.0 / 25.0), pytest.approx(12.0 / 5.0))
     back = drift_of_dose([other, one], [10.0], 1000.0)
     assert (back.rate, back.uncertainty) == (pytest.approx(near.rate), pytest.approx(near.uncertainty))
-    far = drift_of_dose([one, Drift(25.0, 4.0)], [10.0], 0.1)
-    assert far.rate == pytest.approx(13.0)
-    assert far.uncertainty == pytest.approx(math.sqrt(2.5**2 + 24.0**2 / 3.0))
-    assert drift_of_dose([Drift(25.0, 4.0), one], [10.0], 0.1).uncertainty == pytest.approx(far.uncertainty)
+    far = drift_of_dose([one, Drift(27.0, 4.0)], [10.0], 0.1)
+    assert far.rate == pytest.approx(19.0)
+    assert far.uncertainty == pytest.approx(math.sqrt(2.5**2 + 16.0**2 / 3.0))
+    assert drift_of_dose([Drift(27.0, 4.0), one], [10.0], 0.1).uncertainty == pytest.approx(far.uncertainty)
 
 
 @pytest.mark.parametrize("duration_s", [5.0, 15.0, 30.0, 45.0])

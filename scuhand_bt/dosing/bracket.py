@@ -125,7 +125,7 @@ def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_m
         before, after = seen[part : part + 2]
         difference, chance = after.rate - before.rate, math.hypot(before.uncertainty, after.uncertainty)
         weight = after.uncertainty**2 / chance**2
-        if abs(difference) > AGREEMENT * chance:
+        if abs(difference) > SURELY * chance:
             weight, spread_mg = 0.5, math.hypot(spread_mg, difference * duration_s / math.sqrt(3.0))
         moved_mg += duration_s * (weight * before.rate + (1.0 - weight) * after.rate)
         coefficients_s[part] += duration_s * weight
