@@ -14,6 +14,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -161,7 +162,8 @@ def _child(
     for number in (1, 2):
         os.dup2(file, number)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    sys.stdin, sys.stdout, sys.stderr = open(0, closefd=False), open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
+    sys.stdin, sys.stdout = open(0, closefd=False), open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115 - by lines, as the interpreter has it
     make_cell.prepared_motion = make_cell.motion_of = lambda *given, **options: motion  # type: ignore[assignment]
     gates.put_up()
     if computer.clock_s:
@@ -177,7 +179,8 @@ def _child(
     except SystemExit as ending:
         code = ending.code
     sys.stdout.flush()
-    sys.stderr.flush()
+    with suppress(OSError):  # as the interpreter does
+        sys.stderr.flush()
     return int(code or 0)
 
 
@@ -218,14 +221,18 @@ class _Gates:
     def _tell(self, at: str, **more: Any) -> None:
         told: Seen = {"at": at, "run": "", "matter": {}, **more}
         if self._session is not None and self._session.world is not None:
-            told |= {"run": self._session.run_id, "matter": self._session.world.masses_mg}
+            world = self._session.world
+            changed = [rule["fault"] for rule in world.faults.account() if rule["came_s"]]
+            told |= {"run": self._session.run_id, "matter": world.masses_mg, "changed": changed}
         os.write(self._says, json.dumps(told).encode() + b"\n")
 
     def _wait(self, at: str) -> None:
         self._tell(at)
         word = b""
         while not word.endswith(b"\n"):
-            word += os.read(self._hears, 1)
+            if not (part := os.read(self._hears, 1)):  # nobody is there to let it go on
+                os._exit(BROKEN)
+            word += part
         self._left, does, amount = json.loads(word)
         if does == "full":
             fill_disk(int(amount))

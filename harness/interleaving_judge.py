@@ -1,7 +1,7 @@
 """What an interleaving may have come to: a small model, and the true masses of the simulated world.
 
 - A command ends with a documented code, without a traceback; a run's code is the one that its journal tells.
-- Each sample is begun at most once per attempt, in the recipe's order, and each container is dosed at most once.
+- Each sample is begun at most once per attempt, in the recipe's order, and no container is dosed that had enough.
 - What is called good is truly within its tolerance; what was poured, arrived or fell somewhere that the world names.
 - `verify` accepts what nobody touched, and refuses what somebody wrote anew, as far as the ledger reaches.
 - A run is complete, or can be resumed, or says why not.
@@ -38,7 +38,7 @@ class Tally:
 
     interleavings: int = 0
     with_power_cuts: int = 0
-    """Of these, those in which a process was killed and the devices changed by it."""
+    """Of these, those in which a power cut changed devices, by the world's own account."""
     processes: int = 0
     killed: int = 0
     runs: int = 0
@@ -58,7 +58,6 @@ class Tally:
 def judge(done: Done, tally: Tally) -> list[str]:
     """Hold all that has happened against the model; its problems, which the tally has then, too."""
     tally.interleavings += 1
-    tally.with_power_cuts += done.power_cuts > 0
     tally.steps += done.count
     for command in done.ended:
         tally.processes += 1
@@ -66,6 +65,7 @@ def judge(done: Done, tally: Tally) -> list[str]:
         _judge_command(done, command)
     for journal in done.journals:
         _judge_run(done, journal, tally)
+    tally.with_power_cuts += any(command.seen.get("changed") for command in done.ended)
     if done.journals:
         _judge_evidence(done, tally)
     tally.problems += done.problems
@@ -133,9 +133,12 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
     order = list(dict.fromkeys(job["sample"] for job in jobs if job["sample"]))
     if order != [name for name in TARGETS_MG if name in order] or (order and order[0] != "a"):
         wrong(f"in another order: {order}")
-    dosed = Counter(dose["payload"]["container"] for dose in doses)
-    if twice := [container for container, count in dosed.items() if count > 1]:
-        wrong(f"dosed twice: {twice}")
+    had_enough = set()
+    for dose in (row["payload"] for row in doses):
+        if dose["container"] in had_enough:
+            wrong(f"dosed twice: '{dose['container']}'")
+        if dose["verdict"] != "under":  # else the cone was empty, and what is missing comes from the next scoop
+            had_enough.add(dose["container"])
     matter = _true(done, run)
     if matter is None:
         return

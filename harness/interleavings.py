@@ -22,7 +22,10 @@ from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.make_cell import prepared_motion
+from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.make_cell import DryRun, prepared_motion
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import OUTAGES
 
 RECIPE = """
@@ -70,6 +73,7 @@ CARELESS = {
 }
 LIKELY = 0.2
 """How likely each of the things that a power cut may do comes with one."""
+POWER_CUTS_WEIGHT = 36
 TICKS = 250
 """Of a run's 670, the most that it goes on at a time."""
 TRIES = 8
@@ -104,8 +108,6 @@ class Done:
     """Every command, in the order in which they ended."""
     happened: list[str] = field(default_factory=list)
     count: Counter[str] = field(default_factory=Counter)
-    power_cuts: int = 0
-    """Processes killed in a run whose power cuts change devices."""
     given_up: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be resumed, and why."""
     problems: list[str] = field(default_factory=list)
@@ -127,25 +129,35 @@ class Done:
 
 
 def shared_motion(folder: Path) -> MotionPlanner:
-    """The planner of all interleavings: they have the same places."""
+    """The planner of all interleavings: they have the same places.
+
+    It has served a run, which has imported what is imported only when it is needed: no process begins with that.
+    """
     lab = load_lab(starter_lab())
     recipe = folder / "motion.yaml"
     recipe.write_text(RECIPE.format(workflow="fill_xrd_holder"), encoding="utf-8")
     plan = make_plan(load_recipe(recipe, lab), lab)
-    return prepared_motion(plan, lab)
+    motion = prepared_motion(plan, lab)
+    with closing(Session(plan, lab, Options(DryRun(0), folder=folder / "runs"), motion)) as session:
+        session.run(BatchObserver())
+    return motion
 
 
 def interleave(made: Made) -> Done:
     """Let it happen, then mend what was broken, and let every run come to its end."""
     world = _Lab(Done(made))
-    if made.script:
-        for step in made.script:
-            world.does(step)
-    else:
-        world.does("begin")
-        for _ in range(made.steps):
-            world.does(world.draw())
-    world.to_the_end()
+    try:
+        if made.script:
+            for step in made.script:
+                world.does(step)
+        else:
+            world.does("begin")
+            for _ in range(made.steps):
+                world.does(world.draw())
+        world.to_the_end()
+    except TimeoutError as hangs:
+        world.done.wrong(str(hangs))
+        world.ends()
     return world.done
 
 
@@ -186,7 +198,8 @@ class _Lab:
     }  # fmt: skip
 
     def draw(self) -> str:
-        return self.rng.choices(list(self.WEIGHTS), list(self.WEIGHTS.values()))[0]
+        weights = self.WEIGHTS | ({"kill": POWER_CUTS_WEIGHT} if self.made.has_outages else {})
+        return self.rng.choices(list(weights), list(weights.values()))[0]
 
     def does(self, step: str) -> None:
         """One step; `go:60` names the ticks, `kill@0` the process (the first that lives), the rest is drawn."""
@@ -247,7 +260,6 @@ class _Lab:
     def _kill(self, name: str, one: Command | None, ticks: int) -> None:
         if one is not None:
             self._said(f"{one.args[0]} {one.process} is killed")
-            self.done.power_cuts += self.made.has_outages and one.gate == "tick"
             one.kill()
             self._collect()
 
@@ -403,6 +415,13 @@ class _Lab:
             shutil.rmtree(rescued.parent)
 
     # --- the end
+
+    def ends(self) -> None:
+        """Every process is killed, at its gate or not."""
+        for command in self.live:
+            if command.code is None:
+                command.kill()
+        self._collect()
 
     def to_the_end(self) -> None:
         """Everything is mended, every process comes to its end, every run is resumed until nothing is left to do."""

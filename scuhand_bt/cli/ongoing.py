@@ -44,13 +44,14 @@ def resume(
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
     from scuhand_bt.cli.persons import the_person
     from scuhand_bt.journal.presence import is_held
+    from scuhand_bt.run.control import listens
     from scuhand_bt.run.holds import take_run
     from scuhand_bt.run.options import options_of
     from scuhand_bt.run.resume import checked_history, find_run, its_places, resumable
     from scuhand_bt.run.session import Session
 
     journal = find_run(runs_folder(lab), run)
-    if is_held(journal):
+    if is_held(journal) or listens(journal):
         _tell(journal, "continue", "continues")
         return
     with unwatched(), take_run(journal) as presence:  # before anything is read of it
