@@ -114,7 +114,8 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
     tally.runs += 1
     run = journal.stem
     try:
-        jobs, events, doses = read(journal, "job"), read(journal, "event"), read(journal, "dose")
+        jobs, events = read(journal, "job"), read(journal, "event")
+        pulses, doses = read(journal, "pulse"), read(journal, "dose")
     except SourceError as error:
         if run not in done.given_up:
             wrong(f"it cannot be read, and nobody said so: {error}")
@@ -133,12 +134,8 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
     order = list(dict.fromkeys(job["sample"] for job in jobs if job["sample"]))
     if order != [name for name in TARGETS_MG if name in order] or (order and order[0] != "a"):
         wrong(f"in another order: {order}")
-    had_enough = set()
-    for dose in (row["payload"] for row in doses):
-        if dose["container"] in had_enough:
-            wrong(f"dosed twice: '{dose['container']}'")
-        if dose["verdict"] != "under":  # else the cone was empty, and what is missing comes from the next scoop
-            had_enough.add(dose["container"])
+    if twice := _dosed_twice([*pulses, *doses]):
+        wrong(f"dosed twice: {twice}")
     matter = _true(done, run)
     if matter is None:
         return
@@ -154,6 +151,25 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
         wrong(f"it is complete, and has results of {sorted(results)} only")
     for name, result in results.items():
         _judge_sample(name, result, matter, done, tally, wrong, is_complete=is_complete)
+
+
+def _dosed_twice(rows: list[dict[str, Any]]) -> list[str]:
+    """The containers that had enough, and into which the valve was opened again.
+
+    What is too little, as the cone was empty, is added to from the next scoop; and a dose whose end was lost with a
+    disk is weighed and written again.
+    """
+    twice, had_enough, opened = [], set(), False
+    for said in (row["payload"] for row in sorted(rows, key=lambda row: row["id"])):
+        if "verdict" not in said:
+            opened |= said["kind"] == "pulse"
+            continue
+        if opened and said["container"] in had_enough:
+            twice.append(said["container"])
+        opened = False
+        if said["verdict"] != "under":
+            had_enough.add(said["container"])
+    return twice
 
 
 def _judge_sample(

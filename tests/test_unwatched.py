@@ -17,8 +17,8 @@ from conftest import REPOSITORY, Call, LabFolder
 from running import make_lab
 from test_journal_store import wait_for
 
-from scuhand_bt.cli import shared, supervisor
-from scuhand_bt.cli.shared import Beside
+from scuhand_bt.cli import streams, supervisor
+from scuhand_bt.cli.streams import Beside
 from scuhand_bt.journal.archive import summary
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.store import Store
@@ -281,12 +281,12 @@ def test_what_is_written_comes_in_its_order_and_at_the_end_all_of_it() -> None:
 
 
 def test_nobody_waits_for_a_reader_who_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared, "LAST_WORDS_S", 0.1)
+    monkeypatch.setattr(streams, "LONGEST_READING_S", 0.1)
     reader: Any = Reader()
     reader.is_stuck = True
     began_s = time.monotonic()
     with Beside(reader) as stream:
-        for _ in range(2 * shared.MOST_WAITING):
+        for _ in range(2 * streams.MOST_WAITING):
             stream.write("x")
     assert time.monotonic() - began_s < 2.0
     reader.is_stuck = False
