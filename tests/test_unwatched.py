@@ -101,6 +101,15 @@ def test_what_is_wrong_is_in_the_exit_code_though_nobody_can_be_told(tmp_path: P
     assert subprocess.run(["bash", "-c", line], cwd=REPOSITORY, capture_output=True, timeout=60).returncode == 2
 
 
+@pytest.mark.parametrize("asks", [["faults"], ["runs", "--json"]])
+def test_what_a_full_disk_does_not_take_was_not_told_and_is_said_to_be(tmp_path: Path, asks: list[str]) -> None:
+    told = [sys.executable, "-m", "scuhand_bt", *asks]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(told, stdout=full, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == "It could not be finished: [Errno 28] No space left on device.\n"
+
+
 @pytest.mark.parametrize("how", ["closed", "stopped reading"])
 def test_a_run_goes_on_to_its_end_when_its_terminal_is_gone(recipe: Path, how: str) -> None:
     ours, theirs = pty.openpty()

@@ -62,6 +62,10 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # a terminal that cannot show '±' is no reason to break
     try:
         app()
+    except OSError as error:  # most often of an output that takes no more
+        _complain(f"It could not be finished: {error}.")
+        sys.stdout = None  # else what waits to be written there fails again at the end
+        sys.exit(ExitCode.BAD_INPUT)
     except SourceError as error:
         for problem in error.problems:
             _complain(str(problem))
@@ -130,6 +134,7 @@ def lab_state(lab: "Lab") -> "LabState":
 def print_json(values: object) -> None:
     """Values as JSON on the standard output; what is not ASCII is escaped, so that nothing in it is lost or shown."""
     out.file.write(json.dumps(values, indent=2) + "\n")
+    out.file.flush()
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
