@@ -108,6 +108,8 @@ class Done:
     """Every command, in the order in which they ended."""
     happened: list[str] = field(default_factory=list)
     count: Counter[str] = field(default_factory=Counter)
+    deleted: set[str] = field(default_factory=set)
+    """Runs whose journal was deleted, and with it what they had come to until then."""
     given_up: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be resumed, and why."""
     problems: list[str] = field(default_factory=list)
@@ -370,6 +372,7 @@ class _Lab:
         """A journal is deleted from under the process that writes it."""
         if one is not None and one.gate == "tick":
             self._said("a journal is deleted")
+            self.done.deleted.add(one.run)
             for part in self.done.runs.glob(f"{one.run}.sqlite*"):
                 part.unlink()
 
