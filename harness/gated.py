@@ -20,10 +20,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt import cli
+from scuhand_bt import cli, clock
 from scuhand_bt.cli import ongoing
-from scuhand_bt.journal import writer
-from scuhand_bt.lab_state import ledger
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.report import live
 from scuhand_bt.run import control, make_cell, session, wall_clock
@@ -255,6 +253,6 @@ def set_clock(by_s: float) -> None:
         def now(cls, tz: Any = None) -> Any:
             return datetime.now(tz) + timedelta(seconds=by_s)
 
-    for module in (writer, ledger, session, wall_clock):
+    for module in (clock, session, wall_clock):
         module.datetime = Shifted  # type: ignore[attr-defined]
     time.time = lambda: steady() + by_s

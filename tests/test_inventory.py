@@ -22,7 +22,7 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry
-from scuhand_bt.lab_state.lab_db import MIGRATIONS, lab_db
+from scuhand_bt.lab_state.lab_db import MIGRATIONS, reading_lab_db, writing_lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
@@ -109,7 +109,7 @@ def test_a_database_that_another_process_holds_is_said_to_be_locked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Inventory(tmp_path, "starter").enter(StockEntry("cone", mass_mg=0.0))
-    with lab_db(tmp_path, write=True):
+    with writing_lab_db(tmp_path):
         connect = sqlite3.connect
         monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, **{**more, "timeout": 0.05}))
         with pytest.raises(SourceError, match="cannot be used: database is locked"):
@@ -140,7 +140,7 @@ def test_only_what_changes_is_added_and_an_operators_entry_stands_until_the_run_
     inventory = Inventory(tmp_path, "starter")
 
     def count() -> int:
-        with lab_db(tmp_path, write=False) as database:
+        with reading_lab_db(tmp_path) as database:
             assert database is not None
             return int(database.execute("SELECT count(*) FROM inventory WHERE simulated = 0").fetchone()[0])
 
