@@ -27,6 +27,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.inventory_conflicts import conflicts, recall, require_resolvable, resolve
+from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
@@ -367,21 +368,21 @@ def test_a_real_run_goes_on_from_what_the_one_before_left(real: Callable[..., tu
 def test_a_run_goes_on_while_the_inventory_is_written(
     real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, after_job = Inventory._write, Session._after_job
+    write, after_job = Inventory._write, LabRecords.after_job
     jobs, second, waited = list[int](), threading.Event(), list[bool]()
 
     def slow(inventory: Inventory, *arguments: Any) -> None:
         waited.append(second.wait(5.0))
         write(inventory, *arguments)
 
-    def ended(session: Session) -> None:
-        after_job(session)
+    def ended(records: LabRecords) -> None:
+        after_job(records)
         jobs.append(1)
         if len(jobs) == 2:
             second.set()
 
     monkeypatch.setattr(Inventory, "_write", slow)
-    monkeypatch.setattr(Session, "_after_job", ended)
+    monkeypatch.setattr(LabRecords, "after_job", ended)
     believed = real()[1].cell.believed
     assert waited[0], "the second job has ended before the first one was written"
     assert Inventory(tmp_path, "starter").stock(simulated=False)["station", "mortar_bay"].mass_mg == pytest.approx(
