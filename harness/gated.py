@@ -217,7 +217,7 @@ class _Gates:
         live.PlainLines.ticked = ticked  # type: ignore[method-assign]
 
     def _tell(self, at: str, **more: Any) -> None:
-        told: Seen = {"at": at, "run": "", "matter": {}, **more}
+        told: Seen = {"at": at, "told_s": time.monotonic(), "run": "", "matter": {}, **more}
         if self._session is not None and self._session.world is not None:
             world = self._session.world
             changed = [rule["fault"] for rule in world.faults.account() if rule["came_s"]]

@@ -202,10 +202,12 @@ def _judge_sample(
 
 def _true(done: Done, run: str) -> dict[str, float] | None:
     """The true masses at the end of a run, as the last process told them that had it."""
-    for command in reversed(done.ended):
-        if command.run == run and command.came_to is not None and not command.is_overtaken:
-            return dict(command.seen["matter"])
-    return None
+    ended = [
+        command.seen
+        for command in done.ended
+        if command.run == run and command.came_to is not None and not command.is_overtaken
+    ]
+    return max(ended, key=lambda seen: seen["told_s"])["matter"] if ended else None
 
 
 def _kind(why: str) -> str:
