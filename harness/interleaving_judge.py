@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.gated import BROKEN, Command, start
-from harness.interleavings import SOURCE_MG, TARGETS_MG, TOLERANCE_MG, Done, entries_of, read_is_complete
+from harness.interleaved_lab import SOURCE_MG, TARGETS_MG, TOLERANCE_MG, Done, entries_of, read_is_complete
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab_state.ledger import Ledger
@@ -136,8 +136,8 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
     order = list(dict.fromkeys(job["sample"] for job in jobs if job["sample"]))
     if order != [name for name in TARGETS_MG if name in order] or (order and order[0] != "a"):
         wrong(f"in another order: {order}")
-    if twice := _dosed_twice([*pulses, *doses]):
-        wrong(f"dosed twice: {twice}")
+    if again := _dosed_twice([*pulses, *doses]):
+        wrong(f"dosed twice: {again}")
     matter = _true(done, run)
     if matter is None:
         return
