@@ -100,8 +100,8 @@ class Done:
     """Every command, in the order in which they ended."""
     happened: list[str] = field(default_factory=list)
     count: Counter[str] = field(default_factory=Counter)
-    deleted: set[str] = field(default_factory=set)
-    """Runs whose journal was deleted, and with it what they had come to until then."""
+    deleted_s: dict[str, float] = field(default_factory=dict)
+    """When the journal of a run was deleted, and with it what the run had come to until then."""
     given_up: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be resumed, and why."""
     problems: list[str] = field(default_factory=list)

@@ -99,7 +99,7 @@ def _judge_command(done: Done, command: Command) -> None:
 def _judge_end(done: Done, command: Command) -> None:
     """How a run ended is in its journal; a process that lost that has a cell fault, and may have kept it elsewhere."""
     path = done.runs / f"{command.run}.sqlite"
-    if command.run in done.deleted and not path.exists():
+    if command.seen["told_s"] < done.deleted_s.get(command.run, 0.0) and not path.exists():
         return
     try:
         codes = [event["payload"]["exit_code"] for event in read(path, "event") if event["kind"] == "ended"]

@@ -8,6 +8,7 @@ is mended, and every run is resumed until it is complete or says why it cannot b
 import random
 import shutil
 import sqlite3
+import time
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -239,7 +240,7 @@ class _Lab:
         """A journal is deleted from under the process that writes it."""
         if one is not None and one.gate == "tick":
             self._said("a journal is deleted")
-            self.done.deleted.add(one.run)
+            self.done.deleted_s[one.run] = time.monotonic()
             for part in self.done.runs.glob(f"{one.run}.sqlite*"):
                 part.unlink()
 
