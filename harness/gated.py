@@ -86,21 +86,26 @@ class Command:
                     return
                 self.kill()
                 raise TimeoutError(f"{' '.join(self.args)} hangs")
-            if not (part := os.read(self.says, 65536)):
-                self._reap()
-                return
-            *lines, self._rest = (self._rest + part).split(b"\n")
-            for line in lines:
-                told: Seen = json.loads(line)
-                self.seen = told
-                self.run = told["run"] or self.run
-                self.gate = told["at"] if told["at"] != "end" else ""
-                self.came_to = told.get("code", self.came_to)
+            self._hear()
 
     def kill(self) -> None:
-        """End it as SIGKILL does: at once."""
+        """End it as SIGKILL does: at once, if it has not ended unheard."""
         os.kill(self.process, signal.SIGKILL)
-        self._reap()
+        while self.code is None:
+            self._hear()
+
+    def _hear(self) -> None:
+        """What it says next, or that it has ended."""
+        if not (part := os.read(self.says, 65536)):
+            self._reap()
+            return
+        *lines, self._rest = (self._rest + part).split(b"\n")
+        for line in lines:
+            told: Seen = json.loads(line)
+            self.seen = told
+            self.run = told["run"] or self.run
+            self.gate = told["at"] if told["at"] != "end" else ""
+            self.came_to = told.get("code", self.came_to)
 
     def _reap(self) -> None:
         _, status = os.waitpid(self.process, 0)
