@@ -159,12 +159,12 @@ def read_is_complete(journal: Path) -> bool:
         return False
 
 
-def entries_of(journal: Path) -> int:
-    """How many entries a journal has; none where it is no journal."""
+def heads_of(journal: Path) -> list[bytes]:
+    """The hashes of a journal's entries; none where it is no journal."""
     if not journal.exists():
-        return 0
+        return []
     with closing(sqlite3.connect(journal)) as database:
         try:
-            return int(database.execute("SELECT COUNT(*) FROM entry").fetchone()[0])
+            return [head for (head,) in database.execute("SELECT hash FROM entry ORDER BY seq")]
         except sqlite3.Error:
-            return 0
+            return []

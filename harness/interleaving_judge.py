@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.gated import BROKEN, Command, start
-from harness.interleaved_lab import SOURCE_MG, TARGETS_MG, TOLERANCE_MG, Done, entries_of, read_is_complete
+from harness.interleaved_lab import SOURCE_MG, TARGETS_MG, TOLERANCE_MG, Done, heads_of, read_is_complete
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab_state.ledger import Ledger
@@ -229,11 +229,11 @@ def _judge_evidence(done: Done, tally: Tally) -> None:
     rng = random.Random(done.made.seed)
     for journal in done.journals:
         told = _verify(done, journal)
-        if told.code != 0 and entries_of(journal):
+        if told.code != 0 and heads_of(journal):
             done.wrong(f"`verify` refuses what nobody touched: {told.text.strip()}")
     journal = rng.choice(done.journals)
     last = max((one.line.entries for one in Ledger(done.runs.parent).verified().of(journal.stem)), default=0)
-    if not entries_of(journal) or last < 2:
+    if not heads_of(journal) or last < 2:
         return
     state = done.made.folder / "forged"
     (state / "runs").mkdir(parents=True)

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from harness.gated import FREE, Command, Computer, start
-from harness.interleaved_lab import Done, Made, entries_of, make_lab, read_is_complete
+from harness.interleaved_lab import Done, Made, heads_of, make_lab, read_is_complete
 from scuhand_bt.journal.history import read_history
+from scuhand_bt.lab_state.ledger import Ledger
 from scuhand_bt.problems import SourceError
 
 POWER_CUTS_WEIGHT = 36
@@ -175,7 +176,7 @@ class _Lab:
             args = self.rng.choice([["runs"], ["show", run], ["verify", run]])
             self._said(" ".join(args[:1]))
             done = self._now(*args, "--lab", str(self.made.lab))
-            is_new = len(self.done.journals) + len(self._taken) > 0 and not entries_of(self.done.runs / f"{run}.sqlite")
+            is_new = len(self.done.journals) + len(self._taken) > 0 and not heads_of(self.done.runs / f"{run}.sqlite")
             if done.code != 0 and not is_new:
                 self.done.wrong(f"'{args[0]}' ends with {done.code}: {done.text.strip()}")
 
@@ -273,11 +274,14 @@ class _Lab:
 
         Not where another went on with the run: there are two of its end then, and the journal has the true one.
         """
-        overtaken = {command.run for command in self.done.ended if command.is_overtaken}
         for rescued in sorted(self.done.runs.parent.glob("rescued-*/*.sqlite")):
             path = self.done.runs / rescued.name
-            is_whole = entries_of(rescued) > entries_of(path)
-            if is_whole and rescued.stem not in overtaken and (not path.exists() or self.rng.random() < 0.5):
+            heads, known = heads_of(rescued), heads_of(path)
+            told = [one.line for one in Ledger(self.done.runs.parent).verified().of(path.stem)]
+            is_whole = heads[: len(known)] == known and all(
+                heads[line.entries - 1 : line.entries] == [bytes.fromhex(line.head)] for line in told
+            )
+            if is_whole and (not path.exists() or self.rng.random() < 0.5):
                 self._said("a rescued journal is used")
                 for part in self.done.runs.glob(f"{rescued.stem}.sqlite*"):
                     part.unlink()
