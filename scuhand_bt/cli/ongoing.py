@@ -8,7 +8,8 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.batch import run_to_its_end, the_plan
-from scuhand_bt.cli.shared import LabOption, OperatorOption, app, err, out, unwatched
+from scuhand_bt.cli.shared import LabOption, OperatorOption, app, err, out
+from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -44,14 +45,15 @@ def resume(
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
     from scuhand_bt.cli.persons import the_person
     from scuhand_bt.journal.presence import is_held
+    from scuhand_bt.run.control import listens
     from scuhand_bt.run.holds import take_run
     from scuhand_bt.run.options import options_of
     from scuhand_bt.run.resume import checked_history, find_run, its_places, resumable
     from scuhand_bt.run.session import Session
 
     journal = find_run(runs_folder(lab), run)
-    if is_held(journal):
-        _tell(journal, "continue", "continues")
+    if is_held(journal) or listens(journal):
+        _wish(journal, "continue", "continues")
         return
     with unwatched(), take_run(journal) as presence:  # before anything is read of it
         history = checked_history(journal)
@@ -79,7 +81,7 @@ def pause(run: RunArgument, now: NowFlag = False, lab: LabOption = None) -> None
     from scuhand_bt.run.resume import find_run
 
     journal = find_run(runs_folder(lab), run)
-    _tell(journal, "pause_now" if now else "pause", "is halted and paused" if now else "pauses before its next action")
+    _wish(journal, "pause_now" if now else "pause", "is halted and paused" if now else "pauses before its next action")
 
 
 @app.command()
@@ -88,7 +90,7 @@ def stop(run: RunArgument, now: NowFlag = False, lab: LabOption = None) -> None:
     from scuhand_bt.run.resume import find_run
 
     journal = find_run(runs_folder(lab), run)
-    _tell(journal, "stop_now" if now else "stop", "stops now" if now else "stops after its current sample")
+    _wish(journal, "stop_now" if now else "stop", "stops now" if now else "stops after its current sample")
 
 
 def what_is_known(history: "History", samples: int) -> list[str]:
@@ -114,7 +116,7 @@ def what_is_known(history: "History", samples: int) -> list[str]:
     return lines
 
 
-def _tell(journal: Path, wish: "Wish", done: str) -> None:
+def _wish(journal: Path, wish: "Wish", done: str) -> None:
     """Say a wish to the process that has the run, and what it answers."""
     from scuhand_bt.journal.presence import is_held
     from scuhand_bt.run.control import HEARD, say_wish
