@@ -20,7 +20,8 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.results import SampleResult, SampleVerdict
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.report.live import PlainLines, doses_table
+from scuhand_bt.report.doses import doses_table
+from scuhand_bt.report.live import PlainLines
 from scuhand_bt.run.outcome import confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.specs import Container
 

@@ -14,6 +14,7 @@ from scuhand_bt.cli import (
     ongoing,
     persons,
     powders,
+    report,
 )
 from scuhand_bt.cli.shared import app, main
 
@@ -33,4 +34,5 @@ __all__ = [
     "ongoing",
     "persons",
     "powders",
+    "report",
 ]

@@ -142,7 +142,8 @@ def _watched(session: "Session", supervisor: "Supervisor") -> "BatchResult":
 
 def _tell(session: "Session", result: "BatchResult", seconds: float) -> None:
     """What the run came to."""
-    from scuhand_bt.report.live import doses_table, end_line
+    from scuhand_bt.report.doses import doses_table
+    from scuhand_bt.report.live import end_line
 
     out.print(doses_table(result.samples, out.width))
     out.print(Text(end_line(result, seconds)))
