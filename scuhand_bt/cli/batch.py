@@ -54,6 +54,9 @@ def run(
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
     faults: FaultsOption = None,
     unattended: UnattendedFlag = False,
+    asks: Annotated[
+        bool, typer.Option("--ask", help="Ask a person in a dry run or a rehearsal, as at the cell.")
+    ] = False,
     operator: OperatorOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
@@ -61,7 +64,7 @@ def run(
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
     from scuhand_bt.cli.persons import the_person
     from scuhand_bt.lab import state_folder
-    from scuhand_bt.run.make_cell import DryRun, Rehearsal
+    from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
     from scuhand_bt.run.options import Options
     from scuhand_bt.run.session import Session
     from scuhand_bt.sim.fault_rules import read_faults
@@ -76,10 +79,18 @@ def run(
         raise typer.BadParameter("only a dry run or a rehearsal has simulated physics", param_hint="--plant")
     if faults is not None and not (dry_run or rehearse):
         raise typer.BadParameter("only a dry run or a rehearsal has faults at will", param_hint="--faults")
+    if asks and not (dry_run or rehearse):
+        raise typer.BadParameter("on the cell a person is asked anyway", param_hint="--ask")
+    if asks and unattended:
+        raise typer.BadParameter("an unattended run asks nobody", param_hint="--ask/--unattended")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
     wrong = read_faults(faults) if faults is not None else None
-    simulation = DryRun(seed, plant, speed, wrong) if dry_run else Rehearsal(seed, plant, wrong) if rehearse else None
+    simulation: Simulation | None = None
+    if dry_run:
+        simulation = DryRun(seed, plant, speed, wrong, asks)
+    elif rehearse:
+        simulation = Rehearsal(seed, plant, wrong, asks)
 
     def make(control: "Control") -> "Session":
         made, loaded = the_plan(recipe, lab)
@@ -98,6 +109,7 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
     """
     from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.run.control import Control
+    from scuhand_bt.run.questions import UNKNOWN
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
@@ -107,6 +119,7 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
         signal.SIGTSTP: control.toggle_pause,
         signal.SIGQUIT: lambda: control.wish("stop"),
         signal.SIGHUP: lambda: None,
+        signal.SIGTERM: lambda: supervisor.stop(UNKNOWN),
     }
     with on_signals(supervisor.stop, others):  # to the last line: what the run came to is not to be changed any more
         try:

@@ -22,14 +22,19 @@ class CurveOfDose:
 
 
 def dose_curves(contents: Contents) -> Iterator[CurveOfDose]:
-    """Every dose of a run's samples, in order. A dose and its course are of the same action."""
+    """Every dose of a run's samples, in order. A dose and its course are of one action; of one job in old journals."""
     jobs = {row["id"]: row for row in contents.rows("job")}
-    doses = [row for row in contents.rows("entry") if row["kind"] in (Dose.KIND, DoseCurve.KIND)]
-    points = {
-        row["action"]: DoseCurve.model_validate(row["payload"]).points for row in doses if row["kind"] == DoseCurve.KIND
-    }
-    for row in doses:
+    of_actions: dict[int, Sequence[Point]] = {}
+    of_jobs: dict[int, list[Point]] = {}
+    job_of = {row["id"]: row["job"] for row in contents.rows("action")}
+    entries = [row for row in contents.rows("entry") if row["kind"] in (Dose.KIND, DoseCurve.KIND)]
+    for row in entries:
+        if row["kind"] == DoseCurve.KIND:
+            points = DoseCurve.model_validate(row["payload"]).points
+            of_actions[row["action"]] = points
+            of_jobs.setdefault(job_of.get(row["action"], row["job"]), []).extend(points)
+    for row in entries:
         job = jobs.get(row["job"])
         if row["kind"] == Dose.KIND and job is not None and job["sample"] is not None:
-            dose = Dose.model_validate(row["payload"])
-            yield CurveOfDose(job["sample"], job["attempt"], dose, points.get(row["action"], ()))
+            course = of_jobs.get(row["job"], ()) if row["action"] is None else of_actions.get(row["action"], ())
+            yield CurveOfDose(job["sample"], job["attempt"], Dose.model_validate(row["payload"]), course)

@@ -120,7 +120,11 @@ class Batch:
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
                 code = ExitCode.FLAGGED
-            ending = self._said(_ended(code, ending.reason, complete=ending.is_complete))
+            ending = _ended(code, ending.reason, complete=ending.is_complete)
+            if code == ExitCode.INTERRUPTED:
+                by = self._control.stopped_by
+                ending = ending.model_copy(update={"by": by.name, "signed": by.signed})
+            ending = self._said(ending)
         return BatchResult(in_order, ending.exit_code, ending.reason, self._cell.clock.now_s, ending.is_complete)
 
     def _said(self, ending: Ended) -> Ended:

@@ -4,6 +4,7 @@ import secrets
 import sqlite3
 import time
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from datetime import datetime
@@ -44,6 +45,7 @@ from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import Options, check_controller, described
 from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
 from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 from scuhand_bt.skill import SkillFailed
@@ -94,6 +96,7 @@ class Session:
         self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
         self._notifier = Notifier(lab.cell.notify)
         self._person = options.person or Person(user_name())
+        self.control.at_terminal = Who(self._person.name)
         self._clock_watch = ClockWatch()
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
@@ -142,6 +145,7 @@ class Session:
             motion,
             unattended=options.unattended,
             person=self._person,
+            questions=self.control.questions,
             world_path=world_path(journal.path),
             resumed_at_s=None if history is None else history.time_s,
         )
@@ -313,10 +317,18 @@ class Session:
             self._trouble(jump)
         if isinstance(event, Paused):
             self._notifier.tell(self._notice("paused"))
-        elif isinstance(event, Asked) and not isinstance(self._options.simulation, DryRun):
-            self._notifier.tell(self._notice("needs person", event.question))
+        elif isinstance(event, Asked) and self._is_waited_for:
+            self._notifier.tell(self._notice("needs person", event.question, choices=event.choices))
 
-    def _notice(self, state: NoticeState, reason: str = "", result: BatchResult | None = None) -> Notice:
+    @property
+    def _is_waited_for(self) -> bool:
+        """Whether a question is put to a person who may be elsewhere."""
+        simulation = self._options.simulation
+        return not isinstance(simulation, DryRun) or simulation.asks
+
+    def _notice(
+        self, state: NoticeState, reason: str = "", result: BatchResult | None = None, choices: Sequence[str] = ()
+    ) -> Notice:
         return Notice(
             self.run_id,
             self.plan.recipe.name,
@@ -326,6 +338,7 @@ class Session:
             result.exit_code if result is not None else None,
             Counter(sample.verdict for sample in result.samples) if result is not None else {},
             self.journal.head,
+            choices=tuple(choices),
         )
 
     def _trouble(self, what: str) -> None:
