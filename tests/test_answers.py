@@ -267,9 +267,7 @@ class Asking:
     def __init__(self) -> None:
         self.told: list[Asked | Answered | Trouble] = []
         self.questions, self._clock = Questions(), WallClock()
-        self._operator = PersonOperator(
-            self._clock, self.told.append, lambda question: None, Person("Ada"), self.questions
-        )
+        self._operator = PersonOperator(self._clock, self.told.append, Person("Ada"), self.questions)
 
     def ask(self, does: Callable[[], object]) -> Answered:
         steps = self._operator.ask("Is it?")

@@ -52,7 +52,7 @@ def ask(person: Person, choices: tuple[str, ...] = ("done", "stop")) -> tuple[st
     """What a person at a terminal answers, and what the journal is told."""
     told: list[Asked | Answered | Trouble] = []
     clock = WallClock()
-    operator = PersonOperator(clock, told.append, lambda question: None, person, Questions())
+    operator = PersonOperator(clock, told.append, person, Questions())
     steps = operator.ask("Is it?", choices)
     while True:
         try:

@@ -15,6 +15,7 @@ from scuhand_bt.cli import (
     persons,
     powders,
     report,
+    watch,
 )
 from scuhand_bt.cli.shared import app, main
 
@@ -35,4 +36,5 @@ __all__ = [
     "persons",
     "powders",
     "report",
+    "watch",
 ]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.batch import run_to_its_end, the_plan
+from scuhand_bt.cli.batch import QuietFlag, VerboseFlag, how_much, run_to_its_end, the_plan
 from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, unknown, unwatched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
@@ -44,6 +44,8 @@ def resume(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
     operator: OperatorOption = None,
+    quiet: QuietFlag = False,
+    verbose: VerboseFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
@@ -75,7 +77,7 @@ def resume(
         def make(control: "Control") -> "Session":
             return Session(plan, its_lab, options, control=control, resumes=found)
 
-        run_to_its_end(make, json_file)
+        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose))
 
 
 @app.command()

@@ -90,7 +90,7 @@ def doses_table(results: Sequence[SampleResult], width: int = WIDE) -> Table:
     table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for name in columns:
         justify: Literal["left", "right"] = "left" if name in TEXT_COLUMNS else "right"
-        table.add_column(name, justify=justify, no_wrap=name in ("id", "verdict"))
+        table.add_column(name, justify=justify, no_wrap=name != "verdict", overflow="fold")
     for result in results:
         for row in dose_rows(result):
             cells: dict[str, str | Text] = {**row.cells}

@@ -68,7 +68,7 @@ def _ending(happened: Mapping[str, Any]) -> str:
     result = happened.get("result")
     detail = happened.get("detail") or (result.get("detail") if isinstance(result, dict) else None)
     words = [happened["outcome"], happened["code"], detail]
-    return f"{happened['ended_s']:.1f} s, " + ", ".join(word for word in words if word)
+    return f"{happened['ended_s'] - happened['time_s']:.1f} s, " + ", ".join(word for word in words if word)
 
 
 def _event(kind: str, values: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ from typing import Any, Literal, cast, get_args
 from scuhand_bt.clock import Signal
 from scuhand_bt.lab_state.persons import Persons, person_name
 from scuhand_bt.problems import SourceError
+from scuhand_bt.run.operator import Terminal
 from scuhand_bt.run.questions import UNKNOWN, Question, Questions, Who, wrong_pin
 
 Wish = Literal["pause", "pause_now", "continue", "stop", "stop_now"]
@@ -50,6 +51,8 @@ class Control:
         """Who wishes what nobody else is named for."""
         self.questions = Questions()
         """What a person is asked."""
+        self.terminal = Terminal()
+        """Where the run's own operator answers."""
 
     def wish(self, wish: Wish, who: Who | None = None) -> None:
         """Pause at the next safe point or now, continue, stop after this sample or now; without `who`, the operator."""

@@ -20,12 +20,12 @@ from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-from scuhand_bt.problems import SourceError, harmless
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator
-from scuhand_bt.run.questions import Question, Questions
+from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
+from scuhand_bt.run.questions import Questions
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
@@ -103,13 +103,14 @@ def set_up(
     *,
     person: Person,
     questions: Questions,
+    terminal: Terminal,
     unattended: bool = False,
     world_path: Path | None = None,
     resumed_at_s: float | None = None,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
-    `person` is who answers at the run's terminal, where one can be asked; `questions` is where others do.
+    `person` is who answers at the run's `terminal`, where one can be asked; `questions` is where others do.
     `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at
     which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
     are needed, as they were all found possible before.
@@ -126,7 +127,7 @@ def set_up(
     motion = motion or motion_of(plan, lab)
 
     def ask(clock: Clock) -> PersonOperator:
-        return PersonOperator(clock, journal.event, _show, person, questions)
+        return PersonOperator(clock, journal.event, person, questions, terminal)
 
     match simulation:
         case DryRun():
@@ -311,10 +312,6 @@ def check_weight(mass_mg: float) -> Container:
 def _find_plants(lab: Lab) -> None:
     """A plant may be a module of the lab or of the working folder; they come last, so that they hide nothing."""
     sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
-
-
-def _show(question: Question) -> None:
-    print(harmless(f"{question.text} [{'/'.join(question.choices)}]"), flush=True)
 
 
 def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:

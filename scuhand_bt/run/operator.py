@@ -10,6 +10,7 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.events import Answered, Asked, Trouble
+from scuhand_bt.problems import harmless
 from scuhand_bt.run.questions import Question, Questions, Who, wrong_pin
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
@@ -66,13 +67,13 @@ class PersonOperator:
     """
 
     def __init__(
-        self, clock: Clock, tell: Tell, show: Callable[[Question], None], person: Person, questions: Questions
+        self, clock: Clock, tell: Tell, person: Person, questions: Questions, terminal: "Terminal | None" = None
     ) -> None:
         self._clock = clock
         self._tell = tell
-        self._show = show
         self._questions = questions
-        self._terminal = _Terminal(questions, person)
+        self._terminal = terminal or Terminal()
+        self._listener = _Listener(questions, person, self._terminal)
 
     @property
     def is_asking(self) -> bool:
@@ -84,8 +85,8 @@ class PersonOperator:
         asked = questions.ask(question, choices)
         try:
             self._tell(Asked(question=question, choices=list(choices)))
-            self._show(asked)
-            self._terminal.listen()
+            self._terminal.show(asked)
+            self._listener.listen()
             while True:
                 news = Wake.on(questions.news, self._clock.now_s + 60.0)
                 for note in questions.take_notes():
@@ -99,18 +100,43 @@ class PersonOperator:
         return given.answer
 
 
-class _Terminal:
+class Terminal:
+    """The run's own terminal, where a person may answer: its standard streams."""
+
+    @property
+    def is_there(self) -> bool:
+        return sys.stdin.isatty()
+
+    def show(self, question: Question) -> None:
+        """A question waits."""
+        self.say(f"{question.text} [{'/'.join(question.choices)}]")
+
+    def say(self, text: str) -> None:
+        """Something about an answer."""
+        print(harmless(text), flush=True)
+
+    def readline(self) -> str:
+        """A line that was typed; "" where none comes any more."""
+        return sys.stdin.readline()
+
+    def hidden(self, prompt: str) -> str:
+        """A line that nobody sees."""
+        return getpass(prompt)
+
+
+class _Listener:
     """Reads answers from the run's terminal, if it has one, on a thread of its own; the terminal may vanish."""
 
-    def __init__(self, questions: Questions, person: Person) -> None:
+    def __init__(self, questions: Questions, person: Person, terminal: Terminal) -> None:
         self._questions = questions
         self._person = person
+        self._terminal = terminal
         self._asked = threading.Semaphore(0)
         self._thread: threading.Thread | None = None
 
     def listen(self) -> None:
         """A question waits."""
-        if not sys.stdin.isatty():
+        if not self._terminal.is_there:
             return
         if self._thread is None:
             self._thread = threading.Thread(target=self._read, daemon=True, name="terminal")
@@ -122,7 +148,7 @@ class _Terminal:
             self._asked.acquire()
             while self._questions.waiting is not None:
                 try:
-                    line = sys.stdin.readline()
+                    line = self._terminal.readline()
                 except (EOFError, OSError, ValueError):
                     return
                 if not line:
@@ -134,16 +160,16 @@ class _Terminal:
         if asked is None or not answer:
             return
         if answer not in asked.choices:
-            print(f"Answer with one of: {', '.join(asked.choices)}", flush=True)
+            self._terminal.say(f"'{answer}' is no answer; there are: {', '.join(asked.choices)}")
             return
         if person.is_pin is not None:
             try:
-                is_right = person.is_pin(getpass(f"PIN of {person.name}: "))
+                is_right = person.is_pin(self._terminal.hidden(f"PIN of {person.name}: "))
             except (EOFError, OSError):
                 return
             if not is_right:
                 self._questions.note(wrong_pin(person.name, answer, asked))
-                print("That is not the PIN.", flush=True)
+                self._terminal.say("That is not the PIN.")
                 return
         self._questions.give(asked.number, answer, Who(person.name, person.is_pin is not None))
 

@@ -146,6 +146,7 @@ class Session:
             unattended=options.unattended,
             person=self._person,
             questions=self.control.questions,
+            terminal=self.control.terminal,
             world_path=world_path(journal.path),
             resumed_at_s=None if history is None else history.time_s,
         )
@@ -215,6 +216,12 @@ class Session:
     def can_be_resumed(self) -> bool:
         """A rehearsal's twins end with its program."""
         return not isinstance(self._options.simulation, Rehearsal)
+
+    @property
+    def mode(self) -> str:
+        """Real devices, SIMULATED or REHEARSAL."""
+        simulation = self._options.simulation
+        return simulation.mode if simulation is not None else "REAL DEVICES"
 
     @property
     def title(self) -> str:
