@@ -2,11 +2,13 @@
 
 import os
 import select
+import signal
 import sys
 import termios
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import Any
 
 from scuhand_bt.run.operator import Terminal
 from scuhand_bt.run.questions import Question
@@ -18,24 +20,32 @@ class LiveTerminal(Terminal):
     """Reads a person's answers key by key. Only within `typing` a question is answered here."""
 
     def __init__(self) -> None:
-        self.typed = ""
-        """What stands in the line that is being typed; of a PIN only that it does."""
+        self.typed: str | None = None
+        """What stands in the line that is being typed, of a PIN only that it does; None where nothing can be."""
         self.note = ""
         """What was said last of an answer."""
         self._is_open = False
 
     @contextmanager
     def typing(self) -> Iterator[None]:
-        """The keys are this terminal's, and echo nothing; the signals of Ctrl-C, Ctrl-Z and Ctrl-\\ stay."""
+        """The keys are this terminal's, and echo nothing; the signals of Ctrl-C, Ctrl-Z and Ctrl-\\ stay.
+
+        A terminal that is gone by the end, or in whose background the run is, is left as it is.
+        """
         file = sys.stdin.fileno()
-        before = termios.tcgetattr(file)
-        tty.setcbreak(file)
-        self._is_open = True
+        before = _taken(file)
+        if before is None:
+            yield
+            return
+        self._is_open, self.typed = True, ""
         try:
             yield
         finally:
             self._is_open = False
-            termios.tcsetattr(file, termios.TCSADRAIN, before)
+            # Who was put into the background meanwhile would be stopped here.
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
+            with suppress(termios.error):
+                termios.tcsetattr(file, termios.TCSADRAIN, before)
 
     def show(self, question: Question) -> None:
         self.note = ""
@@ -83,3 +93,15 @@ class LiveTerminal(Terminal):
                 if len(key) >= 4:
                     key = b""
         return ""
+
+
+def _taken(file: int) -> list[Any] | None:
+    """How the terminal was before its keys were taken; None where that cannot be, or is another program's business."""
+    try:
+        before = termios.tcgetattr(file)
+        if os.tcgetpgrp(file) != os.getpgrp():
+            return None
+        tty.setcbreak(file)
+    except (OSError, termios.error):
+        return None
+    return before
