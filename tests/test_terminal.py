@@ -21,6 +21,7 @@ from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted, Paused, 
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report import picture
+from scuhand_bt.report.doses import doses_table
 from scuhand_bt.report.live import PlainLines
 from scuhand_bt.report.picture import Node, Picture, Shown
 from scuhand_bt.report.watching import shown_of
@@ -111,6 +112,22 @@ def test_no_color_means_none(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
     console.print(Picture(seen(ran)))
     assert "\x1b[3" not in text.getvalue()
     assert "\x1b[9" not in text.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100, 120, 160, 200])
+def test_no_width_takes_a_name_a_mass_or_a_verdict_from_the_table(ran: Ran, width: int) -> None:
+    code = {"code": "balance.bracket_open", "detail": "its container was not taken off"}
+    results = [ran.result.samples[0], ran.result.samples[1].model_copy(update=code)]
+    text = io.StringIO()
+    Console(file=text, width=width).print(doses_table(results, width))
+    lines = text.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    for result, line in zip(results, [line for line in lines if "30.0 mg" in line], strict=True):
+        assert line.split()[0] == result.id
+        assert f"{result.error_mg:+.1f} ± {result.uncertainty_mg:.1f}" in line
+        assert "in tolerance" in line
+    assert any("balance.bracket_open" in line for line in lines)
+    assert ("controller" in lines[0]) == (width >= 160)
 
 
 # --- from another terminal

@@ -11,8 +11,6 @@ from rich.text import Text
 from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.quantity import format_mass
 
-WIDE = 120
-"""Columns of a terminal that shows the whole table of doses."""
 HOLDS = "holds (sim.)"
 """What is in the container, which only a simulation can tell: of several powders all."""
 WIDE_COLUMNS = (
@@ -21,6 +19,8 @@ WIDE_COLUMNS = (
 )  # fmt: skip
 NARROW_COLUMNS = ("id", "target", "dispensed", "error mg", "seconds", "verdict")
 TEXT_COLUMNS = ("id", "container", "verdict", "controller")
+LEAST_VERDICT = 16
+"""Columns that a verdict has at least, if it needs them."""
 STYLES = {"good": "green", "open": "yellow", "bad": "red"}
 
 
@@ -38,10 +38,10 @@ class DoseRow:
     """One dose of the sample whose row is above."""
 
 
-def columns_for(results: Sequence[SampleResult], *, is_wide: bool = True) -> list[str]:
+def columns_for(results: Sequence[SampleResult]) -> list[str]:
     """The columns of a table of these: what a simulation alone can tell is left out where none does."""
     is_judged = any(result.true_mg is not None for result in results)
-    return [name for name in (WIDE_COLUMNS if is_wide else NARROW_COLUMNS) if name != HOLDS or is_judged]
+    return [name for name in WIDE_COLUMNS if name != HOLDS or is_judged]
 
 
 def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
@@ -81,23 +81,39 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
         )
 
 
-def doses_table(results: Sequence[SampleResult], width: int = WIDE) -> Table:
+def doses_table(results: Sequence[SampleResult], width: int | None = None) -> Table:
     """The samples as a table for a terminal, each dose of one with several in a row of its own below it.
 
-    In less than `WIDE` columns it is without what can be looked up elsewhere.
+    Where not all of its columns fit into `width`, it is without what can be looked up elsewhere. The verdict alone is
+    folded, and never cut.
     """
-    columns = columns_for(results, is_wide=width >= WIDE)
+    rows = [row for result in results for row in dose_rows(result)]
+    columns = columns_for(results)
+    if width is not None and sum(1 + _width(name, rows) for name in columns) > width:
+        columns = list(NARROW_COLUMNS)
     table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for name in columns:
         justify: Literal["left", "right"] = "left" if name in TEXT_COLUMNS else "right"
-        table.add_column(name, justify=justify, no_wrap=name != "verdict", overflow="fold")
-    for result in results:
-        for row in dose_rows(result):
-            cells: dict[str, str | Text] = {**row.cells}
-            cells["id"] = ("  " if row.is_part else "") + row.cells["id"]
-            cells["verdict"] = Text(row.cells["verdict"], style=STYLES[row.tone])
-            table.add_row(*(cells.get(name, "") for name in columns))
+        is_verdict = name == "verdict"
+        least = min(_width(name, rows), LEAST_VERDICT) if is_verdict else None
+        table.add_column(name, justify=justify, no_wrap=not is_verdict, overflow="fold", min_width=least)
+    for row in rows:
+        cells: dict[str, str | Text] = {**row.cells}
+        cells["id"] = _indent(row) + row.cells["id"]
+        cells["verdict"] = Text(row.cells["verdict"], style=STYLES[row.tone])
+        table.add_row(*(cells.get(name, "") for name in columns))
     return table
+
+
+def _width(name: str, rows: Sequence[DoseRow]) -> int:
+    """Of a column as far as it is not folded."""
+    cells = [len(row.cells.get(name, "")) + (len(_indent(row)) if name == "id" else 0) for row in rows]
+    widest = max([len(name), *cells])
+    return min(widest, LEAST_VERDICT) if name == "verdict" else widest
+
+
+def _indent(row: DoseRow) -> str:
+    return "  " if row.is_part else ""
 
 
 def dose_name(dose: DoseResult, result: SampleResult) -> str:

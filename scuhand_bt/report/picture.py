@@ -17,7 +17,7 @@ from rich.text import Text
 
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
-from scuhand_bt.report.doses import WIDE, dose_name, doses_table
+from scuhand_bt.report.doses import dose_name, doses_table
 from scuhand_bt.run.questions import MEANINGS
 
 SIGNS: Mapping[str, tuple[str, str]] = {
@@ -29,6 +29,8 @@ SIGNS: Mapping[str, tuple[str, str]] = {
 """How each state of a node is shown: by its sign, and by a colour where there are colours."""
 
 
+SIDE_BY_SIDE = 120
+"""Columns in which the doses stand beside the tree, and not below it."""
 LEAST_TREE = 44
 """Columns that a tree with its reasons needs beside a table."""
 
@@ -139,14 +141,9 @@ class Picture:
     def _middle(self, console: Console, options: ConsoleOptions, room: int) -> list[list[Segment]]:
         newest = list(reversed(self._shown.results))
         width = options.max_width
-        if width >= WIDE:
-            room_for_tree = width
-            table: RenderableType = ""
-            for doses_width in (WIDE, WIDE - 1):  # all columns, or without what can be looked up elsewhere
-                table = doses_table(newest[: max(0, room - 2)], doses_width) if newest else ""
-                room_for_tree = width - Measurement.get(console, options, table).maximum - 2
-                if room_for_tree >= LEAST_TREE:
-                    break
+        if width >= SIDE_BY_SIDE:
+            table: RenderableType = doses_table(newest[: max(0, room - 2)], width - LEAST_TREE) if newest else ""
+            room_for_tree = width - Measurement.get(console, options, table).maximum - 2
             pair = Table.grid(padding=(0, 2))
             pair.add_column(width=max(room_for_tree - 2, 1))
             pair.add_column()
