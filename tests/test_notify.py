@@ -61,6 +61,7 @@ def test_a_webhook_gets_the_notice_by_post(server: Any) -> None:
         "reason": "",
         "exit_code": 1,
         "verdicts": {"in tolerance": 2, "over": 1},
+        "choices": [],
         "head": "ab12",
         "at": "2026-01-01T00:00:00Z",
     }

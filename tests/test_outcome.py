@@ -20,7 +20,8 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.results import SampleResult, SampleVerdict
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.report.live import PlainLines, doses_table
+from scuhand_bt.report.doses import doses_table
+from scuhand_bt.report.live import PlainLines
 from scuhand_bt.run.outcome import confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.specs import Container
 
@@ -445,7 +446,7 @@ def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it
     observer.sample_ended(confirmed(had, gone(glass_beads=50.4)))
     assert lines == ["[1/1] a: 50.4 mg of 50.0 mg (+0.4 mg) in 3 pulses, 1 min 00 s: in tolerance"]
     observer.sample_ended(confirmed(had, gone(closes=False, glass_beads=53.4)))
-    assert lines[1:] == [f"{lines[0]} (balance.bracket_open)"]
+    assert lines[1:] == [f"{lines[0]} (balance.bracket_open: 3 mg are nobody's)"]
 
 
 def test_a_sample_of_several_doses_is_told_with_each_of_them() -> None:

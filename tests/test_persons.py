@@ -2,7 +2,6 @@
 
 import json
 import sqlite3
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -12,14 +11,14 @@ from conftest import Call
 from running import dry_run, make_lab
 
 from scuhand_bt.cli import persons as commands
-from scuhand_bt.failures import SkillFailed
-from scuhand_bt.journal.events import Answered, Asked, Continued, Paused, Resumed, RunBegun, Trouble
+from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, Paused, Resumed, RunBegun, Trouble
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.persons import Persons, person_name
 from scuhand_bt.run import operator as of_operator
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.run.operator import Person, TerminalOperator
+from scuhand_bt.run.operator import Person, PersonOperator
+from scuhand_bt.run.questions import Questions
 from tests.test_journal import HEADER
 
 DOSE = """
@@ -49,54 +48,38 @@ class Typed:
         return next(self._hidden if hide_input else self._lines)
 
 
-class Closed:
-    """A terminal that has just been closed."""
-
-    def isatty(self) -> bool:
-        return True
-
-    def readline(self) -> str:
-        return ""
-
-
-def ask(
-    person: Person, choices: tuple[str, ...] = ("done", "stop")
-) -> tuple[str, list[Asked | Answered | Trouble], list[str]]:
-    """What a terminal's operator answers, what the journal is told, and what is shown."""
+def ask(person: Person, choices: tuple[str, ...] = ("done", "stop")) -> tuple[str, list[Asked | Answered | Trouble]]:
+    """What a person at a terminal answers, and what the journal is told."""
     told: list[Asked | Answered | Trouble] = []
-    shown: list[str] = []
     clock = WallClock()
-    steps: Iterator[object] = TerminalOperator(clock, told.append, shown.append, person).ask("Is it?", choices)
+    operator = PersonOperator(clock, told.append, person, Questions())
+    steps = operator.ask("Is it?", choices)
     while True:
         try:
-            clock.wait([next(steps)])  # type: ignore[list-item]
+            clock.wait([next(steps)])
         except StopIteration as done:
-            return done.value, told, shown
+            return done.value, told
 
 
 def test_an_answer_carries_the_name_of_who_gave_it(monkeypatch: pytest.MonkeyPatch) -> None:
     Typed(monkeypatch, "what?", "DONE")
-    answer, told, _ = ask(Person("Eve"))
+    answer, told = ask(Person("Eve"))
     assert answer == "done"
     assert told[-1] == Answered(question="Is it?", answer="done", by="Eve", signed=False)
 
 
-def test_a_terminal_that_is_closed_has_nobody_who_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", Closed())
-    with pytest.raises(SkillFailed, match=r"operator\.absent"):
-        ask(Person("Eve"))
-
-
-def test_who_has_a_pin_signs_every_answer_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_has_a_pin_signs_every_answer_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     persons = Persons(tmp_path)
     persons.enrol("Eve", "271828")
     Typed(monkeypatch, "done", "done", hidden=("314159", "271828"))
-    answer, told, shown = ask(Person("Eve", lambda pin: persons.is_pin("Eve", pin)))
+    answer, told = ask(Person("Eve", lambda pin: persons.is_pin("Eve", pin)))
     assert [one for one in told if isinstance(one, Answered)] == [
         Answered(question="Is it?", answer="done", by="Eve", signed=True)
     ]
     assert answer == "done"
-    assert "That is not the PIN." in shown
+    assert "That is not the PIN." in capsys.readouterr().out
     (noted,) = (one for one in told if isinstance(one, Trouble))
     assert noted.what == "a wrong PIN was given for Eve, to answer 'done': Is it?"
 
@@ -187,7 +170,8 @@ def test_the_trail_of_a_run_says_who_did_what_and_what_is_not_known(tmp_path: Pa
     journal.event(Answered(question="Is it?", answer="done", by="Eve", signed=True))
     journal.event(Answered(question="Is it?", answer="stop"))
     journal.event(Paused())
-    journal.event(Continued())
+    journal.event(Continued(by="Bob"))
+    journal.event(Ended(exit_code=130, reason="stopped", complete=False, by="Eve", signed=True))
     journal.event(Resumed(last_at="", changes=["the recipe has changed"], version="9", operator="Bob"))
     journal.close()
     trail = json.loads(command("audit", journal.path, "--json")[1])
@@ -196,8 +180,12 @@ def test_the_trail_of_a_run_says_who_did_what_and_what_is_not_known(tmp_path: Pa
         ("Eve (PIN)", "answered", 3),
         ("not told", "answered", 4),
         ("not told", "paused", 5),
-        ("not told", "let", 6),
-        ("Bob", "resumed", 7),
+        ("Bob", "let", 6),
+        ("Eve (PIN)", "stopped", 7),
+        ("Bob", "resumed", 8),
     ]
     assert trail[-1]["why"] == "accepted: the recipe has changed"
-    assert "answered: done, by Eve, with PIN" in command("show", journal.path)[1]
+    shown = command("show", journal.path)[1]
+    assert "answered: done, by Eve, with PIN" in shown
+    assert "continued, by Bob" in shown
+    assert "ended with exit code 130: stopped by Eve, with PIN" in shown

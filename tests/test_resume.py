@@ -78,7 +78,7 @@ class Run:
         if resumes:
             history = checked_history(self.journal)
             found = resumable(self.journal, history, plan, lab, accept_changes=accept_changes)
-        chosen = Options(DryRun(), folder=self.folder, **options)
+        chosen = Options(**{"simulation": DryRun(), "folder": self.folder, **options})
         session = Session(plan, lab, chosen, shared_planner(plan, lab), resumes=found)
         watch.session = session
         try:

@@ -157,7 +157,7 @@ def test_every_wish_is_heard_by_the_run_or_answered_to_be_none(tmp_path: Path) -
     journal, heard = tmp_path / "r.sqlite", []
 
     class Counting(Control):
-        def wish(self, wish: Any) -> None:
+        def wish(self, wish: Any, who: Any = None) -> None:
             heard.append(wish)
 
     listener = WishListener(journal, Counting())

@@ -1,4 +1,4 @@
-"""What a run came to is told alike by the table, the JSON export, the weighing record and the journal."""
+"""What a run came to is told alike by the table, the report, the JSON export, the weighing record and the journal."""
 
 import csv
 import io
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from page_text import Tables
 from rich.box import ASCII
 from rich.console import Console
 from running import Ran, dry_run, make_lab
@@ -16,7 +17,8 @@ from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.report.live import doses_table
+from scuhand_bt.report.doses import doses_table
+from scuhand_bt.report.run_report import run_report
 from scuhand_bt.report.weighing_record import weighing_record
 
 INPUTS = (
@@ -89,6 +91,13 @@ def of_table(ran: Ran) -> list[dict[str, str]]:
     return [dict(zip(head, row, strict=True)) for row in rows]
 
 
+def of_report(ran: Ran) -> list[dict[str, str]]:
+    """The rows of the report's table."""
+    with open_contents(ran.journal) as contents:
+        head, *rows = Tables(run_report(contents)).found["Doses"]
+    return [dict(zip(head, row, strict=True)) for row in rows]
+
+
 def of_record(ran: Ran) -> list[dict[str, Any]]:
     with open_contents(ran.journal) as contents:
         rows = csv.DictReader(io.StringIO(weighing_record(contents)))
@@ -129,6 +138,7 @@ def test_every_dose_of_any_run_is_told_alike_everywhere(tmp_path: Path, seed: in
             assert {k: v for k, v in one.items() if k not in (*numbers, "doses")} == {
                 k: v for k, v in other.items() if k not in (*numbers, "doses")
             }
+    assert of_report(ran) == of_table(ran)
     record, table = of_record(ran), iter(of_table(ran))
     for sample in samples.values():
         doses = sample["doses"]

@@ -14,6 +14,8 @@ from scuhand_bt.cli import (
     ongoing,
     persons,
     powders,
+    report,
+    watch,
 )
 from scuhand_bt.cli.shared import app, main
 
@@ -33,4 +35,6 @@ __all__ = [
     "ongoing",
     "persons",
     "powders",
+    "report",
+    "watch",
 ]

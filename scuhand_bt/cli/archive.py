@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,6 +56,7 @@ def runs(
     for one in found if every else found[:NEWEST]:
         good = f"{one.good}" if one.total is None else f"{one.good}/{one.total}"
         state = f"{one.state}: {one.reason}" if one.reason else one.state
+        state += f" (since {datetime.fromisoformat(one.since).astimezone():%H:%M:%S})" if one.since else ""
         mode = "SIMULATED" if one.mode == "SIMULATED" else one.mode.partition(" (")[0]
         table.add_row(*(Text(cell) for cell in (one.id, one.recipe, mode, one.started, state, good)))
     out.print(table if found else Text(f"There are no runs in {runs_folder(lab)}."))
@@ -94,7 +96,7 @@ def show(
 
 def _told(story: Any) -> "Iterator[RenderableType]":
     from scuhand_bt.journal.results import SampleResult
-    from scuhand_bt.report.live import doses_table
+    from scuhand_bt.report.doses import doses_table
     from scuhand_bt.report.run_story import chain_line, header_lines, told
 
     yield from map(Text, header_lines(story))

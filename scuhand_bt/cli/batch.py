@@ -1,11 +1,12 @@
 """Commands about a recipe: run it, check it, plan it."""
 
 import signal
+import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.table import Table
@@ -35,10 +36,15 @@ if TYPE_CHECKING:
     from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.lab import Lab
     from scuhand_bt.recipe.plan import Plan
-    from scuhand_bt.run.batch import BatchObserver
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
+
+
+HowMuch = Literal["quiet", "lines", "verbose", "picture"]
+"""What is told of a run while it goes on: nothing, a line for each sample, for each action, or a picture that stays."""
+QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Tell only what it came to.")]
+VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Tell every action, line by line.")]
 
 
 @app.command()
@@ -54,14 +60,19 @@ def run(
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
     faults: FaultsOption = None,
     unattended: UnattendedFlag = False,
+    asks: Annotated[
+        bool, typer.Option("--ask", help="Ask a person in a dry run or a rehearsal, as at the cell.")
+    ] = False,
     operator: OperatorOption = None,
+    quiet: QuietFlag = False,
+    verbose: VerboseFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
     from scuhand_bt.cli.persons import the_person
     from scuhand_bt.lab import state_folder
-    from scuhand_bt.run.make_cell import DryRun, Rehearsal
+    from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
     from scuhand_bt.run.options import Options
     from scuhand_bt.run.session import Session
     from scuhand_bt.sim.fault_rules import read_faults
@@ -76,10 +87,18 @@ def run(
         raise typer.BadParameter("only a dry run or a rehearsal has simulated physics", param_hint="--plant")
     if faults is not None and not (dry_run or rehearse):
         raise typer.BadParameter("only a dry run or a rehearsal has faults at will", param_hint="--faults")
+    if asks and not (dry_run or rehearse):
+        raise typer.BadParameter("on the cell a person is asked anyway", param_hint="--ask")
+    if asks and unattended:
+        raise typer.BadParameter("an unattended run asks nobody", param_hint="--ask/--unattended")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
     wrong = read_faults(faults) if faults is not None else None
-    simulation = DryRun(seed, plant, speed, wrong) if dry_run else Rehearsal(seed, plant, wrong) if rehearse else None
+    simulation: Simulation | None = None
+    if dry_run:
+        simulation = DryRun(seed, plant, speed, wrong, asks)
+    elif rehearse:
+        simulation = Rehearsal(seed, plant, wrong, asks)
 
     def make(control: "Control") -> "Session":
         made, loaded = the_plan(recipe, lab)
@@ -88,64 +107,88 @@ def run(
         return Session(made, loaded, options, control=control)
 
     with unwatched():
-        run_to_its_end(make, json_file)
+        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose))
 
 
-def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None) -> None:
-    """Run a session, watched on a terminal, else with plain lines; ends the command with its exit code.
+def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
+    """What is to be told of a run while it goes on."""
+    if quiet and verbose:
+        raise typer.BadParameter("less, or more", param_hint="--quiet/--verbose")
+    return "quiet" if quiet else "verbose" if verbose else "picture" if out.is_terminal else "lines"
+
+
+def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None, shows: HowMuch) -> None:
+    """Run a session, and tell as much of it as wished; ends the command with its exit code.
 
     Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample; a closed terminal does not.
     """
     from scuhand_bt.cli.supervisor import Supervisor
+    from scuhand_bt.report.live_terminal import LiveTerminal
     from scuhand_bt.run.control import Control
+    from scuhand_bt.run.questions import UNKNOWN
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
     began, control = time.monotonic(), Control()
+    if shows == "picture" and sys.stdin.isatty():
+        control.terminal = LiveTerminal()
     supervisor = Supervisor(control)
     others = {
         signal.SIGTSTP: control.toggle_pause,
         signal.SIGQUIT: lambda: control.wish("stop"),
         signal.SIGHUP: lambda: None,
+        signal.SIGTERM: lambda: supervisor.stop(UNKNOWN),
     }
     with on_signals(supervisor.stop, others):  # to the last line: what the run came to is not to be changed any more
         try:
             session = make(control)
-            out.print(Text(session.title))
+            if shows != "quiet":
+                out.print(Text(session.title))
             for warning in session.warnings:
                 err.print(Text(f"Note: {warning}"))
-            result = _watched(session, supervisor)
+            result = _watched(session, supervisor, shows)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(ExitCode.BAD_INPUT) from None
-        _tell(session, result, time.monotonic() - began)
+        _tell(session, result, time.monotonic() - began, shows)
         if json_file is not None:
             _export(session, result, json_file)
     raise typer.Exit(result.exit_code)
 
 
-def _watched(session: "Session", supervisor: "Supervisor") -> "BatchResult":
-    """Run with the live view on a terminal, else with plain lines."""
+def _watched(session: "Session", supervisor: "Supervisor", shows: HowMuch) -> "BatchResult":
+    """Run, and show as much of it as wished."""
     from scuhand_bt.report.live import LiveView, PlainLines
+    from scuhand_bt.report.live_terminal import LiveTerminal
+    from scuhand_bt.run.batch import BatchObserver
 
     try:
         with ExitStack() as opened:
-            if out.is_terminal:
-                view: BatchObserver = opened.enter_context(LiveView(out, session.cell, session.plan, session.control))
-            else:
-                view = PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples))
+            view = BatchObserver()
+            if shows == "picture":
+                if isinstance(terminal := session.control.terminal, LiveTerminal):
+                    opened.enter_context(terminal.typing())
+                view = opened.enter_context(LiveView(out, session.cell, session.plan, session.control, session.mode))
+            elif shows != "quiet":
+                count, is_verbose = len(session.plan.recipe.samples), shows == "verbose"
+                view = PlainLines(lambda line: out.print(Text(line)), count, each_action=is_verbose)
             opened.enter_context(supervisor.watching(session))
             return session.run(view)
     finally:
         session.close()
 
 
-def _tell(session: "Session", result: "BatchResult", seconds: float) -> None:
+def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowMuch) -> None:
     """What the run came to."""
-    from scuhand_bt.report.live import doses_table, end_line
+    from scuhand_bt.report.doses import doses_table
+    from scuhand_bt.report.live import end_line
 
-    out.print(doses_table(result.samples, out.width))
-    out.print(Text(end_line(result, seconds)))
+    if shows != "quiet":
+        out.print(doses_table(result.samples, out.width))
+        for sample in result.samples:
+            if sample.code is not None:
+                out.print(Text(f"{sample.id}: {sample.verdict}, {sample.code}: {sample.detail}"), soft_wrap=True)
+    out.print(Text(end_line(result, seconds)), soft_wrap=True)
     for rule in session.unused_rules:
         out.print(Text(f"Never came: {rule}"))
     for notice in session.notices:
@@ -154,6 +197,9 @@ def _tell(session: "Session", result: "BatchResult", seconds: float) -> None:
     if not result.is_complete and session.can_be_resumed and kept_in is not None:
         moved = f"`mv {kept_in} {path}` brings it back, then " if kept_in != path else ""
         out.print(Text(f"{moved}`scuhand-bt resume {session.run_id}` goes on with it."), soft_wrap=True)
+    if kept_in == path and shows != "quiet":
+        what = f"`scuhand-bt report {session.run_id}` writes its report, `scuhand-bt show {session.run_id}` tells all."
+        out.print(Text(what), soft_wrap=True)
     out.print(Text(f"Journal: {kept_in or 'lost'}"))
     out.print(Text(f"Head of its chain: {session.journal.head}"))
 

@@ -100,27 +100,19 @@ def plot(
 
     Of a sample that was dosed again, the last container's.
     """
-    from scuhand_bt.events import Dose, DoseCurve
     from scuhand_bt.journal.reader import open_contents
+    from scuhand_bt.report.dose_curves import dose_curves
     from scuhand_bt.report.dose_plot import plot_dose
 
     path = output or Path(f"{sample}.png")
     if path.suffix.lower() not in (".png", ".svg"):
         raise typer.BadParameter(f"'{path}' is to be a picture: .png or .svg")
     with open_contents(find_journal(run, lab)) as contents:
-        jobs = {row["id"]: (row["sample"], row["attempt"]) for row in contents.rows("job")}
-        actions = {row["id"]: jobs[row["job"]] for row in contents.rows("action")}
-        curves = [
-            (actions[row["action"]], DoseCurve.model_validate(row["payload"]))
-            for row in contents.rows("event")
-            if row["kind"] == DoseCurve.KIND and row["action"] in actions
-        ]
-        doses = [(jobs[row["job"]], Dose.model_validate(row["payload"])) for row in contents.rows("dose")]
-    of_sample = [(attempt, dose) for (name, attempt), dose in doses if name == sample]
+        found = list(dose_curves(contents))
+    of_sample = [one for one in found if one.sample == sample]
     if not of_sample:
-        raise unknown("sample with a dose", sample, {name for (name, _), _ in doses if name})
-    attempt, dose = of_sample[-1]
-    points = [point for of, curve in curves if of == (sample, attempt) for point in curve.points]
+        raise unknown("sample with a dose", sample, {one.sample for one in found})
+    dose, points = of_sample[-1].dose, of_sample[-1].points
     if not points:
         raise typer.BadParameter(f"the run ended before the curve of '{sample}' was written")
     title = f"{sample}: {dose.dispensed_mg:.1f} mg of {dose.target_mg:g} mg, {dose.controller}"

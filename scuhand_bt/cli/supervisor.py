@@ -23,6 +23,7 @@ from scuhand_bt.skill import DEVICES
 
 if TYPE_CHECKING:
     from scuhand_bt.run.control import Control
+    from scuhand_bt.run.questions import Who
     from scuhand_bt.run.session import Session
 
 HANGS_S = 20.0
@@ -47,13 +48,15 @@ class Supervisor:
         self._limit_s = HANGS_S
         self._main = threading.get_ident()
 
-    def stop(self) -> None:
-        """Stop now. The second time at once: what does not answer has no more patience.
+    def stop(self, who: "Who | None" = None) -> None:
+        """Stop now, as the operator wishes, or somebody else.
+
+        The second time at once: what does not answer has no more patience.
 
         Raises Hung within a run that is silent, KeyboardInterrupt before there is one; after it nothing is to stop.
         """
         if not self._control.stops_now:
-            self._control.wish("stop_now")
+            self._control.wish("stop_now", who)
         elif self._session is None:
             raise KeyboardInterrupt
         elif not self._is_over:

@@ -13,6 +13,8 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
+    Answered,
+    Asked,
     Continued,
     Ended,
     Frames,
@@ -29,9 +31,13 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.runs_index import Indexed, read_index, stamps, write_index
 from scuhand_bt.problems import Mark, Problem, SourceError
 
-RunState = Literal["running", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"]
+RunState = Literal[
+    "running", "waiting for a person", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"
+]
 
-_KINDS_OF_STATE = tuple(event.KIND for event in (RunBegun, SampleResult, Ended, Resumed, Paused, Continued))
+_OF_STATE = (RunBegun, SampleResult, Ended, Resumed, Paused, Continued, Asked, Answered)
+_KINDS_OF_STATE = tuple(event.KIND for event in _OF_STATE)
+_GOING_ON: tuple[RunState, ...] = ("running", "waiting for a person", "paused")
 _TOLD_ELSEWHERE = (JobEnded.KIND, ActionEnded.KIND, Frames.KIND, DoseCurve.KIND)
 _FRAME = ("time_s", "raw", "value_mg", "unit", "stable")
 
@@ -43,7 +49,9 @@ class Summary:
     id: str
     state: RunState
     reason: str = ""
-    """Why it ended early, or cannot be read."""
+    """Why it ended early, or cannot be read; what the person is asked that it waits for."""
+    since: str = ""
+    """When it began to wait for a person; ISO 8601 with its offset from UTC."""
     recipe: str = ""
     mode: str = ""
     simulated: bool | None = None
@@ -66,7 +74,7 @@ def summaries(folder: Path) -> list[Summary]:
             continue
         one = summary(folder / name)
         found.append(one)
-        if stamp and one.state not in ("running", "paused", "unreadable"):
+        if stamp and one.state not in (*_GOING_ON, "unreadable"):
             news[name] = stamp, json.dumps(asdict(one))
     gone = kept.keys() - now.keys()
     if news or gone:
@@ -89,9 +97,10 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
     samples: dict[str, SampleResult] = {}
     ended: Ended | None = None
     is_paused = False
+    asked: tuple[Asked, int, int | None, str] | None = None
     marks = ", ".join("?" * len(_KINDS_OF_STATE))
-    query = f"SELECT kind, payload FROM entry WHERE kind IN ({marks}) ORDER BY seq"
-    for kind, payload in database.execute(query, _KINDS_OF_STATE):
+    query = f"SELECT seq, action, at, kind, payload FROM entry WHERE kind IN ({marks}) ORDER BY seq"
+    for seq, action, at, kind, payload in database.execute(query, _KINDS_OF_STATE):
         match event := parsed(kind, json.loads(payload)):
             case RunBegun():
                 run = event
@@ -99,12 +108,18 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
                 samples[event.id] = event
             case Paused() | Continued():
                 is_paused = isinstance(event, Paused)
+            case Asked() | Answered():
+                asked = (event, seq, action, at) if isinstance(event, Asked) else None
             case Ended() | Resumed():
                 ended = event if isinstance(event, Ended) else None
-                is_paused = False
+                is_paused, asked = False, None
     state: RunState = "interrupted"
+    reason, since = ended.reason if ended is not None else "", ""
     if is_held(path):
         state = "paused" if is_paused else "running"
+        is_simulated = run is not None and run.mode == "SIMULATED" and not run.options.asks
+        if asked is not None and not is_paused and not is_simulated and not _is_over(database, *asked[1:3]):
+            state, reason, since = "waiting for a person", asked[0].question, asked[3]
     elif ended is not None:
         stopped: RunState = "stopped" if ended.exit_code == ExitCode.INTERRUPTED else "fault"
         state = "complete" if ended.is_complete else stopped
@@ -114,7 +129,8 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
     return Summary(
         id=path.stem,
         state=state,
-        reason=ended.reason if ended is not None else "",
+        reason=reason,
+        since=since,
         recipe=run.recipe,
         mode=run.mode,
         simulated=run.simulated,
@@ -122,6 +138,12 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
         good=sum(sample.is_good for sample in samples.values()),
         total=planned if planned is not None else len(samples) if ended is not None else None,
     )
+
+
+def _is_over(database: sqlite3.Connection, asked: int, action: int | None) -> bool:
+    """Whether an action that had asked a person (at this entry) has ended, so that nobody is asked any more."""
+    query = "SELECT 1 FROM entry WHERE kind = ? AND action = ? AND seq > ?"
+    return database.execute(query, (ActionEnded.KIND, action, asked)).fetchone() is not None
 
 
 def story(contents: Contents) -> dict[str, Any]:

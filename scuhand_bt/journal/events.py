@@ -40,6 +40,8 @@ class OptionsGiven(Values):
     speed: float | None = None
     faults: Text | None = None
     """The fault file's name."""
+    asks: bool = False
+    """A person was asked in a simulation, too."""
 
 
 class RunBegun(Event):
@@ -107,11 +109,20 @@ class Paused(Event):
 
     KIND: ClassVar = "paused"
 
+    by: Text | None = None
+    """Who; None where the journal is older, or the wish came by a signal."""
+    signed: bool = False
+    """With this person's PIN."""
+
 
 class Continued(Event):
     """A person let the paused run go on."""
 
     KIND: ClassVar = "continued"
+
+    by: Text | None = None
+    """As of `paused`."""
+    signed: bool = False
 
 
 class Ended(Event):
@@ -124,6 +135,9 @@ class Ended(Event):
     """Empty where all went well."""
     complete: bool | None = None
     """Nothing is left that could be resumed."""
+    by: Text | None = None
+    """Who stopped it, if a person did; as of `paused`."""
+    signed: bool = False
 
     @property
     def is_complete(self) -> bool:

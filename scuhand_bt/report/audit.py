@@ -46,9 +46,11 @@ def deeds_of_run(contents: Contents) -> Iterator[Deed]:
             case Chosen():
                 who, what, why = operator, f"chose '{event.action}' for '{event.sample}'", f"attempt {event.attempt}"
             case Paused():
-                who, what, why = UNKNOWN, "paused it", ""
+                who, what, why = _name(event.by, event.signed), "paused it", ""
             case Continued():
-                who, what, why = UNKNOWN, "let it go on", ""
+                who, what, why = _name(event.by, event.signed), "let it go on", ""
+            case Ended() if event.by is not None:
+                who, what, why = _name(event.by, event.signed), "stopped it", event.reason
             case Trouble():
                 who, what, why = "the program", "noted", event.what
             case Ended():

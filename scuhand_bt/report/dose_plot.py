@@ -6,8 +6,7 @@ matplotlib is an optional extra (`pip install scuhand-bt[plot]`) and is loaded o
 from collections.abc import Sequence
 from pathlib import Path
 
-Point = Sequence[float]
-"""(time_s, net_mg, opening_mm, vibration, stable, estimate_mg): one row of a `dose_curve` event."""
+from scuhand_bt.report.dose_curves import Point
 
 
 def plot_dose(points: Sequence[Point], target_mg: float, tolerance_mg: float, path: Path, title: str = "") -> None:

@@ -1,212 +1,172 @@
-"""What a person sees while a batch runs, and the table at its end."""
+"""What a person sees while a batch runs in this terminal: plain lines, or a picture that stays; and its last words."""
 
-import time
-from collections.abc import Callable, Iterator, Sequence
-from datetime import timedelta
+from collections.abc import Callable, Iterator
+from types import TracebackType
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
-from rich.box import SIMPLE
-from rich.console import Console, Group, RenderableType
+from rich.console import Console
 from rich.live import Live
-from rich.panel import Panel
-from rich.progress_bar import ProgressBar
-from rich.table import Table
-from rich.text import Text
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.journal.results import DoseResult, SampleResult
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
+from scuhand_bt.report.live_terminal import LiveTerminal
+from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_words
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.tree.leaf import SkillLeaf
+from scuhand_bt.tree.nodes import failure_of
 
-REFRESH_S = 0.1
-LAST_DOSES = 8
-WIDE = 120
-"""Columns of a terminal that shows the whole table of doses."""
-HOLDS = "holds (sim.)"
-"""What is in the container, which only a simulation can tell: of several powders all."""
-WIDE_COLUMNS = (
-    "id", "container", "target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds",
-    "verdict", "controller", HOLDS,
-)  # fmt: skip
-NARROW_COLUMNS = ("id", "target", "dispensed", "error mg", "seconds", "verdict")
+REFRESHES_PER_S = 8
 KEYS = "Ctrl-Z pauses, Ctrl-\\ stops after this sample, Ctrl-C stops now"
-_STATUS = {
-    Status.SUCCESS: ("✓", "green"),
-    Status.FAILURE: ("✗", "red"),
-    Status.RUNNING: ("▶", "bold yellow"),
-    Status.INVALID: ("·", "dim"),
+_STATES = {
+    Status.SUCCESS: "done",
+    Status.FAILURE: "failed",
+    Status.RUNNING: "running",
+    Status.INVALID: "to come",
 }
 
 
 class PlainLines(BatchObserver):
-    """The batch as plain lines, for a log: one for every sample that ends."""
+    """The batch as plain lines, for a log: one for every sample that ends, with `each_action` for every action too."""
 
-    def __init__(self, write: Callable[[str], None], total: int) -> None:
+    def __init__(self, write: Callable[[str], None], total: int | None = None, *, each_action: bool = False) -> None:
         self._write = write
         self._total = total
+        self._each_action = each_action
         self._ended: set[str] = set()
+        self._before: dict[SkillLeaf, Status] = {}
+
+    def ticked(self, root: Behaviour) -> None:
+        if not self._each_action:
+            return
+        now = {node: node.status for node in root.iterate() if isinstance(node, SkillLeaf)}
+        for leaf, status in now.items():
+            if status is not self._before.get(leaf, Status.INVALID) and status is not Status.INVALID:
+                why = f": {failure_of(leaf)}" if status is Status.FAILURE else ""
+                self._write(f"  {leaf.name} {_STATES[status]}{why}")
+        self._before = now
 
     def job_started(self, job: Job, number: int) -> None:
-        if job.sample is None:
+        if job.sample is None or self._each_action:
             self._write(f"{job.name}")
 
     def sample_ended(self, result: SampleResult) -> None:
         if result.verdict == "not run" or (result.id in self._ended and result.is_good):
             return
         self._ended.add(result.id)
-        self._write(f"[{len(self._ended)}/{self._total}] {result.id}: {_in_words(result)}")
+        of = f"/{self._total}" if self._total is not None else ""
+        self._write(f"[{len(self._ended)}{of}] {result.id}: {in_words(result)}")
 
     def sample_known(self, result: SampleResult) -> None:
         self._ended.add(result.id)
 
 
 class LiveView(BatchObserver):
-    """The current job's tree, progress and time left, the balance, and the finished doses; on a terminal."""
+    """A picture that stays: the current job's tree, progress and time left, the balance, questions, the newest doses.
 
-    def __init__(self, console: Console, cell: Cell, plan: Plan, control: Control) -> None:
+    It is drawn on a thread of its own, so that it also tells of a run that is paused.
+    """
+
+    def __init__(self, console: Console, cell: Cell, plan: Plan, control: Control, mode: str) -> None:
         self._cell = cell
         self._control = control
-        self._wish_shown = KEYS
         self._plan = plan
-        self._total = len(plan.recipe.samples)
+        self._mode = mode
         self._results: dict[str, SampleResult] = {}
-        self._job: Job | None = None
+        self._job: tuple[Job, int] | None = None
         self._root: Behaviour | None = None
-        self._shown_at = 0.0
-        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._live = Live(
+            console=console,
+            get_renderable=lambda: Picture(self.shown()),
+            refresh_per_second=REFRESHES_PER_S,
+            screen=True,
+        )
 
     def __enter__(self) -> "LiveView":
         self._live.__enter__()
         return self
 
-    def __exit__(self, *exception: object) -> None:
-        self._live.__exit__(None, None, None)
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._live.__exit__(kind, error, traceback)
 
     def ticked(self, root: Behaviour) -> None:
         self._root = root
-        now, wish = time.monotonic(), self._wish()
-        if now - self._shown_at >= REFRESH_S or wish != self._wish_shown:
-            self._shown_at, self._wish_shown = now, wish
-            self._live.update(self._picture(), refresh=True)
 
-    def job_started(self, job: Job, number: int) -> None:
-        self._job = job
+    def attempt_started(self, job: Job, attempt: int) -> None:
+        self._job = job, attempt
 
     def sample_ended(self, result: SampleResult) -> None:
+        self._results.pop(result.id, None)  # the newest last
         self._results[result.id] = result
 
-    def _picture(self) -> Group:
-        done = len(self._results)
-        left_s = self._time_left_s()
-        progress = Table.grid(padding=(0, 1))
-        progress.add_row(
-            ProgressBar(total=max(self._total, 1), completed=done, width=40),
-            f"{done}/{self._total} samples",
-            f"about {format_duration(left_s)} left" if left_s is not None else "",
+    def shown(self) -> Shown:
+        """What there is to see now."""
+        asked, terminal = self._control.questions.waiting, self._control.terminal
+        here = terminal if isinstance(terminal, LiveTerminal) else None
+        results = list(self._results.values())
+        return Shown(
+            recipe=self._plan.recipe.name,
+            mode=self._mode,
+            total=len(self._plan.recipe.samples),
+            results=results,
+            run_time_s=self._cell.clock.now_s,
+            left_s=self._time_left_s(len(results)),
+            job=_about(*self._job) if self._job is not None else "",
+            tree=list(nodes_of(self._root)) if self._root is not None else [],
+            readings=self._readings(),
+            state=self._state(),
+            keys=KEYS,
+            question=Asked(asked.text, asked.choices, asked.at) if asked is not None else None,
+            typed=here.typed if here is not None else None,
+            note=here.note if here is not None else "",
         )
-        reading = self._cell.balance.latest
-        balance = "no reading"
+
+    def _readings(self) -> str:
+        reading, empty_mg = self._cell.balance.latest, self._cell.believed.pan_empty_mg
+        said = "balance: no reading"
         if reading is not None:
-            balance = f"{reading.value_mg / 1000:10.4f} g  {'stable' if reading.stable else 'moving'}"
-            empty_mg = self._cell.believed.pan_empty_mg
-            if empty_mg is not None:
-                balance += f"   net {format_mass(reading.value_mg - empty_mg)}"
-        status = Table.grid(padding=(0, 2))
-        status.add_row("balance", balance)
-        status.add_row("valve", f"{self._cell.hand.opening_mm:.2f} mm")
-        status.add_row("run time", str(timedelta(seconds=round(self._cell.clock.now_s))))
-        status.add_row("", self._wish_shown)
-        tree = Text() if self._root is None else tree_text(self._root)
-        name = self._job.name if self._job is not None else ""
-        parts: list[RenderableType] = [
-            progress,
-            Panel(tree, title=Text(name), title_align="left"),
-            status,
-        ]
-        if self._results:
-            parts.append(doses_table(list(self._results.values())[-LAST_DOSES:], self._live.console.width))
-        return Group(*parts)
+            said = f"balance {reading.value_mg / 1000:.4f} g, {'stable' if reading.stable else 'moving'}"
+            said += f", net {format_mass(reading.value_mg - empty_mg)}" if empty_mg is not None else ""
+        return f"{said}; valve {self._cell.hand.opening_mm:.2f} mm"
 
-    def _wish(self) -> str:
-        """What was asked of the run, or can be."""
-        if self._control.is_stopping:
-            return "stopping"
-        return "paused before the next action; Ctrl-Z continues" if self._control.is_pausing else KEYS
+    def _state(self) -> str:
+        """What was asked of the run."""
+        control = self._control
+        if control.is_stopping:
+            return "Stopping now" if control.halts else "Stopping after this sample; Ctrl-C stops now"
+        return "Paused: no further action begins; Ctrl-Z continues" if control.is_pausing else ""
 
-    def _time_left_s(self) -> float | None:
+    def _time_left_s(self, done: int) -> float | None:
         """The mean time of the samples until now, for those left; the plan's forecast before the first."""
-        done = len(self._results)
         if not done:
             return self._plan.duration_s
-        return self._cell.clock.now_s / done * (self._total - done)
+        return self._cell.clock.now_s / done * (len(self._plan.recipe.samples) - done)
 
 
-def tree_text(root: Behaviour, indent: int = 0) -> Text:
-    """A tree as indented lines, each node with the sign of its status."""
-    sign, style = _STATUS[root.status]
-    text = Text("  " * indent + f"{sign} {root.name}\n", style=style)
+def nodes_of(root: Behaviour, depth: int = 0) -> Iterator[Node]:
+    """A tree's nodes, each below the one that it belongs to."""
+    why = str(failure_of(root)) if root.status is Status.FAILURE and not root.children else ""
+    yield Node(depth, root.name, _STATES[root.status], why)
     for child in root.children:
-        text.append_text(tree_text(child, indent + 1))
-    return text
+        yield from nodes_of(child, depth + 1)
 
 
-def doses_table(results: Sequence[SampleResult], width: int = WIDE) -> Table:
-    """The samples as a table, each dose of one with several in a row of its own below it.
-
-    In less than `WIDE` columns it is without what can be looked up elsewhere.
-    """
-    is_judged = any(result.true_mg is not None for result in results)
-    columns = [name for name in (WIDE_COLUMNS if width >= WIDE else NARROW_COLUMNS) if name != HOLDS or is_judged]
-    table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in columns:
-        is_text = name in ("id", "container", "verdict", "controller")
-        table.add_column(name, justify="left" if is_text else "right", no_wrap=name in ("id", "verdict"))
-    for result in results:
-        for row in _rows(result):
-            table.add_row(*(row.get(name, "") for name in columns))
-    return table
-
-
-def _rows(result: SampleResult) -> Iterator[dict[str, str | Text]]:
-    """A sample's rows, by column."""
-    is_single = len(result.doses) < 2
-    verdict = result.verdict if result.code is None else f"{result.verdict}, {result.code}"
-    style = "yellow" if result.is_open else "green" if result.is_good else "red"
-    yield {
-        "id": result.id,
-        "container": result.container or "",
-        **(_masses(result) if is_single else {}),
-        "pulses": str(result.pulses),
-        "scoops": str(result.scoops),
-        "vibr. s": f"{result.vibration_s:.0f}",
-        "seconds": f"{result.duration_s:.0f}",
-        "verdict": Text(verdict, style=style),
-        "controller": result.controller or "",
-    }
-    for dose in () if is_single else result.doses:
-        style = "green" if dose.is_good else "yellow" if dose.is_open else "red"
-        yield {"id": f"  {_name(dose, result)}", **_masses(dose), "verdict": Text(dose.verdict, style=style)}
-
-
-def _masses(one: SampleResult | DoseResult) -> dict[str, str | Text]:
-    has_error = one.error_mg is not None
-    return {
-        "target": format_mass(one.target_mg) if one.target_mg is not None else "",
-        "dispensed": format_mass(one.dispensed_mg) if one.dispensed_mg is not None else "–",
-        "error mg": f"{one.error_mg:+.1f} ± {one.uncertainty_mg:.1f}" if has_error else "–",
-        "tol. mg": f"{one.tolerance_mg:g}" if one.tolerance_mg is not None else "",
-        HOLDS: format_mass(one.true_mg) if one.true_mg is not None else "–",
-    }
-
-
-def _name(dose: DoseResult, result: SampleResult) -> str:
-    """Which of a sample's doses it is."""
-    is_one_container = len({one.container for one in result.doses}) == 1
-    return dose.lot if is_one_container else f"{dose.container}: {dose.lot}"
+def _about(job: Job, attempt: int) -> str:
+    """What is under way: a sample with what it asks for, or a job between samples."""
+    again = f", attempt {attempt}" if attempt > 1 else ""
+    sample = job.sample
+    if sample is None or sample.mass_mg is None:
+        return f"{job.name}{again}"
+    tolerance = f" ± {format_mass(sample.tolerance_mg)}" if sample.tolerance_mg is not None else ""
+    powders = " and ".join(source.powder.name for source in sample.sources)
+    into = f" into {sample.container.name}" if sample.container is not None else ""
+    return f"{job.name}{again}: {format_mass(sample.mass_mg)}{tolerance} of {powders}{into}"
 
 
 def end_line(result: BatchResult, seconds: float) -> str:
@@ -215,19 +175,3 @@ def end_line(result: BatchResult, seconds: float) -> str:
     line = f"{good} of {len(result.samples)} samples good; {format_duration(result.duration_s)} of run time"
     line += f", computed in {seconds:.1f} s"
     return f"{line}. Ended early: {result.reason}" if result.reason else f"{line}."
-
-
-def _in_words(result: SampleResult) -> str:
-    if result.dispensed_mg is None or result.target_mg is None or result.error_mg is None:
-        return f"{result.verdict}" + (f" ({result.code}: {result.detail})" if result.code else "")
-    if len(result.doses) < 2:
-        said = _dispensed(result.dispensed_mg, result.target_mg, result.error_mg)
-    else:
-        doses = ((dose, _dispensed(dose.dispensed_mg, dose.target_mg, dose.error_mg)) for dose in result.doses)
-        said = "; ".join(f"{_name(dose, result)} {masses}, {dose.verdict}" for dose, masses in doses)
-    line = f"{said} in {result.pulses} pulses, {format_duration(result.duration_s)}: {result.verdict}"
-    return line + (f" ({result.code})" if result.code else "")
-
-
-def _dispensed(dispensed_mg: float, target_mg: float, error_mg: float) -> str:
-    return f"{format_mass(dispensed_mg)} of {format_mass(target_mg)} ({error_mg:+.1f} mg)"

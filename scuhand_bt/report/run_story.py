@@ -7,7 +7,9 @@ from scuhand_bt.events import Dose, Pulsed
 from scuhand_bt.journal.events import (
     Answered,
     Asked,
+    Continued,
     Ended,
+    Paused,
     Resumed,
     RunBegun,
 )
@@ -66,7 +68,7 @@ def _ending(happened: Mapping[str, Any]) -> str:
     result = happened.get("result")
     detail = happened.get("detail") or (result.get("detail") if isinstance(result, dict) else None)
     words = [happened["outcome"], happened["code"], detail]
-    return f"{happened['ended_s']:.1f} s, " + ", ".join(word for word in words if word)
+    return f"{happened['ended_s'] - happened['time_s']:.1f} s, " + ", ".join(word for word in words if word)
 
 
 def _event(kind: str, values: Mapping[str, Any]) -> str:
@@ -84,15 +86,21 @@ def _event(kind: str, values: Mapping[str, Any]) -> str:
         case Asked():
             return f"asked: {event.question} [{'/'.join(event.choices)}]"
         case Answered():
-            by = f", by {event.by}" + (", with PIN" if event.signed else "") if event.by is not None else ""
-            return f"answered: {event.answer}{by}"
+            return f"answered: {event.answer}{_by(event)}"
+        case Paused() | Continued():
+            return f"{event.KIND}{_by(event)}"
         case Resumed():
             changes = "".join(f"; accepted: {change}" for change in event.changes)
             return f"resumed by {event.operator}; the last entry before was of {event.last_at}{changes}"
         case Ended():
-            return f"the run ended with exit code {event.exit_code}" + f": {event.reason}".removesuffix(": ")
+            stopped = f" {_by(event).removeprefix(', ')}" if event.by is not None else ""
+            return f"the run ended with exit code {event.exit_code}" + f": {event.reason}{stopped}".removesuffix(": ")
     rest = ", ".join(f"{key} {_plain(value)}" for key, value in values.items() if key not in _LONG)
     return f"{kind}: {rest}" if rest else kind
+
+
+def _by(event: Answered | Paused | Continued | Ended) -> str:
+    return "" if event.by is None else f", by {event.by}" + (", with PIN" if event.signed else "")
 
 
 def _plain(value: object) -> str:

@@ -54,7 +54,7 @@ def weighing_record(contents: Contents) -> str:
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, restval="", quoting=csv.QUOTE_ALL)
     table.writeheader()
-    for row in _rows(contents):
+    for row in weighing_rows(contents):
         table.writerow({name: _cell(value) for name, value in row.items()})
     return text.getvalue()
 
@@ -70,7 +70,8 @@ def _cell(value: object) -> str:
     return str(value) if isinstance(value, int) else _FORMULA.sub(r"\1'", harmless(str(value)))
 
 
-def _rows(contents: Contents) -> Iterator[dict[str, object]]:
+def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
+    """The record's rows before they are text, by column; what a row has nothing to say of is absent or None."""
     jobs = {row["id"]: row for row in contents.rows("job")}
     codes = {row["id"]: row["code"] for row in contents.rows("action")}
     of_run: dict[str, object] = {}

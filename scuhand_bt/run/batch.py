@@ -44,6 +44,9 @@ class BatchObserver:
     def job_started(self, job: Job, number: int) -> None:
         """A job of the plan begins, or a sample's is taken up; its number is counted from 0."""
 
+    def attempt_started(self, job: Job, attempt: int) -> None:
+        """An attempt at a job, or at a recovery, begins or is taken up."""
+
     def sample_ended(self, result: SampleResult) -> None:
         """A sample has its result, or another one than it had."""
 
@@ -120,7 +123,11 @@ class Batch:
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
                 code = ExitCode.FLAGGED
-            ending = self._said(_ended(code, ending.reason, complete=ending.is_complete))
+            ending = _ended(code, ending.reason, complete=ending.is_complete)
+            if code == ExitCode.INTERRUPTED:
+                by = self._control.stopped_by
+                ending = ending.model_copy(update={"by": by.name, "signed": by.signed})
+            ending = self._said(ending)
         return BatchResult(in_order, ending.exit_code, ending.reason, self._cell.clock.now_s, ending.is_complete)
 
     def _said(self, ending: Ended) -> Ended:
@@ -267,6 +274,7 @@ class Batch:
         if before is not None and before.is_over:
             journal.doses = before.doses
             return Outcome(before.failure)
+        self._observer.attempt_started(job, attempt)
         if before is None:
             self._cell.begin_sample(sample_id or job.name, attempt)
             self._cell.believed.dose_began(self._cell.clock.now_s)

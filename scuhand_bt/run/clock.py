@@ -24,8 +24,8 @@ class Process(Protocol):
 class VirtualClock:
     """Time of a dry run. It passes as fast as the simulated world can be computed.
 
-    With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time. `beat` is called
-    all through each wait.
+    With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time; where
+    `is_waited_in`, as fast as that at the most. `beat` is called all through each wait.
     """
 
     def __init__(
@@ -38,14 +38,18 @@ class VirtualClock:
         self.process = process
         self.hurries: Callable[[], bool] = lambda: False
         """Whether time need not be kept any more: the cell is to be made safe."""
+        self.is_waited_in: Callable[[], bool] = lambda: False
+        """Whether a person is being waited for, whose time is wall time."""
         self._speed = speed
         self._beat = beat
-        self._began = time.monotonic()
+        self._pace = speed
+        """At which time passes now."""
+        self._paced_from_s, self._paced_from_wall_s = 0.0, time.monotonic()
 
     def go_on_from(self, now_s: float) -> None:
         """Take up the time of a run that was interrupted."""
         self.now_s = now_s
-        self._began = time.monotonic() - now_s / (self._speed or 1.0)
+        self._pace_from_here()
 
     def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
         """Go on to the earliest of `wakes`, letting the process take its steps on the way.
@@ -64,8 +68,7 @@ class VirtualClock:
         while self.now_s < limit_s and all(signal.count == seen for signal, seen in signals):
             self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
             self._beat()
-            if self._speed is not None:
-                self._keep_pace(self._speed)
+            self._keep_pace()
 
     def hold(self, wakes: Sequence[Wake]) -> None:
         """Let time stand still until a signal of `wakes` fires."""
@@ -73,11 +76,21 @@ class VirtualClock:
         while not any(wake.has_fired for wake in wakes):
             time.sleep(0.02)
             self._beat()
-        self._began += time.monotonic() - held_at
+        self._paced_from_wall_s += time.monotonic() - held_at
 
-    def _keep_pace(self, speed: float) -> None:
-        while not self.hurries() and (ahead_s := self.now_s / speed - (time.monotonic() - self._began)) > 0.002:
+    def _keep_pace(self) -> None:
+        pace = min(1.0, self._speed or 1.0) if self.is_waited_in() else self._speed
+        if pace != self._pace:
+            self._pace = pace
+            self._pace_from_here()
+        while pace is not None and not self.hurries() and (ahead_s := self._ahead_s(pace)) > 0.002:
             time.sleep(min(ahead_s, 0.05))
+
+    def _pace_from_here(self) -> None:
+        self._paced_from_s, self._paced_from_wall_s = self.now_s, time.monotonic()
+
+    def _ahead_s(self, pace: float) -> float:
+        return (self.now_s - self._paced_from_s) / pace - (time.monotonic() - self._paced_from_wall_s)
 
 
 BEAT_S = 0.02

@@ -6,15 +6,23 @@ reaches the process that has the run now or none, and that answers.
 """
 
 import hashlib
+import json
 import os
+import pwd
 import socket
 import struct
 import threading
+import time
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 from scuhand_bt.clock import Signal
+from scuhand_bt.lab_state.persons import Persons, person_name
+from scuhand_bt.problems import SourceError
+from scuhand_bt.run.operator import Terminal
+from scuhand_bt.run.questions import UNKNOWN, Question, Questions, Who, wrong_pin
 
 Wish = Literal["pause", "pause_now", "continue", "stop", "stop_now"]
 HEARD = "heard"
@@ -22,6 +30,8 @@ ANSWER_S = 5.0
 """A process that has a run answers within this time, or does not any more."""
 SPOKEN_S = 1.0
 """And who is to say something has said it by then."""
+LONGEST = 4096
+"""Bytes that one can say at once."""
 
 
 class Control:
@@ -35,15 +45,27 @@ class Control:
         """No sample may begin."""
         self.halts = False
         """What is at work is halted at once."""
+        self.paused_by = self.continued_by = self.stopped_by = UNKNOWN
+        """Who wished that last."""
+        self.at_terminal = UNKNOWN
+        """Who wishes what nobody else is named for."""
+        self.questions = Questions()
+        """What a person is asked."""
+        self.terminal = Terminal()
+        """Where the run's own operator answers."""
 
-    def wish(self, wish: Wish) -> None:
-        """Pause at the next safe point or now, continue, stop after this sample or now."""
+    def wish(self, wish: Wish, who: Who | None = None) -> None:
+        """Pause at the next safe point or now, continue, stop after this sample or now; without `who`, the operator."""
+        who = who or self.at_terminal
         if wish == "continue":
             self.is_pausing = self.halts = False
+            self.continued_by = who
         elif wish in ("pause", "pause_now"):
             self.is_pausing = True
+            self.paused_by = who
         else:
             self.is_stopping = True
+            self.stopped_by = who
         if wish.endswith("_now"):
             self.halts = True
         self.news.fire()
@@ -59,10 +81,11 @@ class Control:
 
 
 class WishListener:
-    """Hears, in this process, what others wish of its run. Raises OSError where another process listens for it."""
+    """Hears, in this process, what others say to its run. Raises OSError where another process listens for it."""
 
     def __init__(self, journal: Path, control: Control) -> None:
         self._control = control
+        self._persons = Persons(journal.parent.parent)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.bind(_address(journal))
@@ -80,17 +103,47 @@ class WishListener:
             except OSError:  # it was shut down
                 return
             with caller, suppress(OSError):
-                caller.settimeout(SPOKEN_S)
-                caller.sendall(self._answer(caller.recv(64).decode(errors="replace"), _user_of(caller)).encode())
+                caller.sendall(self._answer(_said(caller), _user_of(caller)).encode())
 
-    def _answer(self, said: str, user: int) -> str:
-        for wish in get_args(Wish):
-            if said == wish:
+    def _answer(self, said: Any, user: int) -> str:
+        match said:
+            case {"wish": wish, "by": str() | None as name, "pin": str() | None as pin} if wish in get_args(Wish):
                 if not may_wish(wish, user, os.getuid()):
                     return "whose run it is has to let it go on"
-                self._control.wish(wish)
+                # Only for a name that is given is a file read: no disk has to be sound for a run to be stopped.
+                who = self._proven(name, pin, user) if name is not None else None
+                self._control.wish(cast(Wish, wish), who or Who(_name_of(user)))
                 return HEARD
+            case {"answer": str(answer), "to": int(number), "by": str() | None as name, "pin": str() | None as pin}:
+                return self._answered(answer, number, name, pin, user)
+            case "question":
+                asked = self._control.questions.waiting
+                return json.dumps(asdict(asked) if asked is not None else None)
         return "that is no wish"
+
+    def _answered(self, answer: str, number: int, name: str | None, pin: str | None, user: int) -> str:
+        """An answer is its giver's: who signs with a PIN gives it, and others have to be the run's owner."""
+        questions, asked = self._control.questions, self._control.questions.waiting
+        who = self._proven(name, pin, user)
+        if who is None and pin is not None:
+            if asked is not None:
+                questions.note(wrong_pin(str(name), answer, asked))
+            return "that is not the PIN"
+        if who is None:
+            return f"{name or _name_of(user)} signs with a PIN"
+        if not who.signed and not may_wish("continue", user, os.getuid()):
+            return "whose run it is has to answer, or who signs with a PIN"
+        return questions.give(number, answer, who) or HEARD
+
+    def _proven(self, name: str | None, pin: str | None, user: int) -> Who | None:
+        """Who that is: the name that was given, or the system's of this user; None where a PIN does not prove it."""
+        try:
+            named = person_name(name if name is not None else _name_of(user))
+            if named not in self._persons.names():
+                return Who(named)
+            return Who(named, signed=True) if pin is not None and self._persons.is_pin(named, pin) else None
+        except (ValueError, SourceError):  # no name, or a lab that cannot be read
+            return None
 
     def end(self) -> None:
         """Hear no more."""
@@ -113,21 +166,59 @@ def listens(journal: Path) -> bool:
     return False
 
 
-def say_wish(journal: Path, wish: Wish) -> str | None:
+def say_wish(journal: Path, wish: Wish, name: str | None = None, pin: str | None = None) -> str | None:
     """Say a wish to the process that has this run, and hear what it answers: `HEARD`; None where none listens.
 
-    Raises TimeoutError where it does not answer.
+    `name` is who wishes it, `pin` what proves that; without them it is the system's user. Raises TimeoutError where
+    it does not answer.
     """
+    return _say(journal, {"wish": wish, "by": name, "pin": pin})
+
+
+def waiting_question(journal: Path) -> Question | None:
+    """What a run waits for a person with; None for nothing, or where none listens. TimeoutError as of `say_wish`."""
+    said = json.loads(_say(journal, "question") or "null")
+    return Question(**{**said, "choices": tuple(said["choices"])}) if said is not None else None
+
+
+def say_answer(journal: Path, asked: Question, answer: str, name: str | None, pin: str | None) -> str | None:
+    """Answer a run's question: `HEARD`, why it does not count, or None where none listens. Otherwise as `say_wish`."""
+    return _say(journal, {"answer": answer, "to": asked.number, "by": name, "pin": pin})
+
+
+def _say(journal: Path, said: object) -> str | None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
         line.settimeout(ANSWER_S)
         try:
             line.connect(_address(journal))
-            line.sendall(wish.encode())
-            return line.recv(64).decode(errors="replace") or None
+            line.sendall(json.dumps(said).encode())
+            line.shutdown(socket.SHUT_WR)
+            return b"".join(iter(lambda: line.recv(LONGEST), b"")).decode(errors="replace") or None
         except TimeoutError:
             raise
         except OSError:
             return None
+
+
+def _said(caller: socket.socket) -> Any:
+    """What a caller says, in time and not too much; None for what is no JSON."""
+    heard, until_s = b"", time.monotonic() + SPOKEN_S
+    while len(heard) <= LONGEST and (left_s := until_s - time.monotonic()) > 0:
+        caller.settimeout(left_s)
+        if not (part := caller.recv(LONGEST)):
+            break
+        heard += part
+    try:
+        return json.loads(heard)
+    except ValueError:
+        return None
+
+
+def _name_of(user: int) -> str:
+    try:
+        return pwd.getpwuid(user).pw_name
+    except KeyError:
+        return f"user {user}"
 
 
 def _address(journal: Path) -> str:

@@ -5,6 +5,7 @@ None of it ends a run that has begun: what goes wrong with it is an entry of the
 
 import time
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime
@@ -102,8 +103,13 @@ class LabRecords:
             self._trouble(jump)
         if isinstance(event, Paused):
             self._tell("paused")
-        elif isinstance(event, Asked) and not isinstance(self._simulation, DryRun):
-            self._tell("needs person", event.question)
+        elif isinstance(event, Asked) and self._is_waited_for:
+            self._tell("needs person", event.question, choices=event.choices)
+
+    @property
+    def _is_waited_for(self) -> bool:
+        """Whether a question is put to a person who may be elsewhere."""
+        return not isinstance(self._simulation, DryRun) or self._simulation.asks
 
     def _anchor_job(self, entries: int, head: str) -> None:
         """On its own thread, and once it is on disk: the ledger never has what a power cut takes from the journal."""
@@ -123,7 +129,9 @@ class LabRecords:
             with suppress(RecordLost):
                 self._trouble(problem)
 
-    def _tell(self, state: NoticeState, reason: str = "", result: BatchResult | None = None) -> None:
+    def _tell(
+        self, state: NoticeState, reason: str = "", result: BatchResult | None = None, choices: Sequence[str] = ()
+    ) -> None:
         notice = Notice(
             self._run,
             self._recipe,
@@ -133,6 +141,7 @@ class LabRecords:
             result.exit_code if result is not None else None,
             Counter(sample.verdict for sample in result.samples) if result is not None else {},
             self._journal.head,
+            choices=tuple(choices),
         )
         self._notifier.tell(notice)
 

@@ -20,11 +20,12 @@ from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-from scuhand_bt.problems import SourceError, harmless
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, SimulatedOperator, TerminalOperator
+from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
+from scuhand_bt.run.questions import Questions
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
@@ -59,6 +60,8 @@ class DryRun:
     plant: str | None = None
     speed: float | None = None
     faults: FaultFile | None = None
+    asks: bool = False
+    """A person is asked, as at the real cell, and time goes on as it does for that person; else one is simulated."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +75,13 @@ class Rehearsal:
     seed: int = 0
     plant: str | None = None
     faults: FaultFile | None = None
+    asks: bool = False
+    """A person is asked though no terminal is there."""
 
 
 Simulation = DryRun | Rehearsal
+Ask = Callable[[Clock], PersonOperator]
+"""Makes the operator who asks a person, on a run's clock."""
 
 
 @dataclass(frozen=True)
@@ -95,13 +102,15 @@ def set_up(
     motion: MotionPlanner | None = None,
     *,
     person: Person,
+    questions: Questions,
+    terminal: Terminal,
     unattended: bool = False,
     world_path: Path | None = None,
     resumed_at_s: float | None = None,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
-    `person` is who answers, where one can be asked.
+    `person` is who answers at the run's `terminal`, where one can be asked; `questions` is where others do.
     `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at
     which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
     are needed, as they were all found possible before.
@@ -116,13 +125,17 @@ def set_up(
     if motion is None and resumed_at_s is None:
         motion = prepared_motion(plan, lab, for_real=simulation is None)
     motion = motion or motion_of(plan, lab)
+
+    def ask(clock: Clock) -> PersonOperator:
+        return PersonOperator(clock, journal.event, person, questions, terminal)
+
     match simulation:
         case DryRun():
-            setup = _dry_run(plan, lab, simulation, journal, motion, world_path, resumed_at_s is not None)
+            setup = _dry_run(plan, lab, simulation, journal, motion, world_path, resumed_at_s is not None, ask)
         case Rehearsal():
-            setup = _rehearsal(plan, lab, simulation, journal, motion, person)
+            setup = _rehearsal(plan, lab, simulation, journal, motion, ask)
         case None:
-            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0, person)
+            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0, ask)
     cell = setup.cell
     cell.places_mm = places_of(plan, lab)
     for name, source in plan.recipe.sources.items():
@@ -143,12 +156,17 @@ def _dry_run(
     motion: MotionPlanner,
     world_path: Path | None,
     restore: bool,
+    ask: Ask,
 ) -> Setup:
     _find_plants(lab)
     liveness = Liveness()
     clock = VirtualClock(speed=dry_run.speed, beat=liveness.beat)
     faults = _faults(plan, dry_run)
-    operator = SimulatedOperator(clock, journal.event, faults=faults)
+    operator: Operator = (simulated := SimulatedOperator(clock, journal.event, faults=faults))
+    if dry_run.asks:
+        _refuse_refusals(dry_run)
+        operator = person = ask(clock)
+        clock.is_waited_in = lambda: person.is_asking
     cell, world = simulated_cell(
         lab.cell,
         plan.recipe.sources,
@@ -165,7 +183,7 @@ def _dry_run(
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove, may_be_loaded=restore)
     _follow_hands(world, cell)
-    operator.sees = lambda: "another" if world.pan.is_exchanged else "same"
+    simulated.sees = lambda: "another" if world.pan.is_exchanged else "same"
 
     def tell(why: str) -> None:
         journal.event(NotResumable(why=why))
@@ -177,9 +195,7 @@ def _dry_run(
     return Setup(cell, world, world.close, liveness)
 
 
-def _rehearsal(
-    plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner, person: Person
-) -> Setup:
+def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner, ask: Ask) -> Setup:
     _find_plants(lab)
     liveness = Liveness()
 
@@ -190,11 +206,11 @@ def _rehearsal(
     clock = WallClock(beat)
     firmware = lab.folder / "robot" / "firmware"
     faults = _faults(plan, rehearsal)
-    has_person = sys.stdin.isatty()
+    has_person = rehearsal.asks or sys.stdin.isatty()
     if rehearsal.faults is not None:
         rehearsal.faults.refuse(dict.fromkeys(OUTAGES, "a rehearsal cannot be resumed"))
-    if rehearsal.faults is not None and has_person:
-        rehearsal.faults.refuse({"operator.refuses": "a person at this terminal answers for the operator"})
+    if has_person:
+        _refuse_refusals(rehearsal)
     bench = WireBench(
         lab.cell, plan.recipe.sources, firmware, motion.home(), clock, rehearsal.seed, rehearsal.plant, faults=faults
     )
@@ -204,9 +220,8 @@ def _rehearsal(
         devices = connect_cell_devices(bench.spec, clock, liveness)
         opened.callback(devices.close)
         opened.callback(liveness.end)
-        if has_person:
-            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, journal.event, _show, person)
-        else:
+        operator: Operator = ask(clock)
+        if not has_person:
             operator = SimulatedOperator(clock, journal.event, REHEARSED_ANSWER_S, faults)
         by_hand = lab.cell.changer.driver == "operator"
         changer = OperatorChanger(operator, world.place, world.remove) if by_hand else SimulatedChanger(clock, world)
@@ -216,6 +231,11 @@ def _rehearsal(
         return Setup(cell, world, opened.pop_all().close, liveness)
 
 
+def _refuse_refusals(simulation: Simulation) -> None:
+    if simulation.faults is not None:
+        simulation.faults.refuse({"operator.refuses": "a person answers for the operator"})
+
+
 def _faults(plan: Plan, simulation: Simulation) -> Faults:
     if simulation.faults is None:
         return Faults()
@@ -223,14 +243,14 @@ def _faults(plan: Plan, simulation: Simulation) -> Faults:
     return Faults(simulation.faults.rules, simulation.seed)
 
 
-def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float, person: Person) -> Setup:
+def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float, ask: Ask) -> Setup:
     liveness = Liveness()
     clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
         devices = connect_cell_devices(lab.cell, clock, liveness)
         opened.callback(devices.close)
         opened.callback(liveness.end)
-        operator = TerminalOperator(clock, journal.event, _show, person)
+        operator = ask(clock)
         changer = OperatorChanger(operator, may_be_loaded=began_s > 0.0)
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=False)
         return Setup(cell, None, opened.pop_all().close, liveness)
@@ -292,10 +312,6 @@ def check_weight(mass_mg: float) -> Container:
 def _find_plants(lab: Lab) -> None:
     """A plant may be a module of the lab or of the working folder; they come last, so that they hide nothing."""
     sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
-
-
-def _show(question: str) -> None:
-    print(harmless(question), flush=True)
 
 
 def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:

@@ -46,6 +46,8 @@ class Notice:
     """The head of the journal's chain, once it is known."""
     at: str = field(default_factory=wall_time)
     """Wall time, ISO 8601 with its zone."""
+    choices: Sequence[str] = ()
+    """Of what is asked: `scuhand-bt answer RUN` gives one."""
 
     def to_json(self) -> str:
         return json.dumps({name: getattr(self, name) for name in self.__dataclass_fields__}, sort_keys=True)

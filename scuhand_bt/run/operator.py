@@ -1,6 +1,5 @@
-"""The person at the cell: at this terminal, simulated, or nobody."""
+"""The person at the cell: who answers on a terminal or from elsewhere, a simulated one, or nobody."""
 
-import queue
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -11,6 +10,8 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.events import Answered, Asked, Trouble
+from scuhand_bt.problems import harmless
+from scuhand_bt.run.questions import Question, Questions, Who, wrong_pin
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
 
@@ -59,56 +60,120 @@ class Nobody:
         raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended; it was to be asked: {question}")
 
 
-class TerminalOperator:
-    """Asks on the terminal; the answer is read on a thread, so that the cell stays watched meanwhile."""
+class PersonOperator:
+    """Asks a person, who answers on the run's terminal or from elsewhere: the first answer counts.
 
-    def __init__(self, clock: Clock, tell: Tell, show: Callable[[str], None], person: Person) -> None:
+    While nobody answers, it waits; the cell stays watched meanwhile.
+    """
+
+    def __init__(
+        self, clock: Clock, tell: Tell, person: Person, questions: Questions, terminal: "Terminal | None" = None
+    ) -> None:
         self._clock = clock
-        self._person = person
         self._tell = tell
-        self._show = show
+        self._questions = questions
+        self._terminal = terminal or Terminal()
+        self._listener = _Listener(questions, person, self._terminal)
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether a question waits."""
+        return self._questions.waiting is not None
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
-        if not sys.stdin.isatty():
-            raise SkillFailed(Code.OPERATOR_ABSENT, question)
-        self._tell(Asked(question=question, choices=list(choices)))
-        person = self._person
+        questions = self._questions
+        asked = questions.ask(question, choices)
+        try:
+            self._tell(Asked(question=question, choices=list(choices)))
+            self._terminal.show(asked)
+            self._listener.listen()
+            while True:
+                news = Wake.on(questions.news, self._clock.now_s + 60.0)
+                for note in questions.take_notes():
+                    self._tell(Trouble(what=note))
+                if (given := questions.given()) is not None:
+                    break
+                yield news
+        finally:
+            questions.withdraw()
+        self._tell(Answered(question=question, answer=given.answer, by=given.who.name, signed=given.who.signed))
+        return given.answer
+
+
+class Terminal:
+    """The run's own terminal, where a person may answer: its standard streams."""
+
+    @property
+    def is_there(self) -> bool:
+        return sys.stdin.isatty()
+
+    def show(self, question: Question) -> None:
+        """A question waits."""
+        self.say(f"{question.text} [{'/'.join(question.choices)}]")
+
+    def say(self, text: str) -> None:
+        """Something about an answer."""
+        print(harmless(text), flush=True)
+
+    def readline(self) -> str:
+        """A line that was typed; "" where none comes any more."""
+        return sys.stdin.readline()
+
+    def hidden(self, prompt: str) -> str:
+        """A line that nobody sees."""
+        return getpass(prompt)
+
+
+class _Listener:
+    """Reads answers from the run's terminal, if it has one, on a thread of its own; the terminal may vanish."""
+
+    def __init__(self, questions: Questions, person: Person, terminal: Terminal) -> None:
+        self._questions = questions
+        self._person = person
+        self._terminal = terminal
+        self._asked = threading.Semaphore(0)
+        self._thread: threading.Thread | None = None
+
+    def listen(self) -> None:
+        """A question waits."""
+        if not self._terminal.is_there:
+            return
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._read, daemon=True, name="terminal")
+            self._thread.start()
+        self._asked.release()
+
+    def _read(self) -> None:
         while True:
-            self._show(f"{question} [{'/'.join(choices)}]")
-            answer = (yield from self._read(question, sys.stdin.readline)).strip().lower()
-            if answer not in choices:
-                continue
-            if person.is_pin is not None:
-                pin = yield from self._read(question, lambda: getpass(f"PIN of {person.name}: ") + "\n")
-                if not person.is_pin(pin.removesuffix("\n")):
-                    what = f"a wrong PIN was given for {person.name}, to answer '{answer}': {question}"
-                    self._tell(Trouble(what=what))
-                    self._show("That is not the PIN.")
-                    continue
-            self._tell(Answered(question=question, answer=answer, by=person.name, signed=person.is_pin is not None))
-            return answer
+            self._asked.acquire()
+            while self._questions.waiting is not None:
+                try:
+                    line = self._terminal.readline()
+                except (EOFError, OSError, ValueError):
+                    return
+                if not line:
+                    return
+                self._hear(line.strip().lower())
 
-    def _read(self, question: str, read: Callable[[], str]) -> Steps[str]:
-        lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        is_read = Signal()
-
-        def put() -> None:
+    def _hear(self, answer: str) -> None:
+        person, asked = self._person, self._questions.waiting
+        if asked is None or not answer:
+            return
+        if answer not in asked.choices:
+            self._terminal.say(f"'{answer}' is no answer; there are: {', '.join(asked.choices)}")
+            return
+        if person.is_pin is not None:
             try:
-                lines.put(read())
-            except (EOFError, OSError, ValueError):
-                lines.put(GONE)
-            is_read.fire()
-
-        threading.Thread(target=put, daemon=True).start()
-        while lines.empty():
-            yield Wake.on(is_read, self._clock.now_s + 60.0)
-        if (line := lines.get()) == GONE:
-            raise SkillFailed(Code.OPERATOR_ABSENT, question)
-        return line
+                is_right = person.is_pin(self._terminal.hidden(f"PIN of {person.name}: "))
+            except (EOFError, OSError):
+                return
+            if not is_right:
+                self._questions.note(wrong_pin(person.name, answer, asked))
+                self._terminal.say("That is not the PIN.")
+                return
+        self._questions.give(asked.number, answer, Who(person.name, person.is_pin is not None))
 
 
-GONE = ""
-"""What is read where nobody can answer any more."""
 UNKNOWN = ""
 """Whatever an earlier run may have left on the pan."""
 

@@ -43,7 +43,7 @@ def options_of(history: History, folder: Path, path: Path) -> Options:
         problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
         raise SourceError([Problem(Mark(str(path)), problem)])
     faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
-    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults) if run.simulated else None
+    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults, given.asks) if run.simulated else None
     return Options(simulation, given.controller, folder, run.unattended)
 
 
@@ -80,6 +80,7 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
             plant=simulation.plant if simulation is not None else None,
             speed=simulation.speed if isinstance(simulation, DryRun) else None,
             faults=faults.marks[0].file if faults is not None else None,
+            asks=simulation is not None and simulation.asks,
         ),
         sources={
             name: SourceUsed(station=source.station, powder=source.powder.name, lot=source.lot)

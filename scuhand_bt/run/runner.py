@@ -120,7 +120,8 @@ class Runner:
 
     def hold(self) -> SkillFailed | None:
         """Stand still until a person continues or stops the run; what a guard found meanwhile, if one tripped."""
-        self._journal.event(Paused())
+        by = self._control.paused_by
+        self._journal.event(Paused(by=by.name, signed=by.signed))
         while True:
             wish = self._wish()
             if not self._control.is_pausing or self._control.is_stopping:
@@ -128,7 +129,8 @@ class Runner:
             self._cell.clock.hold([wish, *self._watched()])
             if (fault := self._look()) is not None:
                 return fault
-        self._journal.event(Continued())
+        by = self._control.continued_by
+        self._journal.event(Continued(by=by.name, signed=by.signed))
         return None
 
     def settle(self) -> None:

@@ -30,6 +30,7 @@ from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import Options, check_controller, described
 from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
 from scuhand_bt.skill import SkillFailed
 
@@ -74,6 +75,7 @@ class Session:
         self._records = LabRecords(path.parent.parent, lab, self.run_id, plan.recipe.name, options.simulation)
         self.notices = self._records.notices
         self._person = options.person or Person(user_name())
+        self.control.at_terminal = Who(self._person.name)
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._records.stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
@@ -122,6 +124,8 @@ class Session:
             motion,
             unattended=options.unattended,
             person=self._person,
+            questions=self.control.questions,
+            terminal=self.control.terminal,
             world_path=world_path(journal.path),
             resumed_at_s=None if history is None else history.time_s,
         )
@@ -183,6 +187,12 @@ class Session:
     def can_be_resumed(self) -> bool:
         """A rehearsal's twins end with its program."""
         return not isinstance(self._options.simulation, Rehearsal)
+
+    @property
+    def mode(self) -> str:
+        """Real devices, SIMULATED or REHEARSAL."""
+        simulation = self._options.simulation
+        return simulation.mode if simulation is not None else "REAL DEVICES"
 
     @property
     def title(self) -> str:

@@ -1,0 +1,143 @@
+"""The doses of a run as rows of text: what the terminal's table and the report's say of each, they say alike."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from rich.box import SIMPLE
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.journal.results import DoseResult, SampleResult
+from scuhand_bt.quantity import format_mass
+
+HOLDS = "holds (sim.)"
+"""What is in the container, which only a simulation can tell: of several powders all."""
+WIDE_COLUMNS = (
+    "id", "container", "target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds",
+    "verdict", "controller", HOLDS,
+)  # fmt: skip
+NARROW_COLUMNS = ("id", "target", "dispensed", "error mg", "seconds", "verdict")
+TEXT_COLUMNS = ("id", "container", "verdict", "controller")
+LEAST_VERDICT = 16
+"""Columns that a verdict has at least, if it needs them."""
+STYLES = {"good": "green", "open": "yellow", "bad": "red"}
+
+
+@dataclass(frozen=True)
+class DoseRow:
+    """A row of the table: of a sample, or of one dose of a sample with several."""
+
+    cells: Mapping[str, str]
+    """The text of each column; a column that is absent is empty."""
+    tone: Literal["good", "open", "bad"]
+    """`open`: in tolerance as far as it is known, and its container is still to go."""
+    numbers: Mapping[str, float | None]
+    """What the cells of numbers stand for, in mg or s, by column."""
+    is_part: bool = False
+    """One dose of the sample whose row is above."""
+
+
+def columns_for(results: Sequence[SampleResult]) -> list[str]:
+    """The columns of a table of these: what a simulation alone can tell is left out where none does."""
+    is_judged = any(result.true_mg is not None for result in results)
+    return [name for name in WIDE_COLUMNS if name != HOLDS or is_judged]
+
+
+def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
+    """A sample's row, and below it one for each of its doses where there are several."""
+    is_single = len(result.doses) < 2
+    verdict = result.verdict if result.code is None else f"{result.verdict}, {result.code}"
+    counts = {
+        "pulses": str(result.pulses),
+        "scoops": str(result.scoops),
+        "vibr. s": f"{result.vibration_s:.0f}",
+        "seconds": f"{result.duration_s:.0f}",
+    }
+    yield DoseRow(
+        {
+            "id": result.id,
+            "container": result.container or "",
+            **(_masses(result) if is_single else {}),
+            **counts,
+            "verdict": verdict,
+            "controller": result.controller or "",
+        },
+        "open" if result.is_open else "good" if result.is_good else "bad",
+        {
+            **(_numbers(result) if is_single else {}),
+            "pulses": result.pulses,
+            "scoops": result.scoops,
+            "vibr. s": result.vibration_s,
+            "seconds": result.duration_s,
+        },
+    )
+    for dose in () if is_single else result.doses:
+        yield DoseRow(
+            {"id": dose_name(dose, result), **_masses(dose), "verdict": dose.verdict},
+            "good" if dose.is_good else "open" if dose.is_open else "bad",
+            _numbers(dose),
+            is_part=True,
+        )
+
+
+def doses_table(results: Sequence[SampleResult], width: int | None = None) -> Table:
+    """The samples as a table for a terminal, each dose of one with several in a row of its own below it.
+
+    Where not all of its columns fit into `width`, it is without what can be looked up elsewhere. The verdict alone is
+    folded, and never cut.
+    """
+    rows = [row for result in results for row in dose_rows(result)]
+    columns = columns_for(results)
+    if width is not None and sum(1 + _width(name, rows) for name in columns) > width:
+        columns = list(NARROW_COLUMNS)
+    table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in columns:
+        justify: Literal["left", "right"] = "left" if name in TEXT_COLUMNS else "right"
+        is_verdict = name == "verdict"
+        least = min(_width(name, rows), LEAST_VERDICT) if is_verdict else None
+        table.add_column(name, justify=justify, no_wrap=not is_verdict, overflow="fold", min_width=least)
+    for row in rows:
+        cells: dict[str, str | Text] = {**row.cells}
+        cells["id"] = _indent(row) + row.cells["id"]
+        cells["verdict"] = Text(row.cells["verdict"], style=STYLES[row.tone])
+        table.add_row(*(cells.get(name, "") for name in columns))
+    return table
+
+
+def _width(name: str, rows: Sequence[DoseRow]) -> int:
+    """Of a column as far as it is not folded."""
+    cells = [len(row.cells.get(name, "")) + (len(_indent(row)) if name == "id" else 0) for row in rows]
+    widest = max([len(name), *cells])
+    return min(widest, LEAST_VERDICT) if name == "verdict" else widest
+
+
+def _indent(row: DoseRow) -> str:
+    return "  " if row.is_part else ""
+
+
+def dose_name(dose: DoseResult, result: SampleResult) -> str:
+    """Which of a sample's doses it is."""
+    is_one_container = len({one.container for one in result.doses}) == 1
+    return dose.lot if is_one_container else f"{dose.container}: {dose.lot}"
+
+
+def _masses(one: SampleResult | DoseResult) -> dict[str, str]:
+    has_error = one.error_mg is not None
+    return {
+        "target": format_mass(one.target_mg) if one.target_mg is not None else "",
+        "dispensed": format_mass(one.dispensed_mg) if one.dispensed_mg is not None else "–",
+        "error mg": f"{one.error_mg:+.1f} ± {one.uncertainty_mg:.1f}" if has_error else "–",
+        "tol. mg": f"{one.tolerance_mg:g}" if one.tolerance_mg is not None else "",
+        HOLDS: format_mass(one.true_mg) if one.true_mg is not None else "–",
+    }
+
+
+def _numbers(one: SampleResult | DoseResult) -> dict[str, float | None]:
+    return {
+        "target": one.target_mg,
+        "dispensed": one.dispensed_mg,
+        "error mg": one.error_mg,
+        "tol. mg": one.tolerance_mg,
+        HOLDS: one.true_mg,
+    }

@@ -1,0 +1,83 @@
+"""Where the powder of each source went: what was weighed, with its uncertainty, and what is only reckoned.
+
+Only what came into containers was weighed. What a scoop brought, what went back and what was let out over the waste are
+the run's own reckoning, which has no uncertainty that anyone has measured.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from scuhand_bt.events import Discarded, Returned, Scooped
+from scuhand_bt.journal.events import Matter, RunBegun
+from scuhand_bt.journal.kinds import parsed
+from scuhand_bt.journal.reader import Contents
+from scuhand_bt.report.weighing_record import weighing_rows
+
+
+@dataclass
+class SourceBalance:
+    """One source over the whole run. Masses in mg; None where the journal does not say."""
+
+    name: str
+    powder: str
+    lot: str
+    start_mg: float | None = None
+    """What it was said to hold before the first action."""
+    scoops: int = 0
+    scooped_mg: float = 0.0
+    returned_mg: float = 0.0
+    discarded_mg: float = 0.0
+    dosed_mg: float = 0.0
+    dosed_variance_mg2: float = 0.0
+    in_cone_mg: float = 0.0
+    left_mg: float | None = None
+    truly_left_mg: float | None = None
+    """The simulation's."""
+
+    @property
+    def dosed_uncertainty_mg(self) -> float:
+        """Standard uncertainty of what was dosed in sum, as if the weighings were independent."""
+        return math.sqrt(self.dosed_variance_mg2)
+
+    @property
+    def unaccounted_mg(self) -> float | None:
+        """At the start, less all that it went to and what is left; the weighings' uncertainty is in it."""
+        if self.start_mg is None or self.left_mg is None:
+            return None
+        return self.start_mg - self.dosed_mg - self.discarded_mg - self.in_cone_mg - self.left_mg
+
+
+def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
+    """The balance of every source of a run, in the recipe's order."""
+    found: dict[str, SourceBalance] = {}
+    believed: Mapping[str, Any] = {}
+    for row in contents.rows("entry"):
+        match event := parsed(row["kind"], row["payload"]):
+            case RunBegun():
+                found = {name: SourceBalance(name, one.powder, one.lot) for name, one in event.sources.items()}
+            case Scooped() if event.source in found:
+                found[event.source].scoops += 1
+                found[event.source].scooped_mg += event.expected_mg
+            case Returned() if event.source in found:
+                found[event.source].returned_mg += event.expected_mg
+            case Discarded() if believed.get("cone_source") in found:
+                found[believed["cone_source"]].discarded_mg += event.expected_mg
+            case Matter():
+                for name, one in found.items():
+                    one.truly_left_mg = event.model_extra.get(f"source:{name}") if event.model_extra else None
+        if row["state"] is not None:
+            believed = row["state"]["believed"]
+            for name, mass_mg in believed["sources_mg"].items():
+                if name in found:
+                    one = found[name]
+                    one.left_mg = mass_mg
+                    one.start_mg = mass_mg if one.start_mg is None else one.start_mg
+    if (holding := found.get(believed.get("cone_source", ""))) is not None:
+        holding.in_cone_mg = believed["cone_mg"]
+    for weighed in weighing_rows(contents):
+        if weighed["weighing"] == "result" and (source := found.get(str(weighed.get("source")))) is not None:
+            source.dosed_mg += cast(float, weighed["net_mg"])
+            source.dosed_variance_mg2 += cast(float, weighed["standard_uncertainty_mg"]) ** 2
+    return list(found.values())

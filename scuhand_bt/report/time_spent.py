@@ -1,0 +1,152 @@
+"""Where a run's time went: what every moment of each job was spent on, by its journal.
+
+A moment counts once. Where several things go on at once, the one that stands last in `Activity` is what it was spent
+on: who waits for a person waits, whatever skill asked; an open valve doses, whatever else the skill does.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, get_args
+
+from scuhand_bt.events import DoseCurve
+from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, Paused, Resumed
+from scuhand_bt.journal.reader import Contents
+
+Activity = Literal[
+    "other",
+    "moving",
+    "scooping",
+    "emptying the cone",
+    "changing containers",
+    "changing the sheet",
+    "settling and weighing",
+    "dosing",
+    "waiting for persons",
+    "paused",
+]
+ACTIVITIES: tuple[Activity, ...] = get_args(Activity)
+_OF_SKILLS: Mapping[str, Activity] = {
+    "move_over": "moving",
+    "park": "moving",
+    "tour": "moving",
+    "scoop": "scooping",
+    "shake": "scooping",
+    "return_leftover": "emptying the cone",
+    "discard": "emptying the cone",
+    "place_container": "changing containers",
+    "remove_container": "changing containers",
+    "swap_sheet": "changing the sheet",
+    "check_valve": "changing the sheet",
+    "dispense": "settling and weighing",
+    "tare": "settling and weighing",
+    "wait": "settling and weighing",
+    "check_weight": "settling and weighing",
+    "watch_balance": "settling and weighing",
+}
+"""By the starter lab's skills; what another does is `other`. `dispense` settles wherever its valve is shut."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Something went on from here to there, in run time."""
+
+    began_s: float
+    ended_s: float
+    activity: Activity
+
+
+@dataclass(frozen=True)
+class JobTime:
+    """One attempt at a job, and how long each activity took of it."""
+
+    name: str
+    sample: str | None
+    attempt: int
+    began_s: float
+    ended_s: float
+    spent_s: Mapping[Activity, float]
+
+    @property
+    def duration_s(self) -> float:
+        return self.ended_s - self.began_s
+
+
+@dataclass(frozen=True)
+class TimeSpent:
+    """The jobs in their order, and the whole run: `total_s` adds up to the time of its last entry."""
+
+    jobs: Sequence[JobTime]
+    total_s: Mapping[Activity, float]
+
+
+def time_spent(contents: Contents) -> TimeSpent:
+    """What each job of a run, and all of it, was spent on. A job or action without an end lasts to the last entry."""
+    last_s = max((row["time_s"] for row in contents.rows("entry")), default=0.0)
+    spans = sorted(_spans(contents, last_s), key=lambda span: span.began_s)
+    jobs = []
+    next_span = 0
+    for row in contents.rows("job"):
+        began_s, ended_s = row["started_s"], last_s if row["ended_s"] is None else row["ended_s"]
+        while next_span < len(spans) and spans[next_span].ended_s <= began_s:
+            next_span += 1
+        within = []
+        for span in spans[next_span:]:
+            if span.began_s >= ended_s:
+                break
+            within.append(span)
+        jobs.append(
+            JobTime(row["name"], row["sample"], row["attempt"], began_s, ended_s, _split(began_s, ended_s, within))
+        )
+    return TimeSpent(jobs, _split(0.0, last_s, spans))
+
+
+def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
+    for row in contents.rows("action"):
+        ended_s = last_s if row["ended_s"] is None else row["ended_s"]
+        yield Span(row["started_s"], ended_s, _OF_SKILLS.get(row["skill"], "other"))
+    asked_s: float | None = None
+    paused_s: float | None = None
+    for row in contents.rows("event"):
+        kind, now_s = row["kind"], row["time_s"]
+        if kind == DoseCurve.KIND:
+            yield from _open_valve(row["payload"]["points"])
+        if asked_s is not None and kind in (Answered.KIND, Asked.KIND, Resumed.KIND, Ended.KIND):
+            yield Span(asked_s, now_s, "waiting for persons")
+            asked_s = None
+        if paused_s is not None and kind in (Continued.KIND, Resumed.KIND, Ended.KIND):
+            yield Span(paused_s, now_s, "paused")
+            paused_s = None
+        if kind == Asked.KIND:
+            asked_s = now_s
+        elif kind == Paused.KIND:
+            paused_s = now_s
+    if asked_s is not None:
+        yield Span(asked_s, last_s, "waiting for persons")
+    if paused_s is not None:
+        yield Span(paused_s, last_s, "paused")
+
+
+def _open_valve(points: Sequence[Sequence[float]]) -> Iterator[Span]:
+    """While the valve was open or vibrated, by the points of a `dose_curve`."""
+    for (began_s, _, opening_mm, vibration, *_), (ended_s, *_) in pairwise(points):
+        if opening_mm > 0.0 or vibration > 0.0:
+            yield Span(began_s, ended_s, "dosing")
+
+
+def _split(began_s: float, ended_s: float, spans: Iterable[Span]) -> dict[Activity, float]:
+    """How long each activity took of a time, each moment counted for the last in order of those that go on in it."""
+    edges: list[tuple[float, int, Activity]] = []
+    for span in spans:
+        first_s, last_s = max(span.began_s, began_s), min(span.ended_s, ended_s)
+        if first_s < last_s:
+            edges += [(first_s, 1, span.activity), (last_s, -1, span.activity)]
+    spent_s = dict.fromkeys(ACTIVITIES, 0.0)
+    going_on = dict.fromkeys(ACTIVITIES, 0)
+    now_s = began_s
+    for at_s, change, activity in [*sorted(edges), (ended_s, 0, "other")]:
+        at_work: Activity = next((one for one in reversed(ACTIVITIES) if going_on[one]), "other")
+        spent_s[at_work] += at_s - now_s
+        going_on[activity] += change
+        now_s = at_s
+    return spent_s

@@ -1,0 +1,127 @@
+"""The question to a person that waits now, and its answer, from wherever it comes: the first one counts.
+
+A question has a number, so that an answer to one is never taken for an answer to the next.
+"""
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from scuhand_bt.clock import Signal
+
+MEANINGS: Mapping[str, str] = {
+    "done": "it is done: the run goes on",
+    "stop": "it is not done: what the recipe says of `operator.refused`, else the run stops and can be resumed",
+    "flag": "the dose is kept and marked; the batch goes on",
+    "redo": "the sample is done once more in a new container, then flagged",
+    "skip_sample": "the sample is left undone; the batch goes on",
+    "again": "the action begins again, from its beginning",
+    "same": "the same container stands there, and counts with what it weighs now",
+    "another": "another container stands there: the one that was dosed into counts no more, and its sample fails",
+    "zero": "only the balance's zero has moved: the weighings before are corrected by it",
+    "powder": "powder has come or gone: what the pan shows counts as it is",
+    "recipe": "the source holds what the recipe says",
+    "inventory": "the source holds what the inventory says",
+    "fresh": "a fresh sheet is in the hand",
+    "filled": "every slot of the changer holds a container again",
+}
+"""What an answer says, and what then happens; a lab's skill may offer others, which its question explains."""
+ANSWERED = "it was answered already"
+ANOTHER = "it is not the question that waits now"
+
+
+@dataclass(frozen=True)
+class Who:
+    """Who said something to a run; None where that is not known. `signed`: and has proven it by a PIN."""
+
+    name: str | None = None
+    signed: bool = False
+
+
+UNKNOWN = Who()
+"""Whoever sent a signal, or wrote an older journal."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question that waits for one of its choices."""
+
+    number: int
+    text: str
+    choices: tuple[str, ...]
+    at: str
+    """Since when, ISO 8601 with its offset from UTC."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """An answer, and who gave it."""
+
+    answer: str
+    who: Who
+
+
+class Questions:
+    """The questions of one run, one at a time; safe to use from any thread. `news` fires when something was said."""
+
+    def __init__(self) -> None:
+        self.news = Signal()
+        self._lock = threading.Lock()
+        self._number = 0
+        self._asked: Question | None = None
+        self._given: Given | None = None
+        self._notes: list[str] = []
+
+    @property
+    def waiting(self) -> Question | None:
+        """The question that nobody has answered yet."""
+        return self._asked if self._given is None else None
+
+    def ask(self, text: str, choices: Sequence[str]) -> Question:
+        """Let a question wait, in place of any before it."""
+        with self._lock:
+            self._number += 1
+            at = datetime.now().astimezone().isoformat(timespec="seconds")
+            self._given, self._asked = None, Question(self._number, text, tuple(choices), at)
+            return self._asked
+
+    def give(self, number: int, answer: str, who: Who) -> str | None:
+        """Answer the question of this number; why that does not count, or None where it does."""
+        with self._lock:
+            asked = self._asked
+            if asked is None or asked.number != number:
+                return ANOTHER
+            if self._given is not None:
+                return ANSWERED
+            if answer not in asked.choices:
+                return f"it is answered with one of: {', '.join(asked.choices)}"
+            self._given = Given(answer, who)
+        self.news.fire()
+        return None
+
+    def given(self) -> Given | None:
+        """The answer to the question that was asked last."""
+        return self._given
+
+    def note(self, what: str) -> None:
+        """Something went wrong in answering, that the journal is to know."""
+        with self._lock:
+            self._notes.append(what)
+        self.news.fire()
+
+    def take_notes(self) -> list[str]:
+        """What was noted since the last time."""
+        with self._lock:
+            notes, self._notes = self._notes, []
+        return notes
+
+    def withdraw(self) -> None:
+        """No question waits any more."""
+        with self._lock:
+            self._asked = None
+
+
+def wrong_pin(name: str, answer: str, asked: Question) -> str:
+    """What the journal has of a wrong PIN."""
+    return f"a wrong PIN was given for {name}, to answer '{answer}': {asked.text}"

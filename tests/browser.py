@@ -1,0 +1,42 @@
+"""A page in Debian's Chromium, for tests: what it asks for from outside, and what it complains of, fails them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+CHROMIUM = Path("/usr/bin/chromium")
+needs_browser = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"there is no {CHROMIUM} (apt install chromium)")
+
+
+@contextmanager
+def browser_page(**options: Any) -> Iterator[Any]:
+    """A page of a browser; at the end nothing foreign was asked for, and nothing was complained of."""
+    from playwright.sync_api import sync_playwright
+
+    wrong: list[str] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox"])
+        page = browser.new_page(**options)
+        page.on("console", lambda said: wrong.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", lambda asked: None if _is_own(asked.url) else wrong.append(f"asked for {asked.url}"))
+        try:
+            yield page
+        finally:
+            browser.close()
+    assert wrong == []
+
+
+def serious_faults(page: Any) -> list[str]:
+    """What axe-core finds that keeps a person from using the page."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page).response["violations"]
+    return [f"{one['id']}: {one['help']}" for one in found if one["impact"] in ("serious", "critical")]
+
+
+def _is_own(url: str) -> bool:
+    return url.startswith(("file:", "data:", "about:"))

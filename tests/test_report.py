@@ -1,0 +1,293 @@
+"""`report`: one page that tells a run's story, and needs nothing from elsewhere."""
+
+import base64
+import gzip
+import re
+import time
+from html import escape
+from pathlib import Path
+
+import pytest
+from browser import browser_page, needs_browser, serious_faults
+from conftest import Call
+from page_text import Tables
+from running import Ran, dry_run
+
+from scuhand_bt.events import DoseCurve
+from scuhand_bt.journal.events import (
+    ActionEnded,
+    ActionStarted,
+    Answered,
+    Asked,
+    Continued,
+    Ended,
+    JobEnded,
+    JobStarted,
+    Paused,
+    RunBegun,
+)
+from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.writer import Journal
+from scuhand_bt.lab import starter_lab
+from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.report.powder_balance import powder_balance
+from scuhand_bt.report.run_report import comparison, run_report
+from scuhand_bt.report.time_spent import TimeSpent, time_spent
+from tests.test_journal import HEADER, tamper
+
+EVIL = "<script>alert(1)</script>"
+BATCH = f"""
+recipe: four
+workflow: fill_xrd_holder
+defaults: {{container: xrd_holder, source: beads}}
+samples:
+  - {{id: first, mass: 30 mg}}
+  - {{id: second, mass: 40 mg}}
+  - {{id: salt, mass: 25 mg, source: msg}}
+  - {{id: dry, mass: 25 mg, source: msg}}
+on_failure: {{otherwise: skip_sample}}
+sources:
+  beads: {{station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g, lot: "{EVIL}"}}
+  msg: {{station: mortar_bay_2, container: small_agate_mortar, powder: monosodium_glutamate, amount: 8 g}}
+"""
+NO_FLOW = "faults:\n  - {fault: valve.stuck_closed, sample: dry}\n"
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    return dry_run(tmp_path_factory.mktemp("ran"), BATCH, controller=None, seed=3)
+
+
+def page_of(journal: Path) -> str:
+    with open_contents(journal) as contents:
+        return run_report(contents)
+
+
+def time_of(journal: Path) -> TimeSpent:
+    with open_contents(journal) as contents:
+        return time_spent(contents)
+
+
+def test_the_page_fetches_nothing_and_no_text_of_a_recipe_becomes_markup(ran: Ran) -> None:
+    text = page_of(ran.journal)
+    page = Tables(text)
+    assert [link for link in page.fetched if not link.startswith(("data:application/gzip;base64,", "#"))] == []
+    assert page.elements.count("script") == 1
+    assert EVIL not in text
+    assert text.count(escape(EVIL)) >= 3, "its summary, its powder and the recipe"
+    assert "default-src 'none'" in text
+
+
+def test_its_banner_says_that_no_powder_was_moved(ran: Ran) -> None:
+    assert "SIMULATED: no powder was moved" in Tables(page_of(ran.journal)).text
+
+
+def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran) -> None:
+    text = page_of(ran.journal)
+    page = Tables(text)
+    good = sum(sample.is_good for sample in ran.result.samples)
+    assert f"{good} of {len(ran.result.samples)}samples good" in page.text
+    assert [row[0] for row in page.found["Doses"][1:]] == [sample.id for sample in ran.result.samples]
+    dosed_mg = sum(dose.dispensed_mg for sample in ran.result.samples for dose in sample.doses)
+    assert f"{format_mass(dosed_mg)}dosed" in page.text
+    for sample in ran.result.samples:
+        assert f"The course of the dose of {escape(sample.id)}" in text
+    assert page.elements.count("figure") == len(ran.result.samples)
+
+
+def test_the_data_in_it_are_what_export_writes(ran: Ran, tmp_path: Path, command: Call) -> None:
+    links = dict(re.findall(r'download="([^"]+)" href="data:application/gzip;base64,([^"]+)"', page_of(ran.journal)))
+    for suffix in ("csv", "json"):
+        assert command("export", ran.journal, f"--{suffix}", "-o", tmp_path / suffix)[0] == 0
+        packed = base64.b64decode(links[f"{ran.journal.stem}.{suffix}.gz"])
+        assert gzip.decompress(packed) == (tmp_path / suffix).read_bytes()
+
+
+def test_every_moment_of_a_run_and_of_its_jobs_was_spent_on_one_thing(ran: Ran) -> None:
+    spent = time_of(ran.journal)
+    assert sum(spent.total_s.values()) == pytest.approx(ran.result.duration_s)
+    for job in spent.jobs:
+        assert sum(job.spent_s.values()) == pytest.approx(job.duration_s)
+        assert min(job.spent_s.values()) >= 0
+    by_job = sum(job.duration_s for job in spent.jobs)
+    assert by_job <= ran.result.duration_s + 1e-6
+    dosing = {job.sample: job.spent_s["dosing"] for job in spent.jobs}
+    assert all(dosing[sample.id] > 0 for sample in ran.result.samples)
+    assert spent.total_s["waiting for persons"] == pytest.approx(60.0), "the sheet that is changed for another powder"
+    assert spent.total_s["other"] < 0.02 * ran.result.duration_s
+
+
+def written(path: Path) -> Path:
+    """A run of one job: 10 s of scooping, a dose of 20 s with the valve open for 3 s, a question and a pause in it."""
+    journal = Journal(path, durable=False)
+    now = 0.0
+    journal.now_s = lambda: now
+    journal.event(RunBegun.model_validate(HEADER))
+    journal.job_started(JobStarted(name="s1", sample="s1", attempt=1, workflow="fill"))
+    for skill, seconds in (("scoop", 10.0), ("dispense", 20.0), ("sieve", 5.0)):
+        action = journal.action_started(ActionStarted(path=skill, visit=1, skill=skill, inputs={}), weighs=False)
+        if skill == "dispense":
+            journal.action = action
+            points = ((12.0, 0.0, 0.0, 0.0, False, 0.0), (14.0, 0.0, 0.5, 0.0, False, 0.0))
+            points += (
+                (16.0, 1.0, 0.0, 0.7, False, 1.0),
+                (17.0, 2.0, 0.0, 0.0, True, 2.0),
+                (29.0, 2.0, 0.0, 0.0, True, 2.0),
+            )
+            now = 20.0
+            journal.event(Asked(question="ready?", choices=["done", "stop"]))
+            now = 22.0
+            journal.event(Paused())
+            now = 23.0
+            journal.event(Continued())
+            now = 24.0
+            journal.event(Answered(question="ready?", answer="done"))
+            journal.event(DoseCurve(points=points))
+            now = 10.0
+        now += seconds
+        journal.action_ended(action, ActionEnded(outcome="done", code=None, result=None))
+    now += 4.0
+    journal.job_ended(JobEnded(outcome="done"))
+    now += 1.0
+    journal.event(Ended(exit_code=0, reason="", complete=True))
+    journal.close()
+    return path
+
+
+def test_who_waits_waits_whatever_the_skill_and_an_open_valve_doses(tmp_path: Path) -> None:
+    spent = time_of(written(tmp_path / "r.sqlite"))
+    (job,) = spent.jobs
+    assert {name: spent_s for name, spent_s in job.spent_s.items() if spent_s} == pytest.approx(
+        {
+            "scooping": 10.0,
+            "dosing": 3.0,
+            "waiting for persons": 3.0,
+            "paused": 1.0,
+            "settling and weighing": 13.0,
+            "other": 9.0,
+        }
+    )
+    assert sum(spent.total_s.values()) == pytest.approx(40.0)
+
+
+def test_the_powder_of_each_source_adds_up(ran: Ran) -> None:
+    with open_contents(ran.journal) as contents:
+        beads, msg = powder_balance(contents)
+    samples = {sample.id: sample for sample in ran.result.samples}
+    for source, names in ((beads, ("first", "second")), (msg, ("salt", "dry"))):
+        doses = [dose for name in names for dose in samples[name].doses]
+        assert source.dosed_mg == pytest.approx(sum(dose.dispensed_mg for dose in doses))
+        assert source.dosed_uncertainty_mg == pytest.approx(sum(dose.uncertainty_mg**2 for dose in doses) ** 0.5)
+        assert source.unaccounted_mg == pytest.approx(0.0, abs=10.0)
+        assert source.truly_left_mg == pytest.approx(source.left_mg, abs=20.0)
+        assert source.scoops >= 1
+    assert (beads.start_mg, msg.start_mg) == (20_000.0, 8_000.0)
+
+
+def test_what_failed_and_who_did_what_is_told(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, BATCH, controller=None, faults=NO_FLOW)
+    page = Tables(page_of(ran.journal))
+    failed = next(sample for sample in ran.result.samples if sample.code is not None)
+    assert any(row[0] == failed.id and str(failed.code) in row[3] for row in page.found["job, attempt, outcome, why"])
+    assert ["cone_holds", "hand.cone_empty"] in [row[:2] for row in page.found["skill, code, times, meaning"]]
+    assert any(row[2] == "answered 'done'" for row in page.found["at, who, what, why"])
+    assert any(row[0] == "valve.stuck_closed" and row[1] != "never" for row in page.found["fault, came at"])
+    assert "--faults" in page.text
+
+
+def test_how_to_do_it_again_is_told(ran: Ran) -> None:
+    page = Tables(page_of(ran.journal))
+    assert "scuhand-bt run recipe.yaml --dry-run --seed 3" in page.text
+    assert ran.session.journal.head in page.text
+    assert ran.session.plan.recipe.hash in page.text
+    assert any(row[0] == "robot/cell.yaml" for row in page.found["file, hash"])
+
+
+def test_a_journal_that_was_altered_is_said_to_be_and_gives_no_data(ran: Ran, tmp_path: Path, command: Call) -> None:
+    journal = tmp_path / "altered.sqlite"
+    journal.write_bytes(ran.journal.read_bytes())
+    tamper(journal, "UPDATE entry SET payload = replace(payload, 'done', 'gone') WHERE seq = 60")
+    code, _, err = command("report", journal, "-o", tmp_path / "r.html")
+    assert (code, "not as it was written" in err) == (3, True)
+    page = Tables((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert "NOT AS IT WAS WRITTEN" in page.text
+    assert "Inside this file" not in page.text
+
+
+def test_a_run_that_had_not_begun_has_no_report(tmp_path: Path, command: Call) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.event(Ended(exit_code=3, reason="", complete=False))
+    journal.close()
+    code, _, err = command("report", journal.path, "-o", tmp_path / "r.html")
+    assert (code, "had not begun" in err, (tmp_path / "r.html").exists()) == (2, True, False)
+
+
+@pytest.mark.parametrize(("name", "options"), [("r.txt", []), ("r.pdf", []), ("r.html", ["--pdf"])])
+def test_a_suffix_that_it_does_not_write_is_refused(
+    ran: Ran, tmp_path: Path, command: Call, name: str, options: list[str]
+) -> None:
+    code, _, err = command("report", ran.journal, "-o", tmp_path / name, *options)
+    assert (code, "is to be" in err, (tmp_path / name).exists()) == (2, True, False)
+
+
+def test_two_runs_are_compared_sample_by_sample(ran: Ran, tmp_path: Path) -> None:
+    other = dry_run(tmp_path, BATCH.replace("mass: 40 mg", "mass: 45 mg"), controller=None, seed=4)
+    with open_contents(ran.journal) as a, open_contents(other.journal) as b:
+        text = comparison(a, b)
+    page = Tables(text)
+    rows = {row[0]: row for row in page.found["Samples"]}
+    for one, two in zip(ran.result.samples, other.result.samples, strict=True):
+        assert one.error_mg is not None
+        assert two.error_mg is not None
+        assert rows[one.id][2].startswith(f"{one.error_mg:+.1f}")
+        assert rows[one.id][3].startswith(f"{two.error_mg:+.1f}")
+        assert rows[one.id][4] == f"{two.error_mg - one.error_mg:+.1f}"
+        assert rows[one.id][7:] == [one.verdict, two.verdict]
+    both = {row[0]: row[1:] for row in page.found["Summary"]}
+    assert both["seed"] == ["3", "4"]
+    assert both["run time"] == [format_duration(one.result.duration_s) for one in (ran, other)]
+    shaded = re.findall(r'<tr class="differs"><td>([^<]*)', text)
+    assert {"seed", "recipe&#39;s SHA-256", "run time"} <= set(shaded)
+    assert not {"cell", "controller", "numpy"} & set(shaded)
+
+
+@pytest.mark.slow
+def test_the_pdf_is_one(ran: Ran, tmp_path: Path, command: Call) -> None:
+    try:
+        import weasyprint  # noqa: F401
+    except OSError as error:
+        pytest.skip(f"WeasyPrint lacks a library of the system: {error}")
+    path = tmp_path / "r.pdf"
+    assert command("report", ran.journal, "--pdf", "-o", path)[0] == 0
+    assert path.read_bytes().startswith(b"%PDF-")
+
+
+@pytest.mark.slow
+@needs_browser
+def test_in_a_browser_it_sorts_its_tables_and_keeps_nobody_out(ran: Ran, tmp_path: Path) -> None:
+    path = tmp_path / "r.html"
+    path.write_text(page_of(ran.journal), encoding="utf-8")
+    with browser_page(viewport={"width": 390, "height": 844}, color_scheme="dark") as page:
+        page.goto(path.as_uri())
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390, "nothing but the tables scrolls sideways"
+        button = page.get_by_role("region", name="Doses").get_by_role("button", name="target")
+        for way, order in (("ascending", sorted), ("descending", lambda masses: sorted(masses, reverse=True))):
+            button.press("Enter")
+            cells = page.locator("[aria-label=Doses] tbody tr td:nth-child(3)").all_inner_texts()
+            masses = [float(cell.removesuffix(" mg")) for cell in cells]
+            assert masses == order(masses)
+            assert button.locator("..").get_attribute("aria-sort") == way
+        assert serious_faults(page) == []
+        page.emulate_media(color_scheme="light")
+        assert serious_faults(page) == []
+
+
+@pytest.mark.slow
+def test_the_report_of_a_night_is_small_and_quick(tmp_path: Path) -> None:
+    recipe = (starter_lab() / "recipes" / "xrd_holders.yaml").read_text(encoding="utf-8")
+    ran = dry_run(tmp_path, recipe, controller=None)
+    began_s = time.process_time()
+    text = page_of(ran.journal)
+    of_24 = 24 / len(ran.result.samples)
+    assert len(text.encode()) * of_24 < 5e6
+    assert (time.process_time() - began_s) * of_24 < 5.0

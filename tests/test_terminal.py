@@ -1,0 +1,308 @@
+"""What a person sees of a run in a terminal: whatever its size, nothing is cut that matters."""
+
+import io
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import REPOSITORY, Call
+from rich.console import Console
+from running import Ran, dry_run, make_lab
+from test_resume import Run, Watch
+
+from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted, Paused, RunBegun
+from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.writer import Journal
+from scuhand_bt.report import picture
+from scuhand_bt.report.doses import doses_table
+from scuhand_bt.report.live import PlainLines
+from scuhand_bt.report.picture import Node, Picture, Shown
+from scuhand_bt.report.watching import shown_of
+from scuhand_bt.run.questions import MEANINGS
+from tests.test_journal import HEADER
+
+SIZES = [(80, 24), (120, 40), (200, 50)]
+BATCH = """
+recipe: five
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, source: beads}
+samples: [{id: a, mass: 30 mg}, {id: b, mass: 30 mg}, {id: c, mass: 30 mg}]
+"""
+LONG = "Put a fresh sheet into the hand; this one has touched monosodium_glutamate/MSG-17, which no other may touch."
+TREE = [Node(min(place, 9), f"step-{place}", "running") for place in range(40)]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    return dry_run(tmp_path_factory.mktemp("ran"), BATCH, controller=None)
+
+
+def drawn(shown: Shown, size: tuple[int, int]) -> list[str]:
+    """The lines of a terminal of this size."""
+    text = io.StringIO()
+    console = Console(file=text, width=size[0], height=size[1], force_terminal=True, color_system=None)
+    console.print(Picture(shown), end="")
+    lines = text.getvalue().split("\n")
+    assert len(lines) == size[1]
+    assert max(map(len, lines)) <= size[0]
+    return lines
+
+
+def unwrapped(lines: list[str]) -> str:
+    return " ".join(" ".join(lines).split())
+
+
+def seen(ran: Ran, **more: Any) -> Shown:
+    failed = ran.result.samples[1].model_copy(update={"code": "hand.no_flow", "detail": "no powder comes"})
+    results = [ran.result.samples[0], failed] * 20
+    values = {
+        "recipe": "five", "mode": "SIMULATED", "total": 60, "results": results, "run_time_s": 754.0, "left_s": 130.0,
+        "job": "c, attempt 2: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder", "tree": TREE,
+        "readings": "balance 9.2451 g, stable", "keys": "Ctrl-Z pauses",
+    }  # fmt: skip
+    return Shown(**{**values, **more})
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_question_its_answers_and_the_last_verdict_stay_in_every_size(ran: Ran, size: tuple[int, int]) -> None:
+    since = (datetime.now().astimezone() - timedelta(seconds=125)).isoformat()
+    question = picture.Asked(LONG, ("done", "stop"), since)
+    lines = drawn(seen(ran, question=question, typed="do", note="'dune' is no answer"), size)
+    text = unwrapped(lines)
+    assert "SIMULATED: five" in lines[0]
+    assert "40/60 samples, 20 good; 12 min 34 s of run time, about 2 min 10 s left" in lines[1]
+    assert "c, attempt 2: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in lines[2]
+    assert f"? {LONG} (waits for 2 min 0" in text
+    for answer in ("done", "stop"):
+        assert f"{answer}: {MEANINGS[answer]}" in text
+    assert "> do" in text
+    assert "'dune' is no answer" in text
+    assert "in tolerance (hand.no_flow: no powder comes)" in text, "the last verdict, and why"
+    assert "Ctrl-Z pauses" in lines[-1]
+    assert "step-39" in text, "what is at work"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_run_that_is_paused_says_so_and_the_newest_dose_comes_first(ran: Ran, size: tuple[int, int]) -> None:
+    results = [one.model_copy(update={"id": f"s{number}"}) for number in range(30) for one in ran.result.samples[:1]]
+    lines = drawn(seen(ran, results=results, state="Paused: Ctrl-Z continues"), size)
+    assert "Paused: Ctrl-Z continues" in lines[-1]
+    rows = [word for line in lines for word in line.split() if word.startswith("s") and word[1:].isdigit()]
+    assert rows[:3] == ["s29", "s28", "s27"]
+
+
+def test_without_colours_a_states_sign_tells_it(ran: Ran) -> None:
+    tree = [Node(0, "tare", "done"), Node(0, "scoop", "failed", "scoop.nothing: it brought nothing")]
+    tree += [Node(0, "park", "running"), Node(0, "wait", "to come")]
+    text = unwrapped(drawn(seen(ran, tree=tree), (120, 40)))
+    assert all(one in text for one in ("✓ tare", "✗ scoop: scoop.nothing", "▶ park", "· wait"))
+
+
+def test_no_color_means_none(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+    text = io.StringIO()
+    console = Console(file=text, width=80, height=24, force_terminal=True)
+    console.print(Picture(seen(ran)))
+    assert "\x1b[3" not in text.getvalue()
+    assert "\x1b[9" not in text.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100, 120, 160, 200])
+def test_no_width_takes_a_name_a_mass_or_a_verdict_from_the_table(ran: Ran, width: int) -> None:
+    code = {"code": "balance.bracket_open", "detail": "its container was not taken off"}
+    results = [ran.result.samples[0], ran.result.samples[1].model_copy(update=code)]
+    text = io.StringIO()
+    Console(file=text, width=width).print(doses_table(results, width))
+    lines = text.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    for result, line in zip(results, [line for line in lines if "30.0 mg" in line], strict=True):
+        assert line.split()[0] == result.id
+        assert f"{result.error_mg:+.1f} ± {result.uncertainty_mg:.1f}" in line
+        assert "in tolerance" in line
+    assert any("balance.bracket_open" in line for line in lines)
+    assert ("controller" in lines[0]) == (width >= 160)
+
+
+# --- from another terminal
+
+
+def test_who_watches_sees_what_is_under_way_and_what_waits(tmp_path: Path, ran: Ran) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    inputs = {"mass": 30.0, "tolerance": 2.0, "source": "beads", "container": "a (xrd_holder)"}
+    sources = {"beads": {"station": "mortar_bay", "powder": "glass_beads", "lot": ""}}
+    planned = [{"id": name, "workflow": "fill", "inputs": inputs} for name in ("a", "b")]
+    journal.event(RunBegun.model_validate({**HEADER, "samples": planned, "sources": sources}))
+    journal.job_started(JobStarted(name="a", sample="a", attempt=2, workflow="fill"))
+    action = journal.action_started(ActionStarted(path="ask", visit=1, skill="ask", inputs={}), weighs=False)
+    journal.action = action
+    journal.event(Asked(question="Is it?", choices=["done", "stop"]))
+    now = Follower(journal.path)
+    now.look()
+    assert now.begun is not None
+    shown = shown_of(now, now.begun)
+    assert shown.job == "a, attempt 2: 30.0 mg ± 2.0 mg of glass_beads into a (xrd_holder)"
+    assert [(node.name, node.state) for node in shown.tree] == [("ask", "running")]
+    assert (shown.question and shown.question.text, shown.keys) == ("Is it?", "scuhand-bt answer r")
+    journal.event(Paused())
+    journal.event(ran.result.samples[0])
+    assert [one.id for one in now.look()] == ["a"]
+    assert "Paused" in shown_of(now, now.begun).state
+    assert now.look() == []
+    journal.close()
+
+
+def test_watching_a_run_to_its_end_says_what_to_do_next(tmp_path: Path, command: Call) -> None:
+    lab = make_lab(tmp_path / "lab")
+    run = Run(tmp_path, lab, BATCH)
+    run.folder = lab / ".scuhand" / "runs"
+    run.go(Watch("stop", 1))
+    code, out, _ = command("watch", "last", "--lab", lab)
+    assert code == 0
+    assert f"{run.journal.stem} (SIMULATED): stopped: stopped; 0 of 3 samples good." in out
+    for what in ("resume", "report", "show"):
+        assert f"`scuhand-bt {what} {run.journal.stem}`" in out
+
+
+# --- how much is told
+
+
+def test_each_action_and_why_it_failed_is_told_if_wished(tmp_path: Path) -> None:
+    lines: list[str] = []
+    plain = PlainLines(lines.append, 3, each_action=True)
+    dry_run(tmp_path, BATCH, controller=None, at_tick=plain.ticked)
+    assert lines.count("  dispense running") == lines.count("  dispense done") == 3
+    assert any(line.startswith("  cone_holds failed: hand.cone_empty") for line in lines)
+
+
+def test_a_quiet_run_says_only_what_it_came_to(tmp_path: Path, command: Call) -> None:
+    lab = make_lab(tmp_path / "lab")
+    recipe = tmp_path / "r.yaml"
+    recipe.write_text(
+        BATCH + "sources:\n  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 9 g}\n"
+    )
+    code, out, _ = command("run", recipe, "--dry-run", "--quiet", "--lab", lab)
+    lines = out.splitlines()
+    assert code == 0
+    assert lines[0].startswith("3 of 3 samples good; ")
+    assert [line.split(":")[0] for line in lines[1:]] == ["Journal", "Head of its chain"]
+    assert command("run", recipe, "--dry-run", "--quiet", "--verbose", "--lab", lab)[0] == 2
+
+
+# --- in a real terminal
+
+ASKS = """\
+workflow: asks
+inputs: {source: Source, container: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - fill_xrd_holder: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}
+    - ask_operator: {question: Is the shield shut?}
+"""
+CLOGS = "workflow: clogs\ntree: {sequence: [{clog: }]}\n"
+CLOG = '''\
+from scuhand_bt.skill import Cell, Code, Skill, SkillFailed, Steps
+
+
+class Clog(Skill[None]):
+    """Fail."""
+
+    raises = (Code.HAND_NO_FLOW,)
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from ()
+        raise SkillFailed(Code.HAND_NO_FLOW, "no powder comes")
+'''
+IN_TMUX = """\
+recipe: shown
+workflow: asks
+defaults: {source: beads, container: xrd_holder, tolerance: 2 mg}
+samples:
+  - {id: a, mass: 30 mg}
+  - {id: broken, workflow: clogs}
+  - {id: b, mass: 40 mg}
+on_failure: {hand.no_flow: ask, otherwise: stop}
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 9 g}
+"""
+
+
+class Tmux:
+    """A terminal of some size."""
+
+    def __init__(self, name: str, size: tuple[int, int], command: str) -> None:
+        self._name = name
+        self._tmux(
+            "new-session", "-d", "-x", str(size[0]), "-y", str(size[1]), f"unset COLUMNS LINES; {command}; sleep 600"
+        )
+
+    def _tmux(self, *arguments: str) -> str:
+        done = subprocess.run(["tmux", "-L", self._name, *arguments], capture_output=True, text=True, check=True)
+        return done.stdout
+
+    def keys(self, *keys: str) -> None:
+        self._tmux("send-keys", *keys)
+
+    def shows(self, *texts: str) -> str:
+        """The screen, once all of this is on it."""
+        until_s = time.monotonic() + 25
+        while True:
+            screen = self._tmux("capture-pane", "-p")
+            if all(text in unwrapped(screen.splitlines()) for text in texts):
+                return screen
+            assert time.monotonic() < until_s, f"{texts} in:\n{screen}"
+            time.sleep(0.3)
+
+    def end(self) -> None:
+        self._tmux("kill-server")
+
+
+@pytest.fixture
+def shown_recipe(tmp_path: Path) -> Path:
+    lab = make_lab(tmp_path / "lab", trees__asks=ASKS, trees__clogs=CLOGS, skills__clog=CLOG)
+    (lab / "recipes").mkdir()
+    recipe = lab / "recipes" / "shown.yaml"
+    recipe.write_text(IN_TMUX, encoding="utf-8")
+    return recipe
+
+
+@pytest.fixture(params=SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
+def terminal(request: pytest.FixtureRequest, shown_recipe: Path) -> Iterator[Tmux]:
+    command = shlex.join([sys.executable, "-m", "scuhand_bt", "run", str(shown_recipe), "--dry-run", "--ask"])
+    width, height = request.param
+    tmux = Tmux(f"scuhand-{width}-{time.monotonic_ns()}", (width, height), f"cd {REPOSITORY}; {command}")
+    try:
+        yield tmux
+    finally:
+        tmux.end()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="there is no tmux (apt install tmux)")
+def test_a_run_is_watched_answered_paused_and_ended_in_a_terminal(terminal: Tmux) -> None:
+    waiting = terminal.shows("? Is the shield shut?", f"done: {MEANINGS['done']}", "> ▏")
+    assert "SIMULATED: shown" in waiting
+    assert "a: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in waiting
+    assert "▶ ask_operator" in waiting
+    terminal.keys("dobe", "BSpace", "BSpace", "ne", "Enter")
+    terminal.shows("b: 40.0 mg", "last: a: ", "? Is the shield shut?")
+    terminal.keys("C-z")
+    terminal.shows("Paused: no further action begins; Ctrl-Z continues")
+    terminal.keys("C-z")
+    terminal.shows("Ctrl-Z pauses")
+    terminal.keys("d", "one", "Enter")
+    failed = terminal.shows("? Sample 'broken' failed: hand.no_flow: no powder comes. What now?")
+    assert "✗ clog: hand.no_flow: no powder comes" in failed
+    assert "left undone; the batch goes on" in unwrapped(failed.splitlines())
+    terminal.keys("skip_sample", "Enter")
+    ended = terminal.shows("samples good;", "writes its report", "Head of its chain:")
+    text = unwrapped(ended.splitlines())
+    assert "broken: skipped, hand.no_flow: no powder comes" in text
+    assert "2 of 3 samples good" in text
+    assert "? Sample" not in text, "nothing is left of the picture"
