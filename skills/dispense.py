@@ -26,6 +26,7 @@ from scuhand_bt.dosing.bracket import (
     Reference,
     dose_between,
     drift_between,
+    fallen_mg,
     significant,
     watch_s,
 )
@@ -54,6 +55,8 @@ FINE_S = 12.0
 """What a dose takes beside its full flow: its controller leaves room for the uncertainty that there is by then."""
 DIFFERENT_READINGS = 12
 """So many that are all multiples of two digits apart come by chance once in 2^(n-1); of more digits, more rarely."""
+FELL_NOISES = 5.0
+"""In sound dry runs the readings of a dose that is not shaken never fall by more than two digits."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 
@@ -137,6 +140,9 @@ class Dispense(Skill[Dose]):
         doubt_balance(cell, request.balance, run.curve)
         for pair in run.watched:
             note_moved(cell, *pair)
+        fell_mg = fallen_mg([point.net_mg for point in run.curve if not point.stable and point.vibration == 0.0])
+        noise_mg = max(digit_mg, cell.balance_belief.noise_mg)
+        believed.zero_stepped(fell_mg if fell_mg > FELL_NOISES * noise_mg else 0.0)
         pause_s = watch_s(before, run.last, self.tolerance_mg)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, pause_s, may_gain=True)
         pairs = ((earlier, before), *run.watched, (after, weighing_of(mean)))

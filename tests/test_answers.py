@@ -204,7 +204,7 @@ def test_where_no_question_waits_there_is_nothing_to_answer(run: Run, command: C
 def test_a_notification_has_the_question_and_its_choices(run: Run, tmp_path: Path) -> None:
     told_of = tmp_path / "told"
     program = tmp_path / "tell"
-    program.write_text(f"#!/bin/sh\ncat >> {told_of}; echo >> {told_of}\n", encoding="utf-8")
+    program.write_text(f'#!/bin/sh\necho "$(cat)" >> {told_of}\n', encoding="utf-8")
     program.chmod(0o755)
     cell = run.lab_folder / "robot" / "cell.yaml"
     cell.write_text(cell.read_text(encoding="utf-8") + f"\nnotify: {{command: [{program}]}}\n", encoding="utf-8")

@@ -21,6 +21,7 @@ from scuhand_bt.dosing.bracket import (
     dose_between,
     drift_between,
     drift_of_dose,
+    fallen_mg,
     held,
     moved_mg,
     significant,
@@ -379,3 +380,14 @@ def test_nothing_is_surer_than_the_drift_that_was_taken_out_of_it() -> None:
     sure, unsure = unshown(0.0, STILL).doses[0], unshown(0.0, Net(0.0, 0.25)).doses[0]
     assert sure.uncertainty_mg < 0.25 < unsure.uncertainty_mg < 0.3
     assert unsure.mass_mg == sure.mass_mg
+
+
+def test_readings_that_fall_and_stay_below_while_powder_comes_tell_a_step_of_the_zero() -> None:
+    rising_mg = [0.5 * at for at in range(20)]
+    assert fallen_mg(rising_mg) == 0.0
+    fell_mg = [*rising_mg, *(mg - 5.0 for mg in (10.0, 10.5, 11.0, 11.5, 12.0, 12.5, 13.0))]
+    assert fallen_mg(fell_mg) == pytest.approx(8.5 - 6.0), "of the medians, what comes meanwhile hides the rest"
+    lump_mg = [*rising_mg, 60.0, 30.0, *(10.0 + 0.5 * at for at in range(20))]
+    assert fallen_mg(lump_mg) == 0.0
+    assert fallen_mg([9.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0]) == 0.0, "too few to tell"
+    assert fallen_mg([5.0] * 5 + [4.0] * 5) == 1.0

@@ -31,6 +31,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
 AGREEMENT = 4.0
 """Standard deviations of their difference by which two results of one thing may be apart: by chance 1 in 16 000 are."""
 HARDLY, SURELY = 2.0, 3.0
@@ -43,6 +46,8 @@ SPAN_SHARE = 1e-5
 WATCHED_SHARE = 0.25
 """Of the tolerance: the pan is watched after a dose until the drift in it is known to this."""
 SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
+FELL_READINGS = 5
+"""A lump that lands weighs more for a moment; a median of so many readings does not show it."""
 WALK_DIGITS = 1.0
 """Random walk of a sound balance's zero: standard deviation after a minute, in digits."""
 
@@ -87,6 +92,18 @@ def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     """By how much two weighings of one thing differ; 0 within chance. The zero has moved, or something has come."""
     difference_mg = after.gross_mg - before.gross_mg
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
+
+
+def fallen_mg(readings_mg: Sequence[float]) -> float:
+    """By how much readings fall while powder comes, and stay below: no powder leaves the pan, so it is the zero.
+
+    The largest difference of two medians of `FELL_READINGS` readings, of which the first ends before the second begins.
+    """
+    if len(readings_mg) < 2 * FELL_READINGS:
+        return 0.0
+    medians_mg = np.median(sliding_window_view(np.asarray(readings_mg), FELL_READINGS), axis=1)
+    highest_mg = np.maximum.accumulate(medians_mg)[:-FELL_READINGS]
+    return max(0.0, float((highest_mg - medians_mg[FELL_READINGS:]).max()))
 
 
 def unseen_mg(stepped_mg: float, drift_mg_per_s: float, lasted_s: float) -> float:
