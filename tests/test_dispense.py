@@ -10,7 +10,7 @@ from dose_bench import BAY, DISH, MORTAR, Bench, shipped_powders
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Pulse, Weigh, new_controller
+from scuhand_bt.dosing import CONTROLLERS, Command, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.events import Dose, DoseWeighed, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -25,6 +25,10 @@ TARGET_MG, TOLERANCE_MG, UNCERTAINTY_MG = 50.0, 2.0, 0.25
 ALLOWED_MG = 1.5
 """The tolerance less twice the uncertainty."""
 WEIGHING_S = 1.0
+POURED = 70
+"""Readings that what is poured takes."""
+CAME_MG = 5 * TARGET_MG / POURED
+"""What comes in five of them hides as much of a fall."""
 
 
 @dataclass
@@ -46,7 +50,11 @@ class ScriptedBalance:
         """Nothing of it moves."""
 
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
-        raise NotImplementedError("these doses are weighed, and do not stream")
+        end_s = self.clock.now_s + 0.1
+        while self.clock.now_s < end_s:
+            yield Wake(end_s)
+        self.latest = Reading(self.load_mg + self.zero_mg(end_s), False, end_s)
+        return self.latest
 
     def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
         end_s = self.clock.now_s + WEIGHING_S
@@ -113,6 +121,39 @@ class LastWord:
             return Pulse(0.2, 0.5, 1.0)
         rig.seen.append(seen)
         return Finish(rig.reason, seen.net_mg, seen.uncertainty_mg)
+
+
+class Pours:
+    """A controller that lets everything fall while it streams, shaking so much, and then says that it is done."""
+
+    name, estimate_mg = "pours", 0.0
+
+    def __init__(self, rig: Rig, vibration: float) -> None:
+        self._rig, self._streams, self._vibration = rig, 0, vibration
+
+    def decide(self, seen: Observation | None) -> Command:
+        if seen is not None and seen.stable:
+            return Finish("reached", seen.net_mg, seen.uncertainty_mg)
+        self._streams += 1
+        if self._streams > POURED:
+            return Weigh()
+        self._rig.balance.load_mg += TARGET_MG / POURED
+        return Stream(0.5, self._vibration)
+
+
+@pytest.mark.parametrize(
+    ("by_mg", "vibration", "remembered_mg"),
+    [(-4.2, 0.0, 4.2 - CAME_MG), (-4.0, 0.0, 0.0), (6.0, 0.0, 0.0), (-20.0, 0.0, 20.0 - CAME_MG), (-20.0, 0.5, 0.0)],
+)
+def test_a_zero_that_falls_while_powder_comes_is_remembered_unless_it_is_shaken(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, by_mg: float, vibration: float, remembered_mg: float
+) -> None:
+    monkeypatch.setitem(CONTROLLERS, "pours", lambda request: Pours(rig, vibration))  # type: ignore[arg-type]
+    begins_mg = rig.balance.load_mg
+    rig.balance.zero_mg = lambda time_s: by_mg if rig.balance.load_mg > begins_mg + TARGET_MG / 2 else 0.0
+    skill = rig._skill("dispense", mass_mg=TARGET_MG, tolerance_mg=30.0, controller="pours")
+    rig.bench.drive(skill.run(rig.cell))
+    assert rig.cell.believed.zero_stepped_mg == pytest.approx(remembered_mg)
 
 
 @pytest.mark.parametrize("of_recipe", [True, False])
