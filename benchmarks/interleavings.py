@@ -15,8 +15,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+from harness.interleaved_lab import CARELESS, Made, shared_motion
 from harness.interleaving_judge import Tally, judge
-from harness.interleavings import CARELESS, Made, interleave, shared_motion
+from harness.interleavings import interleave
 from harness.planted_bugs import BUGS, SEEDS, Bug
 from scuhand_bt.motion import MotionPlanner
 

@@ -14,15 +14,14 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt import cli
+from scuhand_bt import cli, clock
 from scuhand_bt.cli import ongoing
-from scuhand_bt.journal import writer
-from scuhand_bt.lab_state import ledger
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.report import live
 from scuhand_bt.run import control, make_cell, session, wall_clock
@@ -87,21 +86,26 @@ class Command:
                     return
                 self.kill()
                 raise TimeoutError(f"{' '.join(self.args)} hangs")
-            if not (part := os.read(self.says, 65536)):
-                self._reap()
-                return
-            *lines, self._rest = (self._rest + part).split(b"\n")
-            for line in lines:
-                told: Seen = json.loads(line)
-                self.seen = told
-                self.run = told["run"] or self.run
-                self.gate = told["at"] if told["at"] != "end" else ""
-                self.came_to = told.get("code", self.came_to)
+            self._hear()
 
     def kill(self) -> None:
-        """End it as SIGKILL does: at once."""
+        """End it as SIGKILL does: at once, if it has not ended unheard."""
         os.kill(self.process, signal.SIGKILL)
-        self._reap()
+        while self.code is None:
+            self._hear()
+
+    def _hear(self) -> None:
+        """What it says next, or that it has ended."""
+        if not (part := os.read(self.says, 65536)):
+            self._reap()
+            return
+        *lines, self._rest = (self._rest + part).split(b"\n")
+        for line in lines:
+            told: Seen = json.loads(line)
+            self.seen = told
+            self.run = told["run"] or self.run
+            self.gate = told["at"] if told["at"] != "end" else ""
+            self.came_to = told.get("code", self.came_to)
 
     def _reap(self) -> None:
         _, status = os.waitpid(self.process, 0)
@@ -161,7 +165,8 @@ def _child(
     for number in (1, 2):
         os.dup2(file, number)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    sys.stdin, sys.stdout, sys.stderr = open(0, closefd=False), open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
+    sys.stdin, sys.stdout = open(0, closefd=False), open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115 - by lines, as the interpreter has it
     make_cell.prepared_motion = make_cell.motion_of = lambda *given, **options: motion  # type: ignore[assignment]
     gates.put_up()
     if computer.clock_s:
@@ -177,7 +182,8 @@ def _child(
     except SystemExit as ending:
         code = ending.code
     sys.stdout.flush()
-    sys.stderr.flush()
+    with suppress(OSError):  # as the interpreter does
+        sys.stderr.flush()
     return int(code or 0)
 
 
@@ -216,16 +222,20 @@ class _Gates:
         live.PlainLines.ticked = ticked  # type: ignore[method-assign]
 
     def _tell(self, at: str, **more: Any) -> None:
-        told: Seen = {"at": at, "run": "", "matter": {}, **more}
+        told: Seen = {"at": at, "told_s": time.monotonic(), "run": "", "matter": {}, **more}
         if self._session is not None and self._session.world is not None:
-            told |= {"run": self._session.run_id, "matter": self._session.world.masses_mg}
+            world = self._session.world
+            changed = [rule["fault"] for rule in world.faults.account() if rule["came_s"]]
+            told |= {"run": self._session.run_id, "matter": world.masses_mg, "changed": changed}
         os.write(self._says, json.dumps(told).encode() + b"\n")
 
     def _wait(self, at: str) -> None:
         self._tell(at)
         word = b""
         while not word.endswith(b"\n"):
-            word += os.read(self._hears, 1)
+            if not (part := os.read(self._hears, 1)):  # nobody is there to let it go on
+                os._exit(BROKEN)
+            word += part
         self._left, does, amount = json.loads(word)
         if does == "full":
             fill_disk(int(amount))
@@ -248,6 +258,6 @@ def set_clock(by_s: float) -> None:
         def now(cls, tz: Any = None) -> Any:
             return datetime.now(tz) + timedelta(seconds=by_s)
 
-    for module in (writer, ledger, session, wall_clock):
+    for module in (clock, session, wall_clock):
         module.datetime = Shifted  # type: ignore[attr-defined]
     time.time = lambda: steady() + by_s

@@ -1,7 +1,7 @@
 """What an interleaving may have come to: a small model, and the true masses of the simulated world.
 
 - A command ends with a documented code, without a traceback; a run's code is the one that its journal tells.
-- Each sample is begun at most once per attempt, in the recipe's order, and each container is dosed at most once.
+- Each sample is begun at most once per attempt, in the recipe's order, and no container is dosed that had enough.
 - What is called good is truly within its tolerance; what was poured, arrived or fell somewhere that the world names.
 - `verify` accepts what nobody touched, and refuses what somebody wrote anew, as far as the ledger reaches.
 - A run is complete, or can be resumed, or says why not.
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from harness.gated import BROKEN, Command, start
-from harness.interleavings import SOURCE_MG, TARGETS_MG, TOLERANCE_MG, Done, entries_of, read_is_complete
+from harness.interleaved_lab import SOURCE_MG, TARGETS_MG, TOLERANCE_MG, Done, heads_of, read_is_complete
 from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab_state.ledger import Ledger
@@ -38,7 +38,7 @@ class Tally:
 
     interleavings: int = 0
     with_power_cuts: int = 0
-    """Of these, those in which a process was killed and the devices changed by it."""
+    """Of these, those in which a power cut changed devices, by the world's own account."""
     processes: int = 0
     killed: int = 0
     runs: int = 0
@@ -58,7 +58,6 @@ class Tally:
 def judge(done: Done, tally: Tally) -> list[str]:
     """Hold all that has happened against the model; its problems, which the tally has then, too."""
     tally.interleavings += 1
-    tally.with_power_cuts += done.power_cuts > 0
     tally.steps += done.count
     for command in done.ended:
         tally.processes += 1
@@ -66,6 +65,7 @@ def judge(done: Done, tally: Tally) -> list[str]:
         _judge_command(done, command)
     for journal in done.journals:
         _judge_run(done, journal, tally)
+    tally.with_power_cuts += any(command.seen.get("changed") for command in done.ended)
     if done.journals:
         _judge_evidence(done, tally)
     tally.problems += done.problems
@@ -99,6 +99,8 @@ def _judge_command(done: Done, command: Command) -> None:
 def _judge_end(done: Done, command: Command) -> None:
     """How a run ended is in its journal; a process that lost that has a cell fault, and may have kept it elsewhere."""
     path = done.runs / f"{command.run}.sqlite"
+    if command.seen["told_s"] < done.deleted_s.get(command.run, 0.0) and not path.exists():
+        return
     try:
         codes = [event["payload"]["exit_code"] for event in read(path, "event") if event["kind"] == "ended"]
     except SourceError:
@@ -114,7 +116,8 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
     tally.runs += 1
     run = journal.stem
     try:
-        jobs, events, doses = read(journal, "job"), read(journal, "event"), read(journal, "dose")
+        jobs, events = read(journal, "job"), read(journal, "event")
+        pulses, doses = read(journal, "pulse"), read(journal, "dose")
     except SourceError as error:
         if run not in done.given_up:
             wrong(f"it cannot be read, and nobody said so: {error}")
@@ -133,9 +136,8 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
     order = list(dict.fromkeys(job["sample"] for job in jobs if job["sample"]))
     if order != [name for name in TARGETS_MG if name in order] or (order and order[0] != "a"):
         wrong(f"in another order: {order}")
-    dosed = Counter(dose["payload"]["container"] for dose in doses)
-    if twice := [container for container, count in dosed.items() if count > 1]:
-        wrong(f"dosed twice: {twice}")
+    if again := _dosed_twice([*pulses, *doses]):
+        wrong(f"dosed twice: {again}")
     matter = _true(done, run)
     if matter is None:
         return
@@ -151,6 +153,25 @@ def _judge_run(done: Done, journal: Path, tally: Tally) -> None:
         wrong(f"it is complete, and has results of {sorted(results)} only")
     for name, result in results.items():
         _judge_sample(name, result, matter, done, tally, wrong, is_complete=is_complete)
+
+
+def _dosed_twice(rows: list[dict[str, Any]]) -> list[str]:
+    """The containers that had enough, and into which the valve was opened again.
+
+    What is too little, as the cone was empty, is added to from the next scoop; and a dose whose end was lost with a
+    disk is weighed and written again.
+    """
+    twice, had_enough, opened = [], set(), False
+    for said in (row["payload"] for row in sorted(rows, key=lambda row: row["id"])):
+        if "verdict" not in said:
+            opened |= said["kind"] == "pulse"
+            continue
+        if opened and said["container"] in had_enough:
+            twice.append(said["container"])
+        opened = False
+        if said["verdict"] != "under":
+            had_enough.add(said["container"])
+    return twice
 
 
 def _judge_sample(
@@ -181,10 +202,12 @@ def _judge_sample(
 
 def _true(done: Done, run: str) -> dict[str, float] | None:
     """The true masses at the end of a run, as the last process told them that had it."""
-    for command in reversed(done.ended):
-        if command.run == run and command.came_to is not None and not command.is_overtaken:
-            return dict(command.seen["matter"])
-    return None
+    ended = [
+        command.seen
+        for command in done.ended
+        if command.run == run and command.came_to is not None and not command.is_overtaken
+    ]
+    return max(ended, key=lambda seen: seen["told_s"])["matter"] if ended else None
 
 
 def _kind(why: str) -> str:
@@ -206,11 +229,11 @@ def _judge_evidence(done: Done, tally: Tally) -> None:
     rng = random.Random(done.made.seed)
     for journal in done.journals:
         told = _verify(done, journal)
-        if told.code != 0 and entries_of(journal):
+        if told.code != 0 and heads_of(journal):
             done.wrong(f"`verify` refuses what nobody touched: {told.text.strip()}")
     journal = rng.choice(done.journals)
     last = max((one.line.entries for one in Ledger(done.runs.parent).verified().of(journal.stem)), default=0)
-    if not entries_of(journal) or last < 2:
+    if not heads_of(journal) or last < 2:
         return
     state = done.made.folder / "forged"
     (state / "runs").mkdir(parents=True)

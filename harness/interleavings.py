@@ -8,144 +8,41 @@ is mended, and every run is resumed until it is complete or says why it cannot b
 import random
 import shutil
 import sqlite3
-from collections import Counter
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
 from harness.gated import FREE, Command, Computer, start
+from harness.interleaved_lab import Done, Made, heads_of, make_lab, read_is_complete
 from scuhand_bt.journal.history import read_history
-from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import MotionPlanner
+from scuhand_bt.lab_state.ledger import Ledger
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe.plan import make_plan
-from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.make_cell import prepared_motion
-from scuhand_bt.sim.fault_rules import OUTAGES
 
-RECIPE = """
-recipe: shared
-workflow: {workflow}
-sources: {{beads: {{station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}}}
-defaults: {{source: beads, container: xrd_holder, tolerance: 2 mg}}
-samples:
-  - {{id: a, mass: 30 mg}}
-  - {{id: a.2, mass: 50 mg}}
-on_failure: {{container.changed: redo, container.missing: redo, dose.overshoot: redo, otherwise: flag}}
-"""
-TARGETS_MG = {"a": 30.0, "a.2": 50.0}
-TOLERANCE_MG = 2.0
-SOURCE_MG = 20_000.0
-FILL = """workflow: careless_fill
-inputs: {source: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 2 mg}}
-result: $dose
-tree:
-  sequence:
-    - place_container: {container: $container}
-    - tare:
-    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance, as: dose}
-    - park:
-    - careless:
-"""
-SKILL = '''
-"""A skill that does what none may."""
-import sys
-from scuhand_bt.journal.events import Ended
-from scuhand_bt.skill import Cell, Skill, Steps, pause
-
-class Careless(Skill[None]):
-    """Be careless."""
-    devices = ("hand",)
-    interrupted = "repeat"
-    def run(self, cell: Cell) -> Steps[None]:
-        yield from pause(cell, 0.5)
-        {does}
-'''
-CARELESS = {
-    "leaves the valve open": "cell.hand.set_opening(2.0)",
-    "says that the run has ended": 'cell.record.event(Ended(exit_code=0, reason="", complete=True))',
-    "ends the program": "sys.exit(0)",
-}
-LIKELY = 0.2
-"""How likely each of the things that a power cut may do comes with one."""
+POWER_CUTS_WEIGHT = 36
+"""How much likelier a process is killed where that is a power cut, so that most of these interleavings have one."""
 TICKS = 250
 """Of a run's 670, the most that it goes on at a time."""
 TRIES = 8
 CLOCKS_S = (-86400.0, 3600.0, 30 * 365 * 86400.0)
 
 
-@dataclass(frozen=True)
-class Made:
-    """What one interleaving is, beside what happens in it."""
-
-    seed: int
-    folder: Path
-    motion: MotionPlanner
-    plant: Callable[[], None] = lambda: None
-    """Changes the program in every process."""
-    has_outages: bool = False
-    only: str = ""
-    """The one thing that every power cut does."""
-    careless: str = ""
-    """What the lab's careless skill does; empty where it has none."""
-    steps: int = 12
-    script: Sequence[str] = ()
-    """What happens, instead of what is drawn."""
-
-
-@dataclass
-class Done:
-    """What has happened."""
-
-    made: Made
-    ended: list[Command] = field(default_factory=list)
-    """Every command, in the order in which they ended."""
-    happened: list[str] = field(default_factory=list)
-    count: Counter[str] = field(default_factory=Counter)
-    power_cuts: int = 0
-    """Processes killed in a run whose power cuts change devices."""
-    given_up: dict[str, str] = field(default_factory=dict)
-    """Runs that cannot be resumed, and why."""
-    problems: list[str] = field(default_factory=list)
-
-    @property
-    def lab(self) -> Path:
-        return self.made.folder / "lab"
-
-    @property
-    def runs(self) -> Path:
-        return self.lab / ".scuhand" / "runs"
-
-    @property
-    def journals(self) -> list[Path]:
-        return sorted(path for path in self.runs.glob("*.sqlite"))
-
-    def wrong(self, what: str) -> None:
-        self.problems.append(f"seed {self.made.seed}: {what}")
-
-
-def shared_motion(folder: Path) -> MotionPlanner:
-    """The planner of all interleavings: they have the same places."""
-    lab = load_lab(starter_lab())
-    recipe = folder / "motion.yaml"
-    recipe.write_text(RECIPE.format(workflow="fill_xrd_holder"), encoding="utf-8")
-    plan = make_plan(load_recipe(recipe, lab), lab)
-    return prepared_motion(plan, lab)
-
-
 def interleave(made: Made) -> Done:
     """Let it happen, then mend what was broken, and let every run come to its end."""
     world = _Lab(Done(made))
-    if made.script:
-        for step in made.script:
-            world.does(step)
-    else:
-        world.does("begin")
-        for _ in range(made.steps):
-            world.does(world.draw())
-    world.to_the_end()
+    try:
+        if made.script:
+            for step in made.script:
+                world.does(step)
+        else:
+            world.does("begin")
+            for _ in range(made.steps):
+                world.does(world.draw())
+        world.to_the_end()
+    except TimeoutError as hangs:
+        world.done.wrong(str(hangs))
+        world.ends()
     return world.done
 
 
@@ -161,21 +58,7 @@ class _Lab:
         self._taken: dict[str, Path] = {}
         """Runs whose journal was taken away, and where it is."""
         self._clock_s = 0.0
-        for part in ("robot", "skills", "trees"):
-            shutil.copytree(
-                starter_lab() / part, done.lab / part, ignore=shutil.ignore_patterns("__pycache__", "firmware")
-            )
-        (done.lab / "recipes").mkdir()
-        if self.made.careless:
-            (done.lab / "skills" / "careless.py").write_text(SKILL.format(does=CARELESS[self.made.careless]))
-            (done.lab / "trees" / "careless_fill.yaml").write_text(FILL)
-        workflow = "careless_fill" if self.made.careless else "fill_xrd_holder"
-        self._recipe = done.lab / "recipes" / "shared.yaml"
-        self._recipe.write_text(RECIPE.format(workflow=workflow), encoding="utf-8")
-        self._faults = self.made.folder / "faults.yaml"
-        rules = [f"{{fault: {self.made.only}, probability: 1}}"] if self.made.only else []
-        rules = rules or [f"{{fault: {name}, probability: {LIKELY}}}" for name in OUTAGES]
-        self._faults.write_text("faults:\n" + "".join(f"  - {rule}\n" for rule in rules))
+        self._recipe, self._faults = make_lab(self.made)
 
     # --- what may happen
 
@@ -186,7 +69,8 @@ class _Lab:
     }  # fmt: skip
 
     def draw(self) -> str:
-        return self.rng.choices(list(self.WEIGHTS), list(self.WEIGHTS.values()))[0]
+        weights = self.WEIGHTS | ({"kill": POWER_CUTS_WEIGHT} if self.made.has_outages else {})
+        return self.rng.choices(list(weights), list(weights.values()))[0]
 
     def does(self, step: str) -> None:
         """One step; `go:60` names the ticks, `kill@0` the process (the first that lives), the rest is drawn."""
@@ -247,14 +131,13 @@ class _Lab:
     def _kill(self, name: str, one: Command | None, ticks: int) -> None:
         if one is not None:
             self._said(f"{one.args[0]} {one.process} is killed")
-            self.done.power_cuts += self.made.has_outages and one.gate == "tick"
             one.kill()
             self._collect()
 
     def _resume(self, name: str, one: Command | None, ticks: int) -> None:
         if (run := self._name()) is not None and len(self.live) < 4:
             self._said("resume")
-            args = ["resume", run, "--lab", str(self.done.lab)]
+            args = ["resume", run, "--lab", str(self.made.lab)]
             args += ["--accept-changes"] if self.rng.random() < 0.5 else []
             for other in self.live:
                 if other.run == run and other.is_wished_paused:
@@ -270,7 +153,7 @@ class _Lab:
         if (run := self._name()) is not None:
             self._said("resume on another computer")
             (self.done.runs / f"{run}.lock").unlink(missing_ok=True)
-            args = ["resume", run, "--lab", str(self.done.lab), "--accept-changes"]
+            args = ["resume", run, "--lab", str(self.made.lab), "--accept-changes"]
             self._start(args, run=run, ticks=ticks, is_another=True)
 
     def _stop(self, name: str, one: Command | None, ticks: int) -> None:
@@ -280,7 +163,7 @@ class _Lab:
             listening = [
                 other for other in self.live if other.run == run and other.gate == "tick" and not other.is_elsewhere
             ]
-            done = self._now(word, run, *now, "--lab", str(self.done.lab))
+            done = self._now(word, run, *now, "--lab", str(self.made.lab))
             if listening and done.code != 0:
                 self.done.wrong(f"'{name}' is refused by a run that goes on: {done.text.strip()}")
             if word == "pause" and listening:
@@ -292,21 +175,21 @@ class _Lab:
         if (run := self._name()) is not None:
             args = self.rng.choice([["runs"], ["show", run], ["verify", run]])
             self._said(" ".join(args[:1]))
-            done = self._now(*args, "--lab", str(self.done.lab))
-            is_new = len(self.done.journals) + len(self._taken) > 0 and not entries_of(self.done.runs / f"{run}.sqlite")
+            done = self._now(*args, "--lab", str(self.made.lab))
+            is_new = len(self.done.journals) + len(self._taken) > 0 and not heads_of(self.done.runs / f"{run}.sqlite")
             if done.code != 0 and not is_new:
                 self.done.wrong(f"'{args[0]}' ends with {done.code}: {done.text.strip()}")
 
     def _inventory(self, name: str, one: Command | None, ticks: int) -> None:
         self._said("inventory set")
-        done = self._now("inventory", "--lab", str(self.done.lab), "set", "cone", "0 mg")
+        done = self._now("inventory", "--lab", str(self.made.lab), "set", "cone", "0 mg")
         if done.code != (2 if self._whole else 0) and not (self._whole and done.code == 0):
             self.done.wrong(f"'inventory set' ends with {done.code}: {done.text.strip()}")
 
     def _half_save(self, name: str, one: Command | None, ticks: int) -> None:
         """An editor has written the first half of a file."""
         names = ["trees/fill.yaml", "trees/fill_crucible.yaml", "robot/powders.yaml", "recipes/shared.yaml"]
-        path = self.done.lab / self.rng.choice([one for one in names if (self.done.lab / one).exists()])
+        path = self.made.lab / self.rng.choice([one for one in names if (self.made.lab / one).exists()])
         if path not in self._whole:
             self._whole[path] = path.read_text(encoding="utf-8")
             self._said(f"{path.name} is half saved")
@@ -314,7 +197,7 @@ class _Lab:
             path.write_text(f"{half}\nsequence:\n", encoding="utf-8")
 
     def _edit(self, name: str, one: Command | None, ticks: int) -> None:
-        path = self.done.lab / "trees" / "fill_xrd_holder.yaml"
+        path = self.made.lab / "trees" / "fill_xrd_holder.yaml"
         self._said(f"{path.name} is edited")
         with path.open("a", encoding="utf-8") as file:
             file.write("# seen\n")
@@ -358,6 +241,7 @@ class _Lab:
         """A journal is deleted from under the process that writes it."""
         if one is not None and one.gate == "tick":
             self._said("a journal is deleted")
+            self.done.deleted_s[one.run] = time.monotonic()
             for part in self.done.runs.glob(f"{one.run}.sqlite*"):
                 part.unlink()
 
@@ -390,11 +274,14 @@ class _Lab:
 
         Not where another went on with the run: there are two of its end then, and the journal has the true one.
         """
-        overtaken = {command.run for command in self.done.ended if command.is_overtaken}
         for rescued in sorted(self.done.runs.parent.glob("rescued-*/*.sqlite")):
             path = self.done.runs / rescued.name
-            is_whole = entries_of(rescued) > entries_of(path)
-            if is_whole and rescued.stem not in overtaken and (not path.exists() or self.rng.random() < 0.5):
+            heads, known = heads_of(rescued), heads_of(path)
+            told = [one.line for one in Ledger(self.done.runs.parent).verified().of(path.stem)]
+            is_whole = heads[: len(known)] == known and all(
+                heads[line.entries - 1 : line.entries] == [bytes.fromhex(line.head)] for line in told
+            )
+            if is_whole and (not path.exists() or self.rng.random() < 0.5):
                 self._said("a rescued journal is used")
                 for part in self.done.runs.glob(f"{rescued.stem}.sqlite*"):
                     part.unlink()
@@ -403,6 +290,13 @@ class _Lab:
             shutil.rmtree(rescued.parent)
 
     # --- the end
+
+    def ends(self) -> None:
+        """Every process is killed, at its gate or not."""
+        for command in self.live:
+            if command.code is None:
+                command.kill()
+        self._collect()
 
     def to_the_end(self) -> None:
         """Everything is mended, every process comes to its end, every run is resumed until nothing is left to do."""
@@ -413,7 +307,7 @@ class _Lab:
                     command.go()
                 else:
                     command.is_wished_paused = False
-                    self._now("resume", command.run, "--lab", str(self.done.lab), run=command.run)
+                    self._now("resume", command.run, "--lab", str(self.made.lab), run=command.run)
                     command.wait()
             self._collect()
         self._give_back("give_back", None, 0)
@@ -427,7 +321,7 @@ class _Lab:
                 except SourceError:
                     pass
                 again = self._now(
-                    "resume", journal.stem, "--lab", str(self.done.lab), "--accept-changes", run=journal.stem
+                    "resume", journal.stem, "--lab", str(self.made.lab), "--accept-changes", run=journal.stem
                 )
                 if again.code == 2:
                     self.done.given_up[journal.stem] = again.text.strip().splitlines()[-1]
@@ -440,22 +334,3 @@ class _Lab:
                 continue
             if read_is_complete(journal):
                 self.done.given_up.pop(journal.stem, None)
-
-
-def read_is_complete(journal: Path) -> bool:
-    """Whether its journal says that nothing is left to do."""
-    try:
-        return read_history(journal).is_complete
-    except SourceError:
-        return False
-
-
-def entries_of(journal: Path) -> int:
-    """How many entries a journal has; none where it is no journal."""
-    if not journal.exists():
-        return 0
-    with closing(sqlite3.connect(journal)) as database:
-        try:
-            return int(database.execute("SELECT COUNT(*) FROM entry").fetchone()[0])
-        except sqlite3.Error:
-            return 0

@@ -8,7 +8,6 @@ import math
 import os
 import random
 import signal
-import sqlite3
 import time
 import traceback
 from collections.abc import Iterable, Iterator
@@ -23,6 +22,7 @@ from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.hash_chain import verify
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.store import read_only
 from scuhand_bt.lab import Lab, find_lab, load_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
@@ -221,7 +221,7 @@ def _judge(batch: Batch, journal: Path, tally: Tally) -> None:
     def wrong(what: str) -> None:
         tally.problems.append(f"seed {batch.seed}: {what}")
 
-    with closing(sqlite3.connect(f"file:{journal}?mode=ro", uri=True)) as database:
+    with closing(read_only(journal)) as database:
         if (problem := verify(database).problem) is not None:
             wrong(problem)
     events = read(journal, "event")

@@ -8,7 +8,8 @@ clock to go on to the earliest of them. The clocks themselves are in `scuhand_bt
 import math
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias, TypeVar
+from datetime import datetime
+from typing import Literal, Protocol, TypeAlias, TypeVar
 
 T = TypeVar("T")
 
@@ -72,6 +73,11 @@ class Clock(Protocol):
     def hold(self, wakes: Sequence[Wake]) -> None:
         """Stand still until a signal of `wakes` fires; where time is real it goes on, and their times count too."""
         ...
+
+
+def wall_time(precision: Literal["seconds", "milliseconds"] = "seconds") -> str:
+    """The computer's time, by which records are dated and nothing else is done: ISO 8601 with its offset from UTC."""
+    return datetime.now().astimezone().isoformat(timespec=precision)
 
 
 def until(clock: Clock, condition: Callable[[], bool], signal: Signal, timeout_s: float) -> Steps[bool]:

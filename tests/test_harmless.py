@@ -10,7 +10,7 @@ from conftest import Call
 from running import dry_run, make_lab
 
 from scuhand_bt import cli
-from scuhand_bt.cli.shared import PlainConsole
+from scuhand_bt.cli.streams import PlainConsole
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import load_lab
 from scuhand_bt.problems import SourceError, harmless

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from harness.interleaved_lab import Made, shared_motion
 from harness.interleaving_judge import Tally, judge
-from harness.interleavings import Made, interleave, shared_motion
+from harness.interleavings import interleave
 from harness.planted_bugs import BUGS
 from scuhand_bt.motion import MotionPlanner
 

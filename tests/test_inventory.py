@@ -22,11 +22,12 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry
-from scuhand_bt.lab_state.lab_db import MIGRATIONS, lab_db
+from scuhand_bt.lab_state.lab_db import MIGRATIONS, reading_lab_db, writing_lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.inventory_conflicts import conflicts, recall, require_resolvable, resolve
+from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outcome import BatchResult
@@ -109,7 +110,7 @@ def test_a_database_that_another_process_holds_is_said_to_be_locked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Inventory(tmp_path, "starter").enter(StockEntry("cone", mass_mg=0.0))
-    with lab_db(tmp_path, write=True):
+    with writing_lab_db(tmp_path):
         connect = sqlite3.connect
         monkeypatch.setattr(sqlite3, "connect", lambda path, **more: connect(path, **{**more, "timeout": 0.05}))
         with pytest.raises(SourceError, match="cannot be used: database is locked"):
@@ -140,7 +141,7 @@ def test_only_what_changes_is_added_and_an_operators_entry_stands_until_the_run_
     inventory = Inventory(tmp_path, "starter")
 
     def count() -> int:
-        with lab_db(tmp_path, write=False) as database:
+        with reading_lab_db(tmp_path) as database:
             assert database is not None
             return int(database.execute("SELECT count(*) FROM inventory WHERE simulated = 0").fetchone()[0])
 
@@ -367,21 +368,21 @@ def test_a_real_run_goes_on_from_what_the_one_before_left(real: Callable[..., tu
 def test_a_run_goes_on_while_the_inventory_is_written(
     real: Callable[..., tuple[BatchResult, Session]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write, after_job = Inventory._write, Session._after_job
+    write, after_job = Inventory._write, LabRecords.after_job
     jobs, second, waited = list[int](), threading.Event(), list[bool]()
 
     def slow(inventory: Inventory, *arguments: Any) -> None:
         waited.append(second.wait(5.0))
         write(inventory, *arguments)
 
-    def ended(session: Session) -> None:
-        after_job(session)
+    def ended(records: LabRecords) -> None:
+        after_job(records)
         jobs.append(1)
         if len(jobs) == 2:
             second.set()
 
     monkeypatch.setattr(Inventory, "_write", slow)
-    monkeypatch.setattr(Session, "_after_job", ended)
+    monkeypatch.setattr(LabRecords, "after_job", ended)
     believed = real()[1].cell.believed
     assert waited[0], "the second job has ended before the first one was written"
     assert Inventory(tmp_path, "starter").stock(simulated=False)["station", "mortar_bay"].mass_mg == pytest.approx(

@@ -3,6 +3,8 @@
 import json
 import math
 import sqlite3
+import subprocess
+import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import closing
@@ -411,3 +413,9 @@ def test_a_value_of_a_kind_that_no_journal_has_is_an_alteration() -> None:
         assert verify(database).problem is None
         database.execute("UPDATE entry SET payload = x'7b7d'")
         assert verify(database).problem == "entry 1 (run, at) was altered"
+
+
+def test_a_program_that_closes_no_journal_ends_all_the_same(tmp_path: Path) -> None:
+    forgets = "import sys, pathlib, scuhand_bt.journal.writer as w; w.Journal(pathlib.Path(sys.argv[1]), durable=False)"
+    told = [sys.executable, "-c", forgets, str(tmp_path / "a.sqlite")]
+    assert subprocess.run(told, timeout=30, check=False).returncode == 0

@@ -17,8 +17,8 @@ from conftest import REPOSITORY, Call, LabFolder
 from running import make_lab
 from test_journal_store import wait_for
 
-from scuhand_bt.cli import shared, supervisor
-from scuhand_bt.cli.shared import Beside
+from scuhand_bt.cli import streams, supervisor
+from scuhand_bt.cli.streams import Beside
 from scuhand_bt.journal.archive import summary
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.store import Store
@@ -99,6 +99,15 @@ def test_a_disk_that_is_full_before_the_first_entry_moves_nothing_and_says_so(
 def test_what_is_wrong_is_in_the_exit_code_though_nobody_can_be_told(tmp_path: Path, where: str) -> None:
     line = f"{' '.join(COMMAND)} {tmp_path / 'none.yaml'} --dry-run {where}"
     assert subprocess.run(["bash", "-c", line], cwd=REPOSITORY, capture_output=True, timeout=60).returncode == 2
+
+
+@pytest.mark.parametrize("asks", [["faults"], ["runs", "--json"]])
+def test_what_a_full_disk_does_not_take_was_not_told_and_is_said_to_be(tmp_path: Path, asks: list[str]) -> None:
+    told = [sys.executable, "-m", "scuhand_bt", *asks]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(told, stdout=full, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY, timeout=60)
+    assert done.returncode == 2
+    assert done.stderr == "It could not be finished: [Errno 28] No space left on device.\n"
 
 
 @pytest.mark.parametrize("how", ["closed", "stopped reading"])
@@ -281,12 +290,12 @@ def test_what_is_written_comes_in_its_order_and_at_the_end_all_of_it() -> None:
 
 
 def test_nobody_waits_for_a_reader_who_does_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shared, "LAST_WORDS_S", 0.1)
+    monkeypatch.setattr(streams, "LONGEST_READING_S", 0.1)
     reader: Any = Reader()
     reader.is_stuck = True
     began_s = time.monotonic()
     with Beside(reader) as stream:
-        for _ in range(2 * shared.MOST_WAITING):
+        for _ in range(2 * streams.MOST_WAITING):
             stream.write("x")
     assert time.monotonic() - began_s < 2.0
     reader.is_stuck = False

@@ -79,7 +79,7 @@ def test_a_clock_is_held_against_what_was_written_last(since: timedelta, odd: st
 def test_a_run_before_the_ledgers_last_line_says_so_in_its_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from scuhand_bt.lab_state import ledger as of_ledger
+    from scuhand_bt import clock
 
     class Later(datetime):
         @classmethod
@@ -87,7 +87,7 @@ def test_a_run_before_the_ledgers_last_line_says_so_in_its_journal(
             return datetime.now() + timedelta(days=9000)
 
     with monkeypatch.context() as patch:
-        patch.setattr(of_ledger, "datetime", Later)
+        patch.setattr(clock, "datetime", Later)
         Ledger(tmp_path).add("before", "ended", 1, "0" * 64, durable=False)
     ran = dry_run(tmp_path, DOSE)
     assert any("earlier than the last that this lab has written down" in said for said in troubles(ran.journal))

@@ -530,6 +530,22 @@ def test_a_write_cut_short_leaves_the_state_before(tmp_path: Path, old: int, new
     assert last_of(path) == (b"o" * old, b"l" * 10)
 
 
+@pytest.mark.parametrize("size", [10, 9000])
+def test_a_process_from_which_another_has_taken_the_world_over_changes_it_no_more(tmp_path: Path, size: int) -> None:
+    path = tmp_path / "a.world"
+    overtaken = WorldFile.create(path, b"first")
+    overtaken.write(b"before")
+    heir, *_ = WorldFile.open(path)
+    for writes in range(1, 4):
+        heir.append(b"l")
+        heir.write(b"of the heir")
+        overtaken.append(b"stale")
+        overtaken.write(b"s" * size)
+        assert last_of(path) == (b"of the heir", b"l" * writes)
+    overtaken.close()
+    heir.close()
+
+
 @few
 @given(st.data())
 def test_damage_is_an_older_state_or_a_clear_error(tmp_path: Path, data: st.DataObject) -> None:

@@ -30,6 +30,8 @@ SLOWER = 1.25
 """Times a known delay: a balance that shows a step later is not set as it was."""
 SCOOP_DOUBT = 0.15
 """How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
+DROP_S = 30.0
+"""Powder that drips from a valve that was shut does so once in this time."""
 HAND_S = 1.0
 """What a person takes to put a container down, besides."""
 
@@ -67,6 +69,18 @@ def weigh_until_still(
                 Code.BALANCE_DRIFTING, f"after {PATIENCE_S:g} s the reading still changes by {rate:+.2f} mg/s"
             )
         last, pause_s = now, PAUSE_S
+
+
+def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
+    """Remember by how much two weighings of a full container differ, the valve shut; what it has gained [mg].
+
+    What it loses is the zero's: a step, or a drift that any dose may have had. What it gains may be so, too, or a drop
+    that fell at once: no faster than over `DROP_S`.
+    """
+    moved, lasted_s = moved_mg(before, now, cell.spec.balance.readability_mg), now.time_s - before.time_s
+    cell.believed.zero_stepped(max(0.0, -moved))
+    cell.believed.drifted(abs(moved) / (lasted_s if moved < 0.0 else max(lasted_s, DROP_S)))
+    return max(0.0, moved)
 
 
 def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
@@ -174,10 +188,8 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
-        moved = moved_mg(bracket.last, weighing_of(mean), digit_mg)
-        believed.zero_stepped(max(0.0, -moved))
         # What has dripped, or a force that grows with the container, and did while it was dosed.
-        crept = Net(0.0, max(0.0, moved))
+        crept = Net(0.0, note_moved(cell, bracket.last, weighing_of(mean)))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
     believed.changing_container()
@@ -189,7 +201,9 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         believed.bracket_closed(None)
         return bare
     doses = list(bracket.doses.values())
-    closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
+    drifted = [bracket.drifted.get(lot, Net(0.0, 0.0)) for lot in bracket.doses]
+    weighings = (bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare))
+    closed = close(doses, drifted, bracket.drift, *weighings, digit_mg)
     believed.zero_stepped(max(0.0, -closed.stepped_mg))
     since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
     adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}

@@ -26,8 +26,8 @@ from scuhand_bt.cli.shared import (
     out,
     print_json,
     the_lab,
-    unwatched,
 )
+from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass

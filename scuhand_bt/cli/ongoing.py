@@ -9,7 +9,8 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.batch import QuietFlag, VerboseFlag, how_much, run_to_its_end, the_plan
-from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, unknown, unwatched
+from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, unknown
+from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -51,14 +52,15 @@ def resume(
 ) -> None:
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
     from scuhand_bt.cli.persons import the_person
+    from scuhand_bt.run.control import listens
     from scuhand_bt.run.holds import take_run
     from scuhand_bt.run.options import options_of
     from scuhand_bt.run.resume import checked_history, find_run, its_places, resumable
     from scuhand_bt.run.session import Session
 
     journal = find_run(runs_folder(lab), run)
-    if _is_held(journal):
-        _tell(journal, "continue", "continues", operator)
+    if _is_held(journal) or listens(journal):
+        _wish(journal, "continue", "continues", operator)
         return
     with unwatched(), take_run(journal) as presence:  # before anything is read of it
         history = checked_history(journal)
@@ -87,7 +89,7 @@ def pause(run: RunArgument, now: NowFlag = False, operator: ByOption = None, lab
 
     journal = find_run(runs_folder(lab), run)
     done = "is halted and paused" if now else "pauses before its next action"
-    _tell(journal, "pause_now" if now else "pause", done, operator)
+    _wish(journal, "pause_now" if now else "pause", done, operator)
 
 
 @app.command()
@@ -96,7 +98,7 @@ def stop(run: RunArgument, now: NowFlag = False, operator: ByOption = None, lab:
     from scuhand_bt.run.resume import find_run
 
     journal = find_run(runs_folder(lab), run)
-    _tell(journal, "stop_now" if now else "stop", "stops now" if now else "stops after its current sample", operator)
+    _wish(journal, "stop_now" if now else "stop", "stops now" if now else "stops after its current sample", operator)
 
 
 @app.command()
@@ -172,7 +174,7 @@ def _is_held(journal: Path) -> bool:
     return is_held(journal)
 
 
-def _tell(journal: Path, wish: "Wish", done: str, operator: str | None = None) -> None:
+def _wish(journal: Path, wish: "Wish", done: str, operator: str | None = None) -> None:
     """Say a wish to the process that has the run."""
     from scuhand_bt.run.control import say_wish
 

@@ -2,23 +2,19 @@
 
 import io
 import json
-import os
-import queue
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
 from rich.text import Text
 
 import scuhand_bt
+from scuhand_bt.cli.streams import PlainConsole
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import CATALOGUE, SkillFailed
 from scuhand_bt.problems import SourceError, harmless, nearest
@@ -29,22 +25,6 @@ if TYPE_CHECKING:
 
 PAGES = (".html", ".htm")
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-MOST_WAITING = 1000
-"""So many parts of the output may wait for who reads it; what comes then is left out."""
-LAST_WORDS_S = 2.0
-"""So long a program waits at its end for who reads its output."""
-
-
-class PlainConsole(Console):
-    """A console on which text is only text, wherever it comes from: no markup, and no command to the terminal."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(highlight=False, markup=False, emoji=False, **options)
-
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        for segment in super().render(renderable, options):
-            yield segment if segment.control else segment._replace(text=harmless(segment.text, keep="\n"))
-
 
 app = typer.Typer(
     help="Scoop and dispense powders by recipe. Exit codes: "
@@ -83,6 +63,10 @@ def main() -> None:
             stream.reconfigure(errors="replace")  # a terminal that cannot show '±' is no reason to break
     try:
         app()
+    except OSError as error:  # most often of an output that takes no more
+        _complain(f"It could not be finished: {error}.")
+        sys.stdout = None  # else what waits to be written there fails again at the end
+        sys.exit(ExitCode.BAD_INPUT)
     except SourceError as error:
         for problem in error.problems:
             _complain(str(problem))
@@ -133,78 +117,6 @@ def on_signals(stop: Callable[[], None], others: Mapping[signal.Signals, Callabl
             signal.signal(number, handler)
 
 
-class Beside(io.TextIOBase):
-    """A stream to whoever watches, which nobody waits for: it is written on a thread, and may vanish."""
-
-    def __init__(self, stream: TextIO | None) -> None:
-        self.is_gone = stream is None
-        """Nobody is there any more."""
-        self._stream = stream
-        self._parts: queue.Queue[str | None] = queue.Queue(MOST_WAITING)
-        self._thread = threading.Thread(target=self._write, daemon=True, name="output")
-        self._thread.start()
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        return getattr(self._stream, "encoding", None) or "utf-8"
-
-    def isatty(self) -> bool:
-        return self._stream is not None and self._stream.isatty()
-
-    def write(self, text: str) -> int:
-        if not self.is_gone:
-            with suppress(queue.Full):
-                self._parts.put_nowait(text)
-        return len(text)
-
-    def __enter__(self) -> "Beside":
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        with suppress(queue.Full):
-            self._parts.put(None, timeout=LAST_WORDS_S)
-            self._thread.join(LAST_WORDS_S)
-
-    def _write(self) -> None:
-        put = self._putting()
-        while (part := self._parts.get()) is not None:
-            if not self.is_gone:
-                try:
-                    put(part)
-                except (OSError, ValueError):
-                    self.is_gone = True
-
-    def _putting(self) -> Callable[[str], object]:
-        """How a part is written: past the stream's own buffer, whose lock the program's end would wait for."""
-        if self._stream is None:
-            return lambda part: None
-        stream = self._stream
-        try:
-            stream.flush()
-            file = stream.fileno()
-        except (OSError, ValueError):
-            return lambda part: (stream.write(part), stream.flush())
-        errors = stream.errors or "strict"
-
-        def put(part: str) -> None:
-            left = memoryview(part.encode(self.encoding, errors))
-            while left:
-                left = left[os.write(file, left) :]
-
-        return put
-
-
-@contextmanager
-def unwatched() -> Iterator[None]:
-    """What is done in here goes on whatever becomes of the standard streams."""
-    before = sys.stdout, sys.stderr
-    with Beside(sys.stdout) as sys.stdout, Beside(sys.stderr) as sys.stderr:
-        try:
-            yield
-        finally:
-            sys.stdout, sys.stderr = before
-
-
 def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
     """The lab of `--lab`, else the nearest one upward from the recipe (or from here), else the starter lab."""
     from scuhand_bt.lab import find_lab, load_lab
@@ -223,6 +135,7 @@ def lab_state(lab: "Lab") -> "LabState":
 def print_json(values: object) -> None:
     """Values as JSON on the standard output; what is not ASCII is escaped, so that nothing in it is lost or shown."""
     out.file.write(json.dumps(values, indent=2) + "\n")
+    out.file.flush()
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:

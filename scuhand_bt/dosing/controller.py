@@ -17,6 +17,9 @@ from typing import Literal, Protocol
 from scuhand_bt.dosing.verdict import acceptance_mg
 from scuhand_bt.specs import BalanceBelief, Departure, PowderBelief
 
+LONGEST_UNWEIGHED_S = 30.0
+"""So long a controller may go without a stable mean: what the zero does meanwhile nobody sees."""
+
 
 @dataclass(frozen=True, slots=True)
 class Pulse:

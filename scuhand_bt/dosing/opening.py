@@ -12,11 +12,11 @@ what is shaken loose may be too much, the valve is shut and opened again first.
 from collections.abc import Generator
 from typing import Literal
 
-from scuhand_bt.dosing.controller import Command, Observation
+from scuhand_bt.dosing.controller import LONGEST_UNWEIGHED_S, Command, Observation
 from scuhand_bt.dosing.dose_state import FULL, GENTLE, SLACK_S, Knowledge
 
-Ended = Literal["reached", "surprise", "dry"]
-"""Closed on the prediction; shut on readings far above it; nothing came at last."""
+Ended = Literal["reached", "surprise", "dry", "long"]
+"""Closed on the prediction; shut on readings far above it; nothing came at last; the pan wants to be weighed."""
 PROBE_SHARE, PROBE_MG = 0.4, 60.0
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
@@ -74,6 +74,7 @@ class Opening:
     def run(self) -> Generator[Command, Observation, Ended]:
         """Until it should shut."""
         known = self._known
+        begin_s = known.time_s
         if self._remaining_mg <= 0.0:
             return "reached"
         while True:
@@ -86,6 +87,8 @@ class Opening:
             known.shaken_s += dt_s * (self._vibration > 0.0)
             if self._is_barren(dt_s):
                 return "dry"
+            if known.time_s - begin_s > LONGEST_UNWEIGHED_S:
+                return "long"
             self._look_for_flow(dt_s, phi_s)
             if self._takes_lumps_singly():
                 if not self._listened:

@@ -28,7 +28,7 @@ from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.journal.results import SampleResult
-from scuhand_bt.journal.runs_index import Kept, read_index, stamps, write_index
+from scuhand_bt.journal.runs_index import Indexed, read_index, stamps, write_index
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 RunState = Literal[
@@ -67,7 +67,7 @@ def summaries(folder: Path) -> list[Summary]:
     """All runs of a folder, the newest first; nothing is verified, and one that cannot be read says why."""
     kept, now = read_index(folder), stamps(folder)
     found: list[Summary] = []
-    news: dict[str, Kept] = {}
+    news: dict[str, Indexed] = {}
     for name, stamp in now.items():
         if stamp and name in kept and kept[name][0] == stamp:
             found.append(Summary(**json.loads(kept[name][1])))

@@ -5,6 +5,7 @@ from contextlib import closing
 from pathlib import Path
 
 from scuhand_bt.journal.presence import Presence
+from scuhand_bt.journal.store import read_only
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 
@@ -14,8 +15,7 @@ def copy_database(path: Path, into: Path) -> None:
     Raises SourceError for one that cannot be read.
     """
     try:
-        uri = f"{path.absolute().as_uri()}?mode=ro"
-        with closing(sqlite3.connect(uri, uri=True)) as source, closing(sqlite3.connect(into)) as target:
+        with closing(read_only(path)) as source, closing(sqlite3.connect(into)) as target:
             source.backup(target)
             target.execute("PRAGMA journal_mode=DELETE")
     except sqlite3.Error as error:

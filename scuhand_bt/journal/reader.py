@@ -18,7 +18,7 @@ from typing import Any
 from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
 from scuhand_bt.journal.kinds import NewerShape
 from scuhand_bt.journal.migrations import MIGRATIONS, in_memory
-from scuhand_bt.journal.store import SCHEMA_VERSION
+from scuhand_bt.journal.store import SCHEMA_VERSION, read_only
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 _JSON_COLUMNS = ("inputs", "result", "payload", "state")
@@ -62,7 +62,7 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
         if not path.is_file():
             raise _problem(path, "there is no such journal")
         # Not only errors of SQLite: a damaged journal may hold anything.
-        with _readable(path) as uri, closing(sqlite3.connect(uri, uri=True, isolation_level=None)) as file:
+        with _readable(path) as readable, closing(read_only(readable)) as file:
             file.text_factory = lambda text: text.decode(errors="backslashreplace")
             version: int = file.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
@@ -114,8 +114,8 @@ def open_contents(path: Path, head: str | None = None) -> Iterator[Contents]:
 
 
 @contextmanager
-def _readable(path: Path) -> Iterator[str]:
-    """The journal's file, by a URI that changes nothing.
+def _readable(path: Path) -> Iterator[Path]:
+    """Where the journal can be read without changing anything.
 
     To read the log that a killed run has left, SQLite wants a third file beside it: where that is not there and cannot
     be made, the two are copied.
@@ -127,7 +127,7 @@ def _readable(path: Path) -> Iterator[str]:
             for part in (path, log):
                 shutil.copy(part, folder)
             path = folder / path.name
-        yield f"{path.absolute().as_uri()}?mode=ro"
+        yield path
 
 
 def read(path: Path, table: str) -> list[dict[str, Any]]:

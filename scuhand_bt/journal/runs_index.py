@@ -12,13 +12,15 @@ from collections.abc import Collection, Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 
+from scuhand_bt.journal.store import read_only
+
 VERSION = 1
 """One more when what is kept of a run changes its shape."""
 SETTLED_S = 2.0
 """A file that was written less than this ago may be written again within the same tick of its clock."""
 _SCHEMA = "CREATE TABLE run (name TEXT PRIMARY KEY, stamp TEXT NOT NULL, summary TEXT NOT NULL) STRICT"
 
-Kept = tuple[str, str]
+Indexed = tuple[str, str]
 """The stamp of a journal's files, and what was kept of the run as JSON."""
 
 
@@ -48,10 +50,10 @@ def _stamp(entry: "os.DirEntry[str]") -> str:
     return f"{status.st_ino} {status.st_size} {status.st_mtime_ns} {status.st_ctime_ns}"
 
 
-def read_index(folder: Path) -> dict[str, Kept]:
+def read_index(folder: Path) -> dict[str, Indexed]:
     """What was kept, by the journal's name; nothing where there is no index that can be read."""
     try:
-        with closing(sqlite3.connect(f"{_file(folder).absolute().as_uri()}?mode=ro", uri=True)) as database:
+        with closing(read_only(_file(folder))) as database:
             if database.execute("PRAGMA user_version").fetchone()[0] != VERSION:
                 return {}
             return {name: (stamp, text) for name, stamp, text in database.execute("SELECT * FROM run")}
@@ -59,7 +61,7 @@ def read_index(folder: Path) -> dict[str, Kept]:
         return {}
 
 
-def write_index(folder: Path, kept: Mapping[str, Kept], gone: Collection[str]) -> None:
+def write_index(folder: Path, kept: Mapping[str, Indexed], gone: Collection[str]) -> None:
     """Keep these as well, and forget those that are gone; where it cannot be written, it is not."""
     with suppress(sqlite3.Error, OSError), closing(sqlite3.connect(_file(folder), isolation_level=None)) as database:
         database.execute("BEGIN IMMEDIATE")

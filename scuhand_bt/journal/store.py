@@ -57,6 +57,11 @@ _LAST = "SELECT seq, hash FROM entry ORDER BY seq DESC LIMIT 1"
 _INSERT = f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})"
 
 
+def read_only(path: Path) -> sqlite3.Connection:
+    """A database that is there, to be read; nothing of it is changed. Raises sqlite3.Error."""
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
+
+
 class Store:
     """One journal's file, made if there is none; `durable` is full fsync. Raises OSError, sqlite3.Error.
 

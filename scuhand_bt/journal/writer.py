@@ -16,12 +16,11 @@ import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 
 from pydantic import JsonValue
 
-from scuhand_bt.clock import Signal, Wake
+from scuhand_bt.clock import Signal, Wake, wall_time
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events import BracketClosed, ContainerLifted, Dose, DoseBegun, DoseWeighed, Event, Note
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
@@ -176,7 +175,7 @@ class Journal:
         with self._numbering:
             kind, payload = event.entry()
             state = self._changed_state() if with_state else None
-            at = datetime.now().astimezone().isoformat(timespec="milliseconds")
+            at = wall_time("milliseconds")
             seq = self._seq + 1
             entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
             self._seq, self._head = seq, digest(self._head, entry)

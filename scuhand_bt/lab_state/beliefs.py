@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.lab_state.lab_db import lab_db, user_name
+from scuhand_bt.clock import wall_time
+from scuhand_bt.lab_state.lab_db import reading_lab_db, user_name, writing_lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
@@ -60,7 +61,7 @@ Figures = Mapping[str, Measured]
 
 
 class LabState:
-    """What the lab's database says of powders and balances; see `lab_db` for the errors of all of this."""
+    """What the lab's database says of powders and balances; see `lab_db.py` for the errors of all of this."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -75,7 +76,7 @@ class LabState:
 
     def figures(self, *, simulated: bool) -> dict[str, Figures]:
         """What was measured of each balance, and holds; the one that was measured last is the last."""
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             if database is None:
                 return {}
             rows = database.execute(
@@ -148,9 +149,8 @@ class LabState:
     ) -> None:
         if not beliefs and not figures:
             return
-        at = datetime.now().astimezone().isoformat(timespec="seconds")
-        with lab_db(self._folder, write=True, durable=not simulated) as database:
-            assert database is not None
+        at = wall_time()
+        with writing_lab_db(self._folder, durable=not simulated) as database:
             database.executemany(
                 "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES (?, ?, ?, ?, ?, ?)",
                 [(kind, name, simulated, says, at, belief) for kind, name, belief in beliefs],
@@ -161,7 +161,7 @@ class LabState:
             )
 
     def _latest(self, kind: str, model: type[B], simulated: bool) -> dict[str, Learnt[B]]:
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             if database is None:
                 return {}
             rows = database.execute(

@@ -7,12 +7,12 @@ its history. What was simulated is kept apart, and never read by a run.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.lab_state.lab_db import lab_db, user_name
+from scuhand_bt.clock import wall_time
+from scuhand_bt.lab_state.lab_db import reading_lab_db, user_name, writing_lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_mass
 
@@ -73,7 +73,7 @@ Stock = Mapping[tuple[StockKind, str], StockEntry]
 
 
 class Inventory:
-    """The inventory of one cell; `folder` holds the lab's database. See `lab_db` for the errors of reading."""
+    """The inventory of one cell; `folder` holds the lab's database. See `lab_db.py` for the errors of reading."""
 
     def __init__(self, folder: Path, cell: str) -> None:
         self._folder = folder
@@ -82,7 +82,7 @@ class Inventory:
 
     def stock(self, *, simulated: bool) -> Stock:
         """What is known now."""
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             if database is None:
                 return {}
             rows = database.execute(
@@ -122,18 +122,17 @@ class Inventory:
 
     def corrections(self) -> list[StockEntry]:
         """All that operators have corrected, in order."""
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             query = f"SELECT {_COLUMNS} FROM inventory WHERE cell = ? AND operator IS NOT NULL ORDER BY id"
             return [StockEntry(*row) for row in database.execute(query, (self._cell,))] if database is not None else []
 
     def _write(self, entries: Iterable[StockEntry], simulated: bool, run: str | None, operator: str | None) -> None:
-        at = datetime.now().astimezone().isoformat(timespec="seconds")
+        at = wall_time()
         rows = [
             (self._cell, simulated, e.kind, e.name, e.powder, e.lot, e.mass_mg, e.used, run, operator, at, e.reason)
             for e in entries
         ]
-        with lab_db(self._folder, write=True, durable=not simulated) as database:
-            assert database is not None
+        with writing_lab_db(self._folder, durable=not simulated) as database:
             database.executemany(
                 f"INSERT INTO inventory (cell, simulated, {_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 rows,

@@ -49,25 +49,49 @@ LONGEST_S = 2.0
 
 
 @contextmanager
-def lab_db(folder: Path, *, write: bool, durable: bool = True) -> Iterator[sqlite3.Connection | None]:
-    """The lab's database as one transaction; None if there is none yet and nothing is to be written.
+def reading_lab_db(folder: Path) -> Iterator[sqlite3.Connection | None]:
+    """The lab's database as it is at one moment; None if there is none yet.
 
-    Raises SourceError, naming the file and what to do, for one that is damaged, of a newer version, locked, or that
-    cannot be written. `durable` is full fsync.
+    Raises SourceError, naming the file and what to do, for one that is damaged, of a newer version, or locked.
     """
     path = folder / FILE
-    try:
-        if not write and not path.exists():
+    with _located(path):
+        if path.exists():
+            with _transaction(path, "BEGIN") as database:
+                yield database
+        else:
             yield None
-            return
+
+
+@contextmanager
+def writing_lab_db(folder: Path, *, durable: bool = True) -> Iterator[sqlite3.Connection]:
+    """The lab's database, made if there is none, as one transaction; `durable` is full fsync.
+
+    Raises SourceError as `reading_lab_db`, and where it cannot be written.
+    """
+    path = folder / FILE
+    with _located(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with closing(sqlite3.connect(path, timeout=LONGEST_S, isolation_level=None)) as database:
-            database.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
-            if _version(database) != len(MIGRATIONS):
-                _migrate(database, path)
-            database.execute("BEGIN IMMEDIATE" if write else "BEGIN")
+        with _transaction(path, "BEGIN IMMEDIATE", durable=durable) as database:
             yield database
-            database.execute("COMMIT")
+
+
+@contextmanager
+def _transaction(path: Path, begin: str, *, durable: bool = True) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(path, timeout=LONGEST_S, isolation_level=None)) as database:
+        database.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
+        if _version(database) != len(MIGRATIONS):
+            _migrate(database, path)
+        database.execute(begin)
+        yield database
+        database.execute("COMMIT")
+
+
+@contextmanager
+def _located(path: Path) -> Iterator[None]:
+    """What goes wrong with the database, in the words of a user."""
+    try:
+        yield
     except sqlite3.OperationalError as error:
         raise _problem(path, f"the lab's database cannot be used: {error}") from None
     except (sqlite3.DatabaseError, ValueError) as error:  # ValueError: a row that cannot be understood

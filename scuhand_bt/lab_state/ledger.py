@@ -13,11 +13,11 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from scuhand_bt.lab_state.lab_db import lab_db
+from scuhand_bt.clock import wall_time
+from scuhand_bt.lab_state.lab_db import reading_lab_db, writing_lab_db
 from scuhand_bt.lab_state.signing import Signer, is_signed_by, signer_of_file
 
 KEY_VARIABLE = "SCUHAND_BT_KEY"
@@ -80,7 +80,7 @@ class LedgerFound:
 
 
 class Ledger:
-    """The ledger of a lab; `folder` holds its database. See `lab_db` for the errors of reading and writing.
+    """The ledger of a lab; `folder` holds its database. See `lab_db.py` for the errors of reading and writing.
 
     Raises SourceError for a key that cannot be used.
     """
@@ -92,15 +92,14 @@ class Ledger:
 
     def last(self) -> tuple[str, str | None]:
         """The head, and the wall time of the last line; nothing is verified."""
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             row = database and database.execute("SELECT hash, at FROM ledger ORDER BY number DESC LIMIT 1").fetchone()
             return (row[0], row[1]) if row else (GENESIS, None)
 
     def add(self, run: str, occasion: Occasion, entries: int, head: str, *, durable: bool) -> None:
         """Write down what a run's journal is now."""
-        at = datetime.now().astimezone().isoformat(timespec="milliseconds")
-        with lab_db(self._folder, write=True, durable=durable) as database:
-            assert database is not None
+        at = wall_time("milliseconds")
+        with writing_lab_db(self._folder, durable=durable) as database:
             last = database.execute("SELECT number, hash FROM ledger ORDER BY number DESC LIMIT 1").fetchone()
             number, before = (last[0] + 1, last[1]) if last else (1, GENESIS)
             key = self._signer.key if self._signer is not None else None
@@ -124,7 +123,7 @@ class Ledger:
         return LedgerFound(tuple(kept), None)
 
     def _lines(self) -> Iterator[Kept]:
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             if database is None:
                 return
             rows = database.execute(f"SELECT {', '.join(_COLUMNS)} FROM ledger ORDER BY number").fetchall()

@@ -7,10 +7,10 @@ import hashlib
 import hmac
 import secrets
 import unicodedata
-from datetime import datetime
 from pathlib import Path
 
-from scuhand_bt.lab_state.lab_db import lab_db
+from scuhand_bt.clock import wall_time
+from scuhand_bt.lab_state.lab_db import reading_lab_db, writing_lab_db
 from scuhand_bt.problems import harmless
 
 SHORTEST_PIN = 6
@@ -28,7 +28,7 @@ def person_name(text: str) -> str:
 
 
 class Persons:
-    """Those of a lab; `folder` holds its database. See `lab_db` for the errors of reading and writing."""
+    """Those of a lab; `folder` holds its database. See `lab_db.py` for the errors of reading and writing."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -39,7 +39,7 @@ class Persons:
 
     def enrolled(self) -> list[tuple[str, str]]:
         """When who got a PIN, the first or another."""
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             return database.execute("SELECT at, name FROM person ORDER BY number").fetchall() if database else []
 
     def enrol(self, name: str, pin: str) -> None:
@@ -48,15 +48,14 @@ class Persons:
         if len(pin) < SHORTEST_PIN:
             raise ValueError(f"a PIN has {SHORTEST_PIN} signs or more")
         salt = secrets.token_bytes(16)
-        at = datetime.now().astimezone().isoformat(timespec="seconds")
-        with lab_db(self._folder, write=True) as database:
-            assert database is not None
+        at = wall_time()
+        with writing_lab_db(self._folder) as database:
             row = (name, at, salt, hashlib.scrypt(pin.encode(), salt=salt, **_SCRYPT))
             database.execute("INSERT INTO person (name, at, salt, hash) VALUES (?, ?, ?, ?)", row)
 
     def is_pin(self, name: str, pin: str) -> bool:
         """Whether this is the person's PIN."""
-        with lab_db(self._folder, write=False) as database:
+        with reading_lab_db(self._folder) as database:
             query = "SELECT salt, hash FROM person WHERE name = ? ORDER BY number DESC LIMIT 1"
             row = database.execute(query, (name,)).fetchone() if database is not None else None
         return row is not None and hmac.compare_digest(hashlib.scrypt(pin.encode(), salt=row[0], **_SCRYPT), row[1])

@@ -9,11 +9,11 @@ import json
 import shutil
 import zipfile
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
 import scuhand_bt
+from scuhand_bt.clock import wall_time
 from scuhand_bt.journal.copies import copy_database
 from scuhand_bt.problems import Mark, Problem, SourceError
 
@@ -36,7 +36,7 @@ def back_up(lab: Path, state: Path, archive: Path) -> int:
                     copy_database(path, copied)
                 into.write(copied, name)
                 files[name] = hashlib.sha256(copied.read_bytes()).hexdigest()
-            at = datetime.now().astimezone().isoformat(timespec="seconds")
+            at = wall_time()
             manifest = {"version": scuhand_bt.__version__, "at": at, "lab": str(lab.absolute()), "files": files}
             into.writestr(MANIFEST, json.dumps(manifest, indent=1))
         new.replace(archive)

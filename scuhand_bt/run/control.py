@@ -158,6 +158,14 @@ def may_wish(wish: Wish, user: int, owner: int) -> bool:
     return wish != "continue" or user in (owner, 0)
 
 
+def listens(journal: Path) -> bool:
+    """Whether a process has this run and hears wishes, though its lock may have been deleted."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line, suppress(OSError):
+        line.connect(_address(journal))
+        return True
+    return False
+
+
 def say_wish(journal: Path, wish: Wish, name: str | None = None, pin: str | None = None) -> str | None:
     """Say a wish to the process that has this run, and hear what it answers: `HEARD`; None where none listens.
 

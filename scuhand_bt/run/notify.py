@@ -16,20 +16,16 @@ import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import datetime
 from typing import Literal
 from urllib.parse import urlsplit
 
 from scuhand_bt.cell_spec import NotifySpec
+from scuhand_bt.clock import wall_time
 
 LONGEST_S = 10.0
 """Wall time that one notice may take."""
 
 NoticeState = Literal["needs person", "paused", "stopped", "ended"]
-
-
-def _now() -> str:
-    return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,7 @@ class Notice:
     """How many samples have ended with each verdict."""
     head: str | None = None
     """The head of the journal's chain, once it is known."""
-    at: str = field(default_factory=_now)
+    at: str = field(default_factory=wall_time)
     """Wall time, ISO 8601 with its zone."""
     choices: Sequence[str] = ()
     """Of what is asked: `scuhand-bt answer RUN` gives one."""

@@ -1,12 +1,12 @@
 """How a plan is to be run: as it was asked for, as the journal's first entry keeps it, and as a resumed run has it."""
 
 from dataclasses import dataclass
-from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import scuhand_bt
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.clock import wall_time
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.journal.events import OptionsGiven, RunBegun, SamplePlanned, SourceUsed
 from scuhand_bt.journal.history import History
@@ -98,7 +98,7 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
         },
         version=scuhand_bt.__version__,
         libraries={name: _version(name) for name in LIBRARIES},
-        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+        started=wall_time(),
     )
 
 

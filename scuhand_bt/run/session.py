@@ -2,32 +2,17 @@
 
 import secrets
 import sqlite3
-import time
-from collections import Counter
-from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from datetime import datetime
 from pathlib import Path
 
 import scuhand_bt
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import Event, Note
-from scuhand_bt.journal.events import (
-    Asked,
-    FaultRules,
-    Matter,
-    Paused,
-    Resumed,
-    RuleAccount,
-    Trouble,
-)
+from scuhand_bt.journal.events import FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
-from scuhand_bt.lab_state.beliefs import LabState
-from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.lab_state.lab_db import user_name
-from scuhand_bt.lab_state.ledger import Ledger, Occasion
+from scuhand_bt.lab_state.ledger import Occasion
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
@@ -39,15 +24,14 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
+from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
-from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import Options, check_controller, described
 from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
-from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 from scuhand_bt.skill import SkillFailed
 
 
@@ -76,8 +60,6 @@ class Session:
         if options.unattended:
             check_unattended(plan)
         self.plan = plan
-        self.notices: list[str] = []
-        """What went wrong beside the batch: a notification that failed, an inventory that could not be kept."""
         self.warnings: list[str] = []
         """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
         self.control = control or Control()
@@ -90,17 +72,12 @@ class Session:
         else:
             path = resumes.path
         self.run_id = path.stem
-        self._state = LabState(path.parent.parent)
-        self._inventory = Inventory(path.parent.parent, lab.cell.cell)
-        self._ledger = Ledger(path.parent.parent)
-        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
-        self._notifier = Notifier(lab.cell.notify)
+        self._records = LabRecords(path.parent.parent, lab, self.run_id, plan.recipe.name, options.simulation)
+        self.notices = self._records.notices
         self._person = options.person or Person(user_name())
         self.control.at_terminal = Who(self._person.name)
-        self._clock_watch = ClockWatch()
-        self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
-        self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
+        self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._records.stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
         with ExitStack() as opened:
             self._holds = opened.enter_context(ExitStack())
@@ -118,12 +95,14 @@ class Session:
             self._make_cell(motion, opened)
             if not self.cell.simulated:
                 self._meet_balance()
-                recall(self.cell, self._stock)
+                recall(self.cell, self._records.stock)
             try:
-                self._look_at_the_clock()
+                if (odd := self._records.odd_clock(None if resumes is None else resumes.history.at)) is not None:
+                    self.warnings.append(odd)
                 self._begin(resumes)
                 self.journal.settle()  # before the ledger has it
-                if (untold := self._anchor("begun" if resumes is None else "resumed", *self.journal.last)) is not None:
+                occasion: Occasion = "begun" if resumes is None else "resumed"
+                if (untold := self._records.anchor(occasion, *self.journal.last)) is not None:
                     if not self.cell.simulated:
                         raise SourceError([Problem(Mark(str(path)), untold)])
                     self.warnings.append(untold)
@@ -158,7 +137,7 @@ class Session:
         self.cell.balance.on_reading = self._weighed
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
-        journal.heard = self._heard
+        self._records.begin(journal, self.cell)
         journal.is_beside = not isinstance(self.cell.clock, VirtualClock)
         if isinstance(self.cell.clock, VirtualClock):
             self.cell.clock.hurries = lambda: self.control.halts
@@ -170,19 +149,11 @@ class Session:
         with suppress(SkillFailed):  # one that says nothing fails the run by itself
             for wake in self.cell.balance.next_reading():
                 self.cell.clock.wait([wake])
-        figures = self._state.figures(simulated=False).get(self.cell.balance_name, {})
+        figures = self._records.learnt.figures(simulated=False).get(self.cell.balance_name, {})
         beyond = beyond_limits(self.plan, self._lab, figures, datetime.now().astimezone())
         if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
             raise SourceError(beyond)
         self.warnings = [str(problem) for problem in [*beyond, *below_usp(self.plan, self._lab, figures)]]
-
-    def _look_at_the_clock(self) -> None:
-        """Before the first word: is it later than the last one of this lab, and of this run?"""
-        with suppress(SourceError):  # of a ledger that cannot be read
-            written = [self._ledger.last()[1], self._history.at if self._history is not None else None]
-            last_at = max(filter(None, written), key=datetime.fromisoformat, default=None)
-            if (odd := disagreement(last_at)) is not None:
-                self.warnings.append(odd)
 
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
@@ -194,14 +165,14 @@ class Session:
             take_up(self.cell, resumes.history.state)
             self.cell.believed.sources_mended()
         if not self.cell.simulated:  # what was forgotten since the run broke off stays so
-            self._state.recall(self.cell, datetime.now().astimezone())
+            self._records.learnt.recall(self.cell, datetime.now().astimezone())
         if resumes is None:
             begun = described(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
             with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
-                begun = begun.model_copy(update={"ledger": self._ledger.last()[0]})
+                begun = begun.model_copy(update={"ledger": self._records.ledger.last()[0]})
             self.journal.event(begun)
             return
-        recall(self.cell, corrections(self._stock, since=resumes.history.at))
+        recall(self.cell, corrections(self._records.stock, since=resumes.history.at))
         self.journal.event(
             Resumed(
                 last_at=resumes.history.at,
@@ -252,7 +223,7 @@ class Session:
             world.true_mass if world is not None else None,
             self._history,
             first=first,
-            after_job=self._after_job,
+            after_job=self._records.after_job,
         )
         try:
             result = batch.run()
@@ -262,13 +233,10 @@ class Session:
                     self.journal.event(Matter(**world.masses_mg))
                     if world.faults.rules:
                         self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
-                if (problem := self._state.keep(self.cell, self.run_id)) is not None:
-                    self._trouble(problem)
-                self._keep_inventory()
-                self._beside.shutdown()
+                self._records.batch_ended()
             except RecordLost as lost:  # its end was still written
                 self.notices.append(str(lost))
-        self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
+        self._records.came_to(result)
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)
         return result
@@ -282,94 +250,15 @@ class Session:
         file = simulation.faults
         return [f"{file.marks[i]}: '{file.rules[i].fault}'" for i in world.faults.never_came]
 
-    def _after_job(self) -> None:
-        if not self.cell.simulated:
-            self._keep_inventory()
-            self._beside.submit(self._anchor_job, *self.journal.last)
-
-    def _anchor_job(self, entries: int, head: str) -> None:
-        """On its own thread, and once it is on disk: the ledger never has what a power cut takes from the journal."""
-        while self.journal.waits(entries) is not None:
-            time.sleep(0.05)
-        if (problem := self._anchor("job", entries, head)) is not None:
-            with suppress(RecordLost):
-                self._trouble(problem)
-
-    def _anchor(self, occasion: Occasion, entries: int, head: str) -> str | None:
-        """Write the journal's head into the lab's ledger; what went wrong, or None.
-
-        What was rescued elsewhere is not the journal: who goes on with that has another entry of this number.
-        """
-        if self.journal.kept_in != self.journal.path:
-            return None
-        try:
-            self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
-        except SourceError as error:
-            return f"the run is not in the lab's ledger: {error}"
-        return None
-
-    def _keep_inventory(self) -> None:
-        """Written beside the tick, as the journal is."""
-        keeping = self._beside.submit(self._inventory.keeping(self.cell, self.run_id))
-        keeping.add_done_callback(self._kept_inventory)
-
-    def _kept_inventory(self, keeping: Future[str | None]) -> None:
-        if (problem := keeping.result()) is not None:
-            with suppress(RecordLost):
-                self._trouble(problem)
-
-    def _heard(self, event: Event | Note) -> None:
-        """What goes into the journal, and a person who is not here should know."""
-        if (jump := self._clock_watch.jump()) is not None:
-            self._trouble(jump)
-        if isinstance(event, Paused):
-            self._notifier.tell(self._notice("paused"))
-        elif isinstance(event, Asked) and self._is_waited_for:
-            self._notifier.tell(self._notice("needs person", event.question, choices=event.choices))
-
-    @property
-    def _is_waited_for(self) -> bool:
-        """Whether a question is put to a person who may be elsewhere."""
-        simulation = self._options.simulation
-        return not isinstance(simulation, DryRun) or simulation.asks
-
-    def _notice(
-        self, state: NoticeState, reason: str = "", result: BatchResult | None = None, choices: Sequence[str] = ()
-    ) -> Notice:
-        return Notice(
-            self.run_id,
-            self.plan.recipe.name,
-            self.cell.simulated,
-            state,
-            reason,
-            result.exit_code if result is not None else None,
-            Counter(sample.verdict for sample in result.samples) if result is not None else {},
-            self.journal.head,
-            choices=tuple(choices),
-        )
-
-    def _trouble(self, what: str) -> None:
-        self.notices.append(what)
-        self.journal.event(Trouble(what=what))
-
     def close(self) -> None:
         """Close the devices, wait for what is being told of the run, and close the journal."""
         with ExitStack() as closing:
             closing.callback(self._holds.close)
             closing.callback(self._listener.end)
-            closing.callback(self._anchor_end)
+            closing.callback(self._records.anchor_end)
             closing.callback(self.journal.close)
-            closing.callback(self._finish_telling)
+            closing.callback(self._records.finish_telling)
             closing.callback(self._close_cell)
-
-    def _anchor_end(self) -> None:
-        """What the journal ends in, closed and on disk."""
-        if (problem := self._anchor("ended", *self.journal.last)) is not None:
-            self.notices.append(problem)
-
-    def _finish_telling(self) -> None:
-        for what in self._notifier.finish():
-            self._trouble(what)
 
 
 def _listen(journal: Path, control: Control) -> WishListener:

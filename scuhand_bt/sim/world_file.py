@@ -9,6 +9,8 @@ A state is written over the older slot of a memory map: however the process ends
 stored, and one slot is whole. Nothing is flushed to the disk, which would protect against a power cut: that
 ends the simulation's computer, and a real cell's world needs no file. A state that outgrows its slot goes to a new
 file, which then takes the old one's name.
+
+There is one world, as there is one cell: a process from which another has taken it over changes it no more.
 """
 
 import mmap
@@ -70,12 +72,16 @@ class WorldFile:
 
     def append(self, record: bytes) -> None:
         """Add to the log; it counts from the next `write` on."""
+        if self._is_overtaken:
+            return
         os.pwrite(self._file, record, HEAD.size + 2 * self._slot_bytes + self._log_bytes)
         self._log_bytes += len(record)
         self._log_sum = crc32(record, self._log_sum)
 
     def write(self, state: bytes) -> None:
         """Make this the state, and all of the log valid."""
+        if self._is_overtaken:
+            return
         if len(state) + SLOT_HEAD_BYTES > self._slot_bytes:
             log_at = HEAD.size + 2 * self._slot_bytes
             log = os.pread(self._file, self._log_bytes, log_at)
@@ -87,6 +93,14 @@ class WorldFile:
         begin = HEAD.size + self._generation % 2 * self._slot_bytes
         slot = SUM.pack(crc32(state, crc32(fields))) + fields + state
         self._memory[begin : begin + len(slot)] = slot
+
+    @property
+    def _is_overtaken(self) -> bool:
+        """Another process has written since: there is a whole state of a generation that is not ours yet."""
+        next_at = HEAD.size + (self._generation + 1) % 2 * self._slot_bytes + SUM.size
+        if FIELDS.unpack_from(self._memory, next_at)[0] <= self._generation:
+            return False
+        return any(generation > self._generation for generation, _ in _whole_slots(self._memory, self._slot_bytes))
 
     def remove(self) -> None:
         """Close it, and take it away."""
@@ -122,7 +136,7 @@ def _head_sum(slot_bytes: int) -> int:
     return crc32(MAGIC + SUM.pack(slot_bytes))
 
 
-def _whole_slots(content: bytes, slot_bytes: int) -> list[tuple[int, int]]:
+def _whole_slots(content: bytes | mmap.mmap, slot_bytes: int) -> list[tuple[int, int]]:
     """(generation, where it begins) of every slot whose check sum holds."""
     found = []
     for begin in (HEAD.size, HEAD.size + slot_bytes):

@@ -1,0 +1,103 @@
+"""The streams of a command: text that is only text, and output that no run waits for."""
+
+import io
+import os
+import queue
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, TextIO
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+
+from scuhand_bt.problems import harmless
+
+MOST_WAITING = 1000
+"""So many parts of the output may wait for who reads it; what comes then is left out."""
+LONGEST_READING_S = 2.0
+"""So long a program waits at its end for who reads its output."""
+
+
+class PlainConsole(Console):
+    """A console on which text is only text, wherever it comes from: no markup, and no command to the terminal."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=harmless(segment.text, keep="\n"))
+
+
+class Beside(io.TextIOBase):
+    """A stream to whoever watches, which nobody waits for: it is written on a thread, and may vanish."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self.is_gone = stream is None
+        """Nobody is there any more."""
+        self._stream = stream
+        self._parts: queue.Queue[str | None] = queue.Queue(MOST_WAITING)
+        self._thread = threading.Thread(target=self._write, daemon=True, name="output")
+        self._thread.start()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return getattr(self._stream, "encoding", None) or "utf-8"
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    def write(self, text: str) -> int:
+        if not self.is_gone:
+            with suppress(queue.Full):
+                self._parts.put_nowait(text)
+        return len(text)
+
+    def __enter__(self) -> "Beside":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        with suppress(queue.Full):
+            self._parts.put(None, timeout=LONGEST_READING_S)
+            self._thread.join(LONGEST_READING_S)
+
+    def _write(self) -> None:
+        put = self._putting()
+        while (part := self._parts.get()) is not None:
+            if not self.is_gone:
+                try:
+                    put(part)
+                except (OSError, ValueError):
+                    self.is_gone = True
+
+    def _putting(self) -> Callable[[str], object]:
+        """How a part is written: past the stream's own buffer, whose lock the program's end would wait for."""
+        if self._stream is None:
+            return lambda part: None
+        stream = self._stream
+        try:
+            stream.flush()
+            file = stream.fileno()
+        except (OSError, ValueError):
+            return lambda part: (stream.write(part), stream.flush())
+        errors = stream.errors or "strict"
+
+        def put(part: str) -> None:
+            left = memoryview(part.encode(self.encoding, errors))
+            while left:
+                left = left[os.write(file, left) :]
+
+        return put
+
+
+@contextmanager
+def unwatched() -> Iterator[None]:
+    """What is done in here goes on whatever becomes of the standard streams."""
+    before = sys.stdout, sys.stderr
+    with Beside(sys.stdout) as sys.stdout, Beside(sys.stderr) as sys.stderr:
+        try:
+            yield
+        finally:
+            sys.stdout, sys.stderr = before

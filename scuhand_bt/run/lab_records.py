@@ -1,0 +1,150 @@
+"""What a run tells its lab beside its journal: the ledger, the inventory, what was learnt, and who is not here.
+
+None of it ends a run that has begun: what goes wrong with it is an entry of the journal, and a notice at the end.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.events import Event, Note
+from scuhand_bt.journal.events import Asked, Paused, Trouble
+from scuhand_bt.journal.writer import Journal
+from scuhand_bt.lab import Lab
+from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.lab_state.inventory import Inventory, Stock
+from scuhand_bt.lab_state.ledger import Ledger, Occasion
+from scuhand_bt.problems import SourceError
+from scuhand_bt.record import RecordLost
+from scuhand_bt.run.make_cell import DryRun, Simulation
+from scuhand_bt.run.notify import Notice, NoticeState, Notifier
+from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.wall_clock import ClockWatch, disagreement
+
+
+class LabRecords:
+    """The lab's side of one run; `folder` keeps the lab's state. A run on the real cell starts from its `stock`.
+
+    Raises SourceError for a lab's database that cannot be read, or a key that cannot be used.
+    """
+
+    def __init__(self, folder: Path, lab: Lab, run: str, recipe: str, simulation: Simulation | None) -> None:
+        self.notices: list[str] = []
+        """What went wrong beside the batch: a notification that failed, an inventory that could not be kept."""
+        self.learnt = LabState(folder)
+        self.ledger = Ledger(folder)
+        self._inventory = Inventory(folder, lab.cell.cell)
+        self.stock: Stock = self._inventory.stock(simulated=False) if simulation is None else {}
+        self._run, self._recipe, self._simulation = run, recipe, simulation
+        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
+        self._notifier = Notifier(lab.cell.notify)
+        self._clock_watch = ClockWatch()
+
+    def begin(self, journal: Journal, cell: Cell) -> None:
+        """Hear all that the journal is told from now on."""
+        self._journal, self._cell = journal, cell
+        journal.heard = self._heard
+
+    def odd_clock(self, since: str | None) -> str | None:
+        """What is odd about the clock, held against this lab's last word and what the run had written, `since`."""
+        with suppress(SourceError):  # of a ledger that cannot be read
+            last_at = max(filter(None, [self.ledger.last()[1], since]), key=datetime.fromisoformat, default=None)
+            return disagreement(last_at)
+        return None
+
+    def after_job(self) -> None:
+        """A real cell's inventory and the journal's head, written beside the tick."""
+        if not self._cell.simulated:
+            self._keep_inventory()
+            self._beside.submit(self._anchor_job, *self._journal.last)
+
+    def batch_ended(self) -> None:
+        """Keep what was learnt and what is left. Raises RecordLost where the journal takes no more."""
+        if (problem := self.learnt.keep(self._cell, self._run)) is not None:
+            self._trouble(problem)
+        self._keep_inventory()
+        self._beside.shutdown()
+
+    def came_to(self, result: BatchResult) -> None:
+        """Tell who is not here how it ended."""
+        self._tell("ended" if result.is_complete else "stopped", result.reason, result)
+
+    def finish_telling(self) -> None:
+        """Wait for what is being told."""
+        for what in self._notifier.finish():
+            self._trouble(what)
+
+    def anchor_end(self) -> None:
+        """What the journal ends in, closed and on disk."""
+        if (problem := self.anchor("ended", *self._journal.last)) is not None:
+            self.notices.append(problem)
+
+    def anchor(self, occasion: Occasion, entries: int, head: str) -> str | None:
+        """Write the journal's head into the lab's ledger; what went wrong, or None.
+
+        What was rescued elsewhere is not the journal: who goes on with that has another entry of this number.
+        """
+        if self._journal.kept_in != self._journal.path:
+            return None
+        try:
+            self.ledger.add(self._run, occasion, entries, head, durable=not self._cell.simulated)
+        except SourceError as error:
+            return f"the run is not in the lab's ledger: {error}"
+        return None
+
+    def _heard(self, event: Event | Note) -> None:
+        """What goes into the journal, and a person who is not here should know."""
+        if (jump := self._clock_watch.jump()) is not None:
+            self._trouble(jump)
+        if isinstance(event, Paused):
+            self._tell("paused")
+        elif isinstance(event, Asked) and self._is_waited_for:
+            self._tell("needs person", event.question, choices=event.choices)
+
+    @property
+    def _is_waited_for(self) -> bool:
+        """Whether a question is put to a person who may be elsewhere."""
+        return not isinstance(self._simulation, DryRun) or self._simulation.asks
+
+    def _anchor_job(self, entries: int, head: str) -> None:
+        """On its own thread, and once it is on disk: the ledger never has what a power cut takes from the journal."""
+        while self._journal.waits(entries) is not None:
+            time.sleep(0.05)
+        if (problem := self.anchor("job", entries, head)) is not None:
+            with suppress(RecordLost):
+                self._trouble(problem)
+
+    def _keep_inventory(self) -> None:
+        """Written beside the tick, as the journal is."""
+        keeping = self._beside.submit(self._inventory.keeping(self._cell, self._run))
+        keeping.add_done_callback(self._kept_inventory)
+
+    def _kept_inventory(self, keeping: Future[str | None]) -> None:
+        if (problem := keeping.result()) is not None:
+            with suppress(RecordLost):
+                self._trouble(problem)
+
+    def _tell(
+        self, state: NoticeState, reason: str = "", result: BatchResult | None = None, choices: Sequence[str] = ()
+    ) -> None:
+        notice = Notice(
+            self._run,
+            self._recipe,
+            self._cell.simulated,
+            state,
+            reason,
+            result.exit_code if result is not None else None,
+            Counter(sample.verdict for sample in result.samples) if result is not None else {},
+            self._journal.head,
+            choices=tuple(choices),
+        )
+        self._notifier.tell(notice)
+
+    def _trouble(self, what: str) -> None:
+        self.notices.append(what)
+        self._journal.event(Trouble(what=what))
