@@ -4,9 +4,12 @@ import json
 import os
 import pwd
 import queue
+import socket
 import sys
 import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ from test_stopping import as_nobody
 from scuhand_bt.journal.events import Answered, Asked, Trouble
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab_state.persons import Persons
+from scuhand_bt.run import control as control_module
 from scuhand_bt.run.batch import ANSWERS
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.control import HEARD, Control, WishListener, say_answer, say_wish, waiting_question
@@ -161,6 +165,19 @@ def test_who_has_a_pin_answers_with_it_and_a_wrong_one_is_noted(run: Run) -> Non
     assert trouble["what"] == "a wrong PIN was given for Eve, to answer 'done': Is the shield shut?"
 
 
+def test_what_is_no_name_and_no_answer_comes_into_no_journal(tmp_path: Path) -> None:
+    journal, control = tmp_path / "runs" / "r.sqlite", Control()
+    asked = control.questions.ask("Is it?", ("done", "stop"))
+    listener = WishListener(journal, control)
+    for answer, name in (("\ud800", "Eve"), ("done", "\ud800"), ("done", "Eve\x1b[2J"), ("x" * 3000, None)):
+        assert say_answer(journal, asked, answer, name, "271828") not in (HEARD, None)
+    assert control.questions.take_notes() == []
+    assert control.questions.waiting is not None
+    assert say_wish(journal, "pause", "\ud800") == HEARD
+    assert control.paused_by == Who(USER)
+    listener.end()
+
+
 def test_the_command_asks_for_the_pin_of_who_has_one(run: Run, command: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     Persons(run.lab_folder / ".scuhand").enrol("Eve", "271828")
     monkeypatch.setattr(sys, "stdin", Terminal())
@@ -243,6 +260,22 @@ def test_what_is_wished_at_the_runs_terminal_is_its_operators(run: Run) -> None:
     watch = Watch("stop_now", 1)
     run.go(watch, simulation=DryRun(asks=True), person=Person("Ada"))
     assert told(run, "ended")[-1]["by"] == "Ada"
+
+
+def test_ten_thousand_callers_who_hang_up_keep_nobody_from_stopping_the_run(tmp_path: Path) -> None:
+    journal, control = tmp_path / "r.sqlite", Control()
+    listener = WishListener(journal, control)
+    said = [b"", b"{", b'{"wish": {}}', b'{"answer": "done", "to": "1", "by": null, "pin": null}', b"[" * 5000, b"\xff"]
+    for number in range(10_000):
+        with socket.socket(socket.AF_UNIX) as caller:
+            caller.connect(control_module._address(journal))
+            with suppress(OSError):  # it does not listen to the end
+                caller.sendall(said[number % len(said)])
+    began_s = time.monotonic()
+    assert say_wish(journal, "stop_now") == HEARD
+    assert time.monotonic() - began_s < 5.0
+    assert control.stops_now
+    listener.end()
 
 
 # --- the run's terminal
