@@ -21,8 +21,12 @@ from running import make_lab
 from test_resume import Run, Watch
 from test_stopping import as_nobody
 
-from scuhand_bt.journal.events import Answered, Asked, Trouble
+from scuhand_bt.journal.archive import summary
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, Asked, JobStarted, RunBegun, Trouble
+from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.persons import Persons
 from scuhand_bt.run import control as control_module
 from scuhand_bt.run.batch import ANSWERS
@@ -31,6 +35,7 @@ from scuhand_bt.run.control import HEARD, Control, WishListener, say_answer, say
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import Person, PersonOperator
 from scuhand_bt.run.questions import MEANINGS, Questions, Who
+from tests.test_journal import HEADER
 
 USER = pwd.getpwuid(os.getuid()).pw_name
 RECIPE = """
@@ -356,3 +361,33 @@ def test_every_answer_that_the_engine_offers_has_a_meaning() -> None:
 def test_a_person_is_asked_where_that_means_something(command: Call, options: list[str], why: str) -> None:
     code, _, error = command("run", "recipes/xrd_holders.yaml", *options)
     assert (code, why in " ".join(error.split())) == (2, True)
+
+
+# --- what is seen of it in the journal alone
+
+
+@pytest.mark.parametrize(
+    ("asks", "is_halted", "state"),
+    [(True, False, "waiting for a person"), (True, True, "running"), (False, False, "running")],
+)
+def test_a_run_waits_only_for_a_real_person_and_until_its_action_has_ended(
+    tmp_path: Path, asks: bool, is_halted: bool, state: str
+) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.event(RunBegun.model_validate({**HEADER, "mode": "SIMULATED", "options": {"asks": asks}}))
+    journal.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="ask"))
+    action = journal.action_started(ActionStarted(path="ask", visit=1, skill="ask", inputs={}), weighs=False)
+    journal.action = action
+    journal.event(Asked(question="Is it?", choices=["done", "stop"]))
+    if is_halted:
+        journal.action_ended(action, ActionEnded(outcome="halted", code=None, result=None))
+    with Presence(journal.path):
+        one = summary(journal.path)
+    assert (one.state, one.reason, bool(one.since)) == (
+        state,
+        *(("Is it?", True) if state != "running" else ("", False)),
+    )
+    followed = Follower(journal.path)
+    followed.look()
+    assert (followed.asked is None) == is_halted
+    journal.close()
