@@ -34,7 +34,7 @@ from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.control import HEARD, Control, WishListener, say_answer, say_wish, waiting_question
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import Person, PersonOperator
-from scuhand_bt.run.questions import MEANINGS, Questions, Who
+from scuhand_bt.run.questions import MEANINGS, Given, Questions, Who
 from tests.test_journal import HEADER
 
 USER = pwd.getpwuid(os.getuid()).pw_name
@@ -152,6 +152,17 @@ def test_the_first_answer_counts_and_none_is_taken_for_the_next_questions(run: R
     assert go(run, answer).exit_code == 0
     assert said == [HEARD, "it was answered already", "it is not the question that waits now", HEARD]
     assert [(one["answer"], one["by"]) for one in told(run, "answered")] == [("done", "Eve"), ("done", "Bob")]
+
+
+def test_a_question_takes_one_answer() -> None:
+    questions = Questions()
+    asked = questions.ask("Is it?", ("done", "stop"))
+    said = [
+        questions.give(asked.number, answer, Who(by))
+        for answer, by in (("yes", "Ada"), ("done", "Eve"), ("stop", "Bob"))
+    ]
+    assert said == ["it is answered with one of: done, stop", None, "it was answered already"]
+    assert questions.given() == Given("done", Who("Eve"))
 
 
 def test_who_has_a_pin_answers_with_it_and_a_wrong_one_is_noted(run: Run) -> None:
