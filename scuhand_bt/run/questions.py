@@ -89,16 +89,19 @@ class Questions:
     def give(self, number: int, answer: str, who: Who) -> str | None:
         """Answer the question of this number; why that does not count, or None where it does."""
         with self._lock:
-            asked = self._asked
-            if asked is None or asked.number != number:
-                return ANOTHER
-            if self._given is not None:
-                return ANSWERED
-            if answer not in asked.choices:
-                return f"it is answered with one of: {', '.join(asked.choices)}"
+            if (why := self.why_not(number, answer)) is not None:
+                return why
             self._given = Given(answer, who)
         self.news.fire()
         return None
+
+    def why_not(self, number: int, answer: str) -> str | None:
+        """Why this answer to the question of this number would not count now; None where it would."""
+        if (asked := self._asked) is None or asked.number != number:
+            return ANOTHER
+        if self._given is not None:
+            return ANSWERED
+        return None if answer in asked.choices else f"it is answered with one of: {', '.join(asked.choices)}"
 
     def given(self) -> Given | None:
         """The answer to the question that was asked last."""
@@ -122,6 +125,6 @@ class Questions:
             self._asked = None
 
 
-def wrong_pin(name: str, answer: str, asked: Question) -> str:
+def wrong_pin(name: str, answer: str, question: str) -> str:
     """What the journal has of a wrong PIN."""
-    return f"a wrong PIN was given for {name}, to answer '{answer}': {asked.text}"
+    return f"a wrong PIN was given for {name}, to answer '{answer}': {question}"
