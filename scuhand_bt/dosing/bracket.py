@@ -67,8 +67,6 @@ class Drift:
 
     rate: float
     uncertainty: float
-    is_doubted: bool = False
-    """Chance would hardly have made what was seen, and nothing is taken out for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,19 +135,14 @@ def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_m
 
     `parts_s` is how long each part between two of them was. In a part the drift is the weighted mean of those at its
     ends, where these agree. Where they do not, it began or ended in between, and may have been faster there than at
-    either end: a creep that sets in when the valve opens is. A sum that is no more than chance is none. What was
-    interrupted is judged by what was seen from then on: before the valve opened nothing could be known of such a creep;
-    and a sum that chance would hardly make, though it might, is its doubt.
+    either end: a creep that sets in when the valve opens is. A sum that is no more than chance is none.
     """
-    interrupted = len(seen) > 2
     moved_mg, coefficients_s, spread_mg = 0.0, [0.0] * len(seen), 0.0
     for part, duration_s in enumerate(parts_s):
         before, after = seen[part : part + 2]
         difference, chance = after.rate - before.rate, math.hypot(before.uncertainty, after.uncertainty)
         weight = after.uncertainty**2 / chance**2
-        if interrupted and part == 0:
-            weight = 0.0
-        elif abs(difference) > SURELY * chance:
+        if abs(difference) > SURELY * chance:
             weight, spread_mg = 0.5, math.hypot(spread_mg, difference * duration_s / math.sqrt(3.0))
         moved_mg += duration_s * (weight * before.rate + (1.0 - weight) * after.rate)
         coefficients_s[part] += duration_s * weight
@@ -157,11 +150,7 @@ def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_m
     chances_mg = (by_s * drift.uncertainty for by_s, drift in zip(coefficients_s, seen, strict=True))
     lasted_s = sum(parts_s)
     drift = Drift(moved_mg / lasted_s, math.hypot(spread_mg, *chances_mg) / lasted_s)
-    if spread_mg > 0.0:
-        return drift
-    found = significant(drift, readability_mg)
-    is_doubted = interrupted and found.rate == 0.0 and abs(drift.rate) > HARDLY * drift.uncertainty
-    return Drift(0.0, abs(drift.rate), is_doubted=True) if is_doubted else found
+    return drift if spread_mg > 0.0 else significant(drift, readability_mg)
 
 
 def watch_s(before: Gross, now: Gross, tolerance_mg: float) -> float:
