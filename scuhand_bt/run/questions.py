@@ -6,9 +6,8 @@ A question has a number, so that an answer to one is never taken for an answer t
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
-from scuhand_bt.clock import Signal
+from scuhand_bt.clock import Signal, wall_time
 
 MEANINGS: Mapping[str, str] = {
     "done": "it is done: the run goes on",
@@ -82,8 +81,7 @@ class Questions:
         """Let a question wait, in place of any before it."""
         with self._lock:
             self._number += 1
-            at = datetime.now().astimezone().isoformat(timespec="seconds")
-            self._given, self._asked = None, Question(self._number, text, tuple(choices), at)
+            self._given, self._asked = None, Question(self._number, text, tuple(choices), wall_time())
             return self._asked
 
     def give(self, number: int, answer: str, who: Who) -> str | None:
