@@ -107,10 +107,11 @@ def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
         yield Span(row["started_s"], ended_s, _OF_SKILLS.get(row["skill"], "other"))
     asked_s: float | None = None
     paused_s: float | None = None
+    courses: dict[int | None, list[Sequence[float]]] = {}
     for row in contents.rows("event"):
         kind, now_s = row["kind"], row["time_s"]
         if kind == DoseCurve.KIND:
-            yield from _open_valve(row["payload"]["points"])
+            courses.setdefault(row["action"], []).extend(row["payload"]["points"])
         if asked_s is not None and kind in (Answered.KIND, Asked.KIND, Resumed.KIND, Ended.KIND):
             yield Span(asked_s, now_s, "waiting for persons")
             asked_s = None
@@ -121,6 +122,8 @@ def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
             asked_s = now_s
         elif kind == Paused.KIND:
             paused_s = now_s
+    for points in courses.values():
+        yield from _open_valve(points)
     if asked_s is not None:
         yield Span(asked_s, last_s, "waiting for persons")
     if paused_s is not None:
@@ -128,7 +131,7 @@ def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
 
 
 def _open_valve(points: Sequence[Sequence[float]]) -> Iterator[Span]:
-    """While the valve was open or vibrated, by the points of a `dose_curve`."""
+    """While the valve was open or vibrated, by the course of a dose."""
     for (began_s, _, opening_mm, vibration, *_), (ended_s, *_) in pairwise(points):
         if opening_mm > 0.0 or vibration > 0.0:
             yield Span(began_s, ended_s, "dosing")

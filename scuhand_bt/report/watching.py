@@ -13,9 +13,10 @@ _STATES = {None: "running", "done": "done", "failed": "failed"}
 
 def shown_of(now: Follower, run: RunBegun) -> Shown:
     """What there is to see of a run that is followed."""
-    total, done = len(run.samples or ()), len(now.samples)
+    total = len(run.samples or ())
     name = now.path.stem
-    asked = Asked(now.asked.question, now.asked.choices, now.asked_at) if now.asked is not None else None
+    waiting = now.waiting.asked
+    asked = Asked(waiting.question, waiting.choices, now.waiting.at) if waiting is not None else None
     keys = f"scuhand-bt pause|stop {name}; Ctrl-C only ends watching"
     return Shown(
         recipe=run.recipe,
@@ -23,8 +24,8 @@ def shown_of(now: Follower, run: RunBegun) -> Shown:
         total=total,
         results=list(now.samples.values()),
         run_time_s=now.time_s,
-        left_s=now.time_s / done * (total - done) if done and now.ended is None else None,
-        job=_about(now, run),
+        left_s=time_left_s(now, run),
+        job=about(now, run),
         tree=[
             Node(0, one.skill, _STATES.get(one.outcome, "to come"), str(one.failure) if one.failure else "")
             for one in now.actions.values()
@@ -35,7 +36,13 @@ def shown_of(now: Follower, run: RunBegun) -> Shown:
     )
 
 
-def _about(now: Follower, run: RunBegun) -> str:
+def time_left_s(now: Follower, run: RunBegun) -> float | None:
+    """Run time that is left: the mean of the samples until now, for those left. None where that cannot be told."""
+    total, done = len(run.samples or ()), len(now.samples)
+    return now.time_s / done * (total - done) if done and now.ended is None else None
+
+
+def about(now: Follower, run: RunBegun) -> str:
     """What is under way: a sample with what it asks for, or a job between samples."""
     if now.job is None:
         return ""
