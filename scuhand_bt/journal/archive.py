@@ -117,16 +117,7 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
             case Ended() | Resumed():
                 ended = event if isinstance(event, Ended) else None
                 is_paused = False
-    state: RunState = "interrupted"
-    reason, since = ended.reason if ended is not None else "", ""
-    if is_held(path):
-        state = "paused" if is_paused else "running"
-        is_simulated = run is not None and run.mode == "SIMULATED" and not run.options.asks
-        if waiting.asked is not None and not is_paused and not is_simulated:
-            state, reason, since = "waiting for a person", waiting.asked.question, waiting.at
-    elif ended is not None:
-        stopped: RunState = "stopped" if ended.exit_code == ExitCode.INTERRUPTED else "fault"
-        state = "complete" if ended.is_complete else stopped
+    state, reason, since = state_of(run, waiting, ended, is_paused=is_paused, is_held=is_held(path))
     if run is None:
         return Summary(path.stem, state, "it had not begun")
     planned = len(run.samples) if run.samples is not None else None
@@ -142,6 +133,22 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
         good=sum(sample.is_good for sample in samples.values()),
         total=planned if planned is not None else len(samples) if ended is not None else None,
     )
+
+
+def state_of(
+    run: RunBegun | None, waiting: Waiting, ended: Ended | None, *, is_paused: bool, is_held: bool
+) -> tuple[RunState, str, str]:
+    """In what state a run is, why, and since when it waits for a person; `is_held`: a process runs it."""
+    if is_held:
+        is_answered = run is not None and run.mode == "SIMULATED" and not run.options.asks
+        if waiting.asked is not None and not is_paused and not is_answered:
+            return "waiting for a person", waiting.asked.question, waiting.at
+        return ("paused" if is_paused else "running"), ended.reason if ended is not None else "", ""
+    if ended is None:
+        return "interrupted", "", ""
+    if ended.is_complete:
+        return "complete", ended.reason, ""
+    return ("stopped" if ended.exit_code == ExitCode.INTERRUPTED else "fault"), ended.reason, ""
 
 
 def story(contents: Contents) -> dict[str, Any]:

@@ -22,6 +22,8 @@ class SourceUsed(Values):
     station: Text
     powder: Text
     lot: Text
+    mortar: Text = ""
+    """Its name in `containers.yaml`; empty in older journals."""
 
 
 class SamplePlanned(Values):
@@ -235,7 +237,7 @@ class TreeNode(Values):
     """How far below the root it stands."""
     name: Text
     path: str = ""
-    """A skill's place in the tree, as `action_started` has it; empty for what is no skill."""
+    """Its place in the tree, as `action_started` and `decided` have it; empty for what writes neither."""
 
 
 class WorkflowTree(Event):

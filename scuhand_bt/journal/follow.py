@@ -56,7 +56,7 @@ _NEW = f"""SELECT seq, action, at, time_s, kind, payload, frames FROM entry
     ORDER BY seq"""
 _COURSE = f"""SELECT payload, frames FROM entry
     WHERE seq > ? AND time_s > ? AND action = ? AND kind IN ('{DoseCurve.KIND}', '{Frames.KIND}') ORDER BY seq"""
-_STATE = "SELECT state FROM entry WHERE state IS NOT NULL AND time_s <= ? ORDER BY seq DESC LIMIT 1"
+_STATE = "SELECT state, time_s FROM entry WHERE state IS NOT NULL AND time_s <= ? ORDER BY seq DESC LIMIT 1"
 _LAST_MOVE = f"""SELECT time_s, payload FROM entry WHERE kind = '{ArmMoves.KIND}' AND time_s <= ?
     ORDER BY seq DESC LIMIT 1"""
 
@@ -99,6 +99,8 @@ class Follower:
     """The last motion of the arm, and the run time at which it began."""
     state: dict[str, Any] = field(default_factory=dict)
     """What the cell was last said to hold, and where its joints were."""
+    state_s: float = 0.0
+    """Run time of that."""
     waiting: Waiting = field(default_factory=Waiting)
     """The question that waits."""
     is_paused: bool = False
@@ -132,7 +134,7 @@ class Follower:
                 results.append(event)
         if self._seq > before:
             if (row := database.execute(_STATE, (self.until_s,)).fetchone()) is not None:
-                self.state = json.loads(row[0])
+                self.state, self.state_s = json.loads(row[0]), row[1]
             if self.move is None and (row := database.execute(_LAST_MOVE, (self.until_s,)).fetchone()) is not None:
                 self.move = row[0], ArmMoves.model_validate_json(row[1])
             if self.until_s < math.inf:

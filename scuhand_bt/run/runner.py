@@ -25,7 +25,7 @@ from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.nodes import failure_of
+from scuhand_bt.tree.nodes import Timeout, While, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
 
 SAFE_TIMEOUT_S = 20.0
@@ -221,7 +221,7 @@ class Runner:
 
 def _drawn(root: Behaviour, depth: int = 0) -> Iterator[TreeNode]:
     """A tree's nodes, each below the one that it belongs to."""
-    yield TreeNode(depth=depth, name=root.name, path=root.path if isinstance(root, SkillLeaf) else "")
+    yield TreeNode(depth=depth, name=root.name, path=root.path if isinstance(root, SkillLeaf | Timeout | While) else "")
     for child in root.children:
         yield from _drawn(child, depth + 1)
 
