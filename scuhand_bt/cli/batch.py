@@ -43,6 +43,9 @@ if TYPE_CHECKING:
 
 HowMuch = Literal["quiet", "lines", "verbose", "picture"]
 """What is told of a run while it goes on: nothing, a line for each sample, for each action, or a picture that stays."""
+DashboardFlag = Annotated[
+    bool, typer.Option("--dashboard", help="Show the run on a page, too, as long as it goes on (extra `serve`).")
+]
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Tell only what it came to.")]
 VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Tell every action, line by line.")]
 
@@ -64,6 +67,7 @@ def run(
         bool, typer.Option("--ask", help="Ask a person in a dry run or a rehearsal, as at the cell.")
     ] = False,
     operator: OperatorOption = None,
+    dashboard: DashboardFlag = False,
     quiet: QuietFlag = False,
     verbose: VerboseFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
@@ -107,7 +111,7 @@ def run(
         return Session(made, loaded, options, control=control)
 
     with unwatched():
-        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose))
+        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose), dashboard=dashboard)
 
 
 def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
@@ -117,11 +121,14 @@ def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
     return "quiet" if quiet else "verbose" if verbose else "picture" if out.is_terminal else "lines"
 
 
-def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None, shows: HowMuch) -> None:
+def run_to_its_end(
+    make: "Callable[[Control], Session]", json_file: Path | None, shows: HowMuch, *, dashboard: bool = False
+) -> None:
     """Run a session, and tell as much of it as wished; ends the command with its exit code.
 
     Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample; a closed terminal does not.
     """
+    from scuhand_bt.cli.serve import dashboard_beside, require_dashboard
     from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.report.live_terminal import LiveTerminal
     from scuhand_bt.run.control import Control
@@ -129,6 +136,8 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None,
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
+    if dashboard:
+        require_dashboard()
     began, control = time.monotonic(), Control()
     if shows == "picture" and sys.stdin.isatty():
         control.terminal = LiveTerminal()
@@ -146,7 +155,12 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None,
                 out.print(Text(session.title))
             for warning in session.warnings:
                 err.print(Text(f"Note: {warning}"))
-            result = _watched(session, supervisor, shows)
+            with ExitStack() as opened:
+                if dashboard:
+                    page = opened.enter_context(dashboard_beside(session.journal.path))
+                    out.print(Text(f"Dashboard: {page}"), soft_wrap=True)
+                    out.file.flush()
+                result = _watched(session, supervisor, shows)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(ExitCode.BAD_INPUT) from None

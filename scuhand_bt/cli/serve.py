@@ -1,7 +1,12 @@
-"""The command that shows the lab's runs on a page."""
+"""The command that shows the lab's runs on a page, and the dashboard that a run brings along."""
 
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import quote
 
 import typer
 from rich.text import Text
@@ -10,6 +15,8 @@ from scuhand_bt.cli.ongoing import runs_folder
 from scuhand_bt.cli.shared import LabOption, app, err, out
 
 PORT = 8765
+LONGEST_END_S = 5.0
+"""A run's dashboard has this time to end with it."""
 
 
 @app.command()
@@ -54,3 +61,39 @@ def serve(
         err.print(Text(f"Who has the token can {what}. What is sent is not encrypted: only in a network you trust."))
     with listener:
         serve_at(listener, folder, access)
+
+
+def require_dashboard() -> None:
+    """Raises BadParameter where there is none to bring along."""
+    try:
+        import scuhand_bt.dashboard.serving  # noqa: F401
+    except ModuleNotFoundError as error:
+        problem = f"a dashboard needs {error.name}: pip install 'scuhand-bt[serve]'"
+        raise typer.BadParameter(problem, param_hint="--dashboard") from None
+
+
+@contextmanager
+def dashboard_beside(journal: Path) -> Iterator[str]:
+    """A dashboard in a process of its own that ends with this one, however that ends; gives the address of the run."""
+    from scuhand_bt.dashboard.serving import listen_at
+
+    with listen_at("127.0.0.1", 0) as listener:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "scuhand_bt.dashboard.serving", str(journal.parent.parent), str(listener.fileno())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=[listener.fileno()],
+            start_new_session=True,  # Ctrl-C is the run's
+        )
+        port = listener.getsockname()[1]
+    assert process.stdin is not None
+    try:
+        yield f"http://127.0.0.1:{port}/runs/{quote(journal.stem)}"
+    finally:
+        process.stdin.close()
+        try:
+            process.wait(LONGEST_END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

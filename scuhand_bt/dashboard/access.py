@@ -1,7 +1,7 @@
 """Who may see the dashboard, and who may speak to a run by it.
 
-On this computer alone: its own user (and root), whom the kernel tells at the other end of a loopback connection. From
-elsewhere: whoever has the token, which is shown once and kept as its SHA-256; and only looks, unless control was allowed.
+On this computer alone: its own user (and root), whom the kernel tells at the other end of a loopback connection.
+From elsewhere: whoever has the token, shown once and kept as its SHA-256; and only to look, unless control was allowed.
 What changes something has to come from the dashboard's own page: by its Origin, and by a word that only this page has.
 """
 
@@ -35,8 +35,8 @@ def new_token(folder: Path) -> str:
     token, path = secrets.token_urlsafe(24), folder / TOKEN_FILE
     folder.mkdir(parents=True, exist_ok=True)
     path.unlink(missing_ok=True)
-    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-        file.write(_hash(token))
+    path.touch(0o600, exist_ok=False)
+    path.write_text(_hash(token), encoding="ascii")
     return token
 
 

@@ -1,4 +1,4 @@
-"""The cell of a run, for the page to draw: as its lab describes it today, which the page says where that has changed."""
+"""The cell of a run, for the page to draw: as its lab describes it today; the page says where that has changed."""
 
 import hashlib
 from pathlib import Path
@@ -32,7 +32,7 @@ def run_scene(folder: Path, journal: Path) -> dict[str, Any]:
         values = scene_values(
             lab.motion_planner(_mortars(now.begun, lab)),
             lab.cell.hand.apex_offset_mm / 1000,
-            rims[:: max(1, -(-len(rims) // MOST_RIMS))] + [usual_mm],
+            [*rims[:: max(1, -(-len(rims) // MOST_RIMS))], usual_mm],
             {name: [mm / 1000 for mm in station.position_mm] for name, station in lab.cell.stations.items()},
             lab.library.containers.values(),
         )

@@ -41,8 +41,9 @@ RunState = Literal[
 _KINDS_OF_STATE = tuple(
     event.KIND for event in (RunBegun, SampleResult, Ended, Resumed, Paused, Continued, Asked, Answered)
 )
-_OF_STATE = f"""SELECT action, at, kind, payload FROM entry WHERE kind IN ({", ".join("?" * len(_KINDS_OF_STATE))})
-    OR (kind = '{ActionEnded.KIND}' AND action IN (SELECT action FROM entry WHERE kind = '{Asked.KIND}')) ORDER BY seq"""
+_MARKS = ", ".join("?" * len(_KINDS_OF_STATE))
+_OF_STATE = f"""SELECT action, at, kind, payload FROM entry WHERE kind IN ({_MARKS}) OR
+    (kind = '{ActionEnded.KIND}' AND action IN (SELECT action FROM entry WHERE kind = '{Asked.KIND}')) ORDER BY seq"""
 _GOING_ON: tuple[RunState, ...] = ("running", "waiting for a person", "paused")
 _TOLD_ELSEWHERE = (JobEnded.KIND, ActionEnded.KIND, Frames.KIND, DoseCurve.KIND, ArmMoves.KIND, WorkflowTree.KIND)
 _FRAME = ("time_s", "raw", "value_mg", "unit", "stable")

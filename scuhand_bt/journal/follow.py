@@ -56,7 +56,8 @@ _NEW = f"""SELECT seq, action, at, time_s, kind, payload, frames FROM entry
     ORDER BY seq"""
 _COURSE = f"""SELECT payload, frames FROM entry
     WHERE seq > ? AND time_s > ? AND action = ? AND kind IN ('{DoseCurve.KIND}', '{Frames.KIND}') ORDER BY seq"""
-_STATE = "SELECT state, time_s FROM entry WHERE state IS NOT NULL AND time_s <= ? ORDER BY seq DESC LIMIT 1"
+_STATE = """SELECT seq, time_s, state FROM entry WHERE seq > ? AND time_s <= ? AND state IS NOT NULL
+    ORDER BY seq DESC LIMIT 1"""
 _LAST_MOVE = f"""SELECT time_s, payload FROM entry WHERE kind = '{ArmMoves.KIND}' AND time_s <= ?
     ORDER BY seq DESC LIMIT 1"""
 
@@ -110,6 +111,7 @@ class Follower:
     at: str = ""
     """Wall time of it; ISO 8601."""
     _seq: int = 0
+    _state_seq: int = 0
 
     def look(self) -> list[SampleResult]:
         """Read what is new, and return the results among it. Raises SourceError as `open_journal`."""
@@ -132,9 +134,9 @@ class Follower:
                 self._weigh(frames)
             elif isinstance(event, SampleResult):
                 results.append(event)
+        if (row := database.execute(_STATE, (self._state_seq, self.until_s)).fetchone()) is not None:
+            self._state_seq, self.state_s, self.state = row[0], row[1], json.loads(row[2])
         if self._seq > before:
-            if (row := database.execute(_STATE, (self.until_s,)).fetchone()) is not None:
-                self.state, self.state_s = json.loads(row[0]), row[1]
             if self.move is None and (row := database.execute(_LAST_MOVE, (self.until_s,)).fetchone()) is not None:
                 self.move = row[0], ArmMoves.model_validate_json(row[1])
             if self.until_s < math.inf:

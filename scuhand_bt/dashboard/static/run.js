@@ -21,7 +21,8 @@ function show(told) {
   for (const row of told.rows ?? []) sample(row);
   if (told.course) course = told.course_from === 0 ? told.course : course.concat(told.course);
   last = {...last, move: null, ...told};
-  by("state").textContent = told.reason ? `${told.state}: ${told.reason}` : told.state;
+  const state = told.reason ? `${told.state}: ${told.reason}` : told.state;
+  by("state").textContent = isLive ? state : `Played again: ${state}`;
   by("job").textContent = told.job ? told.job.about : "No job yet";
   tree(told.tree ?? []);
   figures(told);
@@ -206,7 +207,9 @@ function follow() {
     tick(told.time_s ?? 0);
   });
   events.addEventListener("error", () => {
-    by("state").textContent = "The dashboard does not answer: what is shown is of before. The run goes on without it.";
+    by("said").textContent = HAS_ENDED.includes(last.state)
+      ? "The dashboard has ended; `scuhand-bt serve` shows the run again."
+      : "The dashboard does not answer: what is shown is of before. The run goes on without it.";
   });
 }
 follow();

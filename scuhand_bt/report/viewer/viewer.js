@@ -48,7 +48,7 @@ export function view(holder, scene, text) {
   const renderer = new THREE.WebGLRenderer({antialias: true, alpha: true});
   const world = new THREE.Scene(), camera = new THREE.PerspectiveCamera(38, 1, 0.02, 20);
   camera.up.set(0, 0, 1);
-  camera.position.set(1.15, -1.05, 0.85);
+  camera.position.set(0.92, -0.8, 0.62);
   world.add(new THREE.HemisphereLight(0xffffff, 0x8a93a0, 2.2));
   world.add(placed(new THREE.DirectionalLight(0xffffff, 1.6), [1, -2, 3]));
   const joints = [world];
@@ -93,7 +93,7 @@ export function view(holder, scene, text) {
   canvas.setAttribute("aria-label", text);
   holder.replaceChildren(canvas);
   const controls = new OrbitControls(camera, canvas);
-  controls.target.set(0.2, 0, 0.17);
+  controls.target.set(0.18, -0.02, 0.16);
   controls.listenToKeyEvents(canvas);
   let isAsked = false;
   const draw = () => {
@@ -133,7 +133,8 @@ export function view(holder, scene, text) {
     apex() { return where().toArray(); },
     // The way of the cone's apex along these configurations; the arm is left at the last.
     path(rows) {
-      way.geometry.setFromPoints(rows.map((q) => { turn(q); return where(); }));
+      way.geometry.dispose();
+      way.geometry = new THREE.BufferGeometry().setFromPoints(rows.map((q) => { turn(q); return where(); }));
       draw();
     },
   };
