@@ -13,6 +13,7 @@ let course = [], view = null, last = {}, isLive = true, lastOfLive = null, ends_
 
 import("./arm.js").then((arm) => arm.show(by("scene"), by("scene-note"), id)).then((shown) => {
   view = shown;
+  window.viewer = shown?.viewer;
   if (view && last.state) view.tell(last, !isLive);
 }).catch(() => { by("scene-note").textContent = "This browser draws nothing in 3D."; });
 
@@ -24,10 +25,9 @@ function show(told) {
   const state = told.reason ? `${told.state}: ${told.reason}` : told.state;
   by("state").textContent = isLive ? state : `Played again: ${state}`;
   by("job").textContent = told.job ? told.job.about : "No job yet";
-  tree(told.tree ?? []);
-  figures(told);
-  draw(by("chart"), course, told.dose);
-  facts(by("holds"), told.holds ?? []);
+  anew("tree", told.tree ?? [], tree);
+  anew("chart", [course.length, course[course.length - 1], told.dose, told.reading], () => { figures(told); draw(by("chart"), course, told.dose); });
+  anew("holds", told.holds ?? [], (holds) => facts(by("holds"), holds));
   if (isLive) question(told.question);
   for (const row of by("samples").rows) {
     if (told.job && row.dataset.id === told.job.name) row.setAttribute("aria-current", "true");
@@ -38,6 +38,15 @@ function show(told) {
   by("progress").textContent = `Samples: ${judged.length} of ${samples.size}${left}`;
   for (const button of document.querySelectorAll("#control button")) button.disabled = !isLive || HAS_ENDED.includes(told.state);
   if (view) view.tell(last, !isLive);
+}
+
+// What has not changed is not made anew: who reads it, or has selected it, is not disturbed.
+const shownLast = new Map();
+function anew(name, values, make) {
+  const key = JSON.stringify(values);
+  if (shownLast.get(name) === key) return;
+  shownLast.set(name, key);
+  make(values);
 }
 
 function about(told) {
@@ -151,6 +160,7 @@ async function replay() {
       last = {};
       show(told);
       tick(time_s);
+      window.shownAt = time_s;
     } catch (error) {
       by("said").textContent = error.message;
     }
@@ -201,8 +211,6 @@ function follow() {
   events = new EventSource(`${api}/news`);
   events.addEventListener("message", (event) => {
     const told = JSON.parse(event.data);
-    window.lastTold = performance.timeOrigin + performance.now();
-    if (!told.run && !last.run && !told.rows) return;
     if (isLive) { if (told.run) { last = {}; course = []; } show(told); }
     tick(told.time_s ?? 0);
   });
