@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from browser import browser_page, needs_browser, serious_faults
 from dashboard_client import Client, serving
@@ -18,7 +19,6 @@ from scuhand_bt.dashboard.page_state import Page
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab
-from scuhand_bt.motion.kinematics import apex
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
@@ -181,8 +181,10 @@ def test_the_arm_is_drawn_where_pinocchio_has_it(tmp_path: Path) -> None:
     with going_on(tmp_path, 30.0) as (client, session, _), browser_page(client.origin) as page:
         page.goto(f"{client.origin}/runs/{session.journal.path.stem}")
         page.locator("#scene canvas").wait_for(timeout=30_000)
-        offset_m = session.cell.spec.hand.apex_offset_mm / 1000
+        model = session.cell.motion.scene().model
+        data, tip_m = model.createData(), np.array([0.0, 0.0, session.cell.spec.hand.apex_offset_mm / 1000])
         for seed in range(5):
             q = np.random.default_rng(seed).uniform(-1.2, 1.2, 7)
             drawn = page.evaluate("(q) => { const v = window.viewer; v.pose(q); return v.apex(); }", q.tolist())
-            assert math.dist(drawn, apex(q, offset_m).position_m) < 1e-4
+            pin.forwardKinematics(model, data, q)
+            assert math.dist(drawn, data.oMi[7].act(tip_m)) < 1e-4

@@ -16,7 +16,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from scuhand_bt.failures import CATALOGUE
@@ -25,11 +24,12 @@ from scuhand_bt.journal.events import Asked, FaultRules, RunBegun
 from scuhand_bt.journal.export import canonical_of
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
-from scuhand_bt.problems import Mark, Problem, SourceError, harmless
+from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.report.audit import deeds_of_run
 from scuhand_bt.report.dose_curves import CurveOfDose, dose_curves
 from scuhand_bt.report.doses import TEXT_COLUMNS, DoseRow, columns_for, dose_rows
+from scuhand_bt.report.page import rendered
 from scuhand_bt.report.powder_balance import SourceBalance, powder_balance
 from scuhand_bt.report.run_figures import CurveFigures, errors_figure, times_figure
 from scuhand_bt.report.time_spent import ACTIVITIES, TimeSpent, time_spent
@@ -174,7 +174,7 @@ def run_report(contents: Contents) -> str:
     facts = RunFacts(contents)
     run, problem = facts.run, contents.verified.problem
     columns = columns_for(facts.results)
-    return _page(
+    return rendered(
         "run.html",
         id=facts.id,
         run=run,
@@ -219,7 +219,7 @@ def comparison(first: Contents, second: Contents) -> str:
         (name, a.run.lab_files.get(name, NONE), b.run.lab_files.get(name, NONE))
         for name in sorted({*a.run.lab_files, *b.run.lab_files})
     ]
-    return _page(
+    return rendered(
         "compare.html",
         a=_side(a),
         b=_side(b),
@@ -244,22 +244,6 @@ def write_pdf(page: str, path: Path) -> None:
     from weasyprint import HTML
 
     HTML(string=page).write_pdf(path)
-
-
-def _page(template: str, **values: Any) -> str:
-    pages = Environment(
-        loader=PackageLoader("scuhand_bt.report", "pages"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_readable,
-    )
-    pages.filters["seconds"] = lambda seconds: f"{seconds:.0f}"
-    return pages.get_template(template).render(values)
-
-
-def _readable(value: Any) -> Any:
-    """Text without signs that nobody sees; markup is made only here."""
-    return harmless(value, keep="\n") if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _time_total(time: TimeSpent) -> Iterator[tuple[str, str, str]]:

@@ -22,7 +22,7 @@ def scene_values(
     planner: MotionPlanner,
     apex_offset_m: float,
     cones_mm: Iterable[float],
-    places_m: Mapping[str, Sequence[float]],
+    places_m: Mapping[str, Sequence[float] | Floats],
     containers: Iterable[ContainerKind] = (),
     dots: Iterable[tuple[Sequence[float], bool]] = (),
 ) -> dict[str, Any]:
@@ -47,6 +47,7 @@ def scene_values(
         "containers": on_pan,
         "places": [{"name": name, "at": _plain(place)} for name, place in places_m.items()],
         "dots": [{"at": _plain(at), "tone": "good" if is_good else "bad"} for at, is_good in dots],
+        "home": _plain(planner.home()),
         "apex": [0.0, 0.0, apex_offset_m],
     }
 

@@ -1,7 +1,7 @@
 // The cell in 3D, by Three.js: one scene for every page that shows the arm.
 //
 // scene: {joints: [{at, axis}], solids: [{name, kind, joint, at, points, triangles, edges}], cones: [{mm, solids}],
-// containers: [{name, solids}], places: [{name, at}], dots: [{at, tone}], apex}. Lengths in metres; `at` is x, y, z and a quaternion x, y, z, w; a solid's
+// containers: [{name, solids}], places: [{name, at}], dots: [{at, tone}], home, apex}. Lengths in metres; `at` is x, y, z and a quaternion x, y, z, w; a solid's
 // joint is counted from 1, 0 for what stands still. Joint angles in radians.
 
 import * as THREE from "./three/three.module.min.js";
