@@ -17,12 +17,9 @@ export function play(root, scene, motions, text) {
 
   function show() {
     const time_s = Number(slider.value);
-    let from_s = 0, one = row[0];
-    for (const next of row) {
-      one = next;
-      if (time_s <= from_s + lasts(next)) break;
-      from_s += lasts(next);
-    }
+    let from_s = 0, k = 0;
+    while (k < row.length - 1 && time_s > from_s + lasts(row[k])) { from_s += lasts(row[k]); k += 1; }
+    const one = row[k];
     if (one !== moved) { moved = one; viewer.path(one.joints_rad); viewer.cone(one.cone_mm); viewer.pan(one.pan); }
     viewer.pose(at({...one, at_s: from_s}, time_s));
     label.textContent = `${time_s.toFixed(1)} of ${total_s.toFixed(1)} s`;
