@@ -135,6 +135,32 @@ def load_lab(folder: Path) -> Lab:
     Raises SourceError with everything that is wrong in any of its files.
     """
     problems = Problems()
+    cell, library = _load_bench(folder, problems)
+    library.skills = _load_skills(folder, problems)
+    is_sound = not problems.found
+    library.workflows = _load_workflows(folder / "trees", problems)
+    if is_sound:
+        _check_what_was_read(library, folder, problems)
+    _check_names(library, folder, problems)
+    _check_codes(library, folder, problems)
+    problems.raise_any()
+    assert cell is not None
+    return Lab(folder, cell, library)
+
+
+def load_bench(folder: Path) -> Lab:
+    """A lab's cell, powders and vessels alone: none of its skills is imported, and none of its workflows read.
+
+    Raises SourceError with everything that is wrong in these files.
+    """
+    problems = Problems()
+    cell, library = _load_bench(folder, problems)
+    problems.raise_any()
+    assert cell is not None
+    return Lab(folder, cell, library)
+
+
+def _load_bench(folder: Path, problems: Problems) -> tuple[CellSpec | None, Library]:
     cell = _load_cell(folder / CELL_FILE, problems)
     powders = _load_named(Powder, _root(folder / "robot" / "powders.yaml", problems), problems)
     containers: dict[str, ContainerKind] = {}
@@ -149,16 +175,7 @@ def load_lab(folder: Path) -> Lab:
                 problems.add(vessels.mark, f"'{key}' is missing", "name: {…}, as in the starter lab")
         containers = _load_named(ContainerKind, vessels.get("containers"), problems)
         mortars = _load_named(Mortar, vessels.get("mortars"), problems)
-    library = Library(_load_skills(folder, problems), {}, powders, containers, mortars)
-    is_sound = not problems.found
-    library.workflows = _load_workflows(folder / "trees", problems)
-    if is_sound:
-        _check_what_was_read(library, folder, problems)
-    _check_names(library, folder, problems)
-    _check_codes(library, folder, problems)
-    problems.raise_any()
-    assert cell is not None
-    return Lab(folder, cell, library)
+    return cell, Library({}, {}, powders, containers, mortars)
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:

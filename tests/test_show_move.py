@@ -126,7 +126,8 @@ def test_in_a_browser_the_page_draws_the_arm_where_its_motion_has_it_and_needs_n
         )
         drawn_m = page.evaluate("document.getElementById('viewer').viewer.apex()")
         assert math.dist(drawn_m, move.path_m(np.array([move.motion.duration_s]))[0]) < 1e-3
-        assert page.evaluate("document.documentElement.style.getPropertyValue('--now')") == "1"
+        now = page.evaluate("document.documentElement.style.getPropertyValue('--now')")
+        assert float(now) == pytest.approx(1.0)
         page.get_by_role("button", name="Play").click()
         page.get_by_role("button", name="Halt").wait_for()
         assert serious_faults(page) == []

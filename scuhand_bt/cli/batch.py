@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import (
+    PAGES,
     FaultsOption,
     JsonFlag,
     LabOption,
@@ -22,6 +23,7 @@ from scuhand_bt.cli.shared import (
     UnattendedFlag,
     app,
     err,
+    of_kind,
     on_signals,
     out,
     print_json,
@@ -255,10 +257,24 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
 
 
 @app.command()
-def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
+def plan(
+    recipe: RecipeArgument,
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", help="Write it as a page, with what dry runs of it came to (extra `report`)."),
+    ] = None,
+    dry_runs: Annotated[int, typer.Option("--runs", min=1, max=100, help="So many dry runs, for --html.")] = 3,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
     """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
+    if html is not None:
+        of_kind(html, *PAGES)
     made, loaded = the_plan(recipe, lab)
     notes = _notes(made, loaded, quiet=as_json)
+    if html is not None:
+        _preview(made, loaded, html, dry_runs)
+        return
     if as_json:
         print_json({**_plan_values(made), "notes": notes})
         return
@@ -291,6 +307,26 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
         out.print("After the start no person is needed.")
     for person in made.persons:
         out.print(Text(f"A person is {person}."))
+
+
+def _preview(made: "Plan", lab: "Lab", page: Path, runs: int) -> None:
+    """Write the plan as a page."""
+    from tempfile import TemporaryDirectory
+
+    from rich.progress import Progress
+
+    try:
+        from scuhand_bt.report.preview import dry_runs, preview
+
+        with TemporaryDirectory() as folder, Progress(console=err, transient=True) as progress:
+            task = progress.add_task("dry runs", total=runs)
+            tried = dry_runs(made, lab, Path(folder), runs, lambda done: progress.update(task, completed=done))
+        page.write_text(preview(made, lab, tried), encoding="utf-8")
+    except ModuleNotFoundError as error:
+        raise typer.BadParameter(f"a page needs {error.name}: pip install 'scuhand-bt[report]'") from None
+    except OSError as error:
+        raise typer.BadParameter(f"'{page}' cannot be written: {error.strerror or error}") from None
+    out.print(Text(f"Written: {page}"), soft_wrap=True)
 
 
 def _plan_values(made: "Plan") -> dict[str, Any]:

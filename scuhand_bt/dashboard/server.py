@@ -70,7 +70,7 @@ class Failed(BaseModel):
 def dashboard(folder: Path, access: Access) -> ASGIApp:
     """The application for the lab whose state is in `folder`, behind its rules."""
     runs = folder / "runs"
-    drawing = threading.Lock()  # a lab is loaded into this process: once at a time
+    drawing = threading.Lock()  # one at a time: it takes a second
     pages = asyncio.Semaphore(MOST_PAGES)
     failures: dict[int | str, dict[str, Any]] = {code: {"model": Failed} for code in (400, 403, 404, 409, 413, 503)}
     app = FastAPI(title="scuhand_bt", docs_url=None, redoc_url=None, openapi_url="/api/openapi.json")
@@ -154,11 +154,11 @@ def dashboard(folder: Path, access: Access) -> ASGIApp:
     @app.get("/api/runs/{run}/scene", responses=failures)
     def scene(run: str) -> dict[str, Any]:
         """The cell in 3D, with which `/static/viewer/viewer.js` draws it."""
-        from scuhand_bt.dashboard.run_scene import run_scene
+        from scuhand_bt.report.run_scene import run_scene
 
         path = journal(run)
         with drawing:
-            return run_scene(folder, path)
+            return run_scene(path)
 
     @app.get("/static/viewer/{name:path}", include_in_schema=False)
     def viewer_module(name: str) -> Response:
