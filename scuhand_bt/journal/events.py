@@ -265,6 +265,10 @@ class ArmMoves(Event):
     cone_mm: float
     """The diameter of the cone's rim at its beginning."""
 
+    @property
+    def duration_s(self) -> float:
+        return self.step_s * (len(self.joints_rad) - 1)
+
 
 class ActionStarted(Event):
     """A skill is about to act."""
