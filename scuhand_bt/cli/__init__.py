@@ -16,6 +16,7 @@ from scuhand_bt.cli import (
     powders,
     report,
     serve,
+    study,
     watch,
 )
 from scuhand_bt.cli.shared import app, main
@@ -38,5 +39,6 @@ __all__ = [
     "powders",
     "report",
     "serve",
+    "study",
     "watch",
 ]
