@@ -22,6 +22,7 @@ from scuhand_bt.cli.shared import (
     UnattendedFlag,
     app,
     err,
+    note_problems,
     on_signals,
     out,
     print_json,
@@ -339,8 +340,11 @@ def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
 
 def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
     """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
+    from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.recipe.plan import make_plan
     from scuhand_bt.recipe.recipe import load_recipe
 
-    lab = the_lab(folder, recipe)
-    return make_plan(load_recipe(recipe, lab), lab), lab
+    lab = load_lab(find_lab(recipe, folder))
+    made = make_plan(load_recipe(recipe, lab), lab)
+    note_problems(lab)
+    return made, lab

@@ -40,11 +40,12 @@ def skills(name: NameArgument = None, lab: LabOption = None) -> None:
 @app.command()
 def trees(name: NameArgument = None, lab: LabOption = None) -> None:
     """List the lab's workflows, or show one; all of them are checked."""
+    from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.problems import Problems
     from scuhand_bt.tree.check import check_workflows
 
-    loaded = the_lab(lab)
-    problems = Problems()
+    loaded = load_lab(find_lab(None, lab))
+    problems = Problems(list(loaded.problems))
     check_workflows(loaded.library, loaded.library.workflows, problems)
     problems.raise_any()
     if name is not None:

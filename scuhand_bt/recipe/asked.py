@@ -77,7 +77,7 @@ def check_asked(samples: Sequence[Sample], library: Library, problems: Problems)
             found.setdefault((mark, fix), []).append(what)
     for (mark, fix), said in found.items():
         more = f" (and {len(said) - 1} more samples like it)" if len(said) > 1 else ""
-        problems.add(mark, said[0] + more, fix)
+        problems.add(mark, said[0] + more, fix, code="not-asked")
 
 
 def _wrong(sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:

@@ -114,7 +114,7 @@ def check_unattended(plan: Plan) -> None:
     problems = Problems()
     for mark, persons in by_mark.items():
         times = f" (and {len(persons) - 1} more like it)" if len(persons) > 1 else ""
-        problems.add(mark, f"this run is to be unattended, but a person is {persons[0]}{times}")
+        problems.add(mark, f"this run is to be unattended, but a person is {persons[0]}{times}", code="needs-person")
     problems.raise_any()
 
 
@@ -175,11 +175,18 @@ def _check_service_workflows(jobs: tuple[Job, ...], recipe: Recipe, lab: Lab) ->
     needed = {job.workflow for job in jobs if job.sample is None}
     for name in sorted(needed | ({AFTER_FAILURE} & set(workflows))):
         workflow = workflows.get(name)
+        if workflow is None and lab.library.broken.tell("workflow", name, problems):
+            continue
         if workflow is None:
             folder = str(lab.folder / "trees")
-            problems.add(Mark(folder), f"the workflow '{name}' is missing", "this plan needs it to change powders")
+            problems.add(
+                Mark(folder),
+                f"the workflow '{name}' is missing",
+                "this plan needs it to change powders",
+                code="missing-key",
+            )
         elif list(workflow.inputs) != ["source"] or workflow.inputs["source"].type.python is not Source:
-            problems.add(workflow.mark, f"'{name}' must have the one input 'source' (Source)")
+            problems.add(workflow.mark, f"'{name}' must have the one input 'source' (Source)", code="service-workflow")
         else:
             check_workflows(lab.library, [name], problems)
     problems.raise_any()
@@ -226,4 +233,4 @@ class _Forecaster:
             return _Expected(forecast.duration_s, forecast.person, node.mark)
         except (Exception, SystemExit) as error:  # the lab's own code
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
-            raise SourceError([Problem(node.mark, shorten(what, 200))]) from error
+            raise SourceError([Problem(node.mark, shorten(what, 200), "skill-forecast")]) from error

@@ -18,7 +18,7 @@ from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
 from scuhand_bt.recipe.takes import Take, sources_of, takes_of
-from scuhand_bt.specs import Container, Positive, Source, Spec
+from scuhand_bt.specs import Container, Positive, Powder, Source, Spec
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
 from scuhand_bt.tree.grammar import RECIPE_WORDS, Input, Workflow
@@ -116,15 +116,24 @@ class _Reader:
     def read(self) -> Recipe | None:
         root = parse(self.text, str(self.path), "a recipe")
         if not isinstance(root, Entries):
-            self.problems.add(root.mark, f"{describe(root)} stands where a recipe should be", "it has the key 'recipe'")
+            self.problems.add(
+                root.mark,
+                f"{describe(root)} stands where a recipe should be",
+                "it has the key 'recipe'",
+                code="wrong-shape",
+            )
             return None
         for key, mark in root.keys.items():
             if key not in RECIPE_KEYS:
-                self.problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=RECIPE_KEYS)
+                self.problems.add(
+                    mark, f"unknown key '{shorten(key)}'", unknown=key, known=RECIPE_KEYS, code="unknown-key"
+                )
         name = self._name(root)
         order = self._word(root, "order") or ORDERS[0]
         if order not in ORDERS:
-            self.problems.add(root.values["order"].mark, f"'{order}' is no order", unknown=order, known=ORDERS)
+            self.problems.add(
+                root.values["order"].mark, f"'{order}' is no order", unknown=order, known=ORDERS, code="unknown-name"
+            )
         controller = self._word(root, "controller")
         if controller is not None:
             self._check_controller(controller, root.values["controller"].mark)
@@ -134,7 +143,9 @@ class _Reader:
             i for workflow in self.workflows.values() for i in workflow.inputs.values() if i.type.python is Source
         ]
         if "sources" not in root.keys and needed:
-            self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
+            self.problems.add(
+                root.mark, "'sources' is missing", "name: {station, container, powder, amount}", code="missing-key"
+            )
         on_failure, limit = self._read_on_failure(root.get("on_failure")), self._read_overshoot_limit(root)
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
@@ -149,7 +160,7 @@ class _Reader:
             mark = root.values["recipe"].mark if "recipe" in root.values else root.mark
             what, allowed = wrong
             what = "is no name for a recipe" if allowed == ID_ALLOWED else what
-            self.problems.add(mark, f"'{shorten(name)}' {what}", allowed)
+            self.problems.add(mark, f"'{shorten(name)}' {what}", allowed, code="bad-id")
         return name
 
     def _word(self, node: Entries, key: str) -> str | None:
@@ -158,14 +169,16 @@ class _Reader:
             return None
         if isinstance(value, Scalar) and value.text:
             return value.text
-        self.problems.add(value.mark, f"'{key}': {describe(value)} is no text")
+        self.problems.add(value.mark, f"'{key}': {describe(value)} is no text", code="wrong-shape")
         return None
 
     def _check_controller(self, name: str, mark: Mark) -> None:
         from scuhand_bt.dosing import CONTROLLERS
 
         if name not in CONTROLLERS:
-            self.problems.add(mark, f"unknown controller '{shorten(name)}'", unknown=name, known=CONTROLLERS)
+            self.problems.add(
+                mark, f"unknown controller '{shorten(name)}'", unknown=name, known=CONTROLLERS, code="unknown-name"
+            )
 
     # --- sources
 
@@ -174,7 +187,7 @@ class _Reader:
         if node is None:
             return {}  # as a check of the cell needs none
         if not isinstance(node, Entries) or not node.values:
-            self.problems.add(node.mark, f"'sources': {describe(node)} names no source")
+            self.problems.add(node.mark, f"'sources': {describe(node)} names no source", code="wrong-shape")
             return {}
         sources: dict[str, Source] = {}
         for name, value in node.values.items():
@@ -186,7 +199,9 @@ class _Reader:
         for name, source in sources.items():
             if source.station in by_station:
                 self.problems.add(
-                    self.source_marks[name], f"'{by_station[source.station]}' stands at {source.station} already"
+                    self.source_marks[name],
+                    f"'{by_station[source.station]}' stands at {source.station} already",
+                    code="station-taken",
                 )
             by_station[source.station] = name
         return sources
@@ -197,16 +212,18 @@ class _Reader:
             known = [info.alias or "" for info in _SourceText.model_fields.values()]
             unknown = [key for key in node.keys if key not in known]
             for key in unknown:
-                self.problems.add(node.keys[key], f"unknown key '{shorten(key)}'", unknown=key, known=known)
+                self.problems.add(
+                    node.keys[key], f"unknown key '{shorten(key)}'", unknown=key, known=known, code="unknown-key"
+                )
             node = node.without(*unknown)
         before = len(self.problems.found)
         text = validate(_SourceText, node, self.problems)
         if not isinstance(node, Entries):
             return None
         mortar_stations = [s.name for s in lab.cell.stations.values() if s.kind == "mortar"]
-        self._require_known(node, "station", mortar_stations, "mortar station")
-        self._require_known(node, "container", lab.library.mortars, "mortar")
-        self._require_known(node, "powder", lab.library.powders, "powder")
+        self._require_known(node, "station", mortar_stations, "mortar station", "station")
+        self._require_known(node, "container", lab.library.mortars, "mortar", "mortar")
+        self._require_known(node, "powder", lab.library.powders, "powder", "powder")
         if text is None or len(self.problems.found) > before:
             return None
         source = Source(
@@ -222,10 +239,14 @@ class _Reader:
         check_source(source, node.values["amount"].mark, self.problems)
         return source
 
-    def _require_known(self, node: Entries, key: str, known: Collection[str], what: str) -> None:
+    def _require_known(self, node: Entries, key: str, known: Collection[str], what: str, kind: str) -> None:
         value = node.get(key)
-        if isinstance(value, Scalar) and value.text is not None and value.text not in known:
-            self.problems.add(value.mark, f"unknown {what} {describe(value)}", unknown=value.text, known=known)
+        if not isinstance(value, Scalar) or value.text is None or value.text in known:
+            return
+        if not self.lab.library.broken.tell(kind, value.text, self.problems):
+            self.problems.add(
+                value.mark, f"unknown {what} {describe(value)}", unknown=value.text, known=known, code="unknown-name"
+            )
 
     # --- samples
 
@@ -233,11 +254,13 @@ class _Reader:
         node = root.get("samples")
         if not isinstance(node, Items) or not node.items:
             what = "'samples' is missing" if node is None else f"'samples': {describe(node)} names no sample"
-            self.problems.add(node.mark if node else root.mark, what, "a list: - {id: …, container: …, mass: …}")
+            self.problems.add(
+                node.mark if node else root.mark, what, "a list: - {id: …, container: …, mass: …}", code="wrong-shape"
+            )
             return []
         defaults = root.get("defaults") or Entries(root.mark, {}, {})
         if not isinstance(defaults, Entries):
-            self.problems.add(defaults.mark, f"'defaults': {describe(defaults)} is no mapping")
+            self.problems.add(defaults.mark, f"'defaults': {describe(defaults)} is no mapping", code="wrong-shape")
             defaults = Entries(root.mark, {}, {})
         default_workflow = root.get("workflow")
         if default_workflow is not None:
@@ -249,7 +272,10 @@ class _Reader:
         entries = list(islice(expanded, MAX_SAMPLES + 1))
         if len(entries) > MAX_SAMPLES:
             self.problems.add(
-                node.mark, f"these are more than {MAX_SAMPLES} samples", "split them into several recipes"
+                node.mark,
+                f"these are more than {MAX_SAMPLES} samples",
+                "split them into several recipes",
+                code="too-many-samples",
             )
             return []
         for entry in entries:
@@ -258,12 +284,12 @@ class _Reader:
                 continue
             samples.append(sample)
             if sample.id and (clash := ids.add(sample.id, entry.values["id"].mark)) is not None:
-                self.problems.add(entry.values["id"].mark, *clash)
+                self.problems.add(entry.values["id"].mark, *clash, code="duplicate-id")
         inputs = {name for workflow in self.workflows.values() for name in workflow.inputs}
         for key, mark in defaults.keys.items():
             if self.workflows and key not in inputs:
                 what = f"no workflow of this recipe has an input '{shorten(key)}'"
-                self.problems.add(mark, what, unknown=key, known=inputs)
+                self.problems.add(mark, what, unknown=key, known=inputs, code="unknown-input")
         return samples
 
     def _read_sample(
@@ -273,7 +299,9 @@ class _Reader:
         sample_id = self._sample_id(entry)
         workflow_node = entry.get("workflow") or default_workflow
         if workflow_node is None:
-            self.problems.add(entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample")
+            self.problems.add(
+                entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample", code="missing-key"
+            )
             return None
         workflow = self._workflow(workflow_node)
         if workflow is None:
@@ -284,12 +312,15 @@ class _Reader:
         for key, node in merged.items():
             self.marks[f"samples.{sample_id}.{key}"] = node.mark
             declared = workflow.inputs.get(key)
+            if declared is None and not workflow.is_whole:
+                continue  # it may be what could not be read
             if declared is None:
                 self.problems.add(
                     entry.keys[key],
                     f"the workflow '{workflow.name}' has no input '{shorten(key)}'",
                     unknown=key,
                     known=[*workflow.inputs, *RECIPE_WORDS],
+                    code="unknown-input",
                 )
                 continue
             # One container is known by its sample's id; several need one each, and no sample can have an id like it.
@@ -301,10 +332,15 @@ class _Reader:
         for declared in workflow.inputs.values():
             if declared.default is None and declared.name not in merged:
                 what = f"'{declared.name}' is missing"
-                self.problems.add(entry.mark, what, f"the workflow '{workflow.name}' needs it ({declared.type.name})")
+                self.problems.add(
+                    entry.mark,
+                    what,
+                    f"the workflow '{workflow.name}' needs it ({declared.type.name})",
+                    code="missing-key",
+                )
         if isinstance(inputs.get("tolerance"), Percent) and "mass" not in workflow.inputs:
             what = f"a tolerance in % is one of the mass, but the workflow '{workflow.name}' has no input 'mass'"
-            self.problems.add(merged["tolerance"].mark, what)
+            self.problems.add(merged["tolerance"].mark, what, code="percent-of-nothing")
         with suppress(ValueError):  # a wrong default, which is reported where it stands
             inputs = bound_inputs(workflow, inputs, self.lab.library)
         sample = Sample(entry.mark, sample_id, workflow.name, inputs, self._takes(workflow, inputs))
@@ -328,12 +364,12 @@ class _Reader:
     def _sample_id(self, entry: Entries) -> str:
         node = entry.get("id")
         if node is None:
-            self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own")
+            self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own", code="missing-key")
             return ""
         text = node.text if isinstance(node, Scalar) else None
         what, allowed = ("is no id", ID_ALLOWED) if text is None else wrong_id(text) or ("", "")
         if text is None or what:
-            self.problems.add(node.mark, f"{describe(node)} {what}", allowed)
+            self.problems.add(node.mark, f"{describe(node)} {what}", allowed, code="bad-id")
             return ""
         return text
 
@@ -341,7 +377,11 @@ class _Reader:
         name = (node.text or "") if isinstance(node, Scalar) else ""
         workflows = self.lab.library.workflows
         if name not in workflows:
-            self.problems.add(node.mark, f"unknown workflow {describe(node)}", unknown=name, known=workflows)
+            if self.lab.library.broken.tell("workflow", name, self.problems):
+                return None
+            self.problems.add(
+                node.mark, f"unknown workflow {describe(node)}", unknown=name, known=workflows, code="unknown-name"
+            )
             return None
         self.workflows[name] = workflows[name]
         return workflows[name]
@@ -357,7 +397,11 @@ class _Reader:
             known, what = named[python]
             name = (node.text or "") if isinstance(node, Scalar) else ""
             if name not in known:
-                self.problems.add(node.mark, f"unknown {what} {describe(node)}", unknown=name, known=known)
+                if library.broken.tell(what, name, self.problems):
+                    return None
+                self.problems.add(
+                    node.mark, f"unknown {what} {describe(node)}", unknown=name, known=known, code="unknown-name"
+                )
                 return None
             if python is Source:
                 return sources.get(name)  # None for one that is wrong itself, and reported
@@ -365,7 +409,9 @@ class _Reader:
         try:
             return literal(declared.name, declared.type, node, library)
         except ValueError as error:
-            self.problems.add(node.mark, f"'{declared.name}': {error}")
+            name = (node.text or "") if isinstance(node, Scalar) else ""
+            if not (python is Powder and library.broken.tell("powder", name, self.problems)):
+                self.problems.add(node.mark, f"'{declared.name}': {error}", code="bad-value")
             return None
 
     # --- the batch as a whole
@@ -376,17 +422,32 @@ class _Reader:
             return policy
         if not isinstance(node, Entries):
             self.problems.add(
-                node.mark, f"'on_failure': {describe(node)} is no mapping", "{code: action, otherwise: …}"
+                node.mark,
+                f"'on_failure': {describe(node)} is no mapping",
+                "{code: action, otherwise: …}",
+                code="wrong-shape",
             )
             return policy
         codes = [*self.lab.library.failures(), "otherwise"]
         for code, value in node.values.items():
             action = value.text if isinstance(value, Scalar) else None
             if code not in codes:
-                self.problems.add(node.keys[code], f"unknown failure code '{shorten(code)}'", unknown=code, known=codes)
+                self.problems.add(
+                    node.keys[code],
+                    f"unknown failure code '{shorten(code)}'",
+                    unknown=code,
+                    known=codes,
+                    code="unknown-code",
+                )
             self.marks[f"on_failure.{code}"] = value.mark
             if action not in ACTIONS:
-                self.problems.add(value.mark, f"{describe(value)} is no action", unknown=action or "", known=ACTIONS)
+                self.problems.add(
+                    value.mark,
+                    f"{describe(value)} is no action",
+                    unknown=action or "",
+                    known=ACTIONS,
+                    code="bad-action",
+                )
             else:
                 policy[code] = action  # type: ignore[assignment]
         return policy
@@ -397,6 +458,6 @@ class _Reader:
             return OVERSHOOT_LIMIT
         if not (text.isascii() and text.isdigit() and len(text) <= 6):
             what = f"'overshoot_limit': '{shorten(text)}' is no number of samples"
-            self.problems.add(root.values["overshoot_limit"].mark, what, "2, or 0 for no limit")
+            self.problems.add(root.values["overshoot_limit"].mark, what, "2, or 0 for no limit", code="bad-value")
             return OVERSHOOT_LIMIT
         return int(text)

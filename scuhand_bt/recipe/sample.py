@@ -92,7 +92,7 @@ def check_source(source: Source, mark: Mark, problems: Problems) -> None:
     holds_mg = mortar.capacity_mm3 * powder.bulk_density_mg_per_mm3
     if source.amount_mg > holds_mg:
         what = f"{format_mass(source.amount_mg)} of {powder.name} does not fit into '{mortar.name}'"
-        problems.add(mark, what, f"it holds {format_mass(holds_mg)}")
+        problems.add(mark, what, f"it holds {format_mass(holds_mg)}", code="source-overfull")
 
 
 def check_sample(
@@ -113,18 +113,25 @@ def check_sample(
     mass_mg, tolerance_mg = sample.mass_mg, sample.tolerance_mg
     container, takes = sample.container, [take for take in sample.takes if take.mass_mg is not None]
     if mass_mg is not None and mass_mg <= 0:
-        problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0")
+        problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0", code="bad-mass")
         return
     if tolerance_mg is not None and tolerance_mg < balance.least_tolerance_mg:
         what = f"the tolerance {tolerance_mg:g} mg cannot be told with a readability of {balance.readability_mg:g} mg"
-        problems.add(at("tolerance"), what, f"at least {balance.least_tolerance_mg:g} mg")
+        problems.add(at("tolerance"), what, f"at least {balance.least_tolerance_mg:g} mg", code="fine-tolerance")
     elif mass_mg is not None and tolerance_mg is not None and mass_mg <= tolerance_mg:
         problems.add(
-            at("mass", "tolerance"), f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"
+            at("mass", "tolerance"),
+            f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg",
+            code="wide-tolerance",
         )
     for take in takes:
         if take.mass_mg is not None and take.mass_mg <= 0:
-            problems.add(sample.mark, f"the mass taken from '{take.source.name}' is {take.mass_mg:g} mg", "more than 0")
+            problems.add(
+                sample.mark,
+                f"the mass taken from '{take.source.name}' is {take.mass_mg:g} mg",
+                "more than 0",
+                code="bad-mass",
+            )
             return
     filled_mg = sum(take.mass_mg or 0.0 for take in takes) if takes else mass_mg
     if filled_mg is None or container is None:
@@ -135,6 +142,7 @@ def check_sample(
             at("mass", "container"),
             f"{together} are too heavy for the balance",
             f"its maximum is {format_mass(balance.maximum_mg)}",
+            code="too-heavy",
         )
     volume_mm3 = sum((take.mass_mg or 0.0) / take.source.powder.bulk_density_mg_per_mm3 for take in takes)
     if volume_mm3 > container.capacity_mm3:
@@ -145,7 +153,7 @@ def check_sample(
         if len(takes) == 1:
             density = takes[0].source.powder.bulk_density_mg_per_mm3
             holds = f"{holds}, {format_mass(container.capacity_mm3 * density)}"
-        problems.add(at("mass", "container"), what, holds)
+        problems.add(at("mass", "container"), what, holds, code="container-overfull")
 
 
 def check_demand(
@@ -157,7 +165,7 @@ def check_demand(
         if demand.needed_mg > source.amount_mg:
             holds = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
             needs = f"its {demand.samples} samples need {format_mass(demand.needed_mg)} with losses"
-            problems.add(marks[name], f"{holds}, but {needs}")
+            problems.add(marks[name], f"{holds}, but {needs}", code="source-short")
 
 
 def check_reach(
@@ -180,4 +188,4 @@ def check_reach(
         reason = unreachable_reason(pose, cell.hand.apex_offset_mm / 1000)
         if reason is not None:
             what = f"the arm cannot reach '{place}' of robot/cell.yaml with the cone upright"
-            problems.add(place_marks.get(place, anywhere), what, reason)
+            problems.add(place_marks.get(place, anywhere), what, reason, code="out-of-reach")

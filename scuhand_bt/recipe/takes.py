@@ -86,7 +86,9 @@ class _Follower:
         given = [key for key, p in library.parameters(node.name).items() if p.wire.python is Source]
         for key in set(given) & (node.arguments.keys() - inputs.keys()):
             what = f"which source '{node.name}' is given is known only when it runs: {node.arguments[key]}"
-            self._problems.add(node.argument_marks[key], what, "an input of this workflow can be told before")
+            self._problems.add(
+                node.argument_marks[key], what, "an input of this workflow can be told before", code="unknown-demand"
+            )
         sources = sources_of({key: inputs.get(key) for key in given})
         if node.name in library.skills:
             if sources and Code.SOURCE_EMPTY in library.skills[node.name].raises:
@@ -107,7 +109,7 @@ class _Follower:
         times = known(node.arguments, scope, self._library).get("times")
         if times is None:
             what = "how often powder is taken from one of several sources is known only when it runs"
-            self._problems.add(node.mark, what, "a number, or an input of this workflow")
+            self._problems.add(node.mark, what, "a number, or an input of this workflow", code="unknown-demand")
             return takes
         return [replace(take, mass_mg=take.mass_mg and take.mass_mg * times) for take in takes]
 
@@ -117,8 +119,8 @@ class _Follower:
         lots = sorted({take.source.sheet_key for takes in taking for take in takes})
         if len(taking) > 1 and len(lots) > 1:
             what = f"which of {', '.join(lots)} the sheet has touched after this fallback is known only when it runs"
-            self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence")
+            self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence", code="unknown-sheet")
 
     def _refuse_amount(self, node: Call) -> None:
         what = f"how much '{node.name}' takes from one of several sources cannot be told before the run"
-        self._problems.add(node.mark, what, TAKES_ITS_MASS)
+        self._problems.add(node.mark, what, TAKES_ITS_MASS, code="unknown-demand")

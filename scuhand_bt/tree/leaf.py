@@ -8,6 +8,7 @@ from py_trees.common import Status
 from pydantic import ValidationError
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.leased import leased
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.failures import CATALOGUE, Code
 from scuhand_bt.record import RecordLost
@@ -255,7 +256,7 @@ class SkillLeaf(Behaviour):
         shared.listener.started(self, inputs)
         self._is_recorded = True
         shared.acting.add(self)
-        self._steps = skill.run(shared.cell)
+        self._steps = skill.run(leased(shared.cell, self.skill.sees()))
         if not isinstance(self._steps, Generator):
             raise TypeError("its run is no generator; it must `yield` somewhere")
         if replay.is_to_rejoin or self._recorded is not None:
