@@ -15,8 +15,11 @@ import typer
 from conftest import REPOSITORY, LabFolder
 
 from scuhand_bt import cli
-from scuhand_bt.problems import Problems, SourceError
+from scuhand_bt.cli.check import line_of
+from scuhand_bt.findings import page as page_of_findings
+from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.checking import check
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.tree.check import check_workflows
 
@@ -122,12 +125,17 @@ def test_the_mistakes_that_recipes_md_shows_are_told_in_those_words(lab_folder: 
     rows = "".join(f"xrd-{7 if number == 12 else number - 1:02d},xrd_holder,30\n" for number in range(2, 13))
     lab_folder.write("recipes/holders.csv", "id,container,mass [mg]\n" + rows.replace("xrd-01", "xrd-99"))
     path = lab_folder.write("recipes/my.yaml", recipe)
-    with pytest.raises(SourceError) as raised:
-        load_recipe(path, lab_folder.load())
-    told = [str(problem).removeprefix(f"{path.parent}/") for problem in raised.value.problems]
+    found = check(lab_folder.folder, path, fast=True).problems
+    told = [line_of(problem).removeprefix(f"{path.parent}/") for problem in found]
     told.append(f"{len(told)} problems; nothing was moved.")
     for line, expected in zip(told, shown, strict=True):
         assert re.fullmatch(re.escape(expected).replace("…", ".*"), line)
+
+
+def test_the_page_of_findings_is_of_today() -> None:
+    assert (REPOSITORY / "docs" / "findings.md").read_text(encoding="utf-8") == page_of_findings(), (
+        "run `python -m scuhand_bt.findings docs`"
+    )
 
 
 @pytest.mark.parametrize("text", blocks("python"))

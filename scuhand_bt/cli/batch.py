@@ -26,7 +26,6 @@ from scuhand_bt.cli.shared import (
     on_signals,
     out,
     print_json,
-    the_lab,
 )
 from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.exit_codes import ExitCode
@@ -217,35 +216,10 @@ def _export(session: "Session", result: "BatchResult", json_file: Path) -> None:
 
 
 @app.command()
-def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
-    """Check a recipe, its tables and its workflows, without running anything."""
-    from scuhand_bt.recipe.plan import make_plan
-    from scuhand_bt.recipe.recipe import load_recipe
-
-    try:
-        loaded = the_lab(lab, recipe)
-        checked = load_recipe(recipe, loaded)
-        notes = _notes(make_plan(checked, loaded), loaded, quiet=as_json)
-    except SourceError as error:
-        if not as_json:
-            raise
-        problems = [
-            {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
-            for p in error.problems
-        ]
-        print_json({"ok": False, "problems": problems})
-        raise typer.Exit(ExitCode.BAD_INPUT) from None
-    if as_json:
-        print_json({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes})
-    else:
-        out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
-
-
-@app.command()
 def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
     """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
     made, loaded = the_plan(recipe, lab)
-    notes = _notes(made, loaded, quiet=as_json)
+    notes = notes_of(made, loaded, quiet=as_json)
     if as_json:
         print_json({**_plan_values(made), "notes": notes})
         return
@@ -312,7 +286,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
     }
 
 
-def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
+def notes_of(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
     from datetime import datetime
 

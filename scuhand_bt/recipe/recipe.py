@@ -1,7 +1,7 @@
 """Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
 
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
@@ -14,10 +14,10 @@ from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
+from scuhand_bt.recipe.flow import Flow, flow_of
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
-from scuhand_bt.recipe.takes import Take, sources_of, takes_of
 from scuhand_bt.specs import Container, Positive, Powder, Source, Spec
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
@@ -41,6 +41,11 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
 ORDERS = ("by_powder", "as_written")
 OVERSHOOT_LIMIT = 2
 """One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
+MISPLACED = {
+    **dict.fromkeys(("recipe", "workflow", "controller", "order", "on_failure"), "it stands at the top of the recipe"),
+    **dict.fromkeys(("id", "repeat", "table"), "each sample has its own"),
+}
+"""Keys that are sometimes looked for under `defaults`, and where they stand."""
 RECIPE_KEYS = (
     *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
     *("on_failure", "overshoot_limit"),
@@ -91,12 +96,16 @@ def load_recipe(path: Path, lab: Lab) -> Recipe:
 
     Raises SourceError with every problem found, in the recipe, its tables and the workflows it uses.
     """
-    text = read_text(path, "a recipe")
     problems = Problems()
-    recipe = _Reader(lab, path, text, problems).read()
+    recipe = read_recipe(path, lab, problems)
     problems.raise_any()
     assert recipe is not None
     return recipe
+
+
+def read_recipe(path: Path, lab: Lab, problems: Problems) -> Recipe | None:
+    """As `load_recipe`; what is wrong is noted, and what could be read is given. SourceError for what is no YAML."""
+    return _Reader(lab, path, read_text(path, "a recipe"), problems).read()
 
 
 @dataclass
@@ -110,6 +119,8 @@ class _Reader:
     """See `Recipe.marks`."""
     workflows: dict[str, Workflow] = field(default_factory=dict)
     """Those that the recipe names."""
+    named_sources: list[Scalar] = field(default_factory=list)
+    """Where samples name sources."""
     sound: dict[str, bool] = field(default_factory=dict)
     """By workflow, whether it is."""
 
@@ -150,7 +161,9 @@ class _Reader:
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
-        check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
+        if self.lab.has_cell:
+            check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
+        self._check_unused(samples)
         whole = tuple(samples)
         return Recipe(self.path, self.text, name, order, controller, sources, whole, on_failure, limit, self.marks)
 
@@ -248,6 +261,14 @@ class _Reader:
                 value.mark, f"unknown {what} {describe(value)}", unknown=value.text, known=known, code="unknown-name"
             )
 
+    def _check_unused(self, samples: Sequence[Sample]) -> None:
+        """Warn of sources that no sample names."""
+        used = {node.text for node in self.named_sources}
+        for name, mark in self.source_marks.items():
+            if samples and name not in used:
+                what = f"no sample takes from '{name}'"
+                self.problems.warn(mark, what, "take it away, or name it in a sample", code="unused-source")
+
     # --- samples
 
     def _read_samples(self, root: Entries, sources: Mapping[str, Source]) -> list[Sample]:
@@ -255,7 +276,10 @@ class _Reader:
         if not isinstance(node, Items) or not node.items:
             what = "'samples' is missing" if node is None else f"'samples': {describe(node)} names no sample"
             self.problems.add(
-                node.mark if node else root.mark, what, "a list: - {id: …, container: …, mass: …}", code="wrong-shape"
+                node.mark if node else root.mark,
+                what,
+                "a list: - {id: …, container: …, mass: …}",
+                code="wrong-shape" if node else "missing-key",
             )
             return []
         defaults = root.get("defaults") or Entries(root.mark, {}, {})
@@ -287,7 +311,10 @@ class _Reader:
                 self.problems.add(entry.values["id"].mark, *clash, code="duplicate-id")
         inputs = {name for workflow in self.workflows.values() for name in workflow.inputs}
         for key, mark in defaults.keys.items():
-            if self.workflows and key not in inputs:
+            if key in MISPLACED and key not in inputs:
+                what = f"'{key}' is no default: {MISPLACED[key]}"
+                self.problems.add(mark, what, code="misplaced-default")
+            elif self.workflows and key not in inputs and all(w.is_whole for w in self.workflows.values()):
                 what = f"no workflow of this recipe has an input '{shorten(key)}'"
                 self.problems.add(mark, what, unknown=key, known=inputs, code="unknown-input")
         return samples
@@ -343,15 +370,16 @@ class _Reader:
             self.problems.add(merged["tolerance"].mark, what, code="percent-of-nothing")
         with suppress(ValueError):  # a wrong default, which is reported where it stands
             inputs = bound_inputs(workflow, inputs, self.lab.library)
-        sample = Sample(entry.mark, sample_id, workflow.name, inputs, self._takes(workflow, inputs))
+        sample = Sample(entry.mark, sample_id, workflow.name, inputs, self._flow(workflow, inputs))
         check_sample(sample, entry.values, defaults.values, self.lab.cell.balance, self.problems)
         return sample
 
-    def _takes(self, workflow: Workflow, inputs: Mapping[str, Any]) -> tuple[Take, ...]:
-        """What a sample takes; of several sources nothing by a wrong workflow, which is reported where it stands."""
-        if len(sources_of(inputs)) > 1 and not self._is_sound(workflow.name):
-            return ()
-        return takes_of(workflow, inputs, self.lab.library, self.problems)
+    def _flow(self, workflow: Workflow, inputs: Mapping[str, Any]) -> Flow:
+        """What a sample's workflow doses; by a wrong one, which is reported where it stands, nothing."""
+        if not self._is_sound(workflow.name):
+            return Flow()
+        is_complete = all(key in inputs for key in workflow.inputs)  # else what lacks is reported where it stands
+        return flow_of(workflow.name, inputs, self.lab.library, self.problems if is_complete else Problems())
 
     def _is_sound(self, name: str) -> bool:
         """Whether a workflow can be followed."""
@@ -395,6 +423,8 @@ class _Reader:
         python = declared.type.python
         if isinstance(python, type) and python in named:
             known, what = named[python]
+            if python is Source and isinstance(node, Scalar):
+                self.named_sources.append(node)
             name = (node.text or "") if isinstance(node, Scalar) else ""
             if name not in known:
                 if library.broken.tell(what, name, self.problems):

@@ -35,6 +35,8 @@ class SkillFacts:
     """It weighs a container before its first powder (`cell.believed.tared`)."""
     parks: bool
     """It moves the arm to a station of the kind `park`."""
+    asks: bool
+    """It asks a person (`cell.operator`)."""
 
 
 def facts_of(skill: type[Skill[Any]], tree: ast.Module, shared: Iterable[str]) -> SkillFacts:
@@ -46,7 +48,7 @@ def facts_of(skill: type[Skill[Any]], tree: ast.Module, shared: Iterable[str]) -
         _is_method(node) and any(isinstance(a, ast.Constant) and a.value == PARK for a in node.args)  # type: ignore[attr-defined]
         for node in ast.walk(tree)
     )
-    return SkillFacts(frozenset(raised), "tared" in called, parks or _compares_to_park(tree))
+    return SkillFacts(frozenset(raised), "tared" in called, parks or _compares_to_park(tree), "ask" in called)
 
 
 def _is_method(node: ast.AST) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from scuhand_bt.problems import Mark, Problems, shorten
+from scuhand_bt.problems import Mark, Problems, nearest, shorten
 from scuhand_bt.tree.wires import INPUT_TYPES, WireType
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
@@ -195,6 +195,7 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
                 "it has a meaning of its own where a workflow is used",
                 code="bad-name",
             )
+            continue
         type_node, default = declared, None
         if isinstance(declared, Entries):
             _only_keys(declared, ("type", "default"), problems)
@@ -311,6 +312,10 @@ def _read_codes(node: Node | None, problems: Problems) -> dict[str, Mark]:
 def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | None:
     if isinstance(body, Scalar) and body.text is None:
         return Call(mark, name, {}, {}, None, mark)
+    if not isinstance(body, Entries) and nearest(name, KEYWORDS) is not None:
+        what = f"unknown node '{shorten(name)}'"
+        problems.add(mark, what, unknown=name, known=KEYWORDS, code="unknown-name")
+        return None
     if not isinstance(body, Entries):
         problems.add(
             body.mark,
@@ -344,7 +349,7 @@ def _argument(node: Node, problems: Problems) -> Argument:
         problems.add(
             node.mark, f"{describe(node)} is no reference", "write $name or $name.attribute", code="bad-reference"
         )
-        return Scalar(node.mark, None)
+        return Reference(node.mark, "", ())
     return Reference(node.mark, match[1], tuple(match[2].split(".")[1:]))
 
 
