@@ -2,9 +2,9 @@
 
     python -m benchmarks.check [--json FILE]
 
-The analysis is what `check` does with a workflow once it is read: wires, names, failures, times. The command is timed by
-the processor, in a process of its own, without the planning of the arm's ways and with it (the second time, when they
-are known).
+The analysis is what `check` does with a workflow once it is read: wires, names, failures, times. The command is timed
+by the processor, in a process of its own, without the planning of the arm's ways and with it (the second time, when
+they are known).
 """
 
 import argparse

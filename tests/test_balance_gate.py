@@ -399,7 +399,7 @@ def test_check_notes_what_a_real_run_is_refused_for(command: Call, lab_folder: L
     recipe = lab_folder.write("recipes/r.yaml", RECIPE)
     ended = command("check", recipe)
     assert ended.returncode == 0
-    assert "robot/cell.yaml:5:" in ended.stderr
+    assert "robot/cell.yaml:6:" in ended.stderr
     assert "a check weight is asked for every 24 h 00 min, and was not weighed right yet" in ended.stderr
     assert len(json.loads(command("check", recipe, "--json").stdout)["notes"]) == 2, "the changer, and the weight"
 

@@ -51,13 +51,13 @@ def test_a_file_that_nothing_uses_is_told_of_and_stops_nothing(
             "trees/fill.yaml",
             "retry:\n    attempts: 8",
             "retry:\n    x: 1\n    attempts: 8",
-            "trees/fill.yaml:12:5: unknown key 'x'",
+            "trees/fill.yaml:13:5: unknown key 'x'",
         ),
         ("skills/tare.py", "class Tare", "clas Tare", "skills/tare.py:10:6: the skill cannot be loaded: SyntaxError"),
-        ("robot/powders.yaml", "repose: 25 deg", "repose: 25 kg", "robot/powders.yaml:6:11: 'repose': 'kg' is a unit"),
-        ("robot/containers.yaml", "mouth: 20 mm", "mouth: 20 s", "robot/containers.yaml:4:12: 'mouth': 's' is a unit"),
-        ("robot/containers.yaml", "bore: 90 mm", "bore: 90 s", "robot/containers.yaml:23:11: 'bore': 's' is a unit"),
-        ("robot/powders.yaml", "glass_beads:", "glass_beads: [", "robot/powders.yaml:5:15: is no valid YAML"),
+        ("robot/powders.yaml", "repose: 25 deg", "repose: 25 kg", "robot/powders.yaml:7:11: 'repose': 'kg' is a unit"),
+        ("robot/containers.yaml", "mouth: 20 mm", "mouth: 20 s", "robot/containers.yaml:5:12: 'mouth': 's' is a unit"),
+        ("robot/containers.yaml", "bore: 90 mm", "bore: 90 s", "robot/containers.yaml:24:11: 'bore': 's' is a unit"),
+        ("robot/powders.yaml", "glass_beads:", "glass_beads: [", "robot/powders.yaml:6:15: is no valid YAML"),
     ],
 )
 def test_what_uses_it_is_refused_with_what_is_wrong_in_it_and_nothing_beside_the_point(
@@ -97,4 +97,4 @@ def test_without_its_cell_no_lab_is_loaded(command: Call, lab_folder: LabFolder,
     lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: many")
     ended = command("plan", recipe)
     assert ended.returncode == 2
-    assert "robot/cell.yaml:6:36: 'slots': 'many' is not accepted" in ended.stderr
+    assert "robot/cell.yaml:7:36: 'slots': 'many' is not accepted" in ended.stderr

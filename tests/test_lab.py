@@ -32,7 +32,7 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "said"),
     [
-        ("cell", "period: 100 ms", "period: 100 mg", "robot/cell.yaml:5:94: 'period': 'mg' is a unit of mass, not of"),
+        ("cell", "period: 100 ms", "period: 100 mg", "robot/cell.yaml:6:94: 'period': 'mg' is a unit of mass, not of"),
         ("cell", "readability: 0.1 mg", "readabilty: 0.1 mg", "unknown key 'readabilty'"),
         ("cell", "readability: 0.1 mg", "readabilty: 0.1 mg", "did you mean 'readability'?"),
         ("cell", "kind: mortar,", "kind: mortr,", "'kind': 'mortr' is not accepted"),
@@ -68,7 +68,7 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "coefficient: inf",
             "'coefficient': 'inf' is not accepted; a plain number",
         ),
-        ("containers", "mortars:", "mortar:", "robot/containers.yaml:1:1: 'mortars' is missing"),
+        ("containers", "mortars:", "mortar:", "robot/containers.yaml:2:1: 'mortars' is missing"),
         ("containers", "mortars:", "mortar:", "unknown key 'mortar'"),
         ("containers", "depth: 30 mm", "depth: 60 mm", "its depth is at most half its bore"),
         ("containers", "capacity: 4 cm^3", "capacity: 4 cm^2", "'cm^2' is no unit of volume"),
@@ -102,12 +102,12 @@ def test_wrong_grammar_hides_no_wrong_wire_of_the_same_file(lab_folder: LabFolde
     lab_folder.replace("trees/fill_xrd_holder.yaml", "duration: 30 min", "duration: 30 kg")
     lab_folder.replace("trees/fill_xrd_holder.yaml", "    - tare:", "    - tare\n    - wait: {duration: $nothing}")
     assert [problem.split(": ", 1)[0] for problem in lab_folder.problems()] == [
-        "trees/fill_xrd_holder.yaml:8:7",
-        "trees/fill_xrd_holder.yaml:11:19",  # and nothing of $nothing, which could be what was not read
+        "trees/fill_xrd_holder.yaml:9:7",
+        "trees/fill_xrd_holder.yaml:12:19",  # and nothing of $nothing, which could be what was not read
     ]
     lab_folder.replace("trees/fill.yaml", "attempts: 8", "attemps: 8")
     said = [problem.split(": ", 1)[0] for problem in lab_folder.problems()]
-    assert "trees/fill_xrd_holder.yaml:11:19" in said, "what is wrong here is so whatever is wrong with `fill`"
+    assert "trees/fill_xrd_holder.yaml:12:19" in said, "what is wrong here is so whatever is wrong with `fill`"
 
 
 def test_a_missing_or_empty_file_is_one_line(lab_folder: LabFolder) -> None:

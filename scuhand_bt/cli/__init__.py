@@ -16,6 +16,7 @@ from scuhand_bt.cli import (
     persons,
     powders,
     report,
+    schema,
     watch,
 )
 from scuhand_bt.cli.shared import app, main
@@ -38,5 +39,6 @@ __all__ = [
     "persons",
     "powders",
     "report",
+    "schema",
     "watch",
 ]

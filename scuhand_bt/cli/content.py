@@ -1,5 +1,6 @@
 """Commands about a lab's content: its skills, its workflows, and a new lab."""
 
+import json
 import shutil
 from pathlib import Path
 from typing import Annotated
@@ -62,8 +63,9 @@ def trees(name: NameArgument = None, lab: LabOption = None) -> None:
 
 @app.command()
 def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", show_default=False)]) -> None:
-    """Make a lab of your own: a copy of the starter lab's robot, skills, trees and recipes."""
-    from scuhand_bt.lab import starter_lab
+    """Make a lab of your own: a copy of the starter lab's robot, skills, trees and recipes, with what editors need."""
+    from scuhand_bt.lab import load_lab, starter_lab
+    from scuhand_bt.recipe.schemas import vscode_settings, write_schemas
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise typer.BadParameter(f"'{folder}' exists and is not empty")
@@ -73,4 +75,7 @@ def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", sh
             shutil.copytree(starter_lab() / part, folder / part, ignore=ignore)
         except OSError as error:
             raise typer.BadParameter(f"'{folder}' cannot be written: {error}") from None
+    write_schemas(load_lab(folder))
+    (folder / ".vscode").mkdir()
+    (folder / ".vscode" / "settings.json").write_text(json.dumps(vscode_settings(), indent=2) + "\n", encoding="utf-8")
     out.print(Text(f"A lab in {folder}. Try: scuhand-bt run {folder / 'recipes' / 'xrd_holders.yaml'} --dry-run"))

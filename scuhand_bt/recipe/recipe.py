@@ -83,7 +83,9 @@ class Recipe:
         return self.on_failure.get(code, self.on_failure["otherwise"])
 
 
-class _SourceText(Spec):
+class SourceText(Spec):
+    """A source as a recipe writes it."""
+
     station: str
     container: str
     powder: str
@@ -222,7 +224,7 @@ class _Reader:
     def _read_source(self, name: str, node: Node) -> Source | None:
         lab = self.lab
         if isinstance(node, Entries):
-            known = [info.alias or "" for info in _SourceText.model_fields.values()]
+            known = [info.alias or "" for info in SourceText.model_fields.values()]
             unknown = [key for key in node.keys if key not in known]
             for key in unknown:
                 self.problems.add(
@@ -230,7 +232,7 @@ class _Reader:
                 )
             node = node.without(*unknown)
         before = len(self.problems.found)
-        text = validate(_SourceText, node, self.problems)
+        text = validate(SourceText, node, self.problems)
         if not isinstance(node, Entries):
             return None
         mortar_stations = [s.name for s in lab.cell.stations.values() if s.kind == "mortar"]
