@@ -24,6 +24,8 @@ S = TypeVar("S", bound=Spec)
 
 CELL_FILE = Path("robot") / "cell.yaml"
 STATE = ".scuhand"
+TEST_SUFFIX = ".test.yaml"
+"""Of the files beside workflows that say how they are tested."""
 
 
 @dataclass(frozen=True)
@@ -269,6 +271,8 @@ def _check_ports(cell: CellSpec, root: Entries, problems: Problems) -> None:
 def _load_workflows(folder: Path, problems: Problems, broken: Broken) -> dict[str, Workflow]:
     workflows: dict[str, Workflow] = {}
     for path in files_of(folder, "*.yaml"):
+        if path.name.endswith(TEST_SUFFIX):
+            continue
         of_file = Problems()
         try:
             workflow = read_workflow(load(path, "a workflow"), path.stem, of_file)

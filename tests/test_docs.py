@@ -17,6 +17,7 @@ from conftest import REPOSITORY, LabFolder
 from scuhand_bt import cli
 from scuhand_bt.cli.check import line_of
 from scuhand_bt.findings import page as page_of_findings
+from scuhand_bt.kit.cases import read_test_file
 from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.checking import check
@@ -95,6 +96,9 @@ def test_the_picture_of_the_rooms_is_of_today(tmp_path: Path) -> None:
 def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> None:
     lab_folder.write("recipes/holders.csv", texts("csv")[0])
     kind = text.split(":", 1)[0]
+    for skill in (text for text in texts("python") if "(Skill" in text):
+        (cls,) = re.findall(r"^class (\w+)", skill, re.M)
+        lab_folder.write(f"skills/{cls.lower()}.py", skill)
     if kind == "recipe":
         recipe = load_recipe(lab_folder.write("recipes/example.yaml", text), lab_folder.load())
         assert recipe.samples
@@ -104,6 +108,10 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         problems = Problems()
         check_workflows(lab_folder.load().library, [name], problems)
         problems.raise_any()
+    elif kind == "test":
+        for name, tree in (w.split("\n", 1) for w in texts("yaml") if w.startswith("workflow: tap_and_weigh")):
+            lab_folder.write(f"trees/{name.split()[1]}.yaml", f"{name}\n{tree}")
+        assert read_test_file(lab_folder.write("trees/example.test.yaml", text), lab_folder.load()).cases
     elif kind == "faults":
         assert parse_faults(text, "faults.yaml").rules
     elif kind == "balance":

@@ -17,6 +17,7 @@ from scuhand_bt.cli import (
     powders,
     report,
     schema,
+    test,
     watch,
 )
 from scuhand_bt.cli.shared import app, main
@@ -40,5 +41,6 @@ __all__ = [
     "powders",
     "report",
     "schema",
+    "test",
     "watch",
 ]

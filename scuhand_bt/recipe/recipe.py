@@ -107,7 +107,13 @@ def load_recipe(path: Path, lab: Lab) -> Recipe:
 
 def read_recipe(path: Path, lab: Lab, problems: Problems) -> Recipe | None:
     """As `load_recipe`; what is wrong is noted, and what could be read is given. SourceError for what is no YAML."""
-    return _Reader(lab, path, read_text(path, "a recipe"), problems).read()
+    text = read_text(path, "a recipe")
+    return recipe_of(parse(text, str(path), "a recipe"), path, text, lab, problems)
+
+
+def recipe_of(root: Node, path: Path, text: str, lab: Lab, problems: Problems) -> Recipe | None:
+    """The same of what has been parsed."""
+    return _Reader(lab, path, text, problems).read(root)
 
 
 @dataclass
@@ -126,8 +132,7 @@ class _Reader:
     sound: dict[str, bool] = field(default_factory=dict)
     """By workflow, whether it is."""
 
-    def read(self) -> Recipe | None:
-        root = parse(self.text, str(self.path), "a recipe")
+    def read(self, root: Node) -> Recipe | None:
         if not isinstance(root, Entries):
             self.problems.add(
                 root.mark,

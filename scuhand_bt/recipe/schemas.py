@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing import CONTROLLERS
-from scuhand_bt.lab import Lab
+from scuhand_bt.lab import TEST_SUFFIX, Lab
 from scuhand_bt.recipe.recipe import ACTIONS, ORDERS, SourceText
 from scuhand_bt.sim.fault_rules import KINDS, Rule
 from scuhand_bt.skill import Condition
@@ -298,5 +298,5 @@ FILES_OF: Mapping[str, str] = {
 
 def vscode_settings() -> Json:
     """Settings of VS Code for a lab's folder: the schemas for its files (of the extension redhat.vscode-yaml)."""
-    schemas = {f"{FOLDER}/{kind}.schema.json": pattern for kind, pattern in FILES_OF.items()}
+    schemas = {f"{FOLDER}/{kind}.schema.json": [pattern, f"!*{TEST_SUFFIX}"] for kind, pattern in FILES_OF.items()}
     return {"yaml.schemas": schemas, "yaml.validate": True, "files.associations": {"*.yaml": "yaml"}}
