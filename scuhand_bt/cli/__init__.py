@@ -17,6 +17,7 @@ from scuhand_bt.cli import (
     powders,
     report,
     schema,
+    study,
     test,
     watch,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "powders",
     "report",
     "schema",
+    "study",
     "test",
     "watch",
 ]
