@@ -39,11 +39,24 @@ def skills(name: NameArgument = None, lab: LabOption = None) -> None:
 
 
 @app.command()
-def trees(name: NameArgument = None, lab: LabOption = None) -> None:
+def trees(
+    name: NameArgument = None,
+    bt_xml: Annotated[bool, typer.Option("--bt-xml", help="As BehaviorTree.CPP 4 and Groot2 read it.")] = False,
+    svg: Annotated[bool, typer.Option("--svg", help="As a picture.")] = False,
+    from_xml: Annotated[
+        Path | None, typer.Option("--from-xml", help="Show the workflows of such an XML file as this lab writes them.")
+    ] = None,
+    lab: LabOption = None,
+) -> None:
     """List the lab's workflows, or show one; all of them are checked."""
+    if from_xml is not None:
+        _show_imported(from_xml)
+        return
     from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.problems import Problems
+    from scuhand_bt.tree.btxml import to_xml
     from scuhand_bt.tree.check import check_workflows
+    from scuhand_bt.tree.drawing import drawn
 
     loaded = load_lab(find_lab(None, lab))
     problems = Problems(list(loaded.problems))
@@ -52,6 +65,10 @@ def trees(name: NameArgument = None, lab: LabOption = None) -> None:
     if name is not None:
         if name not in loaded.library.workflows:
             raise unknown("workflow", name, loaded.library.workflows)
+        workflow = loaded.library.workflows[name]
+        if bt_xml or svg:
+            out.file.write(to_xml(loaded.library, name) if bt_xml else drawn(workflow))
+            return
         out.print(Text((loaded.folder / "trees" / f"{name}.yaml").read_text(encoding="utf-8").rstrip()))
         return
     table = Table("workflow", "inputs", "what it is for", show_edge=False)
@@ -59,6 +76,14 @@ def trees(name: NameArgument = None, lab: LabOption = None) -> None:
         inputs = ", ".join(f"{declared.name}: {declared.type.name}" for declared in workflow.inputs.values())
         table.add_row(key, inputs, workflow.summary)
     out.print(table)
+
+
+def _show_imported(path: Path) -> None:
+    from scuhand_bt.tree.btxml import from_xml
+    from scuhand_bt.yaml_source import read_text
+
+    for name, text in from_xml(read_text(path, "a file of BehaviorTree.CPP"), str(path)).items():
+        out.file.write(f"# trees/{name}.yaml\n{text}")
 
 
 @app.command()
