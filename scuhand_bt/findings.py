@@ -68,6 +68,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "percent-of-nothing": Finding("A tolerance in percent, and no mass beside it.", "Write it as a mass."),
         "bad-action": Finding("`on_failure` names an action that there is not.", "flag, skip_sample, redo, ask, stop."),
         "station-taken": Finding("Two sources stand at one station.", "Give each a station of its own."),
+        "mortars-overlap": Finding("Two sources' mortars stand in one another.", "Move a station."),
         "bad-mass": Finding("A mass is zero or less.", "Ask for more than 0."),
         "fine-tolerance": Finding(
             "A tolerance below what the balance can tell.", "At least two digits of the balance."
@@ -145,6 +146,13 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "A workflow doses into a container that was not weighed empty; the dose will be refused.",
             "`tare:` after `place_container`.",
         ),
+        "no-container": _warning(
+            "A workflow weighs a container before one is on the pan; it will be refused.",
+            "`place_container:` before it.",
+        ),
+        "not-over-pan": _warning(
+            "A workflow doses, and the arm was not sent over the pan.", "`move_over:` before the dose."
+        ),
         "no-park": _warning("A workflow leaves the arm where its last action was.", "`park:` at the end."),
     },
     SKILLS: {
@@ -169,6 +177,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "skill-unknown-member": Finding("A device, or the cell, has no such method or value.", "See its interface."),
         "skill-lease": Finding("A skill uses a device that it does not lease.", "Add it to `devices`."),
         "skill-forecast": Finding("A skill's `forecast` breaks.", "It may be given none, or some, of the inputs."),
+        "skill-raises": _warning("A skill fails with a code that its `raises` does not name.", "Add it to `raises`."),
         "skill-unit": _warning("A number without a unit is a parameter.", "Milligrams, Seconds, …, or Ratio."),
     },
     CELLS: {

@@ -1,10 +1,11 @@
 """Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
 
 import hashlib
+import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import combinations, islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -224,7 +225,18 @@ class _Reader:
                     code="station-taken",
                 )
             by_station[source.station] = name
+        self._check_apart([source for name, source in sources.items() if by_station[source.station] == name])
         return sources
+
+    def _check_apart(self, sources: Sequence[Source]) -> None:
+        """Mortars side by side must have room."""
+        for one, other in combinations(sources, 2):
+            places_mm = [self.lab.cell.stations[source.station].position_mm[:2] for source in (one, other)]
+            room_mm = (one.mortar.outer_diameter_mm + other.mortar.outer_diameter_mm) / 2
+            if (apart_mm := math.dist(*places_mm)) < room_mm:
+                what = f"the mortars of '{one.name}' and '{other.name}' stand {apart_mm:.0f} mm apart"
+                allowed = f"they need {room_mm:.0f} mm; move a station in robot/cell.yaml"
+                self.problems.add(self.source_marks[other.name], what, allowed, code="mortars-overlap")
 
     def _read_source(self, name: str, node: Node) -> Source | None:
         lab = self.lab

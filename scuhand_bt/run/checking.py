@@ -22,7 +22,7 @@ from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.grammar import Call, walk
 from scuhand_bt.tree.lint import Lint
 
-OF_ROOTS = ("no-tare", "no-park", "on-failure-never", "unused-source")
+OF_ROOTS = ("no-container", "no-tare", "not-over-pan", "no-park", "on-failure-never", "unused-source")
 """Warnings that depend on what a recipe names."""
 PLANNED = "planned.json"
 """In the lab's state: cells whose ways were all found, by their hash."""
@@ -55,7 +55,7 @@ def check(folder: Path, recipe: Path | None, *, fast: bool = False) -> Checked:
     lint = Lint(lab.library, lab.cell, SERVICE, of_lab)
     used = {sample.workflow for sample in read.samples} if read is not None else set()
     sound = _sound(lab, of_lab.errors)
-    lint.check(sorted(sound), used | _uncalled(lab))
+    lint.check(sorted(sound), _uncalled(lab) if recipe is None else used)
     plan = None
     if read is not None:
         if used and used <= sound:

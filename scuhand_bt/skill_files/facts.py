@@ -14,6 +14,7 @@ from scuhand_bt.failures import CATALOGUE, Code, SkillFailed
 from scuhand_bt.problems import Mark
 from scuhand_bt.skill import Condition, Skill
 
+OVER = "over_balance"
 PARK = "park"
 """The kind of station that the arm is out of the way at."""
 OF_DEVICE = {
@@ -23,6 +24,8 @@ OF_DEVICE = {
     "changer": ("container.",),
 }
 """The codes that a device, or what the engine does with it, fails with."""
+OF_RUNS = (Code.HAND_LEAK, Code.DOSE_RUNAWAY, Code.DOSE_OVERSHOOTS, Code.BALANCE_BRACKET_OPEN)
+"""What ends a run, or is told of a sample when its job is over: no workflow and no policy meets it."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +40,30 @@ class SkillFacts:
     """It moves the arm to a station of the kind `park`."""
     asks: bool
     """It asks a person (`cell.operator`)."""
+    places: bool = False
+    """It puts a container on the pan (`cell.believed.placed`)."""
+    hovers: bool = False
+    """It goes to the place over a container (`over_balance`)."""
 
 
 def facts_of(skill: type[Skill[Any]], tree: ast.Module, shared: Iterable[str]) -> SkillFacts:
     """The facts of a skill by its file; `shared` are the codes of the files that skills of this lab share."""
     uses_shared = any(isinstance(node, ast.ImportFrom) and node.level for node in ast.walk(tree))
     raised = {*raised_codes(tree, ""), *skill.raises, *skill.failures, *(shared if uses_shared else ())}
-    called = {node.func.attr: node for node in ast.walk(tree) if _is_method(node)}  # type: ignore[attr-defined]
+    called = {node.func.attr for node in ast.walk(tree) if _is_method(node)}  # type: ignore[attr-defined]
+    hovers = "arm" in skill.devices and any(isinstance(n, ast.Name) and n.id == OVER for n in ast.walk(tree))
     parks = any(
         _is_method(node) and any(isinstance(a, ast.Constant) and a.value == PARK for a in node.args)  # type: ignore[attr-defined]
         for node in ast.walk(tree)
     )
-    return SkillFacts(frozenset(raised), "tared" in called, parks or _compares_to_park(tree), "ask" in called)
+    return SkillFacts(
+        frozenset(raised),
+        "tared" in called,
+        parks or _compares_to_park(tree),
+        "ask" in called,
+        "placed" in called,
+        hovers,
+    )
 
 
 def _is_method(node: ast.AST) -> bool:
@@ -69,7 +84,8 @@ def codes_of(skill: type[Skill[Any]], facts: SkillFacts | None) -> frozenset[str
     engine = {
         code
         for code, failure in CATALOGUE.items()
-        if "run" in failure.raised_in or (failure.raised_in and code.startswith(tuple(prefixes)))
+        if failure.raised_in and code not in OF_RUNS
+        if "run" in failure.raised_in or code.startswith(tuple(prefixes))
     }
     within = {code for code, failure in CATALOGUE.items() if "cell" in failure.raised_in} if devices else set()
     return own | engine | within | {Code.WORKFLOW_BAD_VALUE}

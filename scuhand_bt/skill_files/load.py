@@ -128,6 +128,9 @@ def _check_codes(skill: type[Skill[Any]], codes: Mapping[str, Mark], problems: P
             hint = "`scuhand-bt explain` lists the catalogue; a code of its own stands in the skill's 'failures'"
             known = [*CATALOGUE, *skill.failures]
             problems.add(mark, what, hint, unknown=code, known=known, code="skill-failures")
+        elif code not in skill.raises:
+            what = f"it fails with {code}, which 'raises' does not name"
+            problems.warn(mark, what, "`explain` and the checks go by 'raises'", code="skill-raises")
 
 
 def _mount(folder: Path) -> None:

@@ -70,7 +70,8 @@ def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems,
             what = f"'interrupted' is {skill.interrupted!r}, which is no way to take up an action"
             problems.add(_mark(file, node), what, " or ".join(map(repr, interrupted)), code="skill-interrupted")
         info = skill.model_fields.get(target) if target is not None else None
-        if info is not None and info.annotation is float and not any(hasattr(m, "dimension") for m in info.metadata):
+        is_float = info is not None and float in (info.annotation, *typing.get_args(info.annotation))
+        if info is not None and is_float and not any(hasattr(m, "dimension") for m in info.metadata):
             what = f"'{target}' is a bare float: in a workflow nobody sees its unit, and none is checked"
             remedy = "Milligrams, Seconds, Millimetres, …, or Ratio for a share"
             problems.warn(_mark(file, node), what, remedy, code="skill-unit")

@@ -5,6 +5,7 @@ forecast; a workflow that is wrong is not looked at. Where something cannot be t
 """
 
 from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
@@ -19,6 +20,38 @@ HASTE = 4.0
 """No action is so many times as quick as it forecasts."""
 LASTING = "duration"
 """A skill lasts at least as long as its parameter of this name."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What must come before a part of a dose."""
+
+    of: str
+    before: str
+    code: str
+    what: str
+    remedy: str
+
+
+NEEDS = (
+    Need(
+        "tare",
+        "place",
+        "no-container",
+        "'{}' weighs a container, and none was put on the pan",
+        "`place_container:` before it",
+    ),
+    Need(
+        "dose",
+        "tare",
+        "no-tare",
+        "'{}' doses into a container that was not weighed empty",
+        "`tare:` after `place_container`, and before it",
+    ),
+    Need(
+        "dose", "hover", "not-over-pan", "'{}' opens the valve, and the arm was not sent over the pan", "`move_over:`"
+    ),
+)
 
 
 class Lint:
@@ -199,7 +232,7 @@ class Lint:
         if "arm" in devices_of(workflow.tree, self.library) and self._ends_parked(workflow.tree) is False:
             what = f"'{workflow.name}' does not leave the arm parked: it may stand over the pan, or a mortar"
             self._problems.warn(_last(workflow.tree).mark, what, "`park:` at the end", code="no-park")
-        self._check_tared(workflow.tree, False)
+        self._check_ready(workflow.tree, frozenset())
 
     def _ends_parked(self, node: TreeNode) -> bool | None:
         """Whether the arm is parked by what moves it last; None where nothing moves it."""
@@ -216,36 +249,34 @@ class Lint:
             return None
         return ends[-1] if node.kind == "sequence" else all(ends)
 
-    def _check_tared(self, node: TreeNode, tared: bool) -> bool:
-        """Warn of the calls of a job that dose before a `tare`; returns whether it is tared after the node."""
+    def _check_ready(self, node: TreeNode, ready: frozenset[str]) -> frozenset[str]:
+        """Warn of the calls of a job that come before what they need; returns what holds after the node."""
         if isinstance(node, Branch):
             if node.kind == "sequence":
                 for child in node.children:
-                    tared = self._check_tared(child, tared)
-                return tared
-            each = [self._check_tared(child, tared) for child in node.children]
-            return all(each)
+                    ready = self._check_ready(child, ready)
+                return ready
+            return frozenset.intersection(*[self._check_ready(child, ready) for child in node.children])
         if isinstance(node, Decorator):
-            after = self._check_tared(node.child, tared)
-            return tared if node.kind in ("optional", "invert") else after
-        if not tared and self._doses_first(node):
-            what = f"'{node.name}' doses into a container that was not weighed empty"
-            self._problems.warn(node.mark, what, "`tare:` after `place_container`, and before it", code="no-tare")
-            return True  # said once
-        return tared or self._tares(node)
-
-    def _tares(self, node: TreeNode) -> bool:
-        return any(name in self.library.facts and self.library.facts[name].tares for name in self._skills_of(node))
-
-    def _doses_first(self, node: TreeNode) -> bool:
-        """Whether a dose comes before any tare, in the order of the tree."""
+            after = self._check_ready(node.child, ready)
+            return ready if node.kind in ("optional", "invert") else after
         for name in self._skills_of(node):
-            facts, skill = self.library.facts.get(name), self.library.skills[name]
-            if facts is not None and facts.tares:
-                return False
-            if DOSING.issubset(skill.devices):
-                return True
-        return False
+            does = self._does(name)
+            for need in NEEDS:
+                if need.of in does and need.before not in ready:
+                    self._problems.warn(node.mark, need.what.format(node.name), need.remedy, code=need.code)
+                    ready |= {need.before}  # said once
+            ready |= does
+        return ready
+
+    def _does(self, name: str) -> frozenset[str]:
+        """What of a dose a skill does, by what its file says."""
+        facts = self.library.facts.get(name)
+        if facts is None:
+            return frozenset()
+        does = {"place": facts.places, "tare": facts.tares, "hover": facts.hovers}
+        doses = DOSING.issubset(self.library.skills[name].devices)
+        return frozenset(word for word, is_done in {**does, "dose": doses}.items() if is_done)
 
     def _skills_of(self, node: TreeNode) -> Iterator[str]:
         """The skills of a tree in its order, through all that it calls."""
