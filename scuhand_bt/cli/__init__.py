@@ -5,6 +5,7 @@ from scuhand_bt.cli import (
     balance,
     batch,
     bench,
+    check,
     content,
     evidence,
     failures,
@@ -15,7 +16,9 @@ from scuhand_bt.cli import (
     persons,
     powders,
     report,
+    schema,
     study,
+    test,
     watch,
 )
 from scuhand_bt.cli.shared import app, main
@@ -26,6 +29,7 @@ __all__ = [
     "balance",
     "batch",
     "bench",
+    "check",
     "content",
     "evidence",
     "failures",
@@ -37,6 +41,8 @@ __all__ = [
     "persons",
     "powders",
     "report",
+    "schema",
     "study",
+    "test",
     "watch",
 ]
