@@ -59,8 +59,11 @@ def serving(folder: Path) -> Iterator[tuple[str, int]]:
             pass_fds=[listener.fileno()],
         )
     assert process.stdin is not None
+    address = f"http://127.0.0.1:{port}"
+    with urllib.request.urlopen(address, timeout=60):  # it has begun
+        pass
     try:
-        yield f"http://127.0.0.1:{port}", process.pid
+        yield address, process.pid
     finally:
         process.stdin.close()
         process.wait(20)

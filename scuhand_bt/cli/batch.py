@@ -23,11 +23,11 @@ from scuhand_bt.cli.shared import (
     UnattendedFlag,
     app,
     err,
+    note_problems,
     of_kind,
     on_signals,
     out,
     print_json,
-    the_lab,
 )
 from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.cli.study import WorkersOption, odds_values, tell_odds
@@ -234,31 +234,6 @@ def _export(session: "Session", result: "BatchResult", json_file: Path) -> None:
 
 
 @app.command()
-def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
-    """Check a recipe, its tables and its workflows, without running anything."""
-    from scuhand_bt.recipe.plan import make_plan
-    from scuhand_bt.recipe.recipe import load_recipe
-
-    try:
-        loaded = the_lab(lab, recipe)
-        checked = load_recipe(recipe, loaded)
-        notes = _notes(make_plan(checked, loaded), loaded, quiet=as_json)
-    except SourceError as error:
-        if not as_json:
-            raise
-        problems = [
-            {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
-            for p in error.problems
-        ]
-        print_json({"ok": False, "problems": problems})
-        raise typer.Exit(ExitCode.BAD_INPUT) from None
-    if as_json:
-        print_json({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes})
-    else:
-        out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
-
-
-@app.command()
 def plan(
     recipe: RecipeArgument,
     trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
@@ -275,7 +250,7 @@ def plan(
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
     made, loaded = the_plan(recipe, lab)
-    notes = _notes(made, loaded, quiet=as_json)
+    notes = notes_of(made, loaded, quiet=as_json)
     odds = _odds(made, loaded, trials, workers) if trials else None
     if html is not None and odds is not None:
         _preview(made, loaded, odds, html)
@@ -376,7 +351,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
     }
 
 
-def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
+def notes_of(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
     from datetime import datetime
 
@@ -404,8 +379,11 @@ def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
 
 def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
     """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
+    from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.recipe.plan import make_plan
     from scuhand_bt.recipe.recipe import load_recipe
 
-    lab = the_lab(folder, recipe)
-    return make_plan(load_recipe(recipe, lab), lab), lab
+    lab = load_lab(find_lab(recipe, folder))
+    made = make_plan(load_recipe(recipe, lab), lab)
+    note_problems(lab)
+    return made, lab

@@ -27,6 +27,7 @@ from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.nodes import Timeout, While, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
+from scuhand_bt.tree.substitutes import Substitutes
 
 SAFE_TIMEOUT_S = 20.0
 """How long the cell may take to stand still once it is told to: a carousel's swing takes 6 s, an arm's stop 1 s."""
@@ -56,6 +57,7 @@ class Runner:
         control: Control,
         guards: Guards,
         observer: TickObserver,
+        substitutes: Substitutes | None = None,
     ) -> None:
         self._cell = cell
         self._library = library
@@ -64,6 +66,7 @@ class Runner:
         self._observer = observer
         self._leases = Leases(cell)
         self._guards = guards
+        self._substitutes = substitutes
         self._drawn: set[str] = set()
         """The workflows whose tree the journal has."""
 
@@ -73,7 +76,7 @@ class Runner:
         After an interruption `make_safe` is the caller's to call.
         """
         recorder, rejoins = _Recorder(self._journal), partial(rejoin, self._journal)
-        shared = Ticking(self._cell, self._leases, recorder, replay, rejoins)
+        shared = Ticking(self._cell, self._leases, recorder, replay, rejoins, self._substitutes)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
         if job.workflow not in self._drawn:
             self._drawn.add(job.workflow)

@@ -33,13 +33,14 @@ from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
 from scuhand_bt.skill import SkillFailed
+from scuhand_bt.tree.substitutes import Substitutes
 
 
 class Session:
     """A cell made ready for a plan, new or to be resumed. `run` once, then `close`.
 
     `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one; `resumes` is the
-    interrupted run (`run/resume.py` finds and checks it).
+    interrupted run (`run/resume.py` finds and checks it); `substitutes` stand in for skills, in a test.
 
     Raises, before anything moves: SourceError for an unknown controller, an unwritable folder, an unattended plan that
     needs a person, a real balance beyond its limits or a run that another process has, PlantError for a plant that
@@ -55,6 +56,7 @@ class Session:
         motion: MotionPlanner | None = None,
         control: Control | None = None,
         resumes: Resumable | None = None,
+        substitutes: Substitutes | None = None,
     ) -> None:
         check_controller(options.controller)
         if options.unattended:
@@ -65,6 +67,7 @@ class Session:
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
         self._lab, self._options = lab, options
+        self._substitutes = substitutes
         self._history = resumes.history if resumes is not None else None
         if resumes is None:
             name = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
@@ -228,6 +231,7 @@ class Session:
             self._history,
             first=first,
             after_job=self._records.after_job,
+            substitutes=self._substitutes,
         )
         try:
             result = batch.run()

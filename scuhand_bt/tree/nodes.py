@@ -13,6 +13,7 @@ from py_trees.composites import Composite, Selector
 from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 
+from scuhand_bt.cell.leased import leased
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
 from scuhand_bt.skill import Condition, SkillFailed
@@ -33,7 +34,7 @@ class Guard(Behaviour):
     def update(self) -> Status:
         self.failure = None
         try:
-            made(self.name, self.condition, self._arguments()).check(self._cell)
+            made(self.name, self.condition, self._arguments()).check(leased(self._cell, self.condition.sees()))
         except SkillFailed as failure:
             if not is_explained(self.condition, failure):
                 raise unexplained(self.name, failure) from failure
