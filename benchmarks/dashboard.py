@@ -22,6 +22,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -191,18 +192,21 @@ def _told_by(address: str) -> Callable[[str], object]:
 
 
 def _timed(recipe: Path, lab: Path, opens: Callable[[str], object] | None, *more: str) -> tuple[float, float]:
-    """Wall time and processor time of a dry run; `opens` is told of it once it has begun."""
+    """Wall time from its first entry to its last, and processor time, of a dry run; `opens` is told that it began."""
     runs = lab / ".scuhand" / "runs"
     before = set(runs.glob("*.sqlite"))
-    process, began_s = dry_run(recipe, lab, *more), time.monotonic()
-    while opens is not None:
-        if new := set(runs.glob("*.sqlite")) - before:
-            opens(new.pop().stem)
-            break
+    process = dry_run(recipe, lab, *more)
+    while not (new := set(runs.glob("*.sqlite")) - before):
         time.sleep(0.02)
+    journal = new.pop()
+    if opens is not None:
+        opens(journal.stem)
     _, _, usage = os.wait4(process.pid, 0)
     process.returncode = 0
-    return time.monotonic() - began_s, usage.ru_utime + usage.ru_stime
+    with closing(sqlite3.connect(journal)) as database:
+        ends = database.execute("SELECT MIN(at), MAX(at) FROM entry").fetchone()
+    first, last = map(datetime.fromisoformat, ends)
+    return (last - first).total_seconds(), usage.ru_utime + usage.ru_stime
 
 
 def flooded(folder: Path) -> dict[str, float]:
