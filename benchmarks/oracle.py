@@ -12,14 +12,13 @@ from scuhand_bt.cell.dose_loop import DoseRun
 from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.dosing import DoseRequest, Finish
-from scuhand_bt.dosing.adaptive import WATCH_LAGS
-from scuhand_bt.dosing.dose_state import SLACK_S
-from scuhand_bt.dosing.risk import within
+from scuhand_bt.dosing.pulses import within
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.sim.mass_ledger import FLIGHT
 from scuhand_bt.sim.world import World
 
 LOOK_S = 0.02
+WATCH_LAGS, SLACK_S = 2.0, 0.15
 AHEAD_S = 0.35
 """Time constant of its approach: what is left divided by this is its flow."""
 GUARD_MG = 0.3

@@ -84,8 +84,6 @@ class PowderBelief(Spec):
     """Mass that may come at once, unasked."""
     vibration: Annotated[Ratio, Field(ge=0, le=1)] = 0.0
     """The level this powder needs to flow at all; 0 for one that flows by gravity."""
-    pauses: bool = True
-    """Whether a powder that is to be shaken stops when it is not."""
     doses: Annotated[int, Field(ge=0)] = 0
     """How many doses it was learnt from."""
 
@@ -95,10 +93,10 @@ class BalanceBelief(Spec):
 
     lag_s: Annotated[Seconds, Field(gt=0, le=5)] = 0.6
     """Half the time that the reading of a steadily growing mass is behind it."""
-    poles: Annotated[int, Field(ge=1, le=20)] = 2
-    """How many equal poles, which share that time, the reading follows the mass with."""
-    misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.1
-    """The largest share of a sudden mass that this model of the balance was off by, noise apart."""
+    shape: str = "two poles"
+    """The kind of filter that delays it so: one of `scuhand_bt.dosing.estimation.SHAPES`."""
+    misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.02
+    """The share of what was not yet read that this model of the balance was off by, noise apart."""
     noise_mg: Annotated[Milligrams, NotNegative] = 0.1
     """Standard deviation of a single reading on a quiet pan."""
     fits: Annotated[int, Field(ge=0)] = 0

@@ -1,35 +1,41 @@
-"""Controller `adaptive`: one continuous opening steered by a filter, closed on the predicted final mass.
+"""Controller `adaptive`: openings steered by what the bank of filters knows, shut on the predicted final mass.
 
-A dose: a first reading; openings (`opening`); after each the tail is watched and a stable mean verifies. Under:
-open again. In tolerance, beyond two standard uncertainties of the mean: done. What keeps it safe:
+A dose is openings, each followed by a look with the valve shut, until a stable mean is in tolerance. An opening
 
-* The balance's lag decides how much falls unseen. Until it was fitted from an opening of this balance, the
-  pessimistic first guess holds and the first opening is a probe, at one opening, for a part of the dose.
-* No flow means shake, not open wider: while nothing comes the opening holds and vibration rises. The flow's
-  coefficient is never believed to be far below its reference when an opening is chosen (`knowledge`), so that a
-  bridge that breaks lets out little more than was allowed for.
-* Readings that are three times in a row more than five standard deviations above what was predicted shut the valve
-  until a stable mean says why. A balance that falls silent shuts it in the dose loop.
-* A hand that takes step commands only gets pulses limited by the same risk rule (`pulses`).
+* is as wide as the chance constraint allows (`constraint`), narrower as the target comes near;
+* is shut when the expected mass has reached the aim; when more is to be feared; when for a while powder did not come as
+  it should, so that either a bridge holds it back or the balance does; or when a lump's share was shaken out;
+* is shaken when nothing comes, and never widened for it. Only a look that shows that nothing has come, all shaking
+  notwithstanding, makes it believe in less flow, and so open wider.
 """
 
-import math
 from collections.abc import Generator
+from typing import Literal
 
+from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
-from scuhand_bt.dosing.dose_state import SLACK_S, Knowledge
-from scuhand_bt.dosing.opening import Opening
+from scuhand_bt.dosing.knowledge import FLOWS, FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
-WATCH_LAGS = 2.0
-"""How many lags of the balance the tail is watched for, before a stable mean is asked."""
-RESTING, LONGEST_REST = 8, 200
-"""A probe's tail is watched until so many readings rise no more, if they ever do."""
+MOST_OPENINGS = 200
 LISTENED = 12
 """Readings that tell an unknown balance's noise."""
-MOST_OPENINGS = 25
+PROBE_MG = 40.0
+"""The most that is let out onto a balance that is not known yet."""
+SURPRISE, SURPRISES = 5.0, 3
+"""So many readings in a row, so many standard deviations above prediction, shut the valve."""
+LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
+"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share."""
+REST_MG = 0.3
+"""The balance has seen what there is to see but for this."""
+LONGEST_LOOK_S = 25.0
 LEFT_MG = 1.0
-"""A probe that leaves at least so much is followed at once: the mean can wait."""
+"""With more than this to go the stable mean can wait."""
+SURELY, SOON_S = 2.0, 1.0
+"""What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
+EMPTY_S, DRY_S = 8.0, 40.0
+"""Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
+Ended = Literal["reached", "doubt", "dry"]
 
 
 class Adaptive:
@@ -41,10 +47,12 @@ class Adaptive:
         self._known = Knowledge(request)
         self._steps = self._stream() if request.streaming else pulses(self._known)
         self._started = False
+        self._vibration = request.powder.vibration
+        self._barren_s = 0.0
 
     @property
     def estimate_mg(self) -> float:
-        return self._known.filter.mass_mg
+        return self._known.bank.mass_mg
 
     def decide(self, seen: Observation | None) -> Command:
         try:
@@ -60,50 +68,120 @@ class Adaptive:
         known = self._known
         seen = yield Stream(0.0)
         known.time_s, start_mg = seen.time_s, seen.net_mg
-        if not known.knows_balance:
-            yield from self._listen()
-        known.filter.restart(seen.net_mg, 2.0 * known.noise_mg, known.reference, known.unsure)
-        for opening in range(MOST_OPENINGS):
-            before_mg = known.filter.mass_mg
-            known.begin_opening()
-            probing = opening == 0 and not known.knows_balance
-            ended = yield from Opening(known, probing).run()
-            yield from self._watch_tail()
-            if probing:
-                yield from self._watch_rest()
-            known.learn(known.filter.mass_mg - before_mg)
-            if probing and ended == "reached" and known.filter.mass_mg < known.stop_mg - LEFT_MG:
+        if known.balance.fits == 0:
+            for _ in range(LISTENED):
+                yield from known.act(0.0, 0.0)
+        known.begin(seen.net_mg, 2.0 * known.noise_mg[False])
+        for _ in range(MOST_OPENINGS):
+            ended = yield from self._open()
+            yield from self._look()
+            gained_mg = known.bank.mass_mg - known.begin_mg
+            expected_mg = known.reference * sum(row.phi_s for row in known.rows)
+            known.learn(gained_mg)
+            if self._vibration >= FULL and gained_mg < 0.2 * expected_mg:
+                known.reference *= 0.75
+            is_dry = self._is_dry(seen.net_mg - start_mg)
+            if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended == "doubt":
+                last_mg = sum(row.reading_mg for row in known.rows[-3:]) / 3.0
+                known.begin(last_mg, 0.3)
                 continue
+            expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
             seen = yield Weigh()
             known.time_s = seen.time_s
-            known.filter.restart(seen.net_mg, max(seen.uncertainty_mg, 0.05), known.reference, known.unsure)
+            if abs(seen.net_mg - expected_mg) > 5.0 * sd_mg + 0.5:
+                known.doubt_balance()
+            known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))
             verdict = known.verdict(seen)
             if verdict is not None:
                 return known.finish(verdict, seen)
-            if ended == "dry":
+            if is_dry:
                 return known.finish(known.request.given_up(seen.net_mg - start_mg), seen)
         return known.finish("step_limit", seen)
 
-    def _listen(self) -> Generator[Command, Observation, None]:
-        """Valve shut: the noise of a balance that nothing is known of."""
-        for _ in range(LISTENED):
-            yield from self._known.act(0.0, 0.0)
+    def _is_dry(self, dispensed_mg: float) -> bool:
+        empty = self._known.request.given_up(dispensed_mg) == "empty"
+        return self._barren_s > (EMPTY_S if empty else DRY_S)
 
-    def _watch_rest(self) -> Generator[Command, Observation, None]:
-        """Valve shut: readings until they rise no more than their noise."""
-        known, half = self._known, RESTING // 2
-        for _ in range(LONGEST_REST):
-            recent = [row.reading_mg for row in known.record[-RESTING:]]
-            rise_mg = (sum(recent[half:]) - sum(recent[:half])) / half
-            if len(recent) == RESTING and rise_mg < 2.0 * known.noise_mg * math.sqrt(2.0 / half):
-                return
+    def _look(self) -> Generator[Command, Observation, None]:
+        """Valve shut: until the balance has shown what there is."""
+        known, begin_s = self._known, self._known.time_s
+        while True:
             yield from known.act(0.0, 0.0)
+            shut = known.valve.opening_mm == 0.0
+            if shut and known.bank.unseen_mg < REST_MG + 2.0 * known.noise_mg[False]:
+                return
+            if known.time_s - begin_s > LONGEST_LOOK_S:
+                return
 
-    def _watch_tail(self) -> Generator[Command, Observation, None]:
-        """Valve shut: readings until the balance has all but followed."""
-        known, request = self._known, self._known.request
-        shut_s = request.valve_dead_time_s + known.valve.opening_mm / request.valve_speed_mm_per_s
-        wait_s = shut_s + SLACK_S + WATCH_LAGS * known.lag_s
-        while wait_s > 0.0:
-            dt_s, _, _ = yield from known.act(0.0, 0.0)
-            wait_s -= dt_s
+    def _open(self) -> Generator[Command, Observation, Ended]:
+        """One opening, until it should shut."""
+        known = self._known
+        bank = known.bank
+        most_mg = known.most_mg
+        if known.balance.fits == 0:
+            most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
+        limit_mg = self._lump_mg()
+        passed_s = sure_s = quiet_s = flowing_s = 0.0
+        sure_mg = barren_mg = bank.mass_mg
+        surprises = 0
+        if known.aim_mg <= bank.mass_mg:
+            return "reached"
+        while True:
+            opening_mm = known.widest_mm(most_mg)
+            score = yield from known.act(opening_mm, self._vibration)
+            dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
+            passed_s += phi_s
+            surprises = surprises + 1 if score > SURPRISE else 0
+            if surprises >= SURPRISES:
+                return "doubt"
+            if self._will_reach():
+                return "reached"
+            period_s = known.request.balance_period_s
+            fear = chance(bank, *bank.coming(*known.closing(period_s)), most_mg)
+            if fear > RISK:
+                return "doubt"
+            mass_mg = bank.mass_mg
+            if bank.coefficient >= FLOWS * known.reference:
+                sure_s, sure_mg, quiet_s = passed_s, mass_mg, 0.0
+                flowing_s += dt_s
+            else:
+                quiet_s, flowing_s = quiet_s + dt_s, 0.0
+            if sure_mg + known.reference * (passed_s - sure_s) > most_mg:
+                return "doubt"
+            if limit_mg and known.reference * passed_s > limit_mg:
+                return "doubt"
+            if self._vibration >= FULL:
+                self._barren_s += dt_s
+            if mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):
+                self._barren_s, barren_mg = 0.0, mass_mg
+            if self._is_dry(mass_mg):
+                return "dry"
+            self._shake(quiet_s, flowing_s)
+
+    def _will_reach(self) -> bool:
+        """Shut now, the mass ends where it should."""
+        known, bank = self._known, self._known.bank
+        means, _ = bank.coming(*known.closing(known.request.balance_period_s / 2.0))
+        predicted_mg = float(bank.weights @ means)
+        if predicted_mg >= known.aim_mg:
+            return True
+        flow = bank.coefficient * known.shape.value(known.valve.opening_mm)
+        slow = known.aim_mg - predicted_mg > SOON_S * flow
+        return slow and predicted_mg - SURELY * bank.mass_sd_mg >= known.least_mg
+
+    def _lump_mg(self) -> float:
+        """What an opening should bring where lumps are shaken out singly; 0 elsewhere."""
+        known = self._known
+        surge_mg, left_mg = known.bank.surge_mg, known.aim_mg - known.bank.mass_mg
+        if surge_mg < LUMPY_MG or left_mg > LUMPS_LEFT * surge_mg + 1.0:
+            return 0.0
+        return LUMP_SHARE * max(surge_mg, left_mg / 1.5)
+
+    def _shake(self, quiet_s: float, flowing_s: float) -> None:
+        """Nothing comes: shake, gently and then fully; it flows again: less, but not quiet again in this dose."""
+        usual = self._known.belief.vibration
+        patience_s = 0.8 + self._known.bank.delay_s
+        if quiet_s > patience_s:
+            self._vibration = max(usual, FULL if quiet_s > 2.0 * patience_s else GENTLE)
+        elif flowing_s > 1.0:
+            self._vibration = max(usual, min(self._vibration, GENTLE))

@@ -1,297 +1,285 @@
-"""What has left the nozzle, and how fast powder flows, from readings that lag behind.
+"""What has left the nozzle, how fast powder flows, and what the balance is, from readings that lag behind.
 
-State (yn, .. y1, M, k), with the balance as n equal poles of time constant tau, together a delay of n tau:
+A bank of Kalman filters (multiple-model estimation: Magill, IEEE Trans. Autom. Control 10, 1965), one for each model of
+the balance that is still thinkable, all of which see the same readings:
 
-    y1' = (M - y1) / tau,  yi' = (y(i-1) - yi) / tau,  M' = k phi(D(t)),  k' = noise;   reading = yn + noise
+    y'' = w^2 (M - y) - 2 z w y'          M' = k phi(D) + g phi'(D)          reading(t) = y(t - d) + noise
 
-M [mg] is what has left the nozzle: while powder lands steadily its momentum weighs as much as what is in
-flight (the hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/4, 2010), so the pan reads what
-has left. k [mg s^-1 mm^-n] is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`). Between two
-readings phi is taken at its mean, for which the transition is exact. No balance is just n poles: what it has not
-shown yet, M - yn, is taken to be off by a share of it, the misfit. M is disturbed by surges: lumps of
-mean mass m at a rate q/m give M the variance 2 m q dt; m is tuned until the innovations have the size that
-they claim (adaptive Kalman filtering, Mehra, IEEE Trans. Autom. Control 17, 1972).
+M [mg] is what has left the nozzle: while powder lands steadily its momentum weighs as much as what is in flight (the
+hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/3, 2010), so the pan reads what has left. k [mg s^-1 mm^-n]
+is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`), and g = k e, with e [mm] what the real opening
+is off by. w, z and d are the balance's: natural frequency, damping and pure delay. Each filter runs d behind, and what
+the valve let out since is added with its own uncertainty; between two readings phi is taken at its mean, for which
+the transition is exact. A model's weight is how likely it makes the readings.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from scuhand_bt.specs import BalanceBelief
 
 Array = NDArray[np.float64]
-Values = Any
-"""A float, or an array of them for as many filters side by side."""
 
+SHAPES = {
+    "ringing": (0.0, 0.5),
+    "lively": (0.0, 0.75),
+    "two poles": (0.0, 1.0),
+    "one pole": (0.0, 2.5),
+    "mean": (0.2, 1.0),
+    "late": (0.55, 1.0),
+    "delay": (0.9, 1.0),
+}
+"""Kinds of balances: the share of their delay that is pure, and the damping of the rest."""
+DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 18))
+"""Mean delays that a balance nothing is known of may have."""
+NEAR = tuple(1.04**step for step in range(-3, 4))
+"""A balance that was identified is taken to be within these factors of it, but for `CHANGED`."""
+CHANGED = 0.02
+"""Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
-BRIDGED_WALK_PER_S = 1.0
-"""The same where bridges form and break."""
 BRIDGES_PER_S = 2.0
 """How often a bridge may form or break: where k is below its reference, it may return to it at any moment."""
+OPENING_ERROR_MM = 0.05
+"""Standard deviation of what the real opening is off by: the sheet buckles a little differently each time."""
 UNSTEADY_S = 0.05
 """While the flow changes, what lands weighs otherwise than what is in flight: so many seconds of the change."""
-SURGE_GAIN = 0.03
-LARGEST_SURGE_MG = 12.0
-SMALLEST_SURGE_MG = 0.01
+LEAST_MISFIT = 0.01
+"""No balance is just its model: the share of what is unseen that every model is taken to be off by, at least."""
+LEAST_SPREAD = 0.5
+"""Of k, relative to its reference: how unsure it can become while powder flows, at least."""
+EXPONENT_ERROR = 0.5
+"""What a powder's exponent may be off by: k holds the less, the more the opening has changed."""
+SURGE_GAIN, LEAST_SURGE_MG, MOST_SURGE_MG = 0.03, 0.01, 12.0
+FARTHEST = 5.0
+"""An innovation of more standard deviations tells no more: one lump or one knock rules out no model."""
+LEAST_WEIGHT = 1e-6
+"""Models less likely than this are dropped until the valve has been shut."""
+UNKNOWN_SPREAD = 1.5
+"""Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
+LEAST_SHARE = 0.02
+"""Shapes of balances that are this likely are looked at again, with delays about the likeliest."""
+FINER = tuple(1.06**step for step in range(-4, 5))
+TOLD = 0.15
+"""Standard deviation of the delay's logarithm by which a balance is known."""
+READING, RATE, MASS, K, G = range(5)
 
 
-def transition(dt_s: float, lag_s: Values, poles: int) -> tuple[Array, Array]:
-    """(..., n + 2, n + 2) of the state over `dt_s` but for k's column; that column, per unit of phi's integral.
+class Model(NamedTuple):
+    """A balance: its mean delay and its shape, one of `SHAPES`."""
 
-    What enters one pole passes i poles in dt with the probability of i events of a Poisson process of rate 1/tau.
-    """
-    tau = np.asarray(2.0 * np.asarray(lag_s) / poles)
-    passes, arrived, ramp = np.exp(-dt_s / tau), np.ones_like(tau), np.full_like(tau, dt_s)
-    f = np.zeros((*tau.shape, poles + 2, poles + 2))
-    f[..., -2, -2] = f[..., -1, -1] = 1.0
-    column = np.zeros((*tau.shape, poles + 2))
-    column[..., -2] = 1.0
-    for i in range(poles):
-        for row in range(poles - i):
-            f[..., row, row + i] = passes
-        arrived = arrived - passes
-        ramp = ramp - tau * arrived
-        f[..., poles - 1 - i, -2] = arrived
-        column[..., poles - 1 - i] = ramp / dt_s
-        passes = passes * dt_s / tau / (i + 1)
-    return f, column
+    delay_s: float
+    shape: str
 
 
-class FlowFilter:
-    """A Kalman filter over the balance's lag and the powder's flow.
+class Row(NamedTuple):
+    """One reading of an opening and its tail, as `Bank.update` takes it."""
 
-    `surge_mg`, `lag_s` and `walk_per_s` may be arrays that broadcast: as many filters side by side, which see the same.
-    """
+    dt_s: float
+    phi_s: float
+    slope_s: float
+    reading_mg: float
+    noise_mg: float
+    changed: float = 0.0
+    """By how much the opening was changed before it, as the logarithm of what lies above the threshold."""
 
-    def __init__(
-        self,
-        net_mg: float,
-        coefficient: float,
-        spread: float,
-        surge_mg: Values,
-        lag_s: Values,
-        poles: int = 2,
-        misfit: float = 0.0,
-        walk_per_s: Values = K_WALK_PER_S,
-    ) -> None:
-        self._shape = np.broadcast_shapes(np.shape(surge_mg), np.shape(lag_s), np.shape(walk_per_s))
-        self._walk_per_s = walk_per_s
-        self.log_likelihood: Values = 0.0
-        self.surge_mg: Values = np.maximum(surge_mg, SMALLEST_SURGE_MG)
-        self.set_balance(lag_s, poles, misfit)
-        self._mean_phi = 0.0
-        self.restart(net_mg, math.sqrt(0.02), coefficient, spread)
 
-    def set_balance(self, lag_s: Values, poles: int, misfit: float) -> None:
-        """Half the balance's delay, the poles that share it, and the misfit; `restart` must follow."""
-        self.lag_s, self.poles, self.misfit = lag_s, poles, misfit
+@lru_cache(maxsize=4096)
+def _transition(model: Model, dt_s: float) -> tuple[Array, Array]:
+    """(5, 5) over `dt_s` with the valve shut; (5,) what k adds per unit of phi's integral."""
+    pure, damping = SHAPES[model.shape]
+    w = 2.0 * damping / max((1.0 - pure) * model.delay_s, 0.02)
+    a = np.zeros((5, 5))
+    a[READING, RATE], a[RATE, READING], a[RATE, RATE], a[RATE, MASS] = 1.0, -w * w, -2.0 * damping * w, w * w
+    still = expm(a * dt_s)
+    a[MASS, K] = 1.0
+    return still, (expm(a * dt_s)[:, K] - np.eye(5)[K]) / dt_s
+
+
+class Bank:
+    """The filters side by side, H of them: weights (H,), states (H, 5), covariances (H, 5, 5)."""
+
+    def __init__(self, models: Sequence[Model], weights: Array, surge_mg: float, misfit: float) -> None:
+        self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
+        """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
+        self.models, self.weights = list(models), weights / weights.sum()
+        self.restart(0.0, 1.0, 1.0, 1.0)
+
+    @classmethod
+    def believing(cls, balance: BalanceBelief, surge_mg: float) -> "Bank":
+        """Near what is believed of the balance; and, as it may have been changed, a little of everything."""
+        every = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
+        near = [Model(2.0 * balance.lag_s * factor, balance.shape) for factor in NEAR] if balance.fits > 0 else []
+        weights = np.full(len(every), (CHANGED if near else 1.0) / len(every))
+        if near:
+            weights = np.append(weights, np.full(len(near), (1.0 - CHANGED) / len(near)))
+        return cls(every + near, weights, surge_mg, balance.misfit)
+
+    def restart(self, mass_mg: float, sd_mg: float, coefficient: float, spread: float) -> None:
+        """A balance at rest, valve shut: the mass is known, k is what a new opening may be expected to show."""
+        x, p = np.zeros(5), np.zeros((5, 5))
+        x[[READING, MASS]], x[K] = mass_mg, coefficient
+        p[np.ix_((READING, MASS), (READING, MASS))] = sd_mg**2
+        self._most_sd = max(spread, LEAST_SPREAD)
+        p[K, K], p[G, G] = (spread * coefficient) ** 2, (OPENING_ERROR_MM * coefficient) ** 2
+        many = len(self.models)
+        self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
+        self._phi, self._excess, self._behind = np.zeros(many), np.zeros(many), np.zeros(many)
+        self._unseen = np.zeros((2, many))
+        self._passed, self._readings = np.zeros((2, 256)), 0
+        self._look_up()
+
+    def _look_up(self) -> None:
+        """What depends on which models there are."""
+        self.delays_s = np.array([model.delay_s for model in self.models])
+        self._pure_s = np.array([SHAPES[model.shape][0] * model.delay_s for model in self.models])
         self._transitions: dict[float, tuple[Array, Array]] = {}
+
+    def _transition(self, dt_s: float) -> tuple[Array, Array]:
+        dt_s = round(dt_s, 3)
+        if dt_s not in self._transitions:
+            both = [_transition(model, dt_s) for model in self.models]
+            self._transitions[dt_s] = np.array([still for still, _ in both]), np.array([adds for _, adds in both])
+        return self._transitions[dt_s]
+
+    def _late(self, dt_s: float, phi_s: float, slope_s: float) -> Array:
+        """(2, H) of what the valve let out in the interval that each model sees now; notes what it has yet to see."""
+        if self._readings + 1 == self._passed.shape[1]:
+            self._passed = np.append(self._passed, np.zeros_like(self._passed), axis=1)
+        self._readings += 1
+        now = self._passed[:, self._readings] = self._passed[:, self._readings - 1] + (phi_s, slope_s)
+        seen = np.maximum(self._readings - np.rint(self._pure_s / dt_s).astype(int), 0)
+        self._unseen = now[:, None] - self._passed[:, seen]
+        return self._passed[:, seen] - self._passed[:, np.maximum(seen - 1, 0)]
+
+    def update(self, row: Row, reference: float) -> float:
+        """Take in a reading; `reference` is k where nothing is in the powder's way.
+
+        Returns the likeliest model's innovation in standard deviations.
+        """
+        dt_s = row.dt_s
+        self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
+        phi_s, slope_s = self._late(dt_s, row.phi_s, row.slope_s)
+        still, adds = self._transition(dt_s)
+        f = still.copy()
+        f[:, :, K] += adds * phi_s[:, None]
+        f[:, :, G] += adds * slope_s[:, None]
+        x = np.matmul(f, self._x[:, :, None])[:, :, 0]
+        p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
+        k = np.maximum(self._x[:, K], 0.0)
+        p[:, MASS, MASS] += 2.0 * self.surge_mg * np.maximum(k, 0.1 * reference) * phi_s + 1e-6
+        bridged = np.maximum(reference - k, 0.0)
+        walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
+        p[:, K, K] = np.minimum(p[:, K, K] + walk, np.maximum(p[:, K, K], (self._most_sd * reference) ** 2))
+        changed_mg = UNSTEADY_S * k * (phi_s / dt_s - self._phi)
+        self._phi = phi_s / dt_s
+        unseen_mg = x[:, MASS] - x[:, READING]
+        unexplained = row.noise_mg**2 + changed_mg**2 + (self.misfit * unseen_mg) ** 2
+        variance = p[:, READING, READING] + unexplained
+        innovation_mg = row.reading_mg - x[:, READING]
+        gain = p[:, :, READING] / variance[:, None]
+        self._x = x + gain * innovation_mg[:, None]
+        self._x[:, K] = np.maximum(self._x[:, K], 0.0)
+        self._p = p - gain[:, :, None] * p[:, None, READING, :]
+        self._excess += np.maximum(innovation_mg**2 - p[:, READING, READING] - row.noise_mg**2, 0.0)
+        self._behind += unseen_mg**2
+        best = int(np.argmax(self.weights))
+        score = float(innovation_mg[best] / math.sqrt(variance[best]))
+        if k[best] * phi_s[best] > 0.01:
+            told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
+            self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, 4.0) - 0.9))
+            self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
+        # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
+        self._weigh(np.minimum(innovation_mg**2 / float(self.weights @ variance), FARTHEST**2))
+        return score
+
+    def _weigh(self, squares: Array) -> None:
+        """The models' weights after a reading; those that are out of the question are dropped."""
+        logs = np.log(self.weights) - 0.5 * squares
+        weights = np.exp(logs - logs.max())
+        kept = weights > LEAST_WEIGHT
+        self.weights = weights[kept] / weights[kept].sum()
+        if not kept.all():
+            self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
+            self._x, self._p, self._phi = self._x[kept], self._p[kept], self._phi[kept]
+            self._unseen, self._excess, self._behind = self._unseen[:, kept], self._excess[kept], self._behind[kept]
+            self._look_up()
+
+    # --- what is known ---
+
+    def coming(self, phi_s: Array | float = 0.0, slope_s: Array | float = 0.0) -> tuple[Array, Array]:
+        """Mean and variance of the mass that will have left, by model, (..., H), after phi and its slope go on so far."""
+        phi_s = self._unseen[0] + np.asarray(phi_s)[..., None]
+        slope_s = self._unseen[1] + np.asarray(slope_s)[..., None]
+        p, k = self._p, np.maximum(self._x[:, K], 0.0)
+        mean = self._x[:, MASS] + np.maximum(k * phi_s + self._x[:, G] * slope_s, 0.0)
+        variance = p[:, MASS, MASS] + 2.0 * (p[:, MASS, K] * phi_s + p[:, MASS, G] * slope_s)
+        variance += p[:, K, K] * phi_s**2 + 2.0 * p[:, K, G] * phi_s * slope_s + p[:, G, G] * slope_s**2
+        return mean, np.maximum(variance, 0.0) + 2.0 * self.surge_mg * k * phi_s
+
+    def flow(self, phi: Array, slope: Array) -> tuple[Array, Array]:
+        """Mean and standard deviation of the flow [mg/s], by model, (..., H), at an opening's phi and slope."""
+        phi, slope = phi[..., None], slope[..., None]
+        p = self._p
+        variance = p[:, K, K] * phi**2 + 2.0 * p[:, K, G] * phi * slope + p[:, G, G] * slope**2
+        return np.maximum(self._x[:, K] * phi + self._x[:, G] * slope, 0.0), np.sqrt(np.maximum(variance, 0.0))
 
     @property
     def mass_mg(self) -> float:
         """What has left the nozzle."""
-        return float(self._x[-2])
+        return float(self.weights @ self.coming()[0])
 
     @property
     def mass_sd_mg(self) -> float:
-        return math.sqrt(max(float(self._p[-2, -2]), 0.0))
+        means, variances = self.coming()
+        return math.sqrt(float(self.weights @ (variances + (means - self.weights @ means) ** 2)))
 
     @property
     def coefficient(self) -> float:
-        """k, never negative."""
-        return max(float(self._x[-1]), 0.0)
+        return float(self.weights @ self._x[:, K])
 
     @property
     def coefficient_sd(self) -> float:
-        return math.sqrt(max(float(self._p[-1, -1]), 0.0))
+        spread = self.weights @ (self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2)
+        return math.sqrt(max(float(spread), 0.0))
 
-    def widen(self, relative_sd: float, reference: float) -> None:
-        """The opening has changed: what was learnt of k holds a little less."""
-        self._p[..., -1, -1] += (relative_sd * reference) ** 2
+    @property
+    def delay_s(self) -> float:
+        return float(self.weights @ self.delays_s)
 
-    def expect(self, coefficient: float) -> None:
-        """Powder may begin to flow at any moment: nothing is known but the reference."""
-        self._x[-1] = coefficient
-        self._p[-1, :] = self._p[:, -1] = 0.0
-        self._p[-1, -1] = (0.5 * coefficient) ** 2
+    @property
+    def unseen_mg(self) -> float:
+        """What has left and is not read yet, with twice what that may be off by."""
+        means, variances = self.coming()
+        behind = means - self._x[:, READING]
+        mean = float(self.weights @ behind)
+        return abs(mean) + 2.0 * math.sqrt(float(self.weights @ ((behind - mean) ** 2)))
 
-    def rescale(self, ratio: float) -> None:
-        """phi was `ratio` times too small: so was k too large."""
-        self._x[-1] /= ratio
-        self._p[-1, :] /= ratio
-        self._p[:, -1] /= ratio
+    # --- what the balance is ---
 
-    def restart(self, net_mg: float, sd_mg: Values, reference: float, spread: float) -> None:
-        """A stable mean, valve shut: the masses are known, k is what a new opening may be expected to show."""
-        size = self.poles + 2
-        self._x = np.full((*self._shape, size), net_mg)
-        self._x[..., -1] = reference
-        self._p = np.eye(size) * np.broadcast_to(np.square(sd_mg), self._shape)[..., None, None]
-        self._p[..., -1, -1] = (spread * reference) ** 2
-
-    def _transition(self, dt_s: float) -> tuple[Array, Array]:
-        dt_s = round(dt_s, 6)
-        if dt_s not in self._transitions:
-            self._transitions[dt_s] = transition(dt_s, self.lag_s, self.poles)
-        return self._transitions[dt_s]
-
-    def update(self, dt_s: float, phi_s: float, reading_mg: float, noise_mg: float, reference: float) -> Values:
-        """Take in a reading `dt_s` after the last, over which phi integrated to `phi_s`.
-
-        Returns the innovation in standard deviations.
-        """
-        mean_phi = phi_s / dt_s
-        f, column = self._transition(dt_s)
-        f = f.copy()
-        f[..., :-1, -1] = column[..., :-1] * phi_s
-        x = (f @ self._x[..., None])[..., 0]
-        p = f @ self._p @ np.swapaxes(f, -1, -2)
-        k = np.maximum(self._x[..., -1], 0.0)
-        flow_mg = np.maximum(k, 0.1 * reference) * phi_s
-        p[..., -2, -2] += 2.0 * self.surge_mg * flow_mg + 1e-6
-        p[..., -3, -3] += (UNSTEADY_S * k * (mean_phi - self._mean_phi)) ** 2
-        self._mean_phi = mean_phi
-        if phi_s > 0.0:
-            bridged = np.maximum(reference - x[..., -1], 0.0)
-            p[..., -1, -1] += ((self._walk_per_s * reference) ** 2 + BRIDGES_PER_S * bridged * bridged) * dt_s
-        unexplained = noise_mg * noise_mg + np.square(self.misfit * (x[..., -2] - x[..., 0]))
-        variance = p[..., 0, 0] + unexplained
-        innovation_mg = reading_mg - x[..., 0]
-        gain = p[..., :, 0] / variance[..., None]
-        self._x = x + gain * innovation_mg[..., None]
-        self._p = p - gain[..., :, None] * p[..., None, 0, :]
-        self._x[..., -1] = np.maximum(self._x[..., -1], 0.0)
-        score = innovation_mg / np.sqrt(variance)
-        self.log_likelihood = self.log_likelihood - 0.5 * (np.log(variance) + score * score)
-        if self._shape == () and flow_mg > 0.01:
-            told = 1.0 - unexplained / variance  # noise alone says nothing about surges
-            self.surge_mg = self.surge_mg * math.exp(SURGE_GAIN * told * (min(score * score, 4.0) - 0.9))
-            self.surge_mg = min(max(float(self.surge_mg), SMALLEST_SURGE_MG), LARGEST_SURGE_MG)
-        return score
-
-
-FIT_SPREAD = 3.0
-"""How little is known of k when an opening is looked at afterwards."""
-
-
-class Row(NamedTuple):
-    """One reading of an opening and its tail, as `FlowFilter.update` takes it."""
-
-    dt_s: float
-    phi_s: float
-    reading_mg: float
-    noise_mg: float
-    widened: float = 0.0
-    """What k was widened by before it, relative to the reference."""
-
-
-def likelihood(
-    rows: Sequence[Row], coefficient: float, surge_mg: Values, lag_s: Values, poles: int
-) -> tuple[Array, Array]:
-    """How likely (natural logarithm) an opening's readings are, and the mean square of their innovations.
-
-    Steady flow or one that stops and starts: the better of the two tells, so that a bridge passes neither for a
-    lag nor for lumps.
-    """
-    walks = np.array([[K_WALK_PER_S], [BRIDGED_WALK_PER_S]])
-    trial = FlowFilter(rows[0].reading_mg, coefficient, FIT_SPREAD, surge_mg, lag_s, poles, walk_per_s=walks)
-    unseen_mg = coefficient * rows[0].phi_s / rows[0].dt_s * 2.0 * np.asarray(lag_s)
-    trial.restart(rows[0].reading_mg, 0.15 + unseen_mg, coefficient, FIT_SPREAD)
-    squares = np.zeros(())
-    for row in rows:
-        if row.widened:
-            trial.widen(row.widened, coefficient)
-        squares = squares + np.square(trial.update(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg, coefficient))
-    scores = np.asarray(trial.log_likelihood)
-    better = np.argmax(scores, axis=0)[None]
-    return np.take_along_axis(scores, better, 0)[0], np.take_along_axis(squares / len(rows), better, 0)[0]
-
-
-LAST_ROWS = 150
-"""An opening is looked at from so many readings before the end of its tail."""
-LAGS_S = tuple(float(lag_s) for lag_s in np.geomspace(0.06, 1.6, 16))
-CLEARER = 3.0
-"""A lag is told when it is this much more likely (natural logarithm) than those two steps of the grid away."""
-
-
-def fit_lag(rows: Sequence[Row], coefficient: float, surge_mg: float, poles: int = 2) -> float | None:
-    """The lag that makes an opening's readings likeliest; None if they do not tell.
-
-    The maximum over a grid is refined by a parabola through its neighbours. A maximum at the end of the grid,
-    one that is not clear, or one whose innovations are still far too large is refused.
-    """
-    if len(rows) < 12:
-        return None
-    scores, squares = likelihood(rows[-LAST_ROWS:], coefficient, surge_mg, np.array(LAGS_S), poles)
-    best = int(np.argmax(scores))
-    if not 2 <= best < len(LAGS_S) - 2 or squares[best] > 3.0:
-        return None
-    if scores[best] - max(scores[best - 2], scores[best + 2]) < CLEARER:
-        return None
-    left, middle, right = scores[best - 1 : best + 2]
-    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
-    return float(LAGS_S[best] * (LAGS_S[1] / LAGS_S[0]) ** shift)
-
-
-SURGES_MG = tuple(float(surge_mg) for surge_mg in np.geomspace(SMALLEST_SURGE_MG, LARGEST_SURGE_MG, 8))
-
-
-def fit_surge(
-    rows: Sequence[Row], coefficient: float, believed_mg: float, lag_s: float, doubt: float, poles: int = 2
-) -> float:
-    """The surge scale after an opening: the mean of its logarithm, by how likely each makes the readings.
-
-    `doubt` is the standard deviation of the logarithm of what was believed before.
-    """
-    logs = np.log(SURGES_MG)
-    scores, _ = likelihood(rows[-LAST_ROWS:], coefficient, np.array(SURGES_MG), lag_s, poles)
-    scores = scores - 0.5 * ((logs - math.log(max(believed_mg, SMALLEST_SURGE_MG))) / doubt) ** 2
-    weights = np.exp(scores - scores.max())
-    return float(np.exp(weights @ logs / weights.sum()))
-
-
-POLES = (2, 3, 4, 6)
-"""A moving mean is followed best by four or more; one pole would follow a flow that stopped early."""
-SETTLED = 5
-"""Readings at the end of a tail that tell what all came to."""
-
-
-class StepFit(NamedTuple):
-    """A balance as it followed a short opening: see `BalanceBelief`."""
-
-    lag_s: float
-    poles: int
-    misfit: float
-
-
-def fit_step(rows: Sequence[Row], noise_mg: float) -> StepFit | None:
-    """How a balance followed an opening and its whole tail, if the flow was phi's; None if nothing came.
-
-    The area between what has left and what is read is the delay times the mass, whatever the balance's filter. The
-    number of poles is the one that follows the readings best.
-    """
-    before_mg, after_mg = rows[0].reading_mg, sum(row.reading_mg for row in rows[-SETTLED:]) / SETTLED
-    fell = np.cumsum([row.phi_s for row in rows])
-    if len(rows) < 2 * SETTLED or fell[-1] <= 0.0 or after_mg - before_mg < 3.0 * noise_mg:
-        return None
-    fell /= fell[-1]
-    read = (np.array([row.reading_mg for row in rows]) - before_mg) / (after_mg - before_mg)
-    lag_s = float(np.sum((fell - read) * np.array([row.dt_s for row in rows]))) / 2.0
-    if not LAGS_S[0] < lag_s < LAGS_S[-1]:
-        return None
-    noise = 2.0 * noise_mg / (after_mg - before_mg)
-    fits = ((float(np.max(np.abs(read - _followed(rows, fell, lag_s, poles)))), poles) for poles in POLES)
-    misfit, poles = min(fits)
-    return StepFit(lag_s, poles, max(0.0, misfit - noise))
-
-
-def _followed(rows: Sequence[Row], fell: Array, lag_s: float, poles: int) -> Array:
-    """What a balance of these poles reads while `fell` falls."""
-    state, readings = np.zeros(poles + 2), []
-    for row, more in zip(rows, np.diff(fell, prepend=0.0), strict=True):
-        f, column = transition(row.dt_s, lag_s, poles)
-        state = f @ state + column * more
-        readings.append(state[0])
-    return np.array(readings)
+    def identified(self, rows: Sequence[Row], mass_mg: float, reference: float) -> BalanceBelief | None:
+        """The balance, as an opening and its whole tail show it to finer models; None if they do not tell."""
+        finer: list[Model] = []
+        for shape in SHAPES:
+            ours = np.array([model.shape == shape for model in self.models])
+            share = float(self.weights[ours].sum())
+            if share > LEAST_SHARE:
+                centre_s = float(self.weights[ours] @ self.delays_s[ours]) / share
+                finer += [Model(centre_s * factor, shape) for factor in FINER]
+        bank = Bank(finer, np.ones(len(finer)), self.surge_mg, self.misfit)
+        bank.restart(mass_mg, 0.2, reference, UNKNOWN_SPREAD)
+        for row in rows:
+            bank.update(row, reference)
+        logs = np.log(bank.delays_s)
+        mean = float(bank.weights @ logs)
+        if bank.weights @ (logs - mean) ** 2 > TOLD**2:
+            return None
+        best = int(np.argmax(bank.weights))
+        misfit = math.sqrt(bank._excess[best] / max(bank._behind[best], 1e-6))
+        return BalanceBelief(lag_s=math.exp(mean) / 2.0, shape=bank.models[best].shape, misfit=min(misfit, 1.0))

@@ -1,0 +1,46 @@
+"""How wide the valve may be, and when it must shut: one chance constraint for every opening.
+
+    P(mass that has left when the valve is shut > most) <= RISK        most = target + tolerance - guard
+
+The mass is the bank's: a mixture of normal distributions, one for each balance that is thinkable, with what each has
+not shown yet, the spread of the flow, of the opening and of the lumps. How wide: for a flow that goes on for as long as
+it cannot be seen, and is shut then. When to shut: for the next reading's time.
+"""
+
+import numpy as np
+from scipy.special import erfc
+
+from scuhand_bt.dosing.estimation import K_WALK_PER_S, Array, Bank
+from scuhand_bt.dosing.valve import FlowShape
+
+RISK = 0.005
+CHOICES = 40
+"""Openings that are compared, from the narrowest that lets powder through to the widest."""
+NARROWEST_MM = 0.05
+"""Above the threshold."""
+
+
+def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array:
+    """(...) of the mass being above `most_mg`, from its mean and variance by model, (..., H)."""
+    return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)) @ bank.weights)
+
+
+def widest_mm(
+    bank: Bank, shape: FlowShape, most_mg: float, late_s: float, dead_time_s: float, speed_mm_per_s: float,
+    max_opening_mm: float, reference: float,
+) -> float:
+    """The widest opening [mm] that the constraint allows; the narrowest where it allows none.
+
+    `late_s` passes between a reading and the valve's answer.
+    """
+    gaps_mm = np.geomspace(NARROWEST_MM, max(max_opening_mm - shape.threshold_mm, 1.01 * NARROWEST_MM), CHOICES)
+    phi = gaps_mm**shape.exponent
+    slope = shape.exponent * phi / gaps_mm
+    closing_s = dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
+    mean_mg, variance = bank.coming(phi * (late_s + closing_s), slope * (late_s + dead_time_s) + phi / speed_mm_per_s)
+    flow, flow_sd = bank.flow(phi, slope)
+    unseen_s = bank.delays_s
+    walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
+    variance = variance + (flow_sd**2 + walk**2) * unseen_s**2 + 2.0 * bank.surge_mg * flow * unseen_s
+    allowed = np.nonzero(chance(bank, mean_mg, variance, most_mg) <= RISK)[0]
+    return shape.threshold_mm + float(gaps_mm[allowed[-1]] if len(allowed) else gaps_mm[0])

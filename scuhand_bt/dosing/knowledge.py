@@ -1,0 +1,202 @@
+"""What `adaptive` knows during one dose: the bank, the valve's path, the flow's reference; and what it keeps of it."""
+
+import math
+from collections.abc import Generator
+
+import numpy as np
+
+from scuhand_bt.dosing.constraint import widest_mm
+from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Reason, Stream
+from scuhand_bt.dosing.estimation import UNKNOWN_SPREAD, Bank, Row
+from scuhand_bt.dosing.valve import FlowShape, ValvePath
+from scuhand_bt.dosing.verdict import COVERAGE, judge
+from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
+
+FLOWS = 0.5
+"""Of its reference: a flow that is at least this strong is what was expected."""
+LEAST_MG = 4.0
+"""An opening that brought less teaches nothing."""
+SLACK_S = 0.1
+"""Between a reading and the command that answers it."""
+GENTLE, FULL = 0.4, 1.0
+NEEDS_SHAKING = 0.3
+"""A powder that was shaken for this share of the time it was open for is shaken from the start."""
+GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
+"""What doses are taken to differ by, at least: until a second one was seen, and ever."""
+SHAKING_NOISE_MG = 0.3
+"""Of a reading while the motor runs, until it was seen."""
+
+
+class Knowledge:
+    """The bank, the valve's path, and the figures learnt beside them."""
+
+    def __init__(self, request: DoseRequest) -> None:
+        self.request, self.belief, self.balance = request, request.powder, request.balance
+        self.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
+        self.valve = ValvePath(self.shape, request.valve_dead_time_s, request.valve_speed_mm_per_s)
+        self.noise_mg = {False: max(self.balance.noise_mg, self._digit_mg), True: SHAKING_NOISE_MG}
+        """Of a reading, by whether the motor runs."""
+        self.reference = self.belief.coefficient
+        """The flow's coefficient when nothing is in its way."""
+        self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
+        """What a new opening's flow may be off by, relative to the reference."""
+        self.surge_mg = self.belief.surge_mg
+        self.bank = Bank.believing(self.balance, self.surge_mg)
+        self.time_s = 0.0
+        self.flow_s = self.shaken_s = 0.0
+        self.rows: list[Row] = []
+        self._recent_mg: list[float] = []
+        self._ratios: list[float] = []
+        """Openings' coefficients against the belief's, as logarithms."""
+        self.begin(0.0, 1.0)
+
+    @property
+    def _digit_mg(self) -> float:
+        return self.request.readability_mg / math.sqrt(12.0)
+
+    # --- an opening ---
+
+    def begin(self, mass_mg: float, sd_mg: float) -> None:
+        """The balance is at rest, the valve shut, and this has been dosed."""
+        self.begin_mg = mass_mg
+        self.bank = Bank.believing(self.balance, self.surge_mg)
+        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread)
+        self.rows.clear()
+
+    def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
+        """Hold a command until the next reading; its innovation in standard deviations."""
+        before_mm = self.valve.target_mm
+        self.valve.command(self.time_s, opening_mm)
+        seen = yield Stream(opening_mm, vibration)
+        dt_s = seen.time_s - self.time_s
+        phi_s, slope_s = self.valve.advance(self.time_s, seen.time_s)
+        self.time_s = seen.time_s
+        shaking = vibration > 0.0
+        if opening_mm > 0.0:
+            self.flow_s += dt_s
+            self.shaken_s += dt_s * shaking
+        self._learn_noise(seen.net_mg, phi_s, shaking)
+        least_mm = self.shape.threshold_mm + 0.05
+        changed = math.log(max(opening_mm, least_mm) / max(before_mm, least_mm)) if opening_mm * before_mm > 0 else 0.0
+        row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
+        self.rows.append(row)
+        return self.bank.update(row, self.reference)
+
+    def _learn_noise(self, reading_mg: float, phi_s: float, shaking: bool) -> None:
+        """From second differences, which a slowly changing mass leaves alone."""
+        recent = self._recent_mg
+        recent.append(reading_mg)
+        if len(recent) < 3:
+            return
+        second_mg = recent[-1] - 2.0 * recent[-2] + recent[-3]
+        del recent[0]
+        before_mg = self.noise_mg[shaking]
+        if self.bank.unseen_mg > 5.0 * before_mg or abs(second_mg) > 12.0 * before_mg:
+            return
+        self.noise_mg[shaking] = max(self._digit_mg, math.sqrt(0.95 * before_mg**2 + 0.05 * second_mg**2 / 6.0))
+
+    # --- how wide ---
+
+    @property
+    def most_mg(self) -> float:
+        """No more may leave: a stable mean would call it too much."""
+        return self.request.target_mg + self.request.tolerance_mg - COVERAGE * self.request.uncertainty_mg
+
+    @property
+    def least_mg(self) -> float:
+        """The mass that a stable mean would call in tolerance."""
+        return self.request.target_mg - self.request.tolerance_mg + COVERAGE * self.request.uncertainty_mg
+
+    @property
+    def aim_mg(self) -> float:
+        """The target; less by a lump where powder comes in lumps: they can be waited for, but not taken back."""
+        return max(self.request.target_mg - self.bank.surge_mg, self.least_mg + 0.1)
+
+    @property
+    def late_s(self) -> float:
+        return self.request.balance_period_s + SLACK_S
+
+    def widest_mm(self, most_mg: float) -> float:
+        """The opening that the chance constraint allows, for as much mass as this."""
+        request = self.request
+        return widest_mm(
+            self.bank, self.shape, most_mg, self.late_s, request.valve_dead_time_s, request.valve_speed_mm_per_s,
+            request.max_opening_mm, self.reference,
+        )
+
+    def closing(self, wait_s: float) -> tuple[float, float]:
+        """Integrals of phi and its slope until the valve is shut, if it is told to in `wait_s`."""
+        request, opening_mm = self.request, self.valve.opening_mm
+        phi, slope = self.shape.value(opening_mm), self.shape.slope(opening_mm)
+        tail = self.shape.closing(opening_mm, request.valve_dead_time_s, request.valve_speed_mm_per_s)
+        slope_s = slope * (request.valve_dead_time_s + wait_s) + phi / request.valve_speed_mm_per_s
+        return tail + phi * wait_s, slope_s
+
+    # --- what is learnt ---
+
+    def learn(self, gained_mg: float) -> None:
+        """From an opening and its tail: what the balance is, and the flow."""
+        phi_s = sum(row.phi_s for row in self.rows)
+        expected_mg = self.reference * phi_s
+        self.surge_mg = self.bank.surge_mg
+        if phi_s <= 0.0 or gained_mg < max(LEAST_MG, 20.0 * self.noise_mg[False]):
+            return
+        self._learn_balance()
+        found = gained_mg / phi_s
+        # It may have been bridged for a part of the time: what is faster than believed is believed at once.
+        self.reference = max(found, math.sqrt(found * self.reference))
+        self.spread = max(self.belief.spread, GUESSED_SPREAD)
+        self._ratios.append(math.log(found / self.belief.coefficient))
+
+    def _learn_balance(self) -> None:
+        found = self.bank.identified(self.rows, self.begin_mg, self.reference)
+        known = self.balance
+        if found is None:
+            return
+        ratio = found.lag_s / known.lag_s
+        same = known.fits > 0 and abs(math.log(ratio)) < 0.3
+        fits = known.fits + 1 if same else 1
+        lag_s = known.lag_s * ratio ** (1.0 / min(fits, 5))
+        misfit = known.misfit + (found.misfit - known.misfit) / min(fits, 5)
+        self.balance = BalanceBelief(
+            lag_s=lag_s, shape=found.shape, misfit=misfit, noise_mg=self.noise_mg[False], fits=fits
+        )
+
+    def doubt_balance(self) -> None:
+        """What a stable mean said is not what this balance was expected to say."""
+        self.balance = self.balance.model_copy(update={"fits": 0})
+
+    # --- what is kept ---
+
+    def finish(self, reason: Reason, seen: Observation) -> Finish:
+        """The dose's last word, with what was learnt."""
+        balance = self.balance.model_copy(update={"noise_mg": self.noise_mg[False]})
+        return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance)
+
+    def _powder(self) -> PowderBelief:
+        belief = self.belief
+        if not self._ratios:
+            return belief
+        ratio = float(np.mean(self._ratios))
+        weight = max(0.2, 1.0 / (belief.doses + 1.0))
+        # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
+        if belief.doses == 0:
+            spread = max(belief.spread, GUESSED_SPREAD)
+        else:
+            spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(ratio * ratio, 1.0))
+        needs_shaking = self.shaken_s > NEEDS_SHAKING * self.flow_s > 0.0
+        return PowderBelief(
+            coefficient=belief.coefficient * math.exp(weight * ratio),
+            threshold_mm=belief.threshold_mm,
+            exponent=belief.exponent,
+            spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
+            surge_mg=belief.surge_mg + weight * (self.surge_mg - belief.surge_mg),
+            vibration=max(belief.vibration, GENTLE) if needs_shaking else belief.vibration,
+            doses=belief.doses + 1,
+        )
+
+    def verdict(self, seen: Observation) -> Reason | None:
+        """What a stable mean says: done, too much, or None while there is more to dose."""
+        request = self.request
+        reasons: dict[Verdict, Reason | None] = {"in tolerance": "reached", "over": "overshoot", "under": None}
+        return reasons[judge(request.target_mg, request.tolerance_mg, seen.net_mg, seen.uncertainty_mg)]
