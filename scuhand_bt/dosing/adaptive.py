@@ -121,7 +121,7 @@ class Adaptive:
         if known.balance.fits == 0:
             most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
         limit_mg = self._lump_mg()
-        passed_s = sure_s = quiet_s = flowing_s = 0.0
+        passed_s = sure_s = quiet_s = flowing_s = missing_mg = 0.0
         sure_mg = barren_mg = bank.mass_mg
         surprises = 0
         if known.aim_mg <= bank.mass_mg:
@@ -141,12 +141,19 @@ class Adaptive:
             if fear > RISK:
                 return "doubt"
             mass_mg = bank.mass_mg
-            if bank.coefficient >= FLOWS * known.reference:
+            gained_mg = mass_mg - sure_mg
+            flowing_s += dt_s
+            expected_mg = known.reference * (passed_s - sure_s)
+            if gained_mg > max(FLOWS * expected_mg, 2.0 * bank.mass_sd_mg):
+                if quiet_s > bank.delay_s + 0.5:
+                    missing_mg += max(0.0, expected_mg - gained_mg)
                 sure_s, sure_mg, quiet_s = passed_s, mass_mg, 0.0
-                flowing_s += dt_s
+                known.follow()
             else:
-                quiet_s, flowing_s = quiet_s + dt_s, 0.0
-            if sure_mg + known.reference * (passed_s - sure_s) > most_mg:
+                quiet_s += dt_s
+                if quiet_s > known.bank.delay_s + 0.5:
+                    flowing_s = 0.0
+            if max(sure_mg + known.reference * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
                 return "doubt"
             if limit_mg and known.reference * passed_s > limit_mg:
                 return "doubt"

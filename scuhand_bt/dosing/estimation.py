@@ -52,6 +52,12 @@ UNSTEADY_S = 0.05
 """While the flow changes, what lands weighs otherwise than what is in flight: so many seconds of the change."""
 LEAST_MISFIT = 0.01
 """No balance is just its model: the share of what is unseen that every model is taken to be off by, at least."""
+UNEVEN = 0.1
+"""How unevenly powder flows: the relative standard deviation of what comes in a second."""
+TEMPER = 0.5
+"""What a reading tells of the balance, as a share of what it would if errors were independent of each other."""
+CHANGE_S = (0.3, 3.0)
+"""A steady flow tells nothing of the balance: means of phi over these times must differ."""
 LEAST_SPREAD = 0.5
 """Of k, relative to its reference: how unsure it can become while powder flows, at least."""
 EXPONENT_ERROR = 0.5
@@ -132,6 +138,7 @@ class Bank:
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
         self._phi, self._excess, self._behind = np.zeros(many), np.zeros(many), np.zeros(many)
         self._unseen = np.zeros((2, many))
+        self._means, self._changing = [0.0, 0.0], 0.0
         self._passed, self._readings = np.zeros((2, 256)), 0
         self._look_up()
 
@@ -153,6 +160,9 @@ class Bank:
         if self._readings + 1 == self._passed.shape[1]:
             self._passed = np.append(self._passed, np.zeros_like(self._passed), axis=1)
         self._readings += 1
+        for mean, over_s in enumerate(CHANGE_S):
+            self._means[mean] += (phi_s / dt_s - self._means[mean]) * -math.expm1(-dt_s / over_s)
+        self._changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
         now = self._passed[:, self._readings] = self._passed[:, self._readings - 1] + (phi_s, slope_s)
         seen = np.maximum(self._readings - np.rint(self._pure_s / dt_s).astype(int), 0)
         self._unseen = now[:, None] - self._passed[:, seen]
@@ -173,7 +183,8 @@ class Bank:
         x = np.matmul(f, self._x[:, :, None])[:, :, 0]
         p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
         k = np.maximum(self._x[:, K], 0.0)
-        p[:, MASS, MASS] += 2.0 * self.surge_mg * np.maximum(k, 0.1 * reference) * phi_s + 1e-6
+        flow_mg = np.maximum(k, 0.1 * reference) * phi_s
+        p[:, MASS, MASS] += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s + 1e-6
         bridged = np.maximum(reference - k, 0.0)
         walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
         p[:, K, K] = np.minimum(p[:, K, K] + walk, np.maximum(p[:, K, K], (self._most_sd * reference) ** 2))
@@ -195,13 +206,13 @@ class Bank:
             told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
             self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, 4.0) - 0.9))
             self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
-        # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
-        self._weigh(np.minimum(innovation_mg**2 / float(self.weights @ variance), FARTHEST**2))
+        self._weigh(innovation_mg**2, p[:, READING, READING] + row.noise_mg**2 + changed_mg**2)
         return score
 
-    def _weigh(self, squares: Array) -> None:
+    def _weigh(self, squares: Array, variance: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
-        logs = np.log(self.weights) - 0.5 * squares
+        told = 0.5 * TEMPER * self._changing
+        logs = np.log(self.weights) - told * (np.minimum(squares / variance, FARTHEST**2) + np.log(variance))
         weights = np.exp(logs - logs.max())
         kept = weights > LEAST_WEIGHT
         self.weights = weights[kept] / weights[kept].sum()

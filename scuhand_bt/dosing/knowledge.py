@@ -134,6 +134,12 @@ class Knowledge:
 
     # --- what is learnt ---
 
+    def follow(self) -> None:
+        """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
+        bank = self.bank
+        sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
+        self.reference += (0.2 if sure else 0.04) * (bank.coefficient - self.reference)
+
     def learn(self, gained_mg: float) -> None:
         """From an opening and its tail: what the balance is, and the flow."""
         phi_s = sum(row.phi_s for row in self.rows)
