@@ -93,6 +93,8 @@ class BalanceBelief(Spec):
 
     lag_s: Annotated[Seconds, Field(gt=0, le=5)] = 0.6
     """Half the time that the reading of a steadily growing mass is behind it."""
+    doubt: Annotated[Ratio, Field(ge=0)] = 1.0
+    """Standard deviation of that time's logarithm."""
     shape: str = "two poles"
     """The kind of filter that delays it so: one of `scuhand_bt.dosing.estimation.SHAPES`."""
     misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.02

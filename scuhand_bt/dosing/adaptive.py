@@ -68,7 +68,7 @@ class Adaptive:
         known = self._known
         seen = yield Stream(0.0)
         known.time_s, start_mg = seen.time_s, seen.net_mg
-        if known.balance.fits == 0:
+        if not known.knows_balance:
             for _ in range(LISTENED):
                 yield from known.act(0.0, 0.0)
         known.begin(seen.net_mg, 2.0 * known.noise_mg[False])
@@ -118,11 +118,12 @@ class Adaptive:
         known = self._known
         bank = known.bank
         most_mg = known.most_mg
-        if known.balance.fits == 0:
+        if not known.knows_balance:
             most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
         limit_mg = self._lump_mg()
         passed_s = sure_s = quiet_s = flowing_s = missing_mg = 0.0
         sure_mg = barren_mg = bank.mass_mg
+        read_mg = known.begin_mg
         surprises = 0
         if known.aim_mg <= bank.mass_mg:
             return "reached"
@@ -141,13 +142,13 @@ class Adaptive:
             if fear > RISK:
                 return "doubt"
             mass_mg = bank.mass_mg
-            gained_mg = mass_mg - sure_mg
+            reading_mg = known.rows[-1].reading_mg
             flowing_s += dt_s
             expected_mg = known.reference * (passed_s - sure_s)
-            if gained_mg > max(FLOWS * expected_mg, 2.0 * bank.mass_sd_mg):
+            if reading_mg - read_mg > max(FLOWS * expected_mg, 3.0 * known.rows[-1].noise_mg):
                 if quiet_s > bank.delay_s + 0.5:
-                    missing_mg += max(0.0, expected_mg - gained_mg)
-                sure_s, sure_mg, quiet_s = passed_s, mass_mg, 0.0
+                    missing_mg += max(0.0, expected_mg - (reading_mg - read_mg))
+                sure_s, sure_mg, read_mg, quiet_s = passed_s, mass_mg, reading_mg, 0.0
                 known.follow()
             else:
                 quiet_s += dt_s

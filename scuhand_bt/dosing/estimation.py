@@ -36,10 +36,14 @@ SHAPES = {
     "delay": (0.9, 1.0),
 }
 """Kinds of balances: the share of their delay that is pure, and the damping of the rest."""
-DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 18))
+DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 14))
 """Mean delays that a balance nothing is known of may have."""
-NEAR = tuple(1.04**step for step in range(-3, 4))
-"""A balance that was identified is taken to be within these factors of it, but for `CHANGED`."""
+NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
+"""Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
+LEAST_DOUBT, FINER = 0.04, 0.06
+"""That standard deviation, at least; and how far apart, relative to each other, delays are that are told apart."""
+SAME_SHAPE = 0.7
+"""Probability that the kind of filter was identified rightly."""
 CHANGED = 0.02
 """Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
@@ -71,9 +75,6 @@ UNKNOWN_SPREAD = 1.5
 """Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
 LEAST_SHARE = 0.02
 """Shapes of balances that are this likely are looked at again, with delays about the likeliest."""
-FINER = tuple(1.06**step for step in range(-4, 5))
-TOLD = 0.15
-"""Standard deviation of the delay's logarithm by which a balance is known."""
 READING, RATE, MASS, K, G = range(5)
 
 
@@ -121,11 +122,16 @@ class Bank:
     def believing(cls, balance: BalanceBelief, surge_mg: float) -> "Bank":
         """Near what is believed of the balance; and, as it may have been changed, a little of everything."""
         every = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
-        near = [Model(2.0 * balance.lag_s * factor, balance.shape) for factor in NEAR] if balance.fits > 0 else []
-        weights = np.full(len(every), (CHANGED if near else 1.0) / len(every))
-        if near:
-            weights = np.append(weights, np.full(len(near), (1.0 - CHANGED) / len(near)))
-        return cls(every + near, weights, surge_mg, balance.misfit)
+        weights = np.full(len(every), 1.0 / len(every))
+        if balance.fits > 0:
+            far = np.array(NEAR) * max(balance.doubt, LEAST_DOUBT)
+            near = [Model(2.0 * balance.lag_s * math.exp(step), shape) for shape in SHAPES for step in far]
+            others = (1.0 - SAME_SHAPE) / (len(SHAPES) - 1)
+            shares = np.array([SAME_SHAPE if shape == balance.shape else others for shape in SHAPES])
+            ours = np.outer(shares, np.exp(-0.5 * np.square(NEAR))).ravel()
+            weights = np.append(CHANGED * weights, (1.0 - CHANGED) * ours / ours.sum())
+            every += near
+        return cls(every, weights, surge_mg, balance.misfit)
 
     def restart(self, mass_mg: float, sd_mg: float, coefficient: float, spread: float) -> None:
         """A balance at rest, valve shut: the mass is known, k is what a new opening may be expected to show."""
@@ -274,23 +280,25 @@ class Bank:
 
     # --- what the balance is ---
 
-    def identified(self, rows: Sequence[Row], mass_mg: float, reference: float) -> BalanceBelief | None:
-        """The balance, as an opening and its whole tail show it to finer models; None if they do not tell."""
+    def identified(self, rows: Sequence[Row], mass_mg: float, reference: float) -> BalanceBelief:
+        """The balance, as an opening and its whole tail show it to finer models."""
         finer: list[Model] = []
         for shape in SHAPES:
             ours = np.array([model.shape == shape for model in self.models])
             share = float(self.weights[ours].sum())
             if share > LEAST_SHARE:
                 centre_s = float(self.weights[ours] @ self.delays_s[ours]) / share
-                finer += [Model(centre_s * factor, shape) for factor in FINER]
+                finer += [Model(centre_s * math.exp(FINER * step), shape) for step in range(-5, 6)]
         bank = Bank(finer, np.ones(len(finer)), self.surge_mg, self.misfit)
         bank.restart(mass_mg, 0.2, reference, UNKNOWN_SPREAD)
         for row in rows:
             bank.update(row, reference)
         logs = np.log(bank.delays_s)
         mean = float(bank.weights @ logs)
-        if bank.weights @ (logs - mean) ** 2 > TOLD**2:
-            return None
         best = int(np.argmax(bank.weights))
-        misfit = math.sqrt(bank._excess[best] / max(bank._behind[best], 1e-6))
-        return BalanceBelief(lag_s=math.exp(mean) / 2.0, shape=bank.models[best].shape, misfit=min(misfit, 1.0))
+        return BalanceBelief(
+            lag_s=math.exp(mean) / 2.0,
+            doubt=math.sqrt(float(bank.weights @ (logs - mean) ** 2)),
+            shape=bank.models[best].shape,
+            misfit=min(math.sqrt(bank._excess[best] / max(bank._behind[best], 1e-6)), 1.0),
+        )

@@ -7,12 +7,14 @@ import numpy as np
 
 from scuhand_bt.dosing.constraint import widest_mm
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Reason, Stream
-from scuhand_bt.dosing.estimation import UNKNOWN_SPREAD, Bank, Row
+from scuhand_bt.dosing.estimation import LEAST_DOUBT, UNKNOWN_SPREAD, Bank, Row
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
 from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
 
-FLOWS = 0.5
+TELLS, KNOWN = 0.4, 0.25
+"""An opening tells the balance, and it is known, when its delay is known to this: the logarithm's standard deviation."""
+FLOWS = 0.4
 """Of its reference: a flow that is at least this strong is what was expected."""
 LEAST_MG = 4.0
 """An opening that brought less teaches nothing."""
@@ -155,22 +157,30 @@ class Knowledge:
         self._ratios.append(math.log(found / self.belief.coefficient))
 
     def _learn_balance(self) -> None:
-        found = self.bank.identified(self.rows, self.begin_mg, self.reference)
-        known = self.balance
-        if found is None:
+        """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
+        known, found = self.balance, self.bank.identified(self.rows, self.begin_mg, self.reference)
+        doubt = max(found.doubt, LEAST_DOUBT)
+        if doubt > TELLS:
             return
-        ratio = found.lag_s / known.lag_s
-        same = known.fits > 0 and abs(math.log(ratio)) < 0.3
-        fits = known.fits + 1 if same else 1
-        lag_s = known.lag_s * ratio ** (1.0 / min(fits, 5))
-        misfit = known.misfit + (found.misfit - known.misfit) / min(fits, 5)
-        self.balance = BalanceBelief(
-            lag_s=lag_s, shape=found.shape, misfit=misfit, noise_mg=self.noise_mg[False], fits=fits
-        )
+        apart = math.log(found.lag_s / known.lag_s)
+        if known.fits > 0 and abs(apart) < 3.0 * math.hypot(doubt, known.doubt, LEAST_DOUBT):
+            share = known.doubt**2 / (known.doubt**2 + doubt**2)
+            fits, lag_s = known.fits + 1, known.lag_s * math.exp(share * apart)
+            doubt = max(LEAST_DOUBT, known.doubt * math.sqrt(1.0 - share))
+            found = found.model_copy(update={"misfit": known.misfit + (found.misfit - known.misfit) / min(fits, 5)})
+            if found.doubt > known.doubt:
+                found = found.model_copy(update={"shape": known.shape})
+        else:
+            fits, lag_s = 1, found.lag_s
+        self.balance = found.model_copy(update={"fits": fits, "lag_s": lag_s, "doubt": doubt})
+
+    @property
+    def knows_balance(self) -> bool:
+        return self.balance.fits > 0 and self.balance.doubt < KNOWN
 
     def doubt_balance(self) -> None:
         """What a stable mean said is not what this balance was expected to say."""
-        self.balance = self.balance.model_copy(update={"fits": 0})
+        self.balance = self.balance.model_copy(update={"fits": 0, "doubt": 1.0})
 
     # --- what is kept ---
 
