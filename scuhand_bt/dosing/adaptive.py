@@ -145,9 +145,10 @@ class Adaptive:
             reading_mg = known.rows[-1].reading_mg
             flowing_s += dt_s
             expected_mg = known.reference * (passed_s - sure_s)
-            if reading_mg - read_mg > max(FLOWS * expected_mg, 3.0 * known.rows[-1].noise_mg):
+            risen = reading_mg - read_mg > 3.0 * known.rows[-1].noise_mg
+            if risen and mass_mg - sure_mg > FLOWS * expected_mg:
                 if quiet_s > bank.delay_s + 0.5:
-                    missing_mg += max(0.0, expected_mg - (reading_mg - read_mg))
+                    missing_mg += max(0.0, expected_mg - (mass_mg - sure_mg))
                 sure_s, sure_mg, read_mg, quiet_s = passed_s, mass_mg, reading_mg, 0.0
                 known.follow()
             else:
