@@ -29,6 +29,8 @@ LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
 REST_MG = 0.3
 """The balance has seen what there is to see but for this."""
 LONGEST_LOOK_S = 25.0
+AGAIN_S = 3.0
+"""A stable mean that surprised is taken again after this."""
 LEFT_MG = 1.0
 """With more than this to go the stable mean can wait."""
 SURELY, SOON_S = 2.0, 1.0
@@ -85,11 +87,7 @@ class Adaptive:
                 last_mg = sum(row.reading_mg for row in known.rows[-3:]) / 3.0
                 known.begin(last_mg, 0.3)
                 continue
-            expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
-            seen = yield Weigh()
-            known.time_s = seen.time_s
-            if abs(seen.net_mg - expected_mg) > 5.0 * sd_mg + 0.5:
-                known.doubt_balance()
+            seen = yield from self._weigh()
             known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))
             verdict = known.verdict(seen)
             if verdict is not None:
@@ -97,6 +95,18 @@ class Adaptive:
             if is_dry:
                 return known.finish(known.request.given_up(seen.net_mg - start_mg), seen)
         return known.finish("step_limit", seen)
+
+    def _weigh(self) -> Generator[Command, Observation, Observation]:
+        """A stable mean; again, and with doubts about the balance, while it is not what its readings led to expect."""
+        known = self._known
+        expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
+        seen = yield Weigh()
+        while abs(seen.net_mg - expected_mg) > SURPRISE * sd_mg + REST_MG:
+            known.doubt_balance()
+            expected_mg, sd_mg = seen.net_mg, seen.uncertainty_mg
+            seen = yield Weigh(AGAIN_S)
+        known.time_s = seen.time_s
+        return seen
 
     def _is_dry(self, dispensed_mg: float) -> bool:
         empty = self._known.request.given_up(dispensed_mg) == "empty"

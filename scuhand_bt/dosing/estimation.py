@@ -212,13 +212,14 @@ class Bank:
             told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
             self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, 4.0) - 0.9))
             self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
-        self._weigh(innovation_mg**2, p[:, READING, READING] + row.noise_mg**2 + changed_mg**2)
+        # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
+        common = float(self.weights @ p[:, READING, READING]) + row.noise_mg**2 + float(self.weights @ changed_mg**2)
+        self._weigh(innovation_mg**2 / common)
         return score
 
-    def _weigh(self, squares: Array, variance: Array) -> None:
+    def _weigh(self, squares: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
-        told = 0.5 * TEMPER * self._changing
-        logs = np.log(self.weights) - told * (np.minimum(squares / variance, FARTHEST**2) + np.log(variance))
+        logs = np.log(self.weights) - 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
         weights = np.exp(logs - logs.max())
         kept = weights > LEAST_WEIGHT
         self.weights = weights[kept] / weights[kept].sum()
