@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import yaml
 
-from benchmarks.oracle import Oracle, run_oracle
+from benchmarks.oracle import run_oracle
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.weighing import weighing_of
@@ -203,7 +203,7 @@ class Bench:
         )
 
     def _oracle(self, dispense: Any) -> Steps[DoseRun]:
-        return run_oracle(Oracle(dispense.request(self.cell)), self.cell, self.world, DISH.id)
+        return run_oracle(dispense, self.cell, self.world, DISH.id)
 
     def _as_printed(self, dispense: Any) -> Steps[DoseRun]:
         cell, request = self.cell, replace(dispense.request(self.cell), as_printed=True)
