@@ -23,6 +23,7 @@ from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference
+from scuhand_bt.dosing.controller import Departure
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -68,8 +69,8 @@ class Setting:
     """Filling of the cone, as a share of the powder's load limit."""
     redo: bool = False
     """A dose reported out of tolerance is dosed once more, into a new container."""
-    as_printed: bool = False
-    """The paper's rules to the letter, whose strict comparison knows no uncertainty: for its own tables."""
+    departures: frozenset[Departure] | None = None
+    """From the paper's listing, and nothing of the lab's bracketed weighing: for the paper's own tables."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,7 @@ class Bench:
 
     def __init__(self, powder: Powder, target_mg: float, run: int, dose: int, setting: Setting) -> None:
         spec = CellSpec(cell="bench", hand=setting.hand, balance=setting.balance, stations={"balance": PAN, "bay": BAY})
-        self.target_mg, self.as_printed = target_mg, setting.as_printed
+        self.target_mg, self.departures = target_mg, setting.departures
         load_mg = powder.load_limit_mg * setting.load_ratio
         source = Source(name="store", station="bay", mortar=MORTAR, powder=powder, amount_mg=10_000.0)
         self.clock, self.record = VirtualClock(), DoseRecord()
@@ -186,8 +187,8 @@ class Bench:
         try:
             if name == "oracle":
                 reason = self._keep(name, self.drive(self._oracle(dispense)))
-            elif self.as_printed:
-                reason = self._keep(name, self.drive(self._as_printed(dispense)))
+            elif self.departures is not None:
+                reason = self._keep(name, self.drive(self._as_in_the_paper(dispense, self.departures)))
             else:
                 self.drive(dispense.run(cell))
         except SkillFailed as failure:
@@ -205,8 +206,8 @@ class Bench:
     def _oracle(self, dispense: Any) -> Steps[DoseRun]:
         return run_oracle(dispense, self.cell, self.world, DISH.id)
 
-    def _as_printed(self, dispense: Any) -> Steps[DoseRun]:
-        cell, request = self.cell, replace(dispense.request(self.cell), as_printed=True)
+    def _as_in_the_paper(self, dispense: Any, departures: frozenset[Departure]) -> Steps[DoseRun]:
+        cell, request = self.cell, replace(dispense.request(self.cell), departures=departures)
         assert cell.believed.bracket is not None
         digit_mg = cell.spec.balance.readability_mg
         reference = Reference(cell.believed.bracket.last, Drift(0.0, 0.0), Net(0.0, 0.0), digit_mg)
@@ -216,7 +217,7 @@ class Bench:
     def _keep(self, name: str, run: DoseRun) -> str:
         """What a controller that no recipe can name came to, as a dose; why it ended."""
         net_mg = run.finish.estimate_mg
-        uncertainty_mg = 0.0 if self.as_printed else run.finish.uncertainty_mg
+        uncertainty_mg = 0.0 if self.departures is not None else run.finish.uncertainty_mg
         self.record.last = Dose(
             target_mg=self.target_mg,
             tolerance_mg=TOLERANCE_MG,

@@ -61,6 +61,8 @@ class PowderFlowSpec(Spec):
     """Mean mass of a lump; at an opening of 1 mm if `surge_exponent` is not 0."""
     surge_exponent: Annotated[float, Field(ge=0, le=10)] = 0.0
     """How a lump grows with the opening: 0 fixed, 3 with the gap's volume."""
+    avalanche_mg: Annotated[Milligrams, NotNegative] = 0.0
+    """Mean mass of the avalanches that this powder comes in while it is shaken; 0 for one that comes evenly."""
     heel: Annotated[Ratio, Field(ge=0, lt=1)] = 0.02
     """Share of a cone load that stays on the wall until it is shaken."""
     slot_mg_per_mm: NonNegativeFloat = 0.3
@@ -105,6 +107,15 @@ class BalanceBelief(Spec):
     """How many openings the lag was learnt from; 0 while it is only assumed."""
 
 
+class PaperSpec(Spec):
+    """What Algorithm 1 of the SCU-Hand-SV paper is set to for a powder."""
+
+    gain: Annotated[float, Field(gt=0, le=1)] = 0.27
+    """Kp."""
+    max_opening_mm: Annotated[Millimetres, Positive] = 2.4
+    """The largest opening it may use; no other controller is held to it."""
+
+
 class Powder(Spec):
     """A powder of `robot/powders.yaml`."""
 
@@ -115,15 +126,19 @@ class Powder(Spec):
     wall_friction_deg: Annotated[Degrees, Field(gt=0, lt=90)]
     load_limit_mg: Annotated[Milligrams, Positive]
     """The most the cone is ever loaded with (paper: 5 g; 4 g of titanium dioxide)."""
-    gain: Annotated[float, Field(gt=0, le=1)] = 0.27
-    """Kp of the paper's Algorithm 1 for this powder."""
     max_opening_mm: Annotated[Millimetres, Positive] = 2.4
-    """The largest opening the paper's algorithm may use for this powder."""
+    """The largest opening for this powder, for controllers that have none of their own."""
+    paper: PaperSpec = PaperSpec()
+    """For controller `paper`."""
     scoop_loss_mg: Annotated[Milligrams, NotNegative] = 20.0
     """What one scoop, carry and return leaves on the sheet or spills: planning figure."""
     belief: PowderBelief = PowderBelief()
     """What controllers start from before anything is learnt."""
     simulation: PowderFlowSpec = PowderFlowSpec()
+
+    def widest_mm(self, controller: str) -> float:
+        """The largest opening that a controller of this name may use."""
+        return self.paper.max_opening_mm if controller == "paper" else self.max_opening_mm
 
 
 class ContainerKind(Spec):

@@ -209,8 +209,8 @@ class Dispense(Skill[Dose]):
         return DoseRequest(
             target_mg=self.mass_mg,
             tolerance_mg=self.tolerance_mg,
-            gain=powder.gain,
-            max_opening_mm=min(powder.max_opening_mm, hand.max_opening_mm),
+            gain=powder.paper.gain,
+            max_opening_mm=min(powder.widest_mm(self.controller or cell.controller), hand.max_opening_mm),
             valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
             valve_dead_time_s=hand.valve_dead_time_s,
             readability_mg=balance.readability_mg,

@@ -93,14 +93,16 @@ class Bench:
         self.world.place(DISH)
         self.world.load_cone("store", self.load_mg)
 
-    def request(self, belief: PowderBelief | None = None, balance: BalanceBelief = UNSEEN) -> DoseRequest:
+    def request(
+        self, belief: PowderBelief | None = None, balance: BalanceBelief = UNSEEN, controller: str = ""
+    ) -> DoseRequest:
         """What a controller is asked for, by one who believes this of the powder and of the balance."""
-        hand, spec = self.cell.spec.hand, self.cell.spec.balance
+        hand, spec, powder = self.cell.spec.hand, self.cell.spec.balance, self.powder
         return DoseRequest(
             target_mg=self.target_mg,
             tolerance_mg=2.0,
-            gain=self.powder.gain,
-            max_opening_mm=min(self.powder.max_opening_mm, hand.max_opening_mm),
+            gain=powder.paper.gain,
+            max_opening_mm=min(powder.widest_mm(controller), hand.max_opening_mm),
             valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
             valve_dead_time_s=hand.valve_dead_time_s,
             readability_mg=spec.readability_mg,
@@ -123,6 +125,6 @@ class Bench:
         """One dose by a controller's name."""
         empty = weighing_of(self.drive(self.cell.balance.stable_mean(60.0)))
         against = Reference(empty, Drift(0.0, 0.0), Net(0.0, 0.0), self.cell.spec.balance.readability_mg)
-        controller = new_controller(name, self.request(belief, balance))
+        controller = new_controller(name, self.request(belief, balance, name))
         run = self.drive(run_dose(controller, self.cell.hand, self.cell.balance, self.clock, Record(), against))
         return Dosed(self.world.true_mass(DISH.id) - self.target_mg, run)

@@ -51,68 +51,6 @@ def test_an_unknown_controller_is_named_with_the_known_ones() -> None:
         new_controller("fuzzy", request())
 
 
-@pytest.mark.parametrize("name", ["paper", "direct_pid"])
-def test_an_overshoot_ends_the_loop_that_the_paper_leaves_spinning(name: str) -> None:
-    controller = new_controller(name, request())
-    controller.decide(None)
-    finish = controller.decide(settled(52.5))
-    assert isinstance(finish, Finish)
-    assert finish.reason == "overshoot"
-
-
-@pytest.mark.parametrize(
-    ("as_printed", "net_mg", "ends"),
-    [(True, 48.0, False), (True, 48.01, True), (False, 48.125, False), (False, 48.13, True)],
-)
-def test_the_papers_tolerance_is_strict_and_as_printed_it_leaves_none_to_the_measurement(
-    as_printed: bool, net_mg: float, ends: bool
-) -> None:
-    controller = new_controller("paper", request(as_printed=as_printed))
-    controller.decide(None)
-    assert isinstance(controller.decide(Observation(0.0, net_mg, 0.0625, True)), Finish) == ends
-
-
-@pytest.mark.parametrize(("cone_mg", "reason"), [(60.0, "empty"), (5000.0, "no_flow")])
-def test_paper_ends_on_a_cone_that_gives_nothing(cone_mg: float, reason: str) -> None:
-    controller = new_controller("paper", request(cone_mg=cone_mg, step_limit=1000))
-    command = controller.decide(None)
-    for _ in range(300):
-        if isinstance(command, Finish):
-            break
-        command = controller.decide(settled(0.0))
-    assert isinstance(command, Finish)
-    assert command.reason == reason
-
-
-def test_paper_takes_no_more_than_its_steps() -> None:
-    controller = new_controller("paper", request(step_limit=5))
-    assert isinstance(controller.decide(None), Weigh), "what is in the container already counts"
-    command, net_mg, steps = controller.decide(settled(0.0)), 0.0, 0
-    while not isinstance(command, Finish):
-        net_mg, steps = net_mg + 1.0, steps + 1
-        command = controller.decide(settled(net_mg))
-    assert (command.reason, steps) == ("step_limit", 5)
-
-
-def test_paper_does_not_open_wide_with_a_coefficient_gone_stale() -> None:
-    controller = new_controller("paper", request(target_mg=3000.0))
-    controller.decide(None)
-    command, net_mg = controller.decide(settled(0.0)), 0.0
-    widest_after_mm = 0.0
-    for step in range(60):
-        if isinstance(command, Finish):
-            break
-        assert isinstance(command, Pulse)
-        clogged = 6 <= step < 14 and command.vibration == 0.0
-        gained_mg = 0.0 if clogged else 50.0 * command.opening_mm**2.5 * (command.opening_mm / 4.0 + command.dwell_s)
-        if net_mg > 2900.0 and command.vibration == 0.0:
-            widest_after_mm = max(widest_after_mm, command.opening_mm)
-        net_mg += gained_mg
-        command = controller.decide(settled(net_mg))
-    assert net_mg < 3004.0
-    assert widest_after_mm < 1.5
-
-
 @given(st.floats(0.0, 5000.0), st.floats(0.03, 12.0))
 def test_what_may_fall_unseen_stays_within_what_remains(remaining_mg: float, surge_mg: float) -> None:
     unseen_mg = within(remaining_mg, surge_mg)

@@ -12,6 +12,7 @@ A controller lives for one dose; `Finish` is its last word.
 """
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Literal, Protocol
 
 from scuhand_bt.dosing.verdict import acceptance_mg
@@ -77,6 +78,17 @@ class Observation:
     """The opening the hand reports at that time."""
 
 
+class Departure(StrEnum):
+    """Where the stepwise controllers leave the paper's listing; what each is for stands in `paper`."""
+
+    GUARD = "guard"
+    OVERSHOOT = "overshoot"
+    GIVING_UP = "giving-up"
+    ORDER = "order"
+    FIRST_GUESS = "first-guess"
+    THAW = "thaw"
+
+
 @dataclass(frozen=True, slots=True)
 class DoseRequest:
     """What a controller is built from: the goal, the hand's valve, and what is believed of the powder."""
@@ -94,8 +106,8 @@ class DoseRequest:
     """How far that belief may be off: scoops vary."""
     uncertainty_mg: float = 0.1
     """The standard uncertainty to be expected of the net mass that is judged in the end."""
-    as_printed: bool = False
-    """The paper's rules to the letter: its strict comparison knows no uncertainty of a reading."""
+    departures: frozenset[Departure] = frozenset(Departure)
+    """From the paper's listing; none of them is Algorithm 1 as printed."""
     streaming: bool = True
     valve_dead_time_s: float = 0.06
     balance_period_s: float = 0.1
@@ -115,13 +127,14 @@ def stopped(request: DoseRequest, seen: Observation, steps: int, dry: bool, disp
     |error| < tolerance (strictly), less the guard band of `verdict`, ends it; so do what the listing leaves out: too
     much, a cone that gives nothing, and the step limit. `dispensed_mg` is what this dose has taken from the cone.
     """
-    error_mg = request.target_mg - seen.net_mg
+    error_mg, departures = request.target_mg - seen.net_mg, request.departures
+    uncertainty_mg = seen.uncertainty_mg if Departure.GUARD in departures else 0.0
     reason: Reason
-    if abs(error_mg) < acceptance_mg(request.tolerance_mg, 0.0 if request.as_printed else seen.uncertainty_mg):
+    if abs(error_mg) < acceptance_mg(request.tolerance_mg, uncertainty_mg):
         reason = "reached"
-    elif error_mg < 0.0:
+    elif error_mg < 0.0 and Departure.OVERSHOOT in departures:
         reason = "overshoot"
-    elif dry:
+    elif dry and Departure.GIVING_UP in departures:
         reason = request.given_up(dispensed_mg)
     elif steps >= request.step_limit:
         reason = "step_limit"

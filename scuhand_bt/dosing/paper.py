@@ -1,32 +1,39 @@
 """Controller `paper`: Algorithm 1 of the SCU-Hand-SV paper (Takahashi et al., ICRA 2026).
 
-    e = W_goal - W;  while |e| >= 2:  fit C' on stored (D, t, dW >= 0.5 mg);  aim at Kp e;
-    (D, t) = argmin |W(D, t; C') - Kp e|;  vibrate if W(D_max, t_max; C') < Kp e;  pulse;  weigh
+    e = W_goal - W;  use_vibration = false
+    while |e| >= 2:
+        fit C' on stored (D, t, dW >= 0.5 mg)
+        (D, t) = argmin |W(D, t; C') - Kp e|
+        if W(D_max, t_max; C') < Kp e:  use_vibration = true, and W is switched to vibration
+        pulse;  weigh
 
-The listing leaves gaps and has defects. Each is handled here as named:
+Nothing in the listing sets `use_vibration` back: once shaken, a dose is shaken to its end. What the listing leaves
+open is settled like this:
 
+* *The first C'.* It has none to start with. It is started `CAUTION` spreads of the powder's first guess too large,
+  so that the first pulses are small; for a powder that flows only when shaken in vibration mode.
+* *Vibration mode.* W is 'switched internally': each mode has a C' of its own, fitted to its own pulses.
 * *The branch of the argmin.* The minimum is a curve in (D, t). The shortest dwell is taken first and
   the opening solved for; only when the widest opening does not suffice does the dwell grow.
-* *Freezing.* A pulse below 0.5 mg is never stored, so a C' that is far too high never falls and every
-  pulse may bring nothing. From the fifth pulse in a row on that brings less than half of what was expected
-  and is not stored, C' is lowered by a third each time. A pulse is never sized with less than a third of the
-  last fit, though: a clog that breaks must not find the valve wide open.
-* *A stale C'.* The listing switches one model to 'vibration mode' internally; each mode's C' is then
-  fitted only while that mode runs. After a clogged pulse the gravity C' collapses, vibration takes
-  over, and near the target the choice returns to gravity with the collapsed C' and a wide opening.
-  Here a mode that did not run last is sized with the largest C' that any fit of this dose gave it.
-* *Looping after an overshoot.* `while |e| >= 2` never ends once e <= -2: powder cannot be taken back.
-  The dose ends as `overshoot`.
-* *No way out of an empty cone.* Full openings under vibration that bring nothing end the dose, as
-  `empty` or `no_flow`.
 
-The comparison stays the paper's strict |e| < tolerance, on the first settled reading, less the guard band that the
-verdict keeps (`verdict`); as printed (`DoseRequest.as_printed`) there is none.
+Where the listing is left, the departure has a name (`Departure`) and can be taken back (`DoseRequest.departures`):
+
+* `guard`: the strict |e| < tolerance is held against the first settled reading, less the guard band that the verdict
+  keeps (`verdict`). As printed there is none.
+* `overshoot`: `while |e| >= 2` never ends once e <= -2, as powder cannot be taken back. The dose ends.
+* `giving-up`: full openings under vibration that bring nothing end the dose, as `empty` or `no_flow`.
+* `order`: vibration is decided on before the argmin, so that the first shaken pulse is sized by the shaken C'.
+  As printed that pulse is the argmin of the other mode.
+* `first-guess`: it stays in the fit as one more pulse like the first, so that one odd pulse cannot collapse C'.
+* `thaw`: a pulse below 0.5 mg is never stored, so a C' that is far too high never falls, and every pulse may bring
+  nothing. From the fifth pulse in a row on that brings less than half of what was expected and is not stored, C' is
+  lowered by a third each time; to no less than a third of the last fit, though: a clog that breaks must not find the
+  valve wide open.
 """
 
 from dataclasses import dataclass, field
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Weigh, stopped
+from scuhand_bt.dosing.controller import Command, Departure, DoseRequest, Observation, Pulse, Weigh, stopped
 from scuhand_bt.dosing.flow import EXPONENT, PulseModel, basis, fit_coefficient
 
 STORED_MG = 0.5
@@ -38,11 +45,9 @@ WAIT_S = 6.3
 """Fixed wait of the paper's rig after each pulse, on top of the balance's settling (Table II: a step
 takes 7.2 s plus the time the valve is open)."""
 CAUTION = 2.5
-"""The listing starts without a C'. It is started this many spreads of the powder's first guess too large, so
-that the first pulses are small, and stays in the fit as one more pulse like the first, so that one odd pulse
-cannot collapse it."""
 BARREN_PULSES = 5
 LOWERED = 2.0 / 3.0
+LEAST_SHARE = 1.0 / 3.0
 DRY_PULSES = 5
 
 
@@ -51,8 +56,6 @@ class _Mode:
     """One flow mode's stored pulses and the C' fitted to them."""
 
     coefficient: float
-    largest: float
-    """The largest fitted so far."""
     fitted: float = 0.0
     """The last fit."""
     bases: list[float] = field(default_factory=list)
@@ -60,10 +63,11 @@ class _Mode:
 
     def store(self, pulse_basis: float, mass_mg: float) -> None:
         self.bases.append(pulse_basis)
-        self.masses_mg.append(max(mass_mg, 0.0))
-        self.coefficient = fit_coefficient(self.bases, self.masses_mg)
-        self.largest = max(self.largest, self.coefficient) if self.fitted else self.coefficient
-        self.fitted = self.coefficient
+        self.masses_mg.append(mass_mg)
+        self.coefficient = self.fitted = fit_coefficient(self.bases, self.masses_mg)
+
+    def lower(self) -> None:
+        self.coefficient = max(LOWERED * self.coefficient, LEAST_SHARE * self.fitted)
 
 
 class Paper:
@@ -73,10 +77,9 @@ class Paper:
 
     def __init__(self, request: DoseRequest) -> None:
         self._request = request
-        flows = request.powder.vibration == 0.0
         start = (1.0 + CAUTION * request.powder.spread) * request.powder.coefficient
-        self._gravity = _Mode(start if flows else 0.0, start)
-        self._vibrated = _Mode(start, start)
+        self._gravity, self._shaken = _Mode(start), _Mode(start)
+        self._use_vibration = request.powder.vibration > 0.0
         self._pulse: Pulse | None = None
         self._net_mg = 0.0
         self._start_mg = 0.0
@@ -102,29 +105,35 @@ class Paper:
         self._pulses += 1
         return self._pulse
 
+    @property
+    def _mode(self) -> _Mode:
+        return self._shaken if self._use_vibration else self._gravity
+
     def _learn(self, pulse: Pulse, gained_mg: float) -> None:
-        mode = self._vibrated if pulse.vibration else self._gravity
+        mode, departures = self._mode, self._request.departures
         pulse_basis = basis(pulse.opening_mm, pulse.dwell_s, self._request.valve_speed_mm_per_s)
         barren = gained_mg < 0.5 * mode.coefficient * pulse_basis
         self._barren = self._barren + 1 if barren else 0
         if gained_mg >= STORED_MG:
-            if not mode.bases:
+            if not mode.bases and Departure.FIRST_GUESS in departures:
                 mode.store(pulse_basis, mode.coefficient * pulse_basis)
             mode.store(pulse_basis, gained_mg)
-        elif self._barren >= BARREN_PULSES:
-            mode.coefficient *= LOWERED
+        elif self._barren >= BARREN_PULSES and Departure.THAW in departures:
+            mode.lower()
         full = pulse.opening_mm >= self._request.max_opening_mm and pulse.dwell_s >= LONGEST_DWELL_S
         self._dry = self._dry + 1 if full and pulse.vibration and gained_mg < STORED_MG else 0
 
     def _aim(self, aim_mg: float) -> Pulse:
         request = self._request
-        gravity = PulseModel(self._gravity.coefficient, request.valve_speed_mm_per_s)
-        vibrate = gravity.mass_mg(request.max_opening_mm, LONGEST_DWELL_S) < aim_mg
-        mode = self._vibrated if vibrate else self._gravity
-        ran_last = self._pulse is not None and (self._pulse.vibration > 0.0) == vibrate
-        coefficient = max(mode.coefficient, mode.fitted / 3.0, 1e-9) if ran_last else max(mode.largest, 1e-9)
-        opening_mm, dwell_s = solve_pulse(aim_mg / coefficient, request.max_opening_mm, request.valve_speed_mm_per_s)
-        return Pulse(opening_mm, dwell_s, 1.0 if vibrate else 0.0, WAIT_S)
+        sized_by = self._mode
+        widest = PulseModel(sized_by.coefficient, request.valve_speed_mm_per_s)
+        if widest.mass_mg(request.max_opening_mm, LONGEST_DWELL_S) < aim_mg:
+            self._use_vibration = True
+        if Departure.ORDER in request.departures:
+            sized_by = self._mode
+        wanted = aim_mg / sized_by.coefficient
+        opening_mm, dwell_s = solve_pulse(wanted, request.max_opening_mm, request.valve_speed_mm_per_s)
+        return Pulse(opening_mm, dwell_s, 1.0 if self._use_vibration else 0.0, WAIT_S)
 
 
 def solve_pulse(wanted_basis: float, max_opening_mm: float, speed_mm_per_s: float) -> tuple[float, float]:

@@ -14,6 +14,9 @@ diameter kd [mm] of the powder; D [mm] is the real opening. Around it:
   vibration breaks them (Janda et al., EPL 87, 2009), and so does the valve when it next opens;
 * surges: part of a cohesive powder comes in lumps, a Poisson process with exponential masses, whose mean
   is fixed or grows with the gap;
+* avalanches: crystals that are shaken through a narrow gap jam and give way again; between two jams an exponential
+  mass comes down (Zuriguel et al., Phys. Rev. E 71, 051303, 2005; Mankoc et al., Phys. Rev. E 80, 011309, 2009).
+  Their mean flow is that of the law; they take the place of surges, and without vibration there are none;
 * the slot: the space between the two sheets fills as the valve opens and is squeezed out as it closes.
 """
 
@@ -85,10 +88,18 @@ class OurPowderFlow:
         if spec.arch_diameter_mm > 0.0:
             between_mg = ARCH_MASS_MG * math.exp(min(50.0, (opening_mm / spec.arch_diameter_mm) ** 3))
             self._arched = rng.random() < entering_mg / between_mg
-        if spec.surge_share > 0.0 and entering_mg > 0.0:
-            lump_mg = spec.surge_mg * opening_mm**spec.surge_exponent
+        if spec.avalanche_mg > 0.0 and vibration > 0.0:
+            entering_mg = _in_lumps(entering_mg, spec.avalanche_mg, rng)
+        elif spec.surge_share > 0.0 and entering_mg > 0.0:
             lumpy_mg = spec.surge_share * entering_mg
             entering_mg -= lumpy_mg
-            if rng.random() < lumpy_mg / max(lump_mg, lumpy_mg):
-                entering_mg += max(lump_mg, lumpy_mg) * rng.standard_exponential()
+            entering_mg += _in_lumps(lumpy_mg, spec.surge_mg * opening_mm**spec.surge_exponent, rng)
         return entering_mg
+
+
+def _in_lumps(mass_mg: float, lump_mg: float, rng: Generator) -> float:
+    """What comes of this mass in a step, if it comes in lumps of exponential mass with this mean."""
+    if mass_mg <= 0.0:
+        return 0.0
+    lump_mg = max(lump_mg, mass_mg)
+    return lump_mg * rng.standard_exponential() if rng.random() < mass_mg / lump_mg else 0.0

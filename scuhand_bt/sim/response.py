@@ -5,7 +5,7 @@
 
 m [mg] lies on the pan, dm [mg] lands in this step from t_fall = 0.128 s (80 mm) of fall. The momentum of
 landing powder weighs as much as what is in flight: during steady flow the pan reads what has left the
-nozzle (the hourglass problem: Tuinstra & Tuinstra, Europhysics News 41/4, 2010). tau [s] is the time
+nozzle (the hourglass problem: Tuinstra & Tuinstra, Europhysics News 41/3, 2010). tau [s] is the time
 constant of each of two equal poles; `zero` a random walk; noise white, larger while the motor shakes the
 bench.
 """
