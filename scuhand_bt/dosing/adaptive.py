@@ -22,6 +22,7 @@ LISTENED = 12
 """Readings that tell an unknown balance's noise."""
 PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
+EVIDENT_S = 0.3
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
@@ -35,7 +36,7 @@ LEFT_MG = 1.0
 """With more than this to go the stable mean can wait."""
 SURELY, SOON_S = 2.0, 1.0
 """What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
-EMPTY_S, DRY_S = 8.0, 40.0
+EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
 Ended = Literal["reached", "doubt", "dry"]
 
@@ -50,7 +51,7 @@ class Adaptive:
         self._steps = self._stream() if request.streaming else pulses(self._known)
         self._started = False
         self._vibration = request.powder.vibration
-        self._barren_s = 0.0
+        self._barren_s = self._widest_mm = 0.0
 
     @property
     def estimate_mg(self) -> float:
@@ -81,7 +82,7 @@ class Adaptive:
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
             known.learn(gained_mg)
             if self._vibration >= FULL and gained_mg < 0.2 * expected_mg:
-                known.reference *= 0.75
+                known.nothing_came(max(self._widest_mm, known.shape.threshold_mm))
             is_dry = self._is_dry(seen.net_mg - start_mg)
             if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended == "doubt":
                 last_mg = sum(row.reading_mg for row in known.rows[-3:]) / 3.0
@@ -131,14 +132,17 @@ class Adaptive:
         if not known.knows_balance:
             most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
         limit_mg = self._lump_mg()
-        passed_s = sure_s = quiet_s = flowing_s = missing_mg = 0.0
+        passed_s = sure_s = flowing_s = missing_mg = 0.0
+        quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
-        surprises = 0
+        surprises, opening_mm = 0, known.widest_mm(most_mg)
         if known.aim_mg <= bank.mass_mg:
             return "reached"
         while True:
-            opening_mm = known.widest_mm(most_mg)
+            wanted_mm = known.widest_mm(most_mg)
+            # What does not come yet, or no more, may come at any moment: no reason to open wider.
+            opening_mm = self._widest_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
             score = yield from known.act(opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
@@ -165,7 +169,7 @@ class Adaptive:
                 quiet_s += dt_s
                 if quiet_s > known.bank.delay_s + 0.5:
                     flowing_s = 0.0
-            if max(sure_mg + known.reference * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
+            if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
                 return "doubt"
             if limit_mg and known.reference * passed_s > limit_mg:
                 return "doubt"

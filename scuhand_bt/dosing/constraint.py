@@ -10,7 +10,7 @@ it cannot be seen, and is shut then. When to shut: for the next reading's time.
 import numpy as np
 from scipy.special import erfc
 
-from scuhand_bt.dosing.estimation import K_WALK_PER_S, Array, Bank
+from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Array, Bank
 from scuhand_bt.dosing.valve import FlowShape
 
 RISK = 0.005
@@ -27,11 +27,12 @@ def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array
 
 def widest_mm(
     bank: Bank, shape: FlowShape, most_mg: float, late_s: float, dead_time_s: float, speed_mm_per_s: float,
-    max_opening_mm: float, reference: float,
+    max_opening_mm: float, reference: float, known_gap_mm: float,
 ) -> float:
     """The widest opening [mm] that the constraint allows; the narrowest where it allows none.
 
-    `late_s` passes between a reading and the valve's answer.
+    `late_s` passes between a reading and the valve's answer; `known_gap_mm` is the opening above the threshold that
+    the flow was seen at: what the powder's exponent may be off by makes others the less sure.
     """
     gaps_mm = np.geomspace(NARROWEST_MM, max(max_opening_mm - shape.threshold_mm, 1.01 * NARROWEST_MM), CHOICES)
     phi = gaps_mm**shape.exponent
@@ -39,8 +40,10 @@ def widest_mm(
     closing_s = dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
     mean_mg, variance = bank.coming(phi * (late_s + closing_s), slope * (late_s + dead_time_s) + phi / speed_mm_per_s)
     flow, flow_sd = bank.flow(phi, slope)
+    off = (EXPONENT_ERROR * np.log(gaps_mm / known_gap_mm))[:, None] * flow
+    variance = variance + (off * (late_s + closing_s)[:, None]) ** 2
     unseen_s = bank.delays_s
     walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
-    variance = variance + (flow_sd**2 + walk**2) * unseen_s**2 + 2.0 * bank.surge_mg * flow * unseen_s
+    variance = variance + (flow_sd**2 + walk**2 + off**2) * unseen_s**2 + 2.0 * bank.surge_mg * flow * unseen_s
     allowed = np.nonzero(chance(bank, mean_mg, variance, most_mg) <= RISK)[0]
     return shape.threshold_mm + float(gaps_mm[allowed[-1]] if len(allowed) else gaps_mm[0])

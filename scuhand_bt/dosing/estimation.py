@@ -48,8 +48,9 @@ K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
 BRIDGES_PER_S = 2.0
 """How often a bridge may form or break: where k is below its reference, it may return to it at any moment."""
-OPENING_ERROR_MM = 0.05
-"""Standard deviation of what the real opening is off by: the sheet buckles a little differently each time."""
+OPENING_ERROR_MM, UNKNOWN_ERROR_MM = 0.05, 0.15
+"""Standard deviation of what the real opening is off by: the sheet buckles a little differently each time. At
+first the threshold is a guess as well."""
 UNSTEADY_S = 0.05
 """While the flow changes, what lands weighs otherwise than what is in flight: so many seconds of the change."""
 LEAST_MISFIT = 0.01
@@ -141,13 +142,15 @@ class Bank:
             every += near
         return cls(every, weights, surge_mg, balance.misfit)
 
-    def restart(self, mass_mg: float, sd_mg: float, coefficient: float, spread: float) -> None:
+    def restart(
+        self, mass_mg: float, sd_mg: float, coefficient: float, spread: float, error_mm: float = OPENING_ERROR_MM
+    ) -> None:
         """A balance at rest, valve shut: the mass is known, k is what a new opening may be expected to show."""
         x, p = np.zeros(5), np.zeros((5, 5))
         x[[READING, MASS]], x[K] = mass_mg, coefficient
         p[np.ix_((READING, MASS), (READING, MASS))] = sd_mg**2
         self._most_sd = max(spread, LEAST_SPREAD)
-        p[K, K], p[G, G] = (spread * coefficient) ** 2, (OPENING_ERROR_MM * coefficient) ** 2
+        p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
         many = len(self.models)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
         self._phi, self._excess, self._behind = np.zeros(many), np.zeros(many), np.zeros(many)
@@ -268,6 +271,12 @@ class Bank:
     @property
     def coefficient(self) -> float:
         return float(self.weights @ self._x[:, K])
+
+    @property
+    def opening_error_mm(self) -> tuple[float, float]:
+        """What the real opening is more than it was told to be, and its standard deviation."""
+        k = max(self.coefficient, 1e-9)
+        return float(self.weights @ self._x[:, G]) / k, math.sqrt(max(float(self.weights @ self._p[:, G, G]), 0.0)) / k
 
     @property
     def coefficient_sd(self) -> float:

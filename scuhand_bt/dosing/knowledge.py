@@ -5,15 +5,25 @@ from collections.abc import Generator
 
 import numpy as np
 
-from scuhand_bt.dosing.constraint import widest_mm
+from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Reason, Stream
-from scuhand_bt.dosing.estimation import LEAST_DOUBT, UNKNOWN_SPREAD, Bank, Row
+from scuhand_bt.dosing.estimation import (
+    EXPONENT_ERROR,
+    LEAST_DOUBT,
+    OPENING_ERROR_MM,
+    UNKNOWN_ERROR_MM,
+    UNKNOWN_SPREAD,
+    Bank,
+    Row,
+)
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
 from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
 
 TELLS, KNOWN = 0.4, 0.25
 """An opening tells the balance, and it is known, when its delay is known to this: the logarithm's standard deviation."""
+THRESHOLD_SHARE = 0.5
+"""How much of an opening's error is taken to be the threshold's."""
 FLOWS = 0.4
 """Of its reference: a flow that is at least this strong is what was expected."""
 LEAST_MG = 4.0
@@ -42,6 +52,10 @@ class Knowledge:
         """The flow's coefficient when nothing is in its way."""
         self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
         """What a new opening's flow may be off by, relative to the reference."""
+        self.error_mm = UNKNOWN_ERROR_MM if self.belief.doses == 0 else OPENING_ERROR_MM
+        """What the opening, and the threshold, may be off by."""
+        self.gap_mm = self.belief.gap_mm
+        """The opening above the threshold that the reference was seen at."""
         self.surge_mg = self.belief.surge_mg
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.time_s = 0.0
@@ -62,7 +76,7 @@ class Knowledge:
         """The balance is at rest, the valve shut, and this has been dosed."""
         self.begin_mg = mass_mg
         self.bank = Bank.believing(self.balance, self.surge_mg)
-        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread)
+        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
 
     def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
@@ -78,8 +92,11 @@ class Knowledge:
             self.flow_s += dt_s
             self.shaken_s += dt_s * shaking
         self._learn_noise(seen.net_mg, phi_s, shaking)
-        least_mm = self.shape.threshold_mm + 0.05
-        changed = math.log(max(opening_mm, least_mm) / max(before_mm, least_mm)) if opening_mm * before_mm > 0 else 0.0
+        changed = 0.0
+        if opening_mm > 0.0:
+            gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
+            from_mm = max(before_mm - self.shape.threshold_mm, NARROWEST_MM) if before_mm > 0.0 else self.gap_mm
+            changed = math.log(gap_mm / from_mm)
         row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
         self.rows.append(row)
         return self.bank.update(row, self.reference)
@@ -123,8 +140,19 @@ class Knowledge:
         request = self.request
         return widest_mm(
             self.bank, self.shape, most_mg, self.late_s, request.valve_dead_time_s, request.valve_speed_mm_per_s,
-            request.max_opening_mm, self.reference,
+            request.max_opening_mm, self.reference, self._known_gap_mm,
         )
+
+    @property
+    def strongest(self) -> float:
+        """What the flow's coefficient may well be where nothing is in its way, for all that is not seen of it."""
+        off = EXPONENT_ERROR * math.log(self._known_gap_mm / self.gap_mm)
+        return self.reference * (1.0 + math.hypot(self.spread, off))
+
+    @property
+    def _known_gap_mm(self) -> float:
+        told_mm = self.valve.target_mm
+        return max(told_mm - self.shape.threshold_mm, NARROWEST_MM) if told_mm > 0.0 else self.gap_mm
 
     def closing(self, wait_s: float) -> tuple[float, float]:
         """Integrals of phi and its slope until the valve is shut, if it is told to in `wait_s`."""
@@ -150,11 +178,30 @@ class Knowledge:
         if phi_s <= 0.0 or gained_mg < max(LEAST_MG, 20.0 * self.noise_mg[False]):
             return
         self._learn_balance()
+        self._learn_threshold()
+        phi_s = sum(row.phi_s for row in self.rows)
         found = gained_mg / phi_s
+        self.gap_mm = float((phi_s / sum(row.dt_s for row in self.rows if row.phi_s > 0.0)) ** (1.0 / self.shape.exponent))
+        self.error_mm = OPENING_ERROR_MM
         # It may have been bridged for a part of the time: what is faster than believed is believed at once.
         self.reference = max(found, math.sqrt(found * self.reference))
         self.spread = max(self.belief.spread, GUESSED_SPREAD)
         self._ratios.append(math.log(found / self.belief.coefficient))
+
+    def _learn_threshold(self) -> None:
+        """Where the flow at narrow openings and at wide ones differ otherwise than they should, the threshold does."""
+        off_mm, sd_mm = self.bank.opening_error_mm
+        learnt = max(0.0, 1.0 - (sd_mm / self.error_mm) ** 2) * THRESHOLD_SHARE
+        self._set_threshold(self.shape.threshold_mm - learnt * min(max(off_mm, -0.3), 0.3))
+
+    def _set_threshold(self, threshold_mm: float) -> None:
+        """And what the opening's flow was by it."""
+        self.shape = self.valve.shape = FlowShape(max(threshold_mm, 0.0), self.shape.exponent)
+
+    def nothing_came(self, opening_mm: float) -> None:
+        """All shaking notwithstanding: the powder needs a wider opening than was believed."""
+        gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
+        self._set_threshold(min(self.shape.threshold_mm + 0.3 * gap_mm, self.request.max_opening_mm - 0.2))
 
     def _learn_balance(self) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
@@ -203,7 +250,8 @@ class Knowledge:
         needs_shaking = self.shaken_s > NEEDS_SHAKING * self.flow_s > 0.0
         return PowderBelief(
             coefficient=belief.coefficient * math.exp(weight * ratio),
-            threshold_mm=belief.threshold_mm,
+            threshold_mm=self.shape.threshold_mm,
+            gap_mm=self.gap_mm,
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
             surge_mg=belief.surge_mg + weight * (self.surge_mg - belief.surge_mg),
