@@ -23,6 +23,8 @@ LISTENED = 12
 PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
 EVIDENT_S = 0.3
+FRUITLESS = 4.0
+"""Nothing has come for so many times its patience: it looks, and believes in less."""
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
@@ -171,6 +173,8 @@ class Adaptive:
                     flowing_s = 0.0
             if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
                 return "doubt"
+            if self._vibration >= FULL and quiet_s > FRUITLESS * self._patience_s:
+                return "doubt"
             if limit_mg and known.reference * passed_s > limit_mg:
                 return "doubt"
             if self._vibration >= FULL:
@@ -200,10 +204,14 @@ class Adaptive:
             return 0.0
         return LUMP_SHARE * max(surge_mg, left_mg / 1.5)
 
+    @property
+    def _patience_s(self) -> float:
+        return 0.8 + min(self._known.bank.delay_s, 2.0)
+
     def _shake(self, quiet_s: float, flowing_s: float) -> None:
         """Nothing comes: shake, gently and then fully; it flows again: less, but not quiet again in this dose."""
         usual = self._known.belief.vibration
-        patience_s = 0.8 + self._known.bank.delay_s
+        patience_s = self._patience_s
         if quiet_s > patience_s:
             self._vibration = max(usual, FULL if quiet_s > 2.0 * patience_s else GENTLE)
         elif flowing_s > 1.0:

@@ -14,6 +14,8 @@ from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Array, Ba
 from scuhand_bt.dosing.valve import FlowShape
 
 RISK = 0.005
+UNSEEN_ERROR = 0.2
+"""No balance is just its model: what a flow's unseen part is off by, relative to it."""
 CHOICES = 40
 """Openings that are compared, from the narrowest that lets powder through to the widest."""
 NARROWEST_MM = 0.05
@@ -44,6 +46,6 @@ def widest_mm(
     variance = variance + (off * (late_s + closing_s)[:, None]) ** 2
     unseen_s = bank.delays_s
     walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
-    variance = variance + (flow_sd**2 + walk**2 + off**2) * unseen_s**2 + 2.0 * bank.surge_mg * flow * unseen_s
+    variance = variance + (flow_sd**2 + walk**2 + off**2 + (UNSEEN_ERROR * flow) ** 2) * unseen_s**2 + 2.0 * bank.surge_mg * flow * unseen_s
     allowed = np.nonzero(chance(bank, mean_mg, variance, most_mg) <= RISK)[0]
     return shape.threshold_mm + float(gaps_mm[allowed[-1]] if len(allowed) else gaps_mm[0])

@@ -38,7 +38,7 @@ DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 14))
 """Mean delays that a balance nothing is known of may have."""
 NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
 """Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
-LEAST_DOUBT, FINER = 0.04, 0.06
+LEAST_DOUBT, FINER = 0.08, 0.06
 """That standard deviation, at least; and how far apart, relative to each other, delays are that are told apart."""
 SAME_SHAPE = 0.7
 """Probability that the kind of filter was identified rightly."""
@@ -57,7 +57,7 @@ LEAST_MISFIT = 0.01
 """No balance is just its model: the share of what is unseen that every model is taken to be off by, at least."""
 UNEVEN = 0.1
 """How unevenly powder flows: the relative standard deviation of what comes in a second."""
-TEMPER = 0.5
+TEMPER = 0.2
 """What a reading tells of the balance, as a share of what it would if errors were independent of each other."""
 CHANGE_S = (0.3, 3.0)
 """A steady flow tells nothing of the balance: means of phi over these times must differ."""
@@ -68,7 +68,7 @@ EXPONENT_ERROR = 0.5
 SURGE_GAIN, LEAST_SURGE_MG, MOST_SURGE_MG = 0.03, 0.01, 12.0
 FARTHEST = 5.0
 """An innovation of more standard deviations tells no more: one lump or one knock rules out no model."""
-LEAST_WEIGHT = 1e-4
+LEAST_WEIGHT = 1e-3
 """Models less likely than this are dropped until the valve has been shut."""
 UNKNOWN_SPREAD = 1.5
 """Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""

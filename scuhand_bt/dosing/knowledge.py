@@ -22,6 +22,8 @@ from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
 
 TELLS, KNOWN = 0.4, 0.25
 """An opening tells the balance, and it is known, when its delay is known to this: the logarithm's standard deviation."""
+SLOWER = 0.6
+"""The reference falls to no less than this share of itself in an opening."""
 THRESHOLD_SHARE = 0.5
 """How much of an opening's error is taken to be the threshold's."""
 FLOWS = 0.4
@@ -183,9 +185,11 @@ class Knowledge:
         found = gained_mg / phi_s
         self.gap_mm = float((phi_s / sum(row.dt_s for row in self.rows if row.phi_s > 0.0)) ** (1.0 / self.shape.exponent))
         self.error_mm = OPENING_ERROR_MM
-        # It may have been bridged for a part of the time: what is faster than believed is believed at once.
-        self.reference = max(found, math.sqrt(found * self.reference))
-        self.spread = max(self.belief.spread, GUESSED_SPREAD)
+        # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
+        # slower little by little, and with the more doubt.
+        kept = max(found, SLOWER * self.reference)
+        self.spread = min(max(self.belief.spread, GUESSED_SPREAD, 0.5 * math.log(kept / found)), UNKNOWN_SPREAD)
+        self.reference = found = kept
         self._ratios.append(math.log(found / self.belief.coefficient))
 
     def _learn_threshold(self) -> None:
@@ -201,7 +205,7 @@ class Knowledge:
     def nothing_came(self, opening_mm: float) -> None:
         """All shaking notwithstanding: the powder needs a wider opening than was believed."""
         gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
-        self._set_threshold(min(self.shape.threshold_mm + 0.3 * gap_mm, self.request.max_opening_mm - 0.2))
+        self._set_threshold(min(self.shape.threshold_mm + 0.4 * gap_mm, self.request.max_opening_mm - 0.2))
 
     def _learn_balance(self) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
