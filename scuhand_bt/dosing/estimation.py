@@ -72,6 +72,8 @@ LEAST_WEIGHT = 1e-3
 """Models less likely than this are dropped until the valve has been shut."""
 UNKNOWN_SPREAD = 1.5
 """Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
+SEEN_SPREAD = 0.3
+"""Of the flow about its mean, once what an opening brought is known."""
 LEAST_SHARE = 0.02
 """Shapes of balances that are this likely are looked at again, with delays about the likeliest."""
 READING, RATE, MASS, K, G = range(5)
@@ -125,6 +127,7 @@ class Bank:
         self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
         """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
         self.models, self.weights = list(models), weights / weights.sum()
+        self.least_weight = LEAST_WEIGHT
         self.restart(0.0, 1.0, 1.0, 1.0)
 
     @classmethod
@@ -229,9 +232,9 @@ class Bank:
 
     def _weigh(self, squares: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
-        logs = np.log(self.weights) - 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
+        logs = np.log(np.maximum(self.weights, 1e-300)) - 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
         weights = np.exp(logs - logs.max())
-        kept = weights > LEAST_WEIGHT
+        kept = weights > self.least_weight
         self.weights = weights[kept] / weights[kept].sum()
         if not kept.all():
             self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
@@ -297,19 +300,21 @@ class Bank:
 
     # --- what the balance is ---
 
-    def identified(self, rows: Sequence[Row], mass_mg: float, reference: float) -> BalanceBelief:
-        """The balance, as an opening and its whole tail show it to finer models."""
+    def identified(self, rows: Sequence[Row], mass_mg: float, coefficient: float) -> BalanceBelief:
+        """The balance, as an opening and its whole tail show it, now that the flow's mean `coefficient` is known.
+
+        Every model looks at the readings again; then finer ones about the likeliest do.
+        """
+        every = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
+        bank = self._after(every, rows, mass_mg, coefficient)
         finer: list[Model] = []
         for shape in SHAPES:
-            ours = np.array([model.shape == shape for model in self.models])
-            share = float(self.weights[ours].sum())
+            ours = np.array([model.shape == shape for model in bank.models])
+            share = float(bank.weights[ours].sum())
             if share > LEAST_SHARE:
-                centre_s = float(self.weights[ours] @ self.delays_s[ours]) / share
+                centre_s = float(bank.weights[ours] @ bank.delays_s[ours]) / share
                 finer += [Model(centre_s * math.exp(FINER * step), shape) for step in range(-5, 6)]
-        bank = Bank(finer, np.ones(len(finer)), self.surge_mg, self.misfit)
-        bank.restart(mass_mg, 0.2, reference, UNKNOWN_SPREAD)
-        for row in rows:
-            bank.update(row, reference)
+        bank = self._after(finer, rows, mass_mg, coefficient)
         logs = np.log(bank.delays_s)
         mean = float(bank.weights @ logs)
         best = int(np.argmax(bank.weights))
@@ -319,3 +324,12 @@ class Bank:
             shape=bank.models[best].shape,
             misfit=min(math.sqrt(bank._excess[best] / max(bank._behind[best], 1e-6)), 1.0),
         )
+
+    def _after(self, models: Sequence[Model], rows: Sequence[Row], mass_mg: float, coefficient: float) -> "Bank":
+        """A bank of these models that has seen the readings."""
+        bank = Bank(models, np.ones(len(models)), self.surge_mg, self.misfit)
+        bank.least_weight = 0.0
+        bank.restart(mass_mg, 0.2, coefficient, SEEN_SPREAD)
+        for row in rows:
+            bank.update(row._replace(changed=0.0), coefficient)
+        return bank

@@ -179,7 +179,7 @@ class Knowledge:
         self.surge_mg = self.bank.surge_mg
         if phi_s <= 0.0 or gained_mg < max(LEAST_MG, 20.0 * self.noise_mg[False]):
             return
-        self._learn_balance()
+        self._learn_balance(gained_mg / phi_s)
         self._learn_threshold()
         phi_s = sum(row.phi_s for row in self.rows)
         found = gained_mg / phi_s
@@ -207,9 +207,9 @@ class Knowledge:
         gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
         self._set_threshold(min(self.shape.threshold_mm + 0.4 * gap_mm, self.request.max_opening_mm - 0.2))
 
-    def _learn_balance(self) -> None:
+    def _learn_balance(self, coefficient: float) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
-        known, found = self.balance, self.bank.identified(self.rows, self.begin_mg, self.reference)
+        known, found = self.balance, self.bank.identified(self.rows, self.begin_mg, coefficient)
         doubt = max(found.doubt, LEAST_DOUBT)
         if doubt > TELLS:
             return
