@@ -23,8 +23,6 @@ LISTENED = 12
 PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
 EVIDENT_S = 0.3
-FRUITLESS = 4.0
-"""Nothing has come for so many times its patience: it looks, and believes in less."""
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
@@ -54,6 +52,7 @@ class Adaptive:
         self._started = False
         self._vibration = request.powder.vibration
         self._barren_s = self._widest_mm = 0.0
+        self._fruitless = 0
 
     @property
     def estimate_mg(self) -> float:
@@ -83,8 +82,10 @@ class Adaptive:
             gained_mg = known.bank.mass_mg - known.begin_mg
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
             known.learn(gained_mg)
-            if self._vibration >= FULL and gained_mg < 0.2 * expected_mg:
+            came = gained_mg > max(0.2 * min(expected_mg, 20.0), 4.0 * known.noise_mg[False])
+            if self._vibration >= FULL and not came:
                 known.nothing_came(max(self._widest_mm, known.shape.threshold_mm))
+            self._shake(came)
             is_dry = self._is_dry(seen.net_mg - start_mg)
             if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended == "doubt":
                 last_mg = sum(row.reading_mg for row in known.rows[-3:]) / 3.0
@@ -134,7 +135,7 @@ class Adaptive:
         if not known.knows_balance:
             most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
         limit_mg = self._lump_mg()
-        passed_s = sure_s = flowing_s = missing_mg = 0.0
+        passed_s = sure_s = missing_mg = 0.0
         quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
@@ -159,7 +160,6 @@ class Adaptive:
                 return "doubt"
             mass_mg = bank.mass_mg
             reading_mg = known.rows[-1].reading_mg
-            flowing_s += dt_s
             expected_mg = known.reference * (passed_s - sure_s)
             risen = reading_mg - read_mg > 3.0 * known.rows[-1].noise_mg
             if risen and mass_mg - sure_mg > FLOWS * expected_mg:
@@ -169,11 +169,9 @@ class Adaptive:
                 known.follow()
             else:
                 quiet_s += dt_s
-                if quiet_s > known.bank.delay_s + 0.5:
-                    flowing_s = 0.0
             if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
                 return "doubt"
-            if self._vibration >= FULL and quiet_s > FRUITLESS * self._patience_s:
+            if quiet_s > self._patience_s:
                 return "doubt"
             if limit_mg and known.reference * passed_s > limit_mg:
                 return "doubt"
@@ -183,7 +181,6 @@ class Adaptive:
                 self._barren_s, barren_mg = 0.0, mass_mg
             if self._is_dry(mass_mg):
                 return "dry"
-            self._shake(quiet_s, flowing_s)
 
     def _will_reach(self) -> bool:
         """Shut now, the mass ends where it should."""
@@ -208,11 +205,8 @@ class Adaptive:
     def _patience_s(self) -> float:
         return 0.8 + min(self._known.bank.delay_s, 2.0)
 
-    def _shake(self, quiet_s: float, flowing_s: float) -> None:
-        """Nothing comes: shake, gently and then fully; it flows again: less, but not quiet again in this dose."""
-        usual = self._known.belief.vibration
-        patience_s = self._patience_s
-        if quiet_s > patience_s:
-            self._vibration = max(usual, FULL if quiet_s > 2.0 * patience_s else GENTLE)
-        elif flowing_s > 1.0:
-            self._vibration = max(usual, min(self._vibration, GENTLE))
+    def _shake(self, came: bool) -> None:
+        """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully."""
+        self._fruitless = 0 if came else self._fruitless + 1
+        level = (0.0, 0.0, GENTLE, FULL)[min(self._fruitless, 3)]
+        self._vibration = max(self._known.belief.vibration, level)
