@@ -19,7 +19,7 @@ from statistics import quantiles
 from py_trees.behaviour import Behaviour
 
 from benchmarks.figures import show
-from scuhand_bt.journal.events import SampleResult
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.plan import Job, make_plan
 from scuhand_bt.recipe.recipe import load_recipe

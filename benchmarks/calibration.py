@@ -2,10 +2,10 @@
 
     python -m benchmarks.calibration [--trials 200] [--write] [--departures implied]
 
-Success and mass are the reported ones, as in the paper. The paper's figures are of ten trials: a simulated success
-agrees if a binomial of its rate gives the paper's count within its central 95 %, a simulated mean and spread if they lie
-in the 95 % intervals of the paper's (Student's t, chi-square). The last lines count what agrees. `--write` replaces
-the table in docs/calibration.md; `--departures` chooses those of `paper` from its listing (`Departure`, by name; `all`,
+Success and mass are the reported ones, as in the paper. Its figures are of ten trials: a simulated success agrees if a
+binomial of its rate gives the paper's count within its central 95 %, a simulated mean and spread if they lie in the
+95 % intervals of the paper's (Student's t, chi-square). The last lines count what agrees. `--write` replaces the
+table in docs/calibration.md; `--departures` chooses those of `paper` from its listing (`Departure`, by name; `all`,
 `none`, or `implied`, those that the tables bear witness to).
 """
 
@@ -22,14 +22,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import binom, chi2, t
 
-from benchmarks.rig import DOSES_PER_RUN, TOLERANCE_MG, Setting, Trial, run_of_doses, shipped_powders
-from scuhand_bt.dosing.controller import Departure
+from benchmarks.rig import DOSES_PER_RUN, TABLES_IMPLY, TOLERANCE_MG, Setting, Trial, run_of_doses, shipped_powders
+from scuhand_bt.specs import Departure
 
 PAGE = Path(__file__).parent.parent / "docs" / "calibration.md"
 BEGIN, END = "<!-- tables -->\n", "<!-- end of tables -->\n"
 PAPERS_TRIALS = 10
-TABLES_IMPLY = frozenset(Departure) - {Departure.GUARD}
-"""The departures from the paper's listing that its own tables bear witness to (docs/calibration.md)."""
 FAR = 0.3
 """Mean steps and times are to be within this share of the paper's."""
 
@@ -167,15 +165,15 @@ def count(results: Sequence[Result]) -> str:
     return f"Cells that agree: {', '.join(said)}."
 
 
-def simulated(cell: Cell, run: int, doses: int, departures: frozenset[Departure] = TABLES_IMPLY) -> list[Trial]:
+def simulated(cell: Cell, run: int, doses: int, departures: tuple[Departure, ...] = TABLES_IMPLY) -> list[Trial]:
     setting = Setting(departures=departures)
     return run_of_doses(shipped_powders()[cell.powder], cell.target_mg, cell.controller, run, setting, doses)
 
 
-def departures_of(text: str) -> frozenset[Departure]:
+def departures_of(text: str) -> tuple[Departure, ...]:
     """The departures of an argument; ValueError for one that is not known."""
-    groups = {"all": frozenset(Departure), "none": frozenset[Departure](), "implied": TABLES_IMPLY}
-    return groups[text] if text in groups else frozenset(Departure(name) for name in text.split(","))
+    groups: dict[str, tuple[Departure, ...]] = {"all": tuple(Departure), "none": (), "implied": TABLES_IMPLY}
+    return groups[text] if text in groups else tuple(Departure(name) for name in text.split(","))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

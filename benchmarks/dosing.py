@@ -4,7 +4,9 @@
                                 [--trials 200] [--rows all] [--json FILE]
 
 Success is |true error| <= 2 mg; "reported" is what the cell would call in tolerance. The interval is the
-two-sided 95 % Clopper-Pearson interval of the true success. `oracle` sees the true mass: the floor.
+two-sided 95 % Clopper-Pearson interval of the true success. `oracle` sees the true mass: the floor. `paper` weighs and
+stops as its experiments did, without the lab's bracket and guard band, which would make it slower; `paper_unwaiting` is
+`paper` without the fixed wait of its rig: `--rows waiting` tells how much of its time that is.
 """
 
 import argparse
@@ -20,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import beta
 
-from benchmarks.rig import DOSES_PER_RUN, TOLERANCE_MG, Setting, Trial, run_of_doses, shipped_powders
+from benchmarks.rig import DOSES_PER_RUN, TOLERANCE_MG, UNWAITING, Setting, Trial, run_of_doses, shipped_powders
 from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.sim.plant import PlantError, load_plant
@@ -30,18 +32,24 @@ TARGETS_MG = (20.0, 50.0, 500.0, 3000.0)
 CALIBRATED, REDO = "as calibrated", "redo"
 REDO_UP_TO_MG = 50.0
 """Small doses are thrown away for a new one; a recipe's `redo`, once."""
+WAITING = (CALIBRATED, "lag 1.0 s", "lag 1.6 s")
+"""The rows that tell what waiting for the balance costs `paper`."""
 FREE_FLOWING = ("glass_beads", "monosodium_glutamate")
 
 
 def settings(plant: str | None) -> dict[str, Setting]:
     """The rows: the lab as calibrated, and what should not matter. Controllers are told of none of it."""
-    slow = BalanceResponseSpec(lag_s=1.0)
+
+    def lag(lag_s: float) -> Setting:
+        return Setting(plant=plant, balance=BalanceSpec(simulation=BalanceResponseSpec(lag_s=lag_s)))
+
     return {
         CALIBRATED: Setting(plant=plant),
         "noise x 4": Setting(plant=plant, balance=BalanceSpec(simulation=BalanceResponseSpec(noise_mg=0.32))),
         "readability 1 mg": Setting(plant=plant, balance=BalanceSpec(readability_mg=1.0)),
         "output 5 Hz": Setting(plant=plant, balance=BalanceSpec(period_s=0.2)),
-        "lag 1.0 s": Setting(plant=plant, balance=BalanceSpec(simulation=slow)),
+        "lag 1.0 s": lag(1.0),
+        "lag 1.6 s": lag(1.6),
         "dead time 0.25 s": Setting(plant=plant, hand=HandSpec(valve_dead_time_s=0.25), believed_hand=HandSpec()),
         "prior x 2": Setting(plant=plant, belief_factor=2.0),
         "prior / 2": Setting(plant=plant, belief_factor=0.5),
@@ -100,7 +108,7 @@ def summary(trials: Sequence[Trial]) -> dict[str, float]:
 
 
 HEAD = (
-    f"{'row':17}{'powder':23}{'target':>7} {'controller':11}{'true %':>7} {'(95 %)':>13} {'rep. %':>7}"
+    f"{'row':17}{'powder':23}{'target':>7} {'controller':16}{'true %':>7} {'(95 %)':>13} {'rep. %':>7}"
     f"{'mean':>8}{'sd':>6}{'worst':>7}{'steps':>6}{'mean s':>8}{'p95 s':>7}{'/paper':>7}"
 )
 
@@ -110,7 +118,7 @@ def line(key: tuple[str, str, float, str], figures: dict[str, float], paper_s: f
     ratio = f"{figures['mean_s'] / paper_s:7.2f}" if paper_s else f"{'':7}"
     interval = f"({figures['low']:.1f}-{figures['high']:.1f})"
     return (
-        f"{row:17}{powder:23}{target_mg:7g} {controller:11}{figures['true']:7.1f} {interval:>13} "
+        f"{row:17}{powder:23}{target_mg:7g} {controller:16}{figures['true']:7.1f} {interval:>13} "
         f"{figures['reported']:7.1f}{figures['mean_mg']:8.2f}{figures['sd_mg']:6.2f}{figures['worst_mg']:7.1f}"
         f"{figures['steps']:6.1f}{figures['mean_s']:8.1f}{figures['p95_s']:7.1f}{ratio}"
     )
@@ -123,16 +131,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--controllers", default="paper,adaptive,oracle")
     parser.add_argument("--powders", default="", help="names, all if empty")
     parser.add_argument("--trials", type=int, default=200, help="per cell, in runs of ten")
-    parser.add_argument("--rows", default=CALIBRATED, help="comma-separated; 'all' and 'robust' are groups")
+    parser.add_argument("--rows", default=CALIBRATED, help="comma-separated; 'all', 'robust' and 'waiting' are groups")
     parser.add_argument("--json", type=Path)
     chosen = parser.parse_args(arguments)
     controllers = chosen.controllers.split(",")
     powders, rows = shipped_powders(), settings(chosen.plant)
     picked = list(powders) if not chosen.powders else chosen.powders.split(",")
     robust = [row for row in rows if row not in (CALIBRATED, REDO)]
-    groups = {"all": list(rows), "robust": robust}
+    groups = {"all": list(rows), "robust": robust, "waiting": list(WAITING)}
     wanted = [row for part in chosen.rows.split(",") for row in groups.get(part, [part])]
-    problems = [f"no controller is called '{name}'" for name in controllers if name not in {*CONTROLLERS, "oracle"}]
+    problems = [
+        f"no controller is called '{name}'" for name in controllers if name not in {*CONTROLLERS, "oracle", UNWAITING}
+    ]
     problems += [f"no powder is called '{name}'" for name in picked if name not in powders]
     problems += [f"no row is called '{row}'; there are {', '.join(rows)}" for row in wanted if row not in rows]
     problems += ["trials: at least one"] if chosen.trials < 1 else []

@@ -17,7 +17,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
 from benchmarks.rig import TOLERANCE_MG, Bench, Setting, shipped_powders
 from harness.random_plants import BALANCES, FAMILIES, SETS, Drawn, RandomPlant, draw
@@ -42,11 +43,11 @@ LOOKED_S, COMES_MG = 60.0, 3.0
 
 
 class Job(NamedTuple):
-    """One run of doses, as a worker is given it."""
+    """All runs of one plant, as a worker is given them: the oracle solves a plant once."""
 
     drawn: Drawn
-    target_mg: float
-    controller: str
+    targets_mg: Sequence[float]
+    controllers: Sequence[str]
     doses: int
 
 
@@ -86,27 +87,32 @@ class Trickling:
         self._world.save()
 
 
-def run_of_doses(job: Job) -> list[Dosed]:
-    """The doses of one plant, one after another; what is learnt goes with them."""
-    drawn, powder = job.drawn, shipped_powders()[job.drawn.powder]
+def work(job: Job) -> list[Dosed]:
+    runs = [(target_mg, name) for target_mg in job.targets_mg for name in job.controllers]
+    return [dose for target_mg, name in runs for dose in run_of_doses(job.drawn, target_mg, name, job.doses)]
+
+
+def run_of_doses(drawn: Drawn, target_mg: float, controller: str, count: int) -> list[Dosed]:
+    """Doses on one plant, one after another; what is learnt goes with them."""
+    powder = shipped_powders()[drawn.powder]
     setting = Setting(name=drawn.family, plant=PLANT, hand=drawn.hand, believed_hand=HandSpec())
     RandomPlant.at_hand = drawn
     belief, balance = powder.belief, BalanceBelief()
     doses = []
-    for dose in range(job.doses):
+    for dose in range(count):
         began_s = time.process_time()
         RandomPlant.dose = dose
-        bench = Bench(powder, job.target_mg, drawn.seed, dose, setting)
+        bench = Bench(powder, target_mg, drawn.seed, dose, setting)
         bench.clock.process = Trickling(bench)
-        trial = bench.dose(job.controller, belief, balance)
+        trial = bench.dose(controller, belief, balance)
         belief, balance = bench.cell.powder_beliefs[powder.name], bench.cell.balance_belief
         doses.append(
             Dosed(
                 family=drawn.family,
                 plant=drawn.index,
                 dose=dose,
-                target_mg=job.target_mg,
-                controller=job.controller,
+                target_mg=target_mg,
+                controller=controller,
                 error_mg=trial.true_error_mg,
                 accepted=trial.accepted,
                 reason=trial.reason,
@@ -130,20 +136,12 @@ def gives_still(bench: Bench) -> bool:
     return False
 
 
-def wilson(hits: int, trials: int) -> tuple[float, float]:
-    """Wilson's two-sided 95 % interval of a share (J. Am. Stat. Assoc. 22, 209, 1927)."""
-    z = 1.959964
-    middle = (hits + z * z / 2.0) / (trials + z * z)
-    half = z / (trials + z * z) * math.sqrt(hits * (trials - hits) / trials + z * z / 4.0)
-    return middle - half, middle + half
-
-
 def figures(doses: Sequence[Dosed], floor_s: float | None) -> dict[str, float]:
     """Of one family, target and controller; `floor_s` is the oracle's mean time."""
     errors_mg = np.array([dose.error_mg for dose in doses])
     times_s = np.array([dose.duration_s for dose in doses])
     good = np.abs(errors_mg) <= TOLERANCE_MG
-    low, high = wilson(int(good.sum()), len(doses))
+    low, high = binomtest(int(good.sum()), len(doses)).proportion_ci(method="wilson")
     return {
         "doses": len(doses),
         "true": 100.0 * float(good.mean()),
@@ -180,15 +178,6 @@ def line(family: str, target_mg: float, controller: str, of: dict[str, float]) -
     )
 
 
-def in_workers(jobs: Sequence[Job], processes: int) -> Iterator[list[Dosed]]:
-    """Each job's doses, in order."""
-    if processes == 1:
-        yield from map(run_of_doses, jobs)
-        return
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(run_of_doses, jobs, chunksize=1)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run it; 2 for words that mean nothing, before any dose."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.dosing_random", description=__doc__)
@@ -208,7 +197,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("plants, doses, processes and targets are more than 0")
     if chosen.json is not None and not chosen.json.resolve().parent.is_dir():
         parser.error(f"there is no folder {chosen.json.parent} to write to")
-    controllers = sorted(chosen.controller, key=lambda name: name != "oracle")
+    controllers = sorted(dict.fromkeys(chosen.controller), key=lambda name: name != "oracle")
     plants = {
         family: [
             drawn
@@ -225,21 +214,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ]
         for family in chosen.family
     }
-    cells = [(family, target_mg, name) for family in plants for target_mg in chosen.targets for name in controllers]
-    jobs = [Job(drawn, target_mg, name, chosen.doses) for family, target_mg, name in cells for drawn in plants[family]]
-    outcome = in_workers(jobs, chosen.processes)
     kept: dict[str, dict[str, float]] = {}
     doses: list[Dosed] = []
-    floors_s: dict[tuple[str, float], float] = {}
     print(HEAD)
-    for family, target_mg, name in cells:
-        of_cell = [dose for _ in plants[family] for dose in next(outcome)]
-        of = figures(of_cell, floors_s.get((family, target_mg)))
-        if name == "oracle":
-            floors_s[family, target_mg] = of["mean_s"]
-        print(line(family, target_mg, name, of), flush=True)
-        kept[f"{family} | {target_mg:g} | {name}"] = of
-        doses += of_cell
+    with ProcessPoolExecutor(chosen.processes, mp_context=get_context("spawn")) as pool:
+        for family, of_family in plants.items():
+            jobs = [Job(drawn, chosen.targets, controllers, chosen.doses) for drawn in of_family]
+            dosed = [dose for of_plant in pool.map(work, jobs) for dose in of_plant]
+            doses += dosed
+            for target_mg in chosen.targets:
+                floor_s = None
+                for name in controllers:
+                    of_cell = [dose for dose in dosed if (dose.target_mg, dose.controller) == (target_mg, name)]
+                    of = figures(of_cell, floor_s)
+                    floor_s = of["mean_s"] if name == "oracle" else floor_s
+                    kept[f"{family} | {target_mg:g} | {name}"] = of
+                    print(line(family, target_mg, name, of), flush=True)
     if chosen.json is not None:
         drawn = [asdict(one) | {"hand": one.hand.model_dump()} for of_family in plants.values() for one in of_family]
         told = {"cells": kept, "plants": drawn, "doses": [asdict(dose) for dose in doses]}

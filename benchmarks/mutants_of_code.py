@@ -65,6 +65,9 @@ class Target:
 
 TARGETS = (
     Target("verdict", "scuhand_bt/dosing/verdict.py", (), ("verdict", "dispense")),
+    Target("bracket", "scuhand_bt/dosing/bracket.py", (), ("bracket",)),
+    Target("weighing", "scuhand_bt/cell/weighing.py", (), ("weighing",)),
+    Target("outcome", "scuhand_bt/run/outcome.py", (), ("outcome",)),
     Target("dispense", "skills/dispense.py", ("Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
     Target("verdict of a controller", "scuhand_bt/dosing/dose_state.py", ("Knowledge.verdict",), ("dispense",)),
     Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop",)),
@@ -215,7 +218,16 @@ def _begin_tests(copy: Path, target: Target, limit_s: float) -> int:
     os.chdir(copy)
     sys.path[:] = [str(copy), *(path for path in sys.path if path not in ("", str(ROOT)))]
     sys.dont_write_bytecode = True  # a mutant's file may be as old and as long as the one before
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow and not real_time", f"--basetemp={copy}/temporary"]
+    options = [
+        "-x",
+        "-q",
+        "-n0",
+        "-p",
+        "no:cacheprovider",
+        "-m",
+        "not slow and not real_time",
+        f"--basetemp={copy}/temporary",
+    ]
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # of what was imported beforehand
     code = 1
     try:

@@ -21,9 +21,8 @@ from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
-from scuhand_bt.dosing import new_controller
+from scuhand_bt.dosing import CONTROLLERS, new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference
-from scuhand_bt.dosing.controller import Departure
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -35,12 +34,18 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.world import World
 from scuhand_bt.skill import pause
-from scuhand_bt.specs import BalanceBelief, Container, Mortar, Powder, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, Container, Departure, Mortar, Powder, PowderBelief, Source
 
 DOSES_PER_RUN = 10
 TOLERANCE_MG = 2.0
 WAY_S = 4.0
 """From the tare to the dose: the arm's way over the balance; it is not counted."""
+UNWAITING = "paper_unwaiting"
+"""`paper` on a rig that asks its balance at once, without the fixed wait of the paper's."""
+PAPERS = ("paper", UNWAITING, "direct_pid")
+"""Run as in the paper's experiments: against one tare, without the lab's bracketed weighing and its guard band."""
+TABLES_IMPLY = tuple(departure for departure in Departure if departure != Departure.GUARD)
+"""The departures from the paper's listing that its own tables bear witness to (docs/calibration.md)."""
 REDONE = 1000
 """Added to a dose's number for its second attempt."""
 ROBOT = Path(__file__).parent.parent / "robot"
@@ -69,8 +74,8 @@ class Setting:
     """Filling of the cone, as a share of the powder's load limit."""
     redo: bool = False
     """A dose reported out of tolerance is dosed once more, into a new container."""
-    departures: frozenset[Departure] | None = None
-    """From the paper's listing, and nothing of the lab's bracketed weighing: for the paper's own tables."""
+    departures: tuple[Departure, ...] = TABLES_IMPLY
+    """Of the paper's controllers from its listing."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ def shipped_powders() -> dict[str, Powder]:
 def run_of_doses(
     powder: Powder, target_mg: float, controller: str, run: int, setting: Setting, doses: int = DOSES_PER_RUN
 ) -> list[Trial]:
-    """The doses of one run, one after another."""
+    """The doses of one run, one after another; a controller by its name, `oracle` or `paper_unwaiting`."""
     belief = powder.belief.model_copy(update={"coefficient": powder.belief.coefficient * setting.belief_factor})
     balance = BalanceBelief()
     trials = []
@@ -181,14 +186,14 @@ class Bench:
         self.drive(pause(cell, WAY_S))
         begin_s = self.clock.now_s
         dispense = skills()["dispense"](
-            mass_mg=self.target_mg, tolerance_mg=TOLERANCE_MG, controller="" if name == "oracle" else name
+            mass_mg=self.target_mg, tolerance_mg=TOLERANCE_MG, controller=name if name in CONTROLLERS else ""
         )
         reason: str = "reached"
         try:
             if name == "oracle":
                 reason = self._keep(name, self.drive(self._oracle(dispense)))
-            elif self.departures is not None:
-                reason = self._keep(name, self.drive(self._as_in_the_paper(dispense, self.departures)))
+            elif name in PAPERS:
+                reason = self._keep(name, self.drive(self._as_in_the_paper(name)))
             else:
                 self.drive(dispense.run(cell))
         except SkillFailed as failure:
@@ -206,18 +211,21 @@ class Bench:
     def _oracle(self, dispense: Any) -> Steps[DoseRun]:
         return run_oracle(dispense, self.cell, self.world, DISH.id)
 
-    def _as_in_the_paper(self, dispense: Any, departures: frozenset[Departure]) -> Steps[DoseRun]:
-        cell, request = self.cell, replace(dispense.request(self.cell), departures=departures)
+    def _as_in_the_paper(self, name: str) -> Steps[DoseRun]:
+        cell, known = self.cell, "paper" if name == UNWAITING else name
+        dispense = skills()["dispense"](mass_mg=self.target_mg, tolerance_mg=TOLERANCE_MG, controller=known)
+        request = replace(dispense.request(cell), departures=self.departures)
+        if name == UNWAITING:
+            request = replace(request, wait_s=0.0)
         assert cell.believed.bracket is not None
         digit_mg = cell.spec.balance.readability_mg
         reference = Reference(cell.believed.bracket.last, Drift(0.0, 0.0), Net(0.0, 0.0), digit_mg)
-        controller = new_controller(dispense.controller, request)
-        return run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
+        return run_dose(new_controller(known, request), cell.hand, cell.balance, cell.clock, cell.record, reference)
 
     def _keep(self, name: str, run: DoseRun) -> str:
         """What a controller that no recipe can name came to, as a dose; why it ended."""
         net_mg = run.finish.estimate_mg
-        uncertainty_mg = 0.0 if self.departures is not None else run.finish.uncertainty_mg
+        uncertainty_mg = 0.0 if name in PAPERS else run.finish.uncertainty_mg
         self.record.last = Dose(
             target_mg=self.target_mg,
             tolerance_mg=TOLERANCE_MG,

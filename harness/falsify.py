@@ -18,8 +18,8 @@ import numpy as np
 from harness.bench import Bench, HostilePlant
 from harness.worlds import HostileWorld
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from harness.verdicts import is_untrue
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import SampleResult
 from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan, make_plan

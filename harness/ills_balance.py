@@ -28,12 +28,14 @@ class Figures(Ill):
 
 @dataclass
 class Step(Ill):
-    """The zero jumps by one of `sizes_mg`, some time after a moment of each container; back again after `back_s`."""
+    """The zero jumps by one of `sizes_mg`, some time after a moment of a container; back again after `back_s`."""
 
     after: str
     delay_s: tuple[float, float] = (0.0, 0.0)
     sizes_mg: Sequence[float] = STEPS_MG
     back_s: tuple[float, float] | None = None
+    chance: float = 1.0
+    """Of one, for each container."""
     _seen_s: float | None = None
     _due: list[tuple[float, float]] = field(default_factory=list)
     _zero_mg: float = 0.0
@@ -42,6 +44,8 @@ class Step(Ill):
         came_s = bench.at.get(self.after)
         if came_s is not None and came_s != self._seen_s:
             self._seen_s = came_s
+            if self.chance < 1.0 and bench.rng.random() >= self.chance:
+                return self._zero_mg
             at_s, size_mg = came_s + bench.rng.uniform(*self.delay_s), float(bench.rng.choice(self.sizes_mg))
             self._due.append((at_s, size_mg))
             if self.back_s is not None:
@@ -88,6 +92,36 @@ class Drift(Ill):
             self._sign, self._turn_s = -self._sign, bench.now_s + self.turns_s * bench.rng.uniform(0.5, 1.5)
         self._zero_mg += self._sign * self.rate_mg_per_s * dt_s
         return self._zero_mg
+
+
+@dataclass
+class Walk(Ill):
+    """The zero walks at random, by so much in the square root of a second."""
+
+    spread_mg: float
+    _zero_mg: float = 0.0
+
+    def force_mg(self, bench: Bench, dt_s: float) -> float:
+        self._zero_mg += self.spread_mg * math.sqrt(dt_s) * bench.rng.standard_normal()
+        return self._zero_mg
+
+
+@dataclass
+class Creep(Ill):
+    """From a container's first opening on, a force grows to its size; it goes with the container."""
+
+    sizes_mg: tuple[float, float]
+    time_s: float
+    _seen_s: float | None = None
+    _size_mg: float = 0.0
+
+    def force_mg(self, bench: Bench, dt_s: float) -> float:
+        came_s = bench.at.get("opened")
+        if came_s is None:
+            return 0.0
+        if came_s != self._seen_s:
+            self._seen_s, self._size_mg = came_s, float(bench.rng.choice(SIGNS)) * bench.rng.uniform(*self.sizes_mg)
+        return self._size_mg * -math.expm1(-(bench.now_s - came_s) / self.time_s)
 
 
 @dataclass
@@ -226,6 +260,23 @@ class MovingMean(Ill):
             self._sum_s -= old_s
             self._sum_mg_s -= old_s * old_mg
         return self._sum_mg_s / self._sum_s
+
+
+@dataclass
+class Poles(Ill):
+    """Two more poles of a time constant."""
+
+    lag_s: float
+    _first_mg: float | None = None
+    _second_mg: float = 0.0
+
+    def shown_mg(self, bench: Bench, value_mg: float, dt_s: float) -> float:
+        if self._first_mg is None:
+            self._first_mg = self._second_mg = value_mg
+        share = -math.expm1(-dt_s / self.lag_s)
+        self._first_mg += share * (value_mg - self._first_mg)
+        self._second_mg += share * (self._first_mg - self._second_mg)
+        return self._second_mg
 
 
 @dataclass
@@ -370,3 +421,20 @@ class Later(Ill):
         if self._from_s < 0.0:
             self._from_s = bench.rng.uniform(*self._between_s)
         return self._ill.shown_mg(bench, value_mg, dt_s) if bench.now_s >= self._from_s else value_mg
+
+
+@dataclass
+class FromContainer(Ill):
+    """A filter that is switched on while the pan is bare: somebody changes the balance's menu between two samples."""
+
+    ill: Ill
+    number: int
+    """Of the first container that is weighed with it, from 1."""
+    _containers: int = 0
+    _on: str | None = None
+
+    def shown_mg(self, bench: Bench, value_mg: float, dt_s: float) -> float:
+        if bench.container != self._on:
+            self._on = bench.container
+            self._containers += self._on is not None
+        return value_mg if self._containers < self.number else self.ill.shown_mg(bench, value_mg, dt_s)

@@ -20,9 +20,9 @@ from typing import Any, get_args
 
 from harness.mutants import Mutant, originals
 from harness.verdicts import is_untrue
-from scuhand_bt.journal.events import SampleResult, SampleVerdict
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.results import SampleResult, SampleVerdict
 from scuhand_bt.lab import Lab, load_lab, starter_lab, without_driver
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError

@@ -74,10 +74,14 @@ def _nested(children: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 _TREES = st.recursive(_calls(), _nested, max_leaves=12)
 
 
+_ASKED = st.sampled_from(["mass", "amount", "amount"])
+"""What a sample calls its mass: by `mass` it asks for it, and most trees at random do not dose that and are refused."""
+
+
 @st.composite
-def _workflows(draw: st.DrawFn) -> str:
+def _workflows(draw: st.DrawFn, asked: str) -> str:
     begin = [{"place_container": {"container": "$container"}}, {"tare": None}] if draw(st.booleans()) else []
-    inputs = {"source": "Source", "container": "Container", "mass": "Mass"}
+    inputs = {"source": "Source", "container": "Container", asked: "Mass"}
     inputs["tolerance"] = draw(
         st.sampled_from([{"type": "Mass", "default": value} for value in ("3 mg", "5 mg", "10 mg", "5 %", "1")])
     )  # type: ignore[assignment]
@@ -85,11 +89,11 @@ def _workflows(draw: st.DrawFn) -> str:
     workflow = {"workflow": "any", "inputs": inputs, "tree": tree}
     if draw(st.booleans()):
         workflow["result"] = draw(st.sampled_from(["$dose", "$dose.error", "$mass"]))
-    return str(yaml.safe_dump(workflow, sort_keys=False, width=110))
+    return str(yaml.safe_dump(workflow, sort_keys=False, width=110)).replace("$mass", f"${asked}")
 
 
 @st.composite
-def _samples(draw: st.DrawFn, number: int) -> dict[str, Any]:
+def _samples(draw: st.DrawFn, number: int, asked: str) -> dict[str, Any]:
     sample: dict[str, Any] = {
         "id": f"s{number}",
         "workflow": draw(st.sampled_from(["any", "any", "any", "fill_xrd_holder"])),
@@ -99,12 +103,13 @@ def _samples(draw: st.DrawFn, number: int) -> dict[str, Any]:
         st.sampled_from([("xrd_holder", 80), ("pellet_die_13mm", 400), ("alumina_crucible", 900)])
     )
     sample["container"] = container
-    sample["mass"] = f"{draw(st.integers(15, mass_mg))} mg"
+    mass = asked if sample["workflow"] == "any" else "mass"
+    sample[mass] = f"{draw(st.integers(15, mass_mg))} mg"
     match draw(st.integers(0, 7)):
         case 0:
             sample["tolerance"] = draw(st.sampled_from(["20 %", "2 mg", "0.05 mg", "10 mg"]))
         case 1:
-            sample["id"], sample["mass"] = [f"l{number}", f"m{number}"], ["20 mg", sample["mass"]]
+            sample["id"], sample[mass] = [f"l{number}", f"m{number}"], ["20 mg", sample[mass]]
         case 2:
             sample["repeat"] = draw(st.sampled_from(["2", "1", "2", "x"]))
         case 3 if draw(st.booleans()):
@@ -113,13 +118,13 @@ def _samples(draw: st.DrawFn, number: int) -> dict[str, Any]:
 
 
 @st.composite
-def _recipes(draw: st.DrawFn) -> str:
+def _recipes(draw: st.DrawFn, asked: str) -> str:
     recipe: dict[str, Any] = {"recipe": "any", "order": draw(st.sampled_from(["by_powder", "as_written"]))}
     if draw(st.booleans()):
         recipe["controller"] = draw(st.sampled_from(["paper", "adaptive", "direct_pid", "paper", "adaptive", "none"]))
     if draw(st.booleans()):
         recipe["workflow"] = "any"
-    recipe["samples"] = [draw(_samples(number)) for number in range(draw(st.integers(1, 2)))]
+    recipe["samples"] = [draw(_samples(number, asked)) for number in range(draw(st.integers(1, 2)))]
     actions = st.sampled_from(["flag", "skip_sample", "redo", "ask", "stop"])
     recipe["on_failure"] = {"otherwise": draw(actions), "hand.cone_empty": draw(actions)}
     return SOURCES + str(yaml.safe_dump(recipe, sort_keys=False, width=110))
@@ -137,8 +142,9 @@ def structures(first: int, count: int) -> list[Mutant]:
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
-    @given(_workflows(), _recipes(), st.integers(0, 3))
-    def collect(workflow: str, recipe: str, faults: int) -> None:
+    @given(_ASKED.flatmap(lambda asked: st.tuples(_workflows(asked), _recipes(asked))), st.integers(0, 3))
+    def collect(texts: tuple[str, str], faults: int) -> None:
+        workflow, recipe = texts
         changes = {"trees/any.yaml": workflow.encode(), "recipes/any.yaml": recipe.encode()}
         found.append(Mutant("structure", "any", "recipes/any.yaml", changes, None if faults else "misfortune.yaml"))
 

@@ -1,6 +1,6 @@
 """Whether a verdict is true: what the world holds, against what the record says of it."""
 
-from scuhand_bt.journal.events import SampleResult
+from scuhand_bt.journal.results import SampleResult
 
 SPREAD = 3.0
 """A true mass is this many standard uncertainties from the recorded one, at the most."""

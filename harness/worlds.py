@@ -11,21 +11,25 @@ from harness.ills_balance import (
     Adaptive,
     Between,
     Coarse,
+    Creep,
     Decay,
     Delay,
     Draught,
     Drift,
     Figures,
+    FromContainer,
     Frozen,
     HandForce,
     Hold,
     Later,
     MovingMean,
+    Poles,
     PowderForce,
     Ringing,
     Sine,
     Span,
     Step,
+    Walk,
     ZeroTracking,
 )
 from harness.ills_powder import Astray, Drip, Drips, Exchanged, Leak, Leftover, Loss, Sheet, carried, dosed, shaken
@@ -49,7 +53,7 @@ ANY_TIME_S = (0.0, 60.0)
 SMALL = ("placed", "opened", "near")
 CLOGS = "{fault: powder.clog, probability: 0.2}"
 PAPER_MSG = {"packing_variation": 0.4, "surge_share": 0.4, "surge_mg": 1.5}
-"""Errors of about the paper's spread (Table III: 1.9 mg at 0.5 g, 1.5 mg at 3 g)."""
+"""Errors of about the paper's spread (Table I: 1.9 mg at 0.5 g, 1.5 mg at 3 g), shaken or not."""
 WORLDS: tuple[HostileWorld, ...] = (
     W("sound", "Nothing is wrong."),
     # The zero jumps.
@@ -66,6 +70,26 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("push-in-the-dose", "3 mg from the first opening until the hand leaves", lambda: [Between("opened", "leaving")]),
     W("push-at-the-end", "3 mg from near the dose's end until the hand is away", lambda: [Between("near", "gone")]),
     W("steps-small", "0.5 to 1 mg at three moments", lambda: [Step(m, (0, 5), (-1, -0.5, 0.5, 1)) for m in SMALL]),
+    W(
+        "steps-cancelling",
+        "3 mg up or down before the dose, and again about it",
+        lambda: [Step("placed", (4.0, 30.0), (-3.0, 3.0)), Step("opened", (0.0, 12.0), (-3.0, 3.0))],
+    ),
+    W(
+        "step-and-back-rarely",
+        "up, and down again, at one container of four",
+        lambda: [Step("placed", ANY_TIME_S, back_s=(1.0, 30.0), chance=0.25)],
+    ),
+    W(
+        "step-in-the-changer",
+        "up on the bare pan, and down again as the container comes, or later",
+        lambda: [Step("bare", (0.0, 8.0), back_s=(5.0, 25.0))],
+    ),
+    W(
+        "flickering",
+        "three times for each container up, and down again within 3 s",
+        lambda: [Step(moment, (0.0, 10.0), (-2.0, 2.0), back_s=(0.5, 3.0)) for moment in SMALL],
+    ),
     # The container, or the hand, brings a force.
     W("warm-quick", "warm or cold containers: 2 to 8 mg within 60 to 120 s", lambda: [Decay((2, 8), (60, 120))]),
     W("warm-slow", "warm or cold containers: 2 to 8 mg within 120 to 300 s", lambda: [Decay((2, 8), (120, 300))]),
@@ -74,6 +98,7 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("charged-hand-decaying", "6 mg under the hand, leaking away within 60 s", lambda: [HandForce(6.0, 60.0)]),
     W("charged-powder", "the dose weighs 4 mg off while the hand is above", lambda: [PowderForce(4.0)]),
     W("creep", "the zero creeps by 1 to 4 mg under load", lambda: [Decay((1, 4), (30, 120), lasting=True)]),
+    W("creep-after-opening", "2 to 6 mg come within 60 s of the first opening", lambda: [Creep((2, 6), 60.0)]),
     W("eccentric", "powder weighs 0.02 % off, by where the container stands", lambda: [Span(spread=2e-4)]),
     # The zero wanders.
     W("drift-0.02", "0.02 mg/s", lambda: [Drift(0.02)]),
@@ -82,11 +107,20 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("drift-0.3", "0.3 mg/s", lambda: [Drift(0.3)]),
     W("drift-turning", "0.1 mg/s, turning round every 30 s or so", lambda: [Drift(0.1, 30.0)]),
     W("drift-turning-quickly", "0.3 mg/s, turning round every 10 s or so", lambda: [Drift(0.3, 10.0)]),
+    W("drift-turning-5", "0.5 mg/s, turning round every 5 s or so", lambda: [Drift(0.5, 5.0)]),
+    W("drift-turning-60", "0.05 mg/s, turning round every 60 s or so", lambda: [Drift(0.05, 60.0)]),
+    W("walking", "a zero that walks by 0.2 mg in a second, 1.5 mg in a minute", lambda: [Walk(0.2)]),
     W("sine-20", "2 mg with a period of 20 s", lambda: [Sine(2.0, 20.0)]),
     W("sine-60", "3 mg with a period of 60 s", lambda: [Sine(3.0, 60.0)]),
     W("sine-200", "5 mg with a period of 200 s", lambda: [Sine(5.0, 200.0)]),
     W("draught", "bursts of 3 mg every 15 s", lambda: [Draught(3.0, 15.0)]),
     W("draught-steady", "bursts of 3 mg that hardly change", lambda: [Draught(3.0, 15.0, (5.0, 20.0), lean=0.98)]),
+    W(
+        "draught-long",
+        "pushes of 3 mg that hardly change, for 20 to 60 s",
+        lambda: [Draught(3.0, 40.0, (20, 60), lean=0.98)],
+    ),
+    W("draught-small", "bursts of 1 mg that hardly change", lambda: [Draught(1.0, 15.0, (5.0, 20.0), lean=0.98)]),
     W("draught-fault", "the fault file's draught", faults="{fault: balance.draught, probability: 0.2}"),
     # The balance is slow, or thinks for itself.
     W("poles-0.6", "two poles of 0.6 s", lambda: [Figures(lag_s=0.6)]),
@@ -108,6 +142,9 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("ringing", "underdamped: 0.6 Hz, damping 0.12", lambda: [Ringing(0.6, 0.12)]),
     W("mean-later", "a moving mean of 6 s from some time on", lambda: [Later(MovingMean(6.0), (20.0, 200.0))]),
     W("hold-later", "a display that holds over 2 mg from some time on", lambda: [Later(Hold(2.0), (20.0, 200.0))]),
+    W("poles-between", "0.7 s more a pole from the second container on", lambda: [FromContainer(Poles(0.7), 2)]),
+    W("mean-between", "a moving mean of 2 s from the second container on", lambda: [FromContainer(MovingMean(2.0), 2)]),
+    W("poles-3.0-between", "two poles of 3 s from the second container on", lambda: [FromContainer(Poles(3.0), 2)]),
     W("noisy", "0.5 mg of noise instead of 0.08", lambda: [Figures(noise_mg=0.5)]),
     W("coarse-0.5", "0.5 mg digits, shown with 0.1 mg", lambda: [Coarse(0.5)]),
     W("coarse-2", "2 mg digits, shown with 0.1 mg", lambda: [Coarse(2.0)]),

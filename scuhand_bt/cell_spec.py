@@ -157,6 +157,18 @@ class BalanceOptions(Spec):
     """Of a balance that leaves it out while it is not stable."""
 
 
+class BalanceLimits(Spec):
+    """What a run on the real cell asks of its balance (docs/weighing.md); `check` notes what is beyond."""
+
+    check_weight_every_s: Annotated[Seconds, Field(gt=0)] | None = None
+    """Within this time before a run it must have weighed a check weight right."""
+    minimum_weight_mg: Annotated[Milligrams, NotNegative] = 0.0
+    """The least mass to be dosed."""
+    usp_41: bool | None = None
+    """That, and at least 2000 times the repeatability (USP 41); unset, a mass below it is warned of, not refused."""
+    when_beyond: Literal["refuse", "warn"] = "refuse"
+
+
 class BalanceSpec(Spec):
     """The balance under the hand."""
 
@@ -166,6 +178,7 @@ class BalanceSpec(Spec):
     readability_mg: Annotated[Milligrams, Positive] = 0.1
     maximum_mg: Annotated[Milligrams, Positive] = 120_000.0
     period_s: Annotated[Seconds, Field(gt=0, le=2)] = 0.1
+    limits: BalanceLimits = BalanceLimits()
     simulation: BalanceResponseSpec = BalanceResponseSpec()
 
     @property

@@ -88,6 +88,18 @@ class ContainerPlaced(SkillEvent):
     bare: Weighing | None = None
     """The pan before."""
     loaded: Weighing | None = None
+    delay_s: float | None = None
+    """How late the balance has shown it; none where that cannot be told."""
+
+
+class BalanceSlower(SkillEvent):
+    """The balance has shown a container later than it was known to: what doses have taught of it is given up."""
+
+    KIND: ClassVar = "balance_slower"
+
+    delay_s: float
+    known_s: float
+    """How late it was known to be."""
 
 
 class Tared(SkillEvent, Weighing):
@@ -163,6 +175,8 @@ class BracketClosed(SkillEvent):
     closes: bool
     doses: dict[Text, LotDosed]
     """By powder lot, adjusted to both measurements."""
+    bare: Weighing | None = None
+    """The pan after the container."""
 
 
 class WeightChecked(SkillEvent):
@@ -178,6 +192,18 @@ class WeightChecked(SkillEvent):
     loaded: Weighing | None = None
 
 
+class RepeatabilityMeasured(SkillEvent):
+    """A check weight was put on the pan several times."""
+
+    KIND: ClassVar = "repeatability"
+
+    weight_mg: float
+    weighings: int
+    repeatability_mg: float
+    """Standard deviation of what it weighed."""
+    balance: Text = ""
+
+
 class BalanceWatched(SkillEvent):
     """The balance was read for a while with nothing changing on its pan."""
 
@@ -187,6 +213,9 @@ class BalanceWatched(SkillEvent):
     """How many there were."""
     span_mg: float
     """How far they went apart."""
+    noise_mg: float | None = None
+    """Standard deviation of a reading about the drift."""
+    drift_mg_per_s: float | None = None
 
 
 # --- dosing
@@ -311,7 +340,9 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     BracketClosed,
     Reweighed,
     WeightChecked,
+    RepeatabilityMeasured,
     BalanceWatched,
+    BalanceSlower,
     Scooped,
     Returned,
     Discarded,

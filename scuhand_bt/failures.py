@@ -26,6 +26,7 @@ class Code(StrEnum):
     BALANCE_OVERLOAD = "balance.overload"
     BALANCE_COARSE = "balance.coarse"
     BALANCE_DRIFTING = "balance.drifting"
+    BALANCE_SLOW = "balance.slow"
     BALANCE_BRACKET_OPEN = "balance.bracket_open"
     CONTAINER_MISSING = "container.missing"
     CONTAINER_MOVED = "container.moved"
@@ -123,16 +124,21 @@ CATALOGUE: Mapping[str, Failure] = {
     ),
     Code.BALANCE_UNSTABLE: Failure(
         "The balance did not settle in time.",
-        "Close the draft shield, look for vibration, fume-hood draughts or a touching container.",
+        "Close the draft shield, look for vibration, draughts, a touching container; if it creeps, for its filter.",
         ("devices",),
     ),
     Code.BALANCE_COARSE: Failure(
-        "The balance shows finer digits than it weighs.",
-        "Set its readability in robot/cell.yaml to what it really resolves, or switch its display to all digits.",
+        "The balance shows finer digits than it weighs, or holds back small changes.",
+        "Set its readability in robot/cell.yaml to what it resolves; switch off its hold, its stable-display filter.",
     ),
     Code.BALANCE_DRIFTING: Failure(
         "Two weighings of one thing, one after the other, went on differing: a mass cannot be told.",
         "Let the container come to the room's temperature, ground it, close the draft shield, let the balance warm up.",
+        ("cell",),
+    ),
+    Code.BALANCE_SLOW: Failure(
+        "The balance shows a load so late that no dose can be stopped in time.",
+        "Set its filter (response, environment) to a quicker one; `scuhand-bt balance` shows what is known of it.",
         ("cell",),
     ),
     Code.BALANCE_BRACKET_OPEN: Failure(

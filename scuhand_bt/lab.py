@@ -299,15 +299,25 @@ def _load_workflows(folder: Path, problems: Problems) -> dict[str, Workflow]:
     return workflows
 
 
+def cell_mark(lab: Lab, *keys: str) -> Mark:
+    """Where a value of the cell's file stands; for one that it leaves out, what would hold it."""
+    node = load(lab.folder / CELL_FILE, "the lab's cell.yaml")
+    for key in keys:
+        node = (node.get(key) if isinstance(node, Entries) else None) or node
+    return node.mark
+
+
 def without_driver(lab: Lab) -> list[Problem]:
     """What the cell's file names and only a simulation has, located; a run on the real cell is refused with it."""
     if lab.cell.changer.driver == "operator":
         return []
-    problems, node = Problems(), load(lab.folder / CELL_FILE, "the lab's cell.yaml")
-    for key in ("changer", "driver"):
-        node = (node.get(key) if isinstance(node, Entries) else None) or node
+    problems = Problems()
     what = f"the changer '{lab.cell.changer.driver}' has no driver yet, it is there in dry runs and rehearsals only"
-    problems.add(node.mark, what, "for the real cell write `changer: {driver: operator}`: a person changes containers")
+    problems.add(
+        cell_mark(lab, "changer", "driver"),
+        what,
+        "for the real cell write `changer: {driver: operator}`: a person changes containers",
+    )
     return problems.found
 
 

@@ -3,6 +3,7 @@ believed of powders and balances, and the values that travel on a workflow's wir
 """
 
 import math
+from enum import StrEnum
 from typing import Annotated, Literal, Self
 
 from pydantic import (
@@ -109,6 +110,17 @@ class BalanceBelief(Spec):
     """How many openings the lag was learnt from; 0 while it is only assumed."""
 
 
+class Departure(StrEnum):
+    """Where the stepwise controllers leave the paper's listing; `scuhand_bt.dosing.paper` says what each is for."""
+
+    GUARD = "guard"
+    OVERSHOOT = "overshoot"
+    GIVING_UP = "giving-up"
+    ORDER = "order"
+    FIRST_GUESS = "first-guess"
+    THAW = "thaw"
+
+
 class PaperSpec(Spec):
     """What Algorithm 1 of the SCU-Hand-SV paper is set to for a powder."""
 
@@ -116,6 +128,11 @@ class PaperSpec(Spec):
     """Kp."""
     max_opening_mm: Annotated[Millimetres, Positive] = 2.4
     """The largest opening it may use; no other controller is held to it."""
+    wait_s: Annotated[Seconds, NotNegative] = 6.3
+    """Fixed wait of the paper's rig after each pulse, on top of the balance's settling (Table II: a step takes 7.2 s
+    plus the time the valve is open)."""
+    departures: tuple[Departure, ...] = tuple(Departure)
+    """From its listing; none of them is Algorithm 1 as printed."""
 
 
 class Powder(Spec):
@@ -217,3 +234,6 @@ class Container(ContainerKind):
 
 Verdict = Literal["in tolerance", "under", "over"]
 """What is said of a dose (`dosing/verdict.py`)."""
+
+BalanceFigure = Literal["delay_s", "check_weight_error_mg", "repeatability_mg", "noise_mg", "drift_mg_per_s"]
+"""What is measured of a balance (`dosing/characteristic.py`), beside what controllers learn."""

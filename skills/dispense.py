@@ -16,9 +16,9 @@ from scuhand_bt.dosing.bracket import (
     Reference,
     dose_between,
     drift_between,
-    has_moved,
     significant,
 )
+from scuhand_bt.dosing.characteristic import held_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
     Cell,
@@ -93,9 +93,8 @@ class Dispense(Skill[Dose]):
             bracket = cell.believed.bracket
         points: list[tuple[float, float, float, float, bool, float]] = []
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
-        has_stepped = has_moved(bracket.last, weighing_of(mean), cell.spec.balance.readability_mg)
         for _ in range(ROUNDS):
-            run, earlier, mean = yield from self._dose(cell, earlier, mean, has_stepped=has_stepped)
+            run, earlier, mean = yield from self._dose(cell, earlier, mean)
             points += run.rows()
             dose = self._judged(cell, run)
             if not (run.finish.reason == "reached" and dose.verdict == "under"):
@@ -105,9 +104,7 @@ class Dispense(Skill[Dose]):
         self._raise_failure(cell, run, dose)
         return dose
 
-    def _dose(
-        self, cell: Cell, earlier: Gross, empty: StableMean, *, has_stepped: bool
-    ) -> Steps[tuple[DoseRun, Gross, StableMean]]:
+    def _dose(self, cell: Cell, earlier: Gross, empty: StableMean) -> Steps[tuple[DoseRun, Gross, StableMean]]:
         """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
         believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(empty)
         lot = self._source(cell).sheet_key
@@ -118,7 +115,7 @@ class Dispense(Skill[Dose]):
         then = replace(before, time_s=before.time_s + FINE_S + self._flow_s(request))
         request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
         controller = new_controller(self.controller or cell.controller, request)
-        believed.dosing_towards(self.mass_mg, lot, before, has_stepped=has_stepped)
+        believed.dosing_towards(self.mass_mg, lot, before)
         cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
         try:
             run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
@@ -127,7 +124,7 @@ class Dispense(Skill[Dose]):
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
-        after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last))
+        after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last), may_gain=True)
         gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
         cell.record.event(
@@ -151,9 +148,15 @@ class Dispense(Skill[Dose]):
 
     @staticmethod
     def _require_readability(cell: Cell, run: DoseRun) -> None:
-        """A balance that shows finer digits than it weighs: all that it has shown are multiples of something."""
+        """A balance that holds its display, or shows finer digits than it weighs: all are multiples of something."""
         digit_mg = cell.spec.balance.readability_mg
-        seen = {round(point.net_mg / digit_mg) for point in run.curve if not point.stable}
+        readings_mg = [point.net_mg for point in run.curve if not point.stable]
+        if (held := held_mg(readings_mg, digit_mg)) > 0.0:
+            raise SkillFailed(
+                Code.BALANCE_COARSE,
+                f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows",
+            )
+        seen = {round(mg / digit_mg) for mg in readings_mg}
         first = min(seen, default=0)
         step = math.gcd(*(digits - first for digits in seen))
         if len(seen) >= DIFFERENT_READINGS and step > 1:
@@ -210,6 +213,8 @@ class Dispense(Skill[Dose]):
             target_mg=self.mass_mg,
             tolerance_mg=self.tolerance_mg,
             gain=powder.paper.gain,
+            wait_s=powder.paper.wait_s,
+            departures=powder.paper.departures,
             max_opening_mm=min(powder.widest_mm(self.controller or cell.controller), hand.max_opening_mm),
             valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
             valve_dead_time_s=hand.valve_dead_time_s,

@@ -3,7 +3,14 @@
 from collections.abc import Mapping
 from typing import Any
 
-from scuhand_bt.cell.weighing import take_container_away, weighing_of
+from scuhand_bt.cell.weighing import (
+    require_known_delay,
+    step_delay,
+    take_container_away,
+    watched,
+    weigh_changed,
+    weighing_of,
+)
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
@@ -37,9 +44,11 @@ class PlaceContainer(Skill[None]):
         believed = cell.believed
         yield from self._refill(cell)
         bare = yield from take_container_away(cell)
-        yield from cell.changer.bring(self.container)
+        yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
+        brought_s = cell.clock.now_s
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
-        loaded = yield from cell.balance.stable_mean()
+        loaded = yield from weigh_changed(cell, bare.value_mg)
+        delay_s = step_delay(cell, bare, loaded, brought_s)
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
         cell.record.event(
@@ -50,6 +59,7 @@ class PlaceContainer(Skill[None]):
                 balance=cell.balance.identity,
                 bare=bare.written(),
                 loaded=loaded.written(),
+                delay_s=delay_s,
             )
         )
         if mass_mg < container.empty_mass_mg / 10:
@@ -62,6 +72,8 @@ class PlaceContainer(Skill[None]):
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
+        if delay_s is not None:
+            require_known_delay(cell, delay_s)
         believed.placed(weighing_of(bare), weighing_of(loaded))
 
     @staticmethod

@@ -6,7 +6,11 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.dosing.characteristic import noise_and_drift
 from scuhand_bt.skill import BalanceWatched, Cell, Code, Forecast, Milligrams, Seconds, Skill, SkillFailed, Steps
+
+LEAST = 3
+"""Readings that tell a noise about a drift."""
 
 
 class WatchBalance(Skill[Milligrams]):
@@ -26,12 +30,15 @@ class WatchBalance(Skill[Milligrams]):
     def run(self, cell: Cell) -> Steps[Milligrams]:
         yield from cell.balance.stable_mean()
         end_s = cell.clock.now_s + self.duration_s
-        values_mg = []
-        while not values_mg or cell.clock.now_s < end_s:
+        curve: list[tuple[float, float]] = []
+        while len(curve) < LEAST or cell.clock.now_s < end_s:
             reading = yield from cell.balance.next_reading()
-            values_mg.append(reading.value_mg)
+            curve.append((reading.time_s, reading.value_mg))
+        values_mg = [value_mg for _, value_mg in curve]
         span_mg = max(values_mg) - min(values_mg)
-        cell.record.event(BalanceWatched(readings=len(values_mg), span_mg=span_mg))
+        noise_mg, drift = noise_and_drift(curve)
+        cell.balance_figures |= {"noise_mg": noise_mg, "drift_mg_per_s": drift}
+        cell.record.event(BalanceWatched(readings=len(curve), span_mg=span_mg, noise_mg=noise_mg, drift_mg_per_s=drift))
         if span_mg > self.limit_mg:
             raise SkillFailed(
                 Code.BALANCE_UNSTABLE,

@@ -102,6 +102,8 @@ class Bench:
             target_mg=self.target_mg,
             tolerance_mg=2.0,
             gain=powder.paper.gain,
+            wait_s=powder.paper.wait_s,
+            departures=powder.paper.departures,
             max_opening_mm=min(powder.widest_mm(controller), hand.max_opening_mm),
             valve_speed_mm_per_s=hand.valve_speed_mm_per_s,
             valve_dead_time_s=hand.valve_dead_time_s,

@@ -14,19 +14,10 @@ from conftest import Call
 
 from scuhand_bt.events import Dose, DoseWeighed, Line, Tared
 from scuhand_bt.journal.archive import summaries
-from scuhand_bt.journal.events import (
-    Answered,
-    Asked,
-    Continued,
-    Ended,
-    JobStarted,
-    Paused,
-    Resumed,
-    RunBegun,
-    SampleResult,
-)
+from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, JobStarted, Paused, Resumed, RunBegun
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_record
 from tests.running import Ran, dry_run, make_lab
@@ -213,9 +204,9 @@ def test_what_is_no_journal_is_refused_cleanly(tmp_path: Path, command: Call, fo
 def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran: Ran) -> None:
     rows = record(ran.journal)
     doses = {row["sample"]: row for row in rows if row["weighing"] == "dose"}
-    brackets = {row["sample"]: row for row in rows if row["weighing"] == "bracket"}
-    assert [row["weighing"] for row in rows].count("bracket") == len(brackets) == 2
-    assert {row["weighing"] for row in rows} == {"container", "tare", "dose", "bracket"}
+    brackets = {row["sample"]: row for row in rows if row["weighing"] == "result"}
+    assert [row["weighing"] for row in rows].count("result") == len(brackets) == 2
+    assert {row["weighing"] for row in rows} == {"container", "tare", "dose", "lifted", "bare pan", "result"}
     for name in ("a", "b"):
         row, bracket, result = doses[name], brackets[name], ran.sample(name)
         drift_mg, net_mg = float(row["drift_mg"]), float(row["net_mg"])
@@ -263,19 +254,20 @@ def test_a_dose_in_two_parts_is_weighed_against_the_empty_container_and_its_brac
         weighed |= {"lot": "glass_beads", "gained_uncertainty_mg": 0.1, "drift_mg_per_s": 0.05}
         journal.event(DoseWeighed.model_validate(weighed))
         journal.event(Dose.model_validate(dosed | cost | {"dispensed_mg": net_mg, "verdict": "in tolerance"}))
-    adjusted = dosed | {"dispensed_mg": 50.3, "verdict": "in tolerance", "bracket": "closed"}
+    adjusted = dosed | {"dispensed_mg": 50.3, "tolerance_mg": 0.5, "verdict": "over", "bracket": "closed"}
     result = dict.fromkeys(SampleResult.model_fields) | cost | {"scoops": 1, "attempt": 1, "id": "a"}
     for _ in range(2):  # as when another of the sample's containers goes
-        journal.event(SampleResult.model_validate(result | {"verdict": "in tolerance", "doses": [adjusted]}))
+        journal.event(SampleResult.model_validate(result | {"verdict": "over", "doses": [adjusted]}))
     journal.close()
     rows = record(journal.path)
-    assert [row["weighing"] for row in rows] == ["dose", "dose", "bracket"]
+    assert [row["weighing"] for row in rows] == ["dose", "dose", "result"]
     _, second, bracket = rows
     masses = ("tare_mg", "gross_mg", "drift_mg", "net_mg")
     assert [float(second[name]) for name in masses] == pytest.approx([9004.0, 9055.0, 0.5, 50.5])
     assert (second["tare_lines"], second["gross_lines"]) == ("9024.0 mg", "9055.0 mg")
     assert [bracket[name] for name in masses] == ["", "", "", "50.3000"]
     assert (bracket["sample"], bracket["container"], bracket["failure_code"]) == ("a", "a", "")
+    assert (second["verdict"], bracket["verdict"], bracket["tolerance_mg"]) == ("in tolerance", "over", "0.5000")
 
 
 def test_a_text_that_would_be_a_formula_is_none(tmp_path: Path) -> None:

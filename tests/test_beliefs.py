@@ -24,7 +24,7 @@ def test_a_characterisation_is_kept_by_lot_with_the_run_that_taught_it(tmp_path:
     assert learnt.run == ran.session.run_id
     assert learnt.belief.doses >= 3
     assert "SIMULATED" in learnt.origin
-    balance = LabState(tmp_path).balances(simulated=True)["starter"].belief
+    balance = LabState(tmp_path).balances(simulated=True)["shimadzu simulated, 0.1 mg, 10 Hz"].belief
     assert balance.lag_s == pytest.approx(ran.session.cell.spec.balance.simulation.lag_s, rel=0.3)
 
 
@@ -66,5 +66,5 @@ def test_a_new_powder_with_a_poor_first_guess_is_measured_in_minutes(tmp_path: P
     recipe = CHARACTERISE.replace("glass_beads", "monosodium_glutamate")
     ran = dry_run(tmp_path, recipe, lab=lab_folder.folder, controller="adaptive")
     belief = LabState(tmp_path).powders(simulated=True)["monosodium_glutamate/L7"].belief
-    assert 30.0 < belief.coefficient < 75.0, "the powder's own is 42"
+    assert 25.0 < belief.coefficient < 85.0, "gravity brings 32, and shaking 79"
     assert ran.session.cell.clock.now_s < 300.0

@@ -71,6 +71,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "dosing_ended": st.builds(lambda m, g: lambda b: b.dosing_ended(m, g), masses_mg, grosses_mg),
     "dosed": st.builds(lambda n, g: lambda b: b.dosed(n, STILL, g, 1, 0.5), nets, weighings),
     "reweighed": st.builds(lambda n, g: lambda b: b.reweighed(n, g, BEADS.sheet_key), nets, weighings),
+    "zero_stepped": st.builds(lambda m: lambda b: b.zero_stepped(m), masses_mg),
     "zero_moved": st.builds(lambda d, g: lambda b: b.zero_moved(d, g), masses_mg, weighings),
     "lifted": st.builds(lambda g: lambda b: b.lifted(g), weighings),
     "bracket_closed": st.sampled_from([None, gone()]).map(lambda one: lambda b: b.bracket_closed(one)),
@@ -96,8 +97,6 @@ def holds_its_invariants(believed: Believed) -> None:
         assert (believed.pan_empty_mg, believed.pan_gross_mg, believed.weighed_container) == (None, None, None)
     if believed.pan_empty_mg is not None:
         assert believed.pan_gross_mg is not None
-    if believed.bracket is not None and believed.bracket.before is not None:
-        assert believed.bracket.lot, "what is not weighed yet is of a lot"
 
 
 def test_every_verb_is_tried() -> None:
@@ -195,12 +194,12 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "last": as_gross(weighed(20_031.0, 9.5)),
             "doses": {"glass_beads/L7": {"mass_mg": 20.0, "uncertainty_mg": 0.1}},
             "drift": {"rate": 0.0, "uncertainty": 0.005},
-            "before": as_gross(weighed(20_031.0, 9.5)),
             "lot": SALT.sheet_key,
             "lifted": None,
         },
         "closed": [],
         "is_zero_doubted": False,
+        "zero_stepped_mg": 0.0,
     }
     assert JSON.validate_python({**written, "pan": pan}, by_name=True, by_alias=False) == believed
 
@@ -304,7 +303,7 @@ def test_what_arrived_since_the_valve_opened_has_left_the_cone_and_is_in_the_con
     assert (believed.cone_mg, believed.pan_gross_mg, believed.dosing.is_unweighed) == (70.0, 20_040.5, False)
     assert believed.bracket is not None
     assert believed.bracket.dosed_mg(BEADS.sheet_key) == Net(30.0, 0.2)
-    assert (believed.bracket.before, believed.bracket.last) == (None, weighed(20_040.5, 20.0))
+    assert believed.bracket.last == weighed(20_040.5, 20.0)
 
 
 def test_a_zero_that_moved_takes_every_weighing_with_it_and_no_dose() -> None:
@@ -317,10 +316,6 @@ def test_a_zero_that_moved_takes_every_weighing_with_it_and_no_dose() -> None:
     assert bracket is not None
     assert (bracket.bare, bracket.loaded) == (weighed(12.0, 1.0), weighed(20_012.5, 4.0))
     assert (bracket.last, bracket.dosed_mg(BEADS.sheet_key)) == (weighed(20_042.5, 30.0), Net(30.0, 0.2))
-    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_042.5))
-    believed.zero_moved(-1.0, weighed(20_041.5))
-    assert believed.bracket is not None
-    assert believed.bracket.before == weighed(20_041.5)
 
 
 def test_a_dose_counts_what_it_cost_and_what_it_brought_over_all_of_its_parts() -> None:
@@ -371,7 +366,7 @@ def test_what_a_container_came_to_stays_until_it_is_noted_and_one_without_a_dose
 
 def test_a_bracket_is_believed_only_once_one_has_closed_since_the_zero_stepped() -> None:
     believed = on_the_pan()
-    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5), has_stepped=True)
+    believed.zero_stepped(0.4)
     for name, closes in (("a", True), ("b", True), ("c", False), ("d", True), ("e", True)):
         believed.bracket_closed(replace(gone(name), closes=closes))
     told = {one.container: (one.closes, one.detail) for one in believed.closed}
@@ -383,3 +378,13 @@ def test_a_bracket_is_believed_only_once_one_has_closed_since_the_zero_stepped()
         "e": True,
     }
     assert told["a"][1] == "the balance's zero has stepped of late; it closes"
+
+
+def test_of_all_steps_that_were_seen_the_largest_stays() -> None:
+    believed = on_the_pan()
+    believed.zero_stepped(0.0)
+    assert (believed.zero_stepped_mg, believed.is_zero_doubted) == (0.0, False)
+    for by_mg in (0.4, 3.0, 1.0):
+        believed.zero_stepped(by_mg)
+    believed.bracket_closed(gone())
+    assert (believed.zero_stepped_mg, believed.is_zero_doubted) == (3.0, False)

@@ -1,11 +1,30 @@
 """The benchmarks' own code; no other test imports it."""
 
+import math
+
+import numpy as np
 import pytest
 from dose_bench import shipped_powders
 
-from benchmarks.calibration import TABLES, Result, agrees, count
+from benchmarks import dosing_random
+from benchmarks.calibration import (
+    TABLES,
+    Result,
+    agrees,
+    count,
+    departures_of,
+    main,
+    mean_interval,
+    simulated,
+    spread_interval,
+)
 from benchmarks.code_mutator import mutants_of
-from benchmarks.rig import Setting, Trial, run_of_doses
+from benchmarks.oracle_model import SHUT, Model
+from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
+from harness.random_physics import DrawnFlow, FlowFigures
+from harness.random_plants import draw
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.specs import Departure
 
 pytestmark = pytest.mark.slow
 BEADS = TABLES[0]
@@ -20,21 +39,57 @@ def test_a_count_agrees_within_the_two_sided_binomial_region(successes: int, rat
     assert agrees(BEADS._replace(successes=successes), rate) is expected
 
 
-def test_a_cell_is_shown_beside_the_papers_and_what_is_far_is_named() -> None:
+def test_the_papers_mean_and_spread_are_known_as_far_as_ten_trials_tell() -> None:
+    cell = BEADS._replace(mass_mg=500.5, sd_mg=1.9)
+    assert mean_interval(cell) == pytest.approx((499.14, 501.86), abs=0.005)
+    assert spread_interval(cell) == pytest.approx((1.307, 3.469), abs=0.005)
+
+
+def test_a_cell_is_shown_beside_the_papers_and_what_does_not_agree_is_named() -> None:
     near = Result.of(BEADS, [Trial(0.5, -1.0, True, 8, 60.0, "reached")] * 9 + [Trial(5, 4, False, 8, 60.0, "over")])
-    assert near.row() == "| glass beads | 20 mg | 9.0 (9) | yes | 19.5 ± 1.50 (20 ± 1.3) | 8.0 (8) | 60.0 (59) |"
-    slow = near._replace(time_s=100.0, rate=0.5)
-    assert "**no**" in slow.row()
-    assert "**100.0** (59)" in slow.row()
-    assert count([near, slow]) == (
-        "1 of 2 cells agree in success; steps and times farther than 30% from the paper's: glass beads 20 mg (time)."
+    assert near.misfits == []
+    assert near.row() == (
+        "| glass beads | 20 mg | 9.0 (9) | 19.5 (20: 19.1 to 20.9) | 1.58 (1.3: 0.89 to 2.37) | 8.0 (8) | 60 (59) |"
+    )
+    off = near._replace(rate=0.5, masses_mg=np.array([18.9, 19.1]), steps=11.0, time_s=40.0)
+    assert off.misfits == ["success", "mass", "spread", "steps", "time"]
+    assert off.row() == (
+        "| glass beads | 20 mg | **5.0** (9) | **19.0** (20: 19.1 to 20.9) | **0.14** (1.3: 0.89 to 2.37) "
+        "| **11.0** (8) | **40** (59) |"
+    )
+    assert count([near, off]) == (
+        "Cells that agree: success 1 of 2, mass 1 of 2, spread 1 of 2, steps 1 of 2, time 1 of 2."
     )
 
 
 def test_a_misprinted_figure_is_marked_and_not_held_against_the_simulation() -> None:
-    result = Result.of(MSG_20, [Trial(0.0, 0.0, True, 14, 100.0, "reached")])
-    assert result.far == []
-    assert "100.0 (49†)" in result.row()
+    result = Result.of(MSG_20, [Trial(0.0, 0.1 * n - 1.8, True, 14, 100.0, "reached") for n in range(10)])
+    assert "time" not in result.misfits
+    assert "100 (49†)" in result.row()
+    assert "time 0 of 0" in count([result])
+
+
+@pytest.mark.parametrize("target_mg", [20.0, 500.0])
+def test_msg_has_the_papers_mean_and_spread(target_mg: float) -> None:
+    cell = next(cell for cell in TABLES if cell.label == "MSG" and cell.target_mg == target_mg)
+    trials = [trial for run in range(4) for trial in simulated(cell, run, 10)]
+    assert Result.of(cell, trials).misfits == []
+
+
+def test_the_paper_asks_its_balance_sooner_where_it_does_not_wait() -> None:
+    powder = shipped_powders()["glass_beads"]
+    waited, at_once = (run_of_doses(powder, 20.0, name, 1, Setting(), 3) for name in ("paper", UNWAITING))
+    for long, short in zip(waited, at_once, strict=True):
+        assert long.reason == short.reason == "reached"
+        assert short.duration_s / short.steps < long.duration_s / long.steps - 4.0
+
+
+def test_departures_are_named_one_by_one_or_as_a_group() -> None:
+    assert departures_of("none") == ()
+    assert set(departures_of("all")) - set(departures_of("implied")) == {Departure.GUARD}
+    assert departures_of("order,thaw") == (Departure.ORDER, Departure.THAW)
+    with pytest.raises(SystemExit):
+        main(["--departures", "thaws"])
 
 
 def test_a_redone_dose_is_judged_by_its_second_attempt_and_takes_both_their_times() -> None:
@@ -44,6 +99,41 @@ def test_a_redone_dose_is_judged_by_its_second_attempt_and_takes_both_their_time
     for first, last in zip(once, twice, strict=True):
         assert last == first if first.accepted else last.duration_s > first.duration_s
     assert not all(trial.accepted for trial in once)
+
+
+def model_of(figures: FlowFigures) -> Model:
+    return Model(lambda: DrawnFlow(figures), HandSpec(), tolerance_mg=2.0)
+
+
+def test_the_oracle_ends_a_dose_that_is_good_and_opens_the_wider_the_more_is_missing() -> None:
+    model = model_of(FlowFigures(flow_mg_per_s=50.0))
+    assert [model.action(missing_mg, SHUT) for missing_mg in (-5.0, -1.0, 0.0, 0.2)] == [SHUT] * 4
+    opened = [model.action(missing_mg, SHUT) for missing_mg in (5.0, 20.0, 100.0, 500.0, 3000.0)]
+    assert opened == sorted(opened)
+    assert SHUT < opened[0] < opened[-1]
+    widest = len(model.openings_mm) - 1
+    assert model.action(0.5 * model.closings_mg[widest], widest) == SHUT, "too late is shut at once"
+
+
+def test_of_exponential_lumps_the_oracle_expects_about_as_many_good_as_end_within_the_tolerance() -> None:
+    figures = FlowFigures(flow_mg_per_s=10.0, gravity=0.0, lump_share=0.99, lump_mg=4.0)
+    good = 1.0 - math.exp(-4.0 / 4.0)  # the first to cross the lower edge is memoryless beyond it
+    assert good - 0.05 < model_of(figures).worth(40.0) < good + 0.18  # the best of 16 samples flatters itself
+
+
+@pytest.mark.parametrize(("family", "target_mg"), [("beads", 500.0), ("clogging", 20.0), ("lumps", 50.0)])
+def test_the_oracle_is_as_good_as_adaptive_on_each_plant_and_faster(family: str, target_mg: float) -> None:
+    def of(controller: str) -> tuple[int, float]:
+        doses = [
+            dose
+            for drawn in draw(family, shipped_powders(), 3)
+            for dose in dosing_random.run_of_doses(drawn, target_mg, controller, 4)
+        ]
+        return sum(abs(dose.error_mg) <= 2.0 for dose in doses), sum(dose.duration_s for dose in doses)
+
+    (most, least_s), (good, taken_s) = of("oracle"), of("adaptive")
+    assert most >= good
+    assert least_s < taken_s
 
 
 CODE = '''

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,14 @@ from scuhand_bt.dosing.bracket import (
     Drift,
     Gross,
     Net,
+    Reference,
+    apart_mg,
     close,
     dose_between,
+    drift_between,
     mean_drift,
+    moved_mg,
+    significant,
     walk_mg,
 )
 
@@ -122,3 +128,144 @@ def test_the_difference_is_shared_by_what_is_least_known() -> None:
     first, second = (dose.mass_mg for dose in closed.doses)
     assert second - 50.0 == pytest.approx(4.0 * (first - 30.0))
     assert 0.0 < first + second - 80.0 < 0.2
+
+
+# --- the equations, by numbers worked out by hand
+
+
+def test_a_zero_wanders_by_a_digit_in_a_minute_and_with_the_root_of_time() -> None:
+    assert walk_mg(0.1, 60.0) == pytest.approx(0.1)
+    assert walk_mg(0.2, 15.0) == pytest.approx(0.1)
+    assert walk_mg(0.1, 0.0) == walk_mg(0.1, -5.0) == 0.0
+
+
+def test_two_weighings_are_apart_by_both_of_their_uncertainties_and_the_walk_between_them() -> None:
+    assert apart_mg(Gross(1.0, 2.0, 30.0), Gross(5.0, 3.0, 90.0), 6.0) == pytest.approx(7.0)
+
+
+def test_a_weighing_has_moved_when_it_is_more_than_four_standard_deviations_away() -> None:
+    before = Gross(100.0, 3.0, 0.0)
+    moved = [moved_mg(before, Gross(gross_mg, 4.0, 0.0), 0.1) for gross_mg in (79.9, 80.0, 120.0, 120.1)]
+    assert moved == pytest.approx([-20.1, 0.0, 0.0, 20.1])
+
+
+def test_a_drift_is_a_change_over_its_time_and_so_is_its_uncertainty() -> None:
+    drift = drift_between(Gross(100.0, 2.0, 30.0), Gross(112.0, 3.0, 90.0), 6.0)
+    assert (drift.rate, drift.uncertainty) == (pytest.approx(0.2), pytest.approx(7.0 / 60.0))
+
+
+def test_a_drift_within_two_standard_deviations_is_none_and_no_more_uncertain_than_a_sound_one() -> None:
+    assert significant(Drift(0.25, 0.125), 0.1) == Drift(0.0, pytest.approx(0.005))
+    assert significant(Drift(-0.25, 0.125), 0.1) == Drift(0.0, pytest.approx(0.005))
+    assert significant(Drift(0.002, 0.001), 0.1) == Drift(0.0, 0.001)
+    for rate in (0.26, -0.26):
+        assert significant(Drift(rate, 0.125), 0.1) == Drift(rate, 0.125)
+
+
+def test_drifts_are_weighed_by_their_certainty_until_they_are_four_standard_deviations_apart() -> None:
+    one, other = Drift(1.0, 3.0), Drift(21.0, 4.0)
+    near = mean_drift(one, other)
+    assert (near.rate, near.uncertainty) == (pytest.approx(1.0 + 20.0 * 9.0 / 25.0), pytest.approx(12.0 / 5.0))
+    back = mean_drift(other, one)
+    assert (back.rate, back.uncertainty) == (pytest.approx(near.rate), pytest.approx(near.uncertainty))
+    far = mean_drift(one, Drift(25.0, 4.0))
+    assert far.rate == pytest.approx(13.0)
+    assert far.uncertainty == pytest.approx(math.sqrt(2.5**2 + 24.0**2 / 12.0))
+    assert mean_drift(Drift(25.0, 4.0), one).uncertainty == pytest.approx(far.uncertainty)
+
+
+BEFORE, LATER = Gross(1000.0, 0.3, 100.0), Gross(1050.0, 0.4, 115.0)
+READ_MG = 2.4
+"""A walk of 1.2 mg in 15 s, so that BEFORE and LATER are 1.3 mg apart."""
+
+
+def test_a_dose_without_a_second_weighing_has_a_sound_balances_drift_in_its_uncertainty() -> None:
+    dose, drift = dose_between(BEFORE, BEFORE, LATER, LATER, READ_MG)
+    assert (drift.rate, drift.uncertainty) == (0.0, pytest.approx(0.12))
+    assert dose.mass_mg == 50.0
+    assert dose.uncertainty_mg == pytest.approx(math.hypot(1.3, 0.12 * 15.0))
+
+
+@pytest.mark.parametrize("is_before", [True, False])
+def test_a_drift_on_one_side_of_a_dose_is_taken_out_of_it(is_before: bool) -> None:
+    still = Gross(1000.0 - 40.0, 0.3, 85.0) if is_before else Gross(1050.0 - 40.0, 0.4, 100.0)
+    pair = (still, BEFORE, LATER, LATER) if is_before else (BEFORE, BEFORE, still, LATER)
+    dose, drift = dose_between(*pair, READ_MG)
+    assert drift.rate == pytest.approx(40.0 / 15.0)
+    assert dose.mass_mg == pytest.approx(50.0 - 40.0)
+    shared_mg = 0.3 if is_before else 0.4
+    of_drift_mg = math.hypot(shared_mg, shared_mg, 1.2)
+    assert dose.uncertainty_mg == pytest.approx(math.sqrt(1.3**2 + of_drift_mg**2 + 2.0 * shared_mg**2))
+
+
+def test_a_drift_before_a_dose_counts_the_error_of_the_weighing_between_twice() -> None:
+    earlier = Gross(1000.0 - 90.0, 0.3, 70.0)
+    dose, drift = dose_between(earlier, BEFORE, LATER, LATER, READ_MG)
+    assert (drift.rate, dose.mass_mg) == (pytest.approx(3.0), pytest.approx(5.0))
+    of_drift_mg = math.sqrt(0.3**2 + 0.3**2 + 2.4**2 / 2.0) / 30.0 * 15.0
+    twice_mg = 0.3 * math.sqrt(2.0 * 15.0 / 30.0)
+    assert dose.uncertainty_mg == pytest.approx(math.sqrt(1.3**2 + of_drift_mg**2 + twice_mg**2))
+
+
+def test_drifts_before_and_after_a_dose_are_both_taken_into_account() -> None:
+    earlier, after = Gross(1000.0 - 90.0, 0.3, 70.0), Gross(1050.0 - 20.0, 0.4, 105.0)
+    _, drift = dose_between(earlier, BEFORE, after, LATER, READ_MG)
+    assert 2.0 < drift.rate < 3.0
+
+
+def test_a_net_mass_counts_from_what_the_pan_weighed_and_what_had_come_before() -> None:
+    against = Reference(BEFORE, Drift(0.5, 0.2), Net(30.0, 1.5), READ_MG)
+    assert against.zero_mg == 970.0
+    assert against.uncertainty_mg(LATER) == pytest.approx(math.sqrt(1.3**2 + 3.0**2 + 1.5**2))
+
+
+def bracketed(*doses: Net, bare_again_mg: float = 12.0, lifted_mg: float = 1110.0) -> Closed:
+    """Weighings of 0.1 mg each over 70 s, 20 s of them to change containers, with a drift of 0.02 ± 0.005 mg/s."""
+    bare, loaded = Gross(10.0, 0.1, 7.0), Gross(1010.0, 0.1, 17.0)
+    lifted, again = Gross(lifted_mg, 0.1, 67.0), Gross(bare_again_mg, 0.1, 77.0)
+    return close(doses, Drift(0.02, 0.005), bare, loaded, lifted, again, 0.6)
+
+
+def test_by_the_bare_pan_a_container_has_gained_what_the_zero_and_the_drift_leave() -> None:
+    closed = bracketed(Net(98.0, 0.3))
+    assert closed.net.mass_mg == pytest.approx(1110.0 - 1010.0 - 2.0 + 0.02 * 20.0)
+    assert closed.net.uncertainty_mg == pytest.approx(math.sqrt(4 * 0.01 + 0.12 + 0.01))
+    assert closed.zero_mg == 2.0
+    assert closed.difference_mg == pytest.approx(0.4)
+    assert closed.allowance_mg == pytest.approx(4.0 * math.sqrt(0.17 + 0.09))
+    assert (closed.stepped_mg, closed.closes) == (0.0, True)
+    (dose,) = closed.doses
+    assert dose.mass_mg == pytest.approx(98.0 + 0.4 * 0.09 / 0.26)
+    assert dose.uncertainty_mg == pytest.approx(0.3 * math.sqrt(0.17 / 0.26))
+
+
+def test_a_difference_beyond_chance_makes_every_result_less_certain_by_as_much() -> None:
+    closed = bracketed(Net(57.0, 0.3), Net(40.0, 0.4))
+    assert closed.difference_mg == pytest.approx(1.4)
+    variance = 0.17 + 0.09 + 0.16
+    birge = 1.4 / math.sqrt(variance)
+    assert birge > 2.0
+    for dose, mass_mg, u_mg in zip(closed.doses, (57.0, 40.0), (0.3, 0.4), strict=True):
+        share = u_mg**2 / variance
+        assert dose.mass_mg == pytest.approx(mass_mg + 1.4 * share)
+        assert dose.uncertainty_mg == pytest.approx(birge * u_mg * math.sqrt(1.0 - share))
+    less = bracketed(Net(99.8, 0.3))
+    assert less.difference_mg == pytest.approx(-1.4)
+    assert less.doses[0].uncertainty_mg > 2.0 * 0.3 * math.sqrt(0.17 / 0.26)
+
+
+def test_a_bare_pan_that_moved_beyond_the_walk_and_the_drift_closes_nothing() -> None:
+    assert bracketed(Net(94.0, 0.3), bare_again_mg=16.0).stepped_mg == pytest.approx(4.6)
+    assert bracketed(Net(100.0, 0.3), bare_again_mg=8.0).stepped_mg == pytest.approx(-3.4)
+    assert bracketed(Net(94.0, 0.3), bare_again_mg=14.3).stepped_mg == 0.0
+    steady = bracketed(Net(98.0, 0.3))
+    for difference_mg, stepped_mg, closes in (
+        (2.0, 0.0, True),
+        (-2.0, 0.0, True),
+        (2.1, 0.0, False),
+        (0.0, 0.1, False),
+        (0.0, -0.1, False),
+    ):
+        one = replace(steady, difference_mg=difference_mg, allowance_mg=2.0, stepped_mg=stepped_mg)
+        assert one.closes is closes
+    assert not replace(steady, difference_mg=-2.1, allowance_mg=2.0).closes

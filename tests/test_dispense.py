@@ -16,7 +16,7 @@ from scuhand_bt.events import Dose, DoseWeighed, Note, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.record import Record
-from scuhand_bt.specs import Source
+from scuhand_bt.specs import Departure, PaperSpec, Source
 
 POWDERS = shipped_powders()
 BEADS = POWDERS["glass_beads"]
@@ -115,6 +115,21 @@ class LastWord:
         return Finish(rig.reason, seen.net_mg, seen.uncertainty_mg)
 
 
+@pytest.mark.parametrize("of_recipe", [True, False])
+@pytest.mark.parametrize(("name", "widest_mm"), [("paper", 1.0), ("adaptive", 2.1), ("direct_pid", 2.1)])
+def test_only_the_paper_is_held_to_what_the_paper_was_set_to(
+    rig: "Rig", name: str, widest_mm: float, of_recipe: bool
+) -> None:
+    set_to = PaperSpec(gain=0.4, max_opening_mm=1.0, wait_s=2.5, departures=(Departure.ORDER,))
+    powder = BEADS.model_copy(update={"max_opening_mm": 2.1, "paper": set_to})
+    rig.cell.sources["store"] = rig.cell.sources["store"].model_copy(update={"powder": powder})
+    rig.cell.controller = "adaptive" if of_recipe else name
+    skill = rig._skill("dispense", mass_mg=TARGET_MG, controller=name if of_recipe else "")
+    request = skill.request(rig.cell)
+    assert request.max_opening_mm == widest_mm
+    assert (request.gain, request.wait_s, request.departures) == (0.4, 2.5, (Departure.ORDER,))
+
+
 @pytest.fixture
 def rig(starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Rig:
     return Rig(starter, monkeypatch)
@@ -177,6 +192,16 @@ def test_a_zero_that_stepped_between_tare_and_dose_is_not_in_the_dose(rig: Rig) 
     assert dose.dispensed_mg == pytest.approx(TARGET_MG)
     assert dose.verdict == "in tolerance"
     assert rig.kept(DoseWeighed)[0].before.gross_mg == 25_003.0
+    assert rig.cell.believed.zero_stepped_mg == pytest.approx(3.0), "and is remembered"
+
+
+@pytest.mark.parametrize(("by_mg", "remembered_mg"), [(-1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+def test_after_a_dose_what_is_lost_is_the_zeros_and_what_comes_may_be_powder(
+    rig: Rig, by_mg: float, remembered_mg: float
+) -> None:
+    rig.balance.zero_mg = lambda time_s: by_mg if rig.seen and time_s > rig.seen[-1].time_s else 0.0
+    rig.dispense(TARGET_MG)
+    assert rig.cell.believed.zero_stepped_mg == pytest.approx(remembered_mg)
 
 
 def test_a_pan_that_creeps_is_not_dosed_on(rig: Rig) -> None:

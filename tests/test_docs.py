@@ -103,6 +103,10 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         problems.raise_any()
     elif kind == "faults":
         assert parse_faults(text, "faults.yaml").rules
+    elif kind == "balance":
+        cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+        lab_folder.write("robot/cell.yaml", re.sub(r"^balance: .*$", text, cell, flags=re.M))
+        assert lab_folder.load().cell.balance.limits.usp_41
     else:
         assert kind == "notify", "an example of a new kind: say here how it is read"
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")

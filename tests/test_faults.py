@@ -255,7 +255,7 @@ def test_what_is_over_before_it_matters_does_no_harm_and_overload_is_told_while_
 def test_a_fault_that_has_come_does_not_come_again_when_the_run_is_resumed(tmp_path: Path) -> None:
     """The rules' state is the world's, and lives in its file; the rules themselves are in the journal."""
     text = "faults: [{fault: balance.draught, at_pulse: 1, for: 1 s}, {fault: scoop.nothing, sample: b, times: 9}]"
-    ran = dry_run(tmp_path, BATCH, controller="adaptive", faults=text, stop_at=150)
+    ran = dry_run(tmp_path, BATCH, controller="adaptive", faults=text, stop_at=200)
     assert ran.result.exit_code == 130
     first = came(ran)
     assert len(first[0]) == 1

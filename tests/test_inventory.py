@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from running import Watching, dry_run, shared_planner
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell_spec import BalanceLimits
 from scuhand_bt.clock import Steps
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab
@@ -75,7 +76,7 @@ def test_a_database_of_a_newer_program_is_refused_and_left_alone(tmp_path: Path)
     with closing(sqlite3.connect(tmp_path / "lab.db")) as database, database:
         database.execute("PRAGMA user_version=7")
     before = (tmp_path / "lab.db").read_bytes()
-    with pytest.raises(SourceError, match=r"lab\.db:1:1: .* has the schema 7, and this program knows 2; a newer"):
+    with pytest.raises(SourceError, match=r"lab\.db:1:1: .* has the schema 7, and this program knows 3; a newer"):
         LabState(tmp_path).powders(simulated=False)
     assert (tmp_path / "lab.db").read_bytes() == before
 
@@ -325,6 +326,9 @@ def test_a_fresh_sheet_is_counted_and_stop_refuses(cell: Cell, desk: Desk) -> No
 
 @pytest.fixture
 def real(tmp_path: Path, starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[BatchResult, Session]]:
+    balance = starter.cell.balance.model_copy(update={"limits": BalanceLimits()})  # no check weight is asked for
+    lab = replace(starter, cell=starter.cell.model_copy(update={"balance": balance}))
+
     def taken_for_real(plan: Plan, lab: Lab, simulation: object, *args: object, **more: object) -> Setup:
         made = set_up(plan, lab, DryRun(), *args, **more)  # type: ignore[arg-type]
         made.cell.simulated = False
@@ -333,9 +337,9 @@ def real(tmp_path: Path, starter: Lab, monkeypatch: pytest.MonkeyPatch) -> Calla
     def run(recipe: str = RECIPE, operator: Answering | None = None, **options: bool) -> tuple[BatchResult, Session]:
         path = tmp_path / "recipe.yaml"
         path.write_text(recipe)
-        plan = make_plan(load_recipe(path, starter), starter)
+        plan = make_plan(load_recipe(path, lab), lab)
         given = Options(None, "paper", tmp_path / "runs", **options)
-        session = Session(plan, starter, given, shared_planner(plan, starter))
+        session = Session(plan, lab, given, shared_planner(plan, lab))
         if operator is not None:
             session.cell.operator = operator  # type: ignore[assignment]
         try:

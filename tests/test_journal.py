@@ -13,21 +13,12 @@ from hypothesis import strategies as st
 from harness.damaged_journals import Judge, mutations
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events import Dose, Pulsed, Tared
-from scuhand_bt.journal.events import (
-    ActionEnded,
-    ActionStarted,
-    Ended,
-    JobEnded,
-    JobStarted,
-    Paused,
-    Resumed,
-    RunBegun,
-    SampleResult,
-)
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Ended, JobEnded, JobStarted, Paused, Resumed, RunBegun
 from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.hash_chain import COLUMNS
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import open_contents, open_journal, read
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.writer import SCHEMA_VERSION, Journal
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost

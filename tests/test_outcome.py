@@ -1,10 +1,14 @@
 """A sample's result: by what the recipe asks, for every powder lot, and after its container has gone."""
 
+import io
+import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from dose_bench import DISH
+from rich.console import Console
 from running import dry_run, make_lab
 
 from scuhand_bt.cell.believed import ClosedBracket
@@ -13,21 +17,24 @@ from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.journal.events import SampleResult, SampleVerdict
+from scuhand_bt.journal.results import SampleResult, SampleVerdict
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.report.live import PlainLines
-from scuhand_bt.run.outcome import confirmed, inputs_for, sample_result
+from scuhand_bt.report.live import PlainLines, doses_table
+from scuhand_bt.run.outcome import confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.specs import Container
 
 A = DISH.model_copy(update={"id": "a"})
 BEADS, SALT = "glass_beads", "monosodium_glutamate"
 
 
-def sample(mass_mg: float | None = 50.0, tolerance_mg: float | None = 2.0) -> Sample:
+FIRST, SECOND = (A.model_copy(update={"id": f"a/{name}"}) for name in ("first", "second"))
+
+
+def sample(mass_mg: float | None = 50.0, tolerance_mg: float | None = 2.0, **containers: Container) -> Sample:
     asked = {"mass": mass_mg, "tolerance": tolerance_mg}
-    inputs = {"container": A, **{name: value for name, value in asked.items() if value is not None}}
-    return Sample(Mark("recipe"), "a", "blend", inputs, ())
+    inputs = {name: value for name, value in asked.items() if value is not None}
+    return Sample(Mark("recipe"), "a", "blend", {**(containers or {"container": A}), **inputs}, ())
 
 
 def dose(
@@ -54,13 +61,16 @@ def dose(
     )
 
 
+COUNTS: Any = {"scoops": 1, "duration_s": 60.0, "true_mg": {}}
+
+
 def result(
     *doses: Dose,
     of: Sample | None = None,
     verdict: SampleVerdict | None = None,
     failure: SkillFailed | None = None,
 ) -> SampleResult:
-    return sample_result(of or sample(), doses, verdict, failure, scoops=1, duration_s=60.0, true_mg=None, attempt=1)
+    return sample_result(of or sample(), doses, verdict, failure, **COUNTS, attempt=1)
 
 
 def gone(closes: bool = True, container: str = "a", **masses_mg: float) -> ClosedBracket:
@@ -86,12 +96,33 @@ def test_a_dose_of_another_mass_than_the_recipe_asks_is_not_as_asked() -> None:
     assert after.error_mg == pytest.approx(-24.9)
 
 
+def test_the_asked_mass_in_a_container_that_is_not_the_samples_own_is_not_as_asked() -> None:
+    assert result(dose(50.0, container="b")).verdict == "not as asked"
+    assert result(dose(50.0, container="b"), of=sample(container=A, waste=FIRST)).verdict == "not as asked"
+    assert result(dose(50.0, container="a/first"), of=sample(container=A, waste=FIRST)).verdict == "not as asked"
+    assert result(dose(50.0, container="a/second"), of=sample(first=FIRST, second=SECOND)).verdict == "in tolerance"
+    none = replace(sample(), inputs={"mass": 50.0})
+    assert result(dose(50.0, container="b"), of=none).verdict == "in tolerance", "it has no container of its own"
+    again = sample_result(sample(), [dose(50.0, container="a#2")], None, None, **COUNTS, attempt=2)
+    assert again.verdict == "in tolerance"
+
+
+def test_of_several_doses_that_are_not_as_asked_the_sample_stands_by_the_last() -> None:
+    had = result(dose(20.0, 20.0), dose(31.0, 30.0, lot=SALT), dose(11.0, 10.0, lot="flour"))
+    assert (had.verdict, had.dispensed_mg, had.error_mg) == ("not as asked", 11.0, -39.0)
+
+
 def test_a_tolerance_that_the_workflow_loosened_is_held_against_the_recipes() -> None:
     had = result(dose(53.0, tolerance_mg=5.0))
     assert (had.verdict, had.tolerance_mg) == ("over", 2.0)
     assert result(dose(53.0, 50.0 * (1.0 + 1e-12), tolerance_mg=5.0)).verdict == "over", (
         "a rounding makes no other mass"
     )
+
+
+def test_a_dose_that_the_recipe_does_not_ask_for_keeps_the_tolerance_that_it_was_given() -> None:
+    had = result(dose(50.5), dose(44.0, 40.0, lot=SALT, tolerance_mg=5.0))
+    assert [(one.tolerance_mg, one.verdict) for one in had.doses] == [(2.0, "in tolerance"), (5.0, "in tolerance")]
 
 
 def test_a_tolerance_that_the_workflow_tightened_stays_tight() -> None:
@@ -104,7 +135,10 @@ def test_a_workflow_that_asks_no_mass_is_judged_by_its_own_doses() -> None:
     assert (had.verdict, had.target_mg, had.tolerance_mg) == ("in tolerance", 25.0, 1.0)
     assert result(of=sample(None, None)).is_good
     assert not result().is_good, "a mass was asked"
-    assert (result().verdict, result().target_mg, result().dispensed_mg) == ("no dose", 50.0, None)
+    nothing = result()
+    assert (nothing.verdict, nothing.target_mg, nothing.dispensed_mg) == ("no dose", 50.0, None)
+    assert (nothing.pulses, nothing.vibration_s) == (0, 0.0)
+    assert confirmed(nothing, gone()) == nothing
 
 
 def test_the_last_dose_of_a_lot_counts_for_all_of_its_parts() -> None:
@@ -129,7 +163,9 @@ def test_a_sample_is_good_only_when_all_of_its_lots_are() -> None:
 
 
 def test_each_of_two_containers_has_to_be_seen_to_go() -> None:
-    had = result(dose(50.5, container="a/first"), dose(50.1, container="a/second"))
+    had = result(
+        dose(50.5, container="a/first"), dose(50.1, container="a/second"), of=sample(first=FIRST, second=SECOND)
+    )
     assert [one.container for one in had.doses] == ["a/first", "a/second"]
     one = confirmed(had, gone(container="a/first", glass_beads=50.6))
     assert [(dose.bracket, dose.dispensed_mg) for dose in one.doses] == [("closed", 50.6), ("open", 50.1)]
@@ -155,7 +191,8 @@ def test_a_bracket_that_does_not_close_flags_the_sample_and_says_why() -> None:
 
 
 def test_a_second_container_that_closes_does_not_take_back_what_the_first_has_shown() -> None:
-    had = result(dose(50.0, container="a/first"), dose(50.0, container="a/second"))
+    two = sample(first=FIRST, second=SECOND)
+    had = result(dose(50.0, container="a/first"), dose(50.0, container="a/second"), of=two)
     after = confirmed(had, gone(closes=False, container="a/first", glass_beads=51.0))
     after = confirmed(after, gone(container="a/second", glass_beads=50.0))
     assert (after.code, after.is_good) == ("balance.bracket_open", False)
@@ -167,30 +204,69 @@ def test_a_sample_flagged_while_its_bracket_was_open_is_good_when_it_has_closed(
     assert (after.code, after.detail, after.is_good) == (None, None, True)
 
 
+def test_a_sample_flagged_while_its_brackets_were_open_stays_so_until_all_have_closed() -> None:
+    two = sample(first=FIRST, second=SECOND)
+    had = result(dose(50.0, container="a/first"), dose(50.0, container="a/second"), of=two)
+    had = had.model_copy(update={"code": "balance.bracket_open", "detail": "it was not taken off"})
+    one = confirmed(had, gone(container="a/first", glass_beads=50.1))
+    assert (one.code, one.detail) == ("balance.bracket_open", "it was not taken off")
+    assert confirmed(one, gone(container="a/second", glass_beads=50.1)).is_good
+
+
+def test_a_step_that_the_run_has_seen_is_in_the_uncertainty_of_a_dose_and_may_change_its_verdict() -> None:
+    had = confirmed(result(dose(50.4)), gone(glass_beads=50.4))
+    small = doubted(had, 0.2)
+    assert (small.uncertainty_mg, small.verdict) == (pytest.approx(math.hypot(0.1, 0.43)), "in tolerance")
+    assert (small.code, small.is_good, small.dispensed_mg) == (None, True, 50.4)
+    large = doubted(small, 0.5)
+    assert (large.uncertainty_mg, large.verdict) == (pytest.approx(math.hypot(0.1, 1.075)), "over")
+    assert (large.code, large.doses[0].verdict, large.is_good) == ("balance.bracket_open", "over", False)
+    assert large.detail == "the balance's zero was seen to step by 0.50 mg in this run, and may have in this dose"
+    assert large.doses[0].uncertainty_mg == large.uncertainty_mg
+    assert doubted(large, 0.3) is large, "what was seen stays seen"
+
+
+def test_without_a_step_or_while_the_container_still_stands_a_result_is_as_it_was() -> None:
+    had = result(dose(50.4))
+    assert doubted(had, 3.0) is had
+    closed = confirmed(had, gone(glass_beads=50.4))
+    assert doubted(closed, 0.0) is closed
+
+
+def test_a_dose_that_a_step_makes_doubtful_keeps_the_code_that_it_had() -> None:
+    had = confirmed(result(dose(50.0)), gone(closes=False, glass_beads=51.0))
+    assert (doubted(had, 3.0).code, doubted(had, 3.0).detail) == (had.code, had.detail)
+    halted = confirmed(result(dose(50.0), verdict="interrupted"), gone(glass_beads=50.1))
+    assert (doubted(halted, 3.0).verdict, doubted(halted, 3.0).code) == ("interrupted", None)
+
+
 def test_what_failed_otherwise_keeps_its_own_code_and_verdict() -> None:
     failure = SkillFailed("dose.overshoot", "too much")
     over = confirmed(result(dose(53.0), failure=failure), gone(closes=False, glass_beads=53.1))
     assert (over.code, over.detail, over.verdict) == ("dose.overshoot", "too much", "over")
+    closed = confirmed(result(dose(53.0), failure=failure), gone(glass_beads=53.1))
+    assert (closed.code, closed.doses[0].bracket, closed.is_good) == ("dose.overshoot", "closed", False)
     halted = confirmed(result(dose(50.0), verdict="interrupted"), gone(glass_beads=50.1))
     assert (halted.verdict, halted.dispensed_mg, halted.is_good) == ("interrupted", 50.1, False)
 
 
 def test_a_second_attempt_is_for_containers_with_ids_of_their_own() -> None:
-    two = Sample(Mark("recipe"), "a", "w", {"first": A, "second": A.model_copy(update={"id": "a/second"})}, ())
+    two = sample(first=A, second=SECOND)
     ids = [
         [value.id for value in inputs_for(two, attempt).values() if isinstance(value, Container)] for attempt in (1, 2)
     ]
     assert ids == [["a", "a/second"], ["a#2", "a/second#2"]]
 
 
-LITERAL = """
-workflow: literal
+MEASURED = """
+workflow: measured
 inputs: {source: Source, container: Container, mass: Mass, tolerance: Mass}
 tree:
   sequence:
     - place_container: {container: $container}
     - tare:
-    - fill: {source: $source, container: $container, mass: 25 mg}
+    - fill: {source: $source, container: $container, mass: 25 mg, as: dose}
+    - fill: {source: $source, container: $container, mass: $dose.target}
     - return_leftover: {source: $source}
     - park:
 """
@@ -227,8 +303,9 @@ on_failure: {otherwise: flag}
 
 
 def test_a_workflow_that_dispenses_25_mg_for_a_sample_of_50_mg_is_not_good(tmp_path: Path) -> None:
-    lab = make_lab(tmp_path / "lab", trees__literal=LITERAL)
-    ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "literal"), lab=lab)
+    """What it was measured to be is known only in the run; what is known before is in test_asked.py."""
+    lab = make_lab(tmp_path / "lab", trees__measured=MEASURED)
+    ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "measured"), lab=lab)
     had = ran.sample("a")
     assert (had.verdict, had.target_mg, had.is_good) == ("not as asked", 50.0, False)
     assert had.dispensed_mg == pytest.approx(25.0, abs=2.0)
@@ -262,6 +339,96 @@ def test_a_sample_of_two_containers_gives_each_an_id_and_a_result_of_its_own(tmp
     assert ran.session.cell.believed.closed == ()
 
 
+SWEEP = """
+workflow: finish_batch
+inputs: {source: Source}
+tree:
+  sequence:
+    - fill_up: {source: $source}
+    - return_leftover: {source: $source}
+    - park:
+    - remove_container:
+"""
+FILL_UP = '''
+from scuhand_bt.cell.places import over_balance
+from scuhand_bt.skill import Cell, Skill, Source, Steps
+
+from .dispense import Dispense
+from .scoop import Scoop
+
+
+class FillUp(Skill[None]):
+    """Dose into whatever stands on the pan."""
+
+    devices = ("arm", "hand", "balance")
+    source: Source
+
+    def run(self, cell: Cell) -> Steps[None]:
+        container = cell.believed.pan
+        yield from Scoop(source=self.source).run(cell)
+        yield from cell.move_to(over_balance(cell.spec, container)[0])
+        yield from Dispense(mass_mg=30.0).run(cell)
+'''
+
+
+UNFILLED = """
+workflow: unfilled
+inputs: {source: Source, container: Container}
+tree: {sequence: [{place_container: {container: $container}}, {tare: }]}
+"""
+
+
+def test_what_a_job_between_samples_doses_is_no_samples_dose_and_waits_for_none(tmp_path: Path) -> None:
+    files = {"trees__finish_batch": SWEEP, "trees__unfilled": UNFILLED, "skills__fill_up": FILL_UP}
+    lab = make_lab(tmp_path / "lab", **files)
+    text = RECIPE.replace("WORKFLOW", "unfilled").replace(", mass: 50 mg, tolerance: 2 mg", "")
+    ran = dry_run(tmp_path, text, lab=lab)
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["container:a"] == pytest.approx(30.0, abs=2.0)
+    assert (ran.sample("a").verdict, ran.sample("a").doses) == ("no dose", ())
+    assert ran.session.cell.believed.closed == ()
+
+
+AGAIN = """
+workflow: again
+inputs: {source: Source, container: Container, mass: Mass, tolerance: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - first_fails: {container: $container}
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}
+    - park:
+    - remove_container:
+"""
+FIRST_FAILS = '''
+from scuhand_bt.skill import Cell, Container, Skill, SkillFailed, Steps
+
+
+class FirstFails(Skill[None]):
+    """Fail with a sample's first container."""
+
+    container: Container
+
+    def run(self, cell: Cell) -> Steps[None]:
+        yield from ()
+        if "#" not in self.container.id:
+            raise SkillFailed("operator.refused", "it has a crack")
+'''
+
+
+def test_a_second_attempt_whose_container_goes_within_its_own_job_is_confirmed(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab", trees__again=AGAIN, skills__first_fails=FIRST_FAILS)
+    ran = dry_run(tmp_path, RECIPE.replace("WORKFLOW", "again").replace("flag", "redo"), lab=lab)
+    had = ran.sample("a")
+    assert (had.attempt, had.code, [(one.container, one.bracket) for one in had.doses]) == (
+        2,
+        None,
+        [("a#2", "closed")],
+    )
+    assert had.is_good
+
+
 def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it() -> None:
     lines: list[str] = []
     observer, had = PlainLines(lines.append, 1), result(dose(50.4))
@@ -270,6 +437,42 @@ def test_plain_lines_tell_a_sample_once_and_again_only_when_its_bracket_flags_it
     assert lines == ["[1/1] a: 50.4 mg of 50.0 mg (+0.4 mg) in 3 pulses, 1 min 00 s: in tolerance"]
     observer.sample_ended(confirmed(had, gone(closes=False, glass_beads=53.4)))
     assert lines[1:] == [f"{lines[0]} (balance.bracket_open)"]
+
+
+def test_a_sample_of_several_doses_is_told_with_each_of_them() -> None:
+    lines: list[str] = []
+    of_lots, two = result(dose(50.4), dose(45.0, 40.0, lot=SALT)), sample(first=FIRST, second=SECOND)
+    of_containers = result(dose(50.4, container="a/first"), dose(47.0, container="a/second"), of=two)
+    for had in (of_lots, of_containers):
+        PlainLines(lines.append, 1).sample_ended(had)
+    assert lines == [
+        "[1/1] a: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; monosodium_glutamate 45.0 mg of 40.0 mg "
+        "(+5.0 mg), over in 3 pulses, 1 min 00 s: over",
+        "[1/1] a: a/first: glass_beads 50.4 mg of 50.0 mg (+0.4 mg), in tolerance; a/second: glass_beads 47.0 mg of "
+        "50.0 mg (-3.0 mg), under in 3 pulses, 1 min 00 s: under",
+    ]
+
+
+def test_every_dose_has_its_row_in_a_narrow_terminal_too() -> None:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(doses_table([result(dose(50.4), dose(45.0, 40.0, lot=SALT))], 80))
+    rows = [line.split() for line in console.file.getvalue().splitlines()]  # type: ignore[attr-defined]
+    assert rows[2:] == [
+        ["a", "60", "over"],
+        [BEADS, "50.0", "mg", "50.4", "mg", "+0.4", "±", "0.2", "in", "tolerance"],
+        [SALT, "40.0", "mg", "45.0", "mg", "+5.0", "±", "0.2", "over"],
+    ]
+
+
+def test_what_the_simulation_has_in_each_container_stands_by_its_doses() -> None:
+    held = {"a/first": 51.0, "a/second": 49.0, "a/third": 0.0}
+    two = sample(first=FIRST, second=SECOND)
+    doses = [dose(50.0, container="a/second"), dose(25.0, 25.0, container="a/first")]
+    had = sample_result(two, doses, None, None, **COUNTS | {"true_mg": held}, attempt=1)
+    assert ([one.true_mg for one in had.doses], had.true_mg) == ([49.0, 51.0], 49.0)
+    none = sample_result(two, [], None, None, **COUNTS | {"true_mg": held}, attempt=1)
+    assert none.true_mg == 51.0, "the first container's, where nothing was dosed"
+    assert result(dose(50.0)).true_mg is None
 
 
 def test_a_dose_that_is_near_half_its_tolerance_from_the_bare_pans_word_is_flagged_whatever_chance_allows() -> None:

@@ -5,17 +5,20 @@ from collections.abc import Callable
 import pytest
 
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Pulse, Weigh, new_controller
-from scuhand_bt.dosing.controller import Departure
 from scuhand_bt.dosing.flow import basis
 from scuhand_bt.dosing.paper import STORED_MG
-from scuhand_bt.specs import PowderBelief
+from scuhand_bt.specs import Departure, PowderBelief
 
-PRINTED: frozenset[Departure] = frozenset()
-ALL = frozenset(Departure)
+PRINTED: tuple[Departure, ...] = ()
+ALL = tuple(Departure)
 SPEED_MM_PER_S = 4.0
 BELIEVED = PowderBelief(coefficient=50.0, spread=0.2)
 START = 75.0
 """The first C' of that: two and a half spreads above."""
+
+
+def without(departure: Departure) -> tuple[Departure, ...]:
+    return tuple(other for other in ALL if other != departure)
 
 
 def request(**changes: object) -> DoseRequest:
@@ -78,7 +81,7 @@ def test_the_coefficient_is_fitted_to_what_pulses_brought_and_small_ones_are_not
     [(PRINTED, 48.0, False), (PRINTED, 48.01, True), (ALL, 48.125, False), (ALL, 48.13, True)],
 )
 def test_the_tolerance_is_strict_and_as_printed_it_leaves_none_to_the_measurement(
-    departures: frozenset[Departure], net_mg: float, ends: bool
+    departures: tuple[Departure, ...], net_mg: float, ends: bool
 ) -> None:
     controller = new_controller("paper", request(departures=departures))
     controller.decide(None)
@@ -87,10 +90,10 @@ def test_the_tolerance_is_strict_and_as_printed_it_leaves_none_to_the_measuremen
 
 @pytest.mark.parametrize("name", ["paper", "direct_pid"])
 @pytest.mark.parametrize(
-    ("departures", "reason", "steps"), [(ALL, "overshoot", 1), (ALL - {Departure.OVERSHOOT}, "step_limit", 100)]
+    ("departures", "reason", "steps"), [(ALL, "overshoot", 1), (without(Departure.OVERSHOOT), "step_limit", 100)]
 )
 def test_an_overshoot_ends_the_loop_that_the_paper_leaves_spinning(
-    name: str, departures: frozenset[Departure], reason: str, steps: int
+    name: str, departures: tuple[Departure, ...], reason: str, steps: int
 ) -> None:
     pulses, finish = dose(request(departures=departures), lambda n, pulse: 52.5 if n == 0 else 0.0, name)
     assert (finish.reason, len(pulses)) == (reason, steps)
@@ -99,12 +102,23 @@ def test_an_overshoot_ends_the_loop_that_the_paper_leaves_spinning(
 
 @pytest.mark.parametrize(
     ("departures", "cone_mg", "reason"),
-    [(ALL, 60.0, "empty"), (ALL, 5000.0, "no_flow"), (ALL - {Departure.GIVING_UP}, 60.0, "step_limit")],
+    [(ALL, 60.0, "empty"), (ALL, 5000.0, "no_flow"), (without(Departure.GIVING_UP), 60.0, "step_limit")],
 )
-def test_a_cone_that_gives_nothing_is_given_up(departures: frozenset[Departure], cone_mg: float, reason: str) -> None:
+def test_a_cone_that_gives_nothing_is_given_up(departures: tuple[Departure, ...], cone_mg: float, reason: str) -> None:
     pulses, finish = dose(request(departures=departures, cone_mg=cone_mg, step_limit=300), lambda n, pulse: 0.0)
     assert finish.reason == reason
     assert pulses[-1].vibration == 1.0
+
+
+def test_a_cone_is_given_up_after_five_of_the_widest_pulses_brought_nothing() -> None:
+    nothing, _ = dose(request(step_limit=300), lambda n, pulse: 0.0)
+    assert [pulse.opening_mm == 2.0 and pulse.dwell_s == 2.0 for pulse in nothing].count(True) == 5
+
+
+def test_it_waits_after_each_pulse_as_long_as_its_rig_does() -> None:
+    for name in ("paper", "direct_pid"):
+        pulses, _ = dose(request(wait_s=2.5), lambda n, pulse: 10.0, name)
+        assert {pulse.wait_s for pulse in pulses} == {2.5}
 
 
 def test_no_more_than_its_steps_are_taken() -> None:
@@ -128,11 +142,11 @@ def test_a_powder_that_flows_only_when_shaken_is_shaken_from_the_first_pulse() -
     assert all(pulse.vibration == 1.0 for pulse in pulses)
 
 
-@pytest.mark.parametrize(("departures", "sized_by"), [(ALL, START), (ALL - {Departure.ORDER}, START / 2.0)])
+@pytest.mark.parametrize(("departures", "sized_by"), [(ALL, START), (without(Departure.ORDER), START / 2.0)])
 def test_the_first_shaken_pulse_is_sized_by_the_mode_that_runs_or_as_printed_by_the_other(
-    departures: frozenset[Departure], sized_by: float
+    departures: tuple[Departure, ...], sized_by: float
 ) -> None:
-    asked = request(target_mg=2400.0, departures=departures - {Departure.FIRST_GUESS})
+    asked = request(target_mg=2400.0, departures=tuple(set(departures) - {Departure.FIRST_GUESS}))
     pulses, _ = dose(asked, lambda n, pulse: modelled(pulse, START if pulse.vibration else START / 2.0))
     assert pulses[0].vibration == 0.0
     assert pulses[1].vibration == 1.0
@@ -140,17 +154,18 @@ def test_the_first_shaken_pulse_is_sized_by_the_mode_that_runs_or_as_printed_by_
     assert modelled(pulses[1], sized_by) == pytest.approx(min(aim_mg, modelled(Pulse(2.0, 2.0), sized_by)), rel=1e-2)
 
 
-@pytest.mark.parametrize(("departures", "fitted"), [(ALL, START * 0.6), (ALL - {Departure.FIRST_GUESS}, START * 0.2)])
-def test_the_first_guess_stays_in_the_fit_as_one_more_pulse(departures: frozenset[Departure], fitted: float) -> None:
+@pytest.mark.parametrize(("departures", "fitted"), [(ALL, START * 0.6), (without(Departure.FIRST_GUESS), START * 0.2)])
+def test_the_first_guess_stays_in_the_fit_as_one_more_pulse(departures: tuple[Departure, ...], fitted: float) -> None:
     pulses, _ = dose(request(departures=departures), lambda n, pulse: modelled(pulse, START * 0.2))
     left_mg = 50.0 - modelled(pulses[0], START * 0.2)
     assert modelled(pulses[1], fitted) == pytest.approx(0.3 * left_mg, rel=1e-2)
 
 
 def test_a_coefficient_that_is_far_too_high_thaws_or_as_printed_freezes() -> None:
-    for departures, grown in ((ALL, 3.0), (ALL - {Departure.THAW}, 1.0)):
+    for departures, grown in ((ALL, 3.0), (without(Departure.THAW), 1.0)):
         asked = request(target_mg=12.0, departures=departures, step_limit=20)
         pulses, _ = dose(asked, lambda n, pulse: 5.0 if n == 0 else 0.0)
         sizes = [modelled(pulse, 1.0) for pulse in pulses[1:]]
         assert sizes[4] == sizes[0], "not before the fifth that brings nothing"
+        assert sizes[5] == pytest.approx(min(grown, 1.5) * sizes[0], rel=2e-2), "by a third each time"
         assert sizes[-1] == pytest.approx(grown * sizes[0], rel=2e-2), "never with less than a third of the last fit"

@@ -487,7 +487,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
     plan, lab = run.plan()
     options = Options(DryRun(plant="test_resume:Unpicklable"), folder=run.folder)
     session = Session(plan, lab, options, shared_planner(plan, lab))
-    watch = Watch("stop_now", 90)
+    watch = Watch("stop_now", 200)
     watch.session = session
     try:
         session.run(watch)
@@ -573,3 +573,34 @@ def test_a_guard_that_trips_in_a_pause_ends_the_run_and_the_sample_is_interrupte
     assert result.samples[0].verdict == "interrupted"
     pressed.clear()
     assert run.go(Watch(), resumes=True).exit_code == 0
+
+
+TAKEN_OFF = """
+workflow: taken_off
+inputs: {source: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 2 mg}}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}
+    - park:
+    - remove_container:
+    - wait: {duration: 20 s}
+"""
+
+
+class WatchBracket(Watch):
+    """Stops the run once a container has gone within the job of its own sample."""
+
+    def ticked(self, root: Any) -> None:
+        if any(closed.container == "b" for closed in self.session.cell.believed.closed):
+            self.session.control.wish("stop_now")
+
+
+def test_a_container_that_went_before_its_sample_was_interrupted_confirms_it_when_it_goes_on(tmp_path: Path) -> None:
+    run = Run(tmp_path, make_lab(tmp_path / "lab", trees__taken_off=TAKEN_OFF))
+    text = "recipe: two\nworkflow: taken_off\ndefaults: {source: beads, container: xrd_holder}\n"
+    run.recipe.write_text(text + "samples: [{id: a, mass: 20 mg}, {id: b, mass: 30 mg}]\n" + HEAD, encoding="utf-8")
+    assert run.go(WatchBracket()).exit_code == 130
+    ended = run.go(Watch(), resumes=True)
+    assert [(sample.id, sample.is_good) for sample in ended.samples] == [("a", True), ("b", True)]

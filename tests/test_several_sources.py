@@ -61,10 +61,16 @@ def lab(desk: Desk, lab_folder: LabFolder) -> LabFolder:
 
 
 def problems_of_tree(desk: Desk, lab: LabFolder, child: str) -> list[str]:
-    """What is wrong with a blend whose tree is this child, and with its sample."""
-    lab.write("trees/blend.yaml", IN_ORDER.split("tree:")[0].replace("result: $dose\n", "") + f"tree:\n  {child}\n")
+    """What is wrong with a blend whose tree is this child, and with its sample `a`, which asks for no mass."""
+    head = IN_ORDER.split("tree:")[0].replace("result: $dose\n", "")
+    head = head.replace("mass: Mass", "amount: {type: Mass, default: 100 mg}")
+    lab.write("trees/blend.yaml", head + f"tree:\n  {child}\n")
     desk.lab = lab.load()
-    return desk.problems(recipe(f"id: a, {MIXED}"))
+    return desk.problems(a_blend())
+
+
+def a_blend(powder: str = "monosodium_glutamate") -> str:
+    return recipe(f"id: a, {MIXED}", powder=powder).replace(", mass: 100 mg", "")
 
 
 def names(sample: Sample) -> list[str]:
@@ -179,14 +185,14 @@ def test_how_often_is_refused_where_only_the_run_tells_it(desk: Desk, lab: LabFo
 
 
 def test_one_lot_in_two_mortars_may_be_taken_from_either(desk: Desk, lab: LabFolder) -> None:
-    fills = [f"{{fill: {{source: ${name}, container: $container, mass: $mass}}}}" for name in ("first", "second")]
+    fills = [f"{{fill: {{source: ${name}, container: $container, mass: $amount}}}}" for name in ("first", "second")]
     problems_of_tree(desk, lab, f"fallback: [{', '.join(fills)}]")
-    (sample,) = desk.load(recipe(f"id: a, {MIXED}", powder="glass_beads")).samples
+    (sample,) = desk.load(a_blend("glass_beads")).samples
     assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("beads", 100.0), ("other", 100.0)]
 
 
 def test_a_workflow_of_one_source_takes_its_mass_however_it_does_that(desk: Desk, lab: LabFolder) -> None:
-    tree = "workflow: bare\ninputs: {source: Source, mass: Mass}\ntree:\n  scoop: {source: $source}\n"
+    tree = "workflow: bare\ninputs: {source: Source, mass: Mass}\ntree:\n  dispense: {mass: $mass}\n"
     lab.write("trees/bare.yaml", tree)
     desk.lab = lab.load()
     (sample,) = desk.load(recipe("id: a, workflow: bare, source: beads, mass: 5.01 g").replace("5 g", "9 g", 1)).samples
@@ -198,14 +204,14 @@ def test_a_mass_by_default_is_taken_and_a_fallback_may_take_two_lots_in_one_way(
     lab.write("trees/pinch.yaml", pinch)
     both = "{sequence: [{pinch: {source: $first}}, {pinch: {source: $second}}]}"
     assert problems_of_tree(desk, lab, f"fallback: [{both}, {{discard: }}]") == []
-    (sample,) = desk.load(recipe(f"id: a, {MIXED}")).samples
+    (sample,) = desk.load(a_blend()).samples
     assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("beads", 7.0), ("other", 7.0)]
 
 
 def test_what_is_repeated_is_taken_each_time(desk: Desk, lab: LabFolder) -> None:
-    fill = "{fill: {source: $second, container: $container, mass: $mass}}"
+    fill = "{fill: {source: $second, container: $container, mass: $amount}}"
     assert problems_of_tree(desk, lab, f"repeat: {{times: 3, child: {fill}}}") == []
-    (sample,) = desk.load(recipe(f"id: a, {MIXED}")).samples
+    (sample,) = desk.load(a_blend()).samples
     assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("other", 300.0)]
     assert names(sample) == ["other", "beads"]
 
@@ -249,7 +255,7 @@ def test_two_powders_into_one_crucible_need_one_tare_and_each_is_measured_by_its
     assert true_mg == pytest.approx(sum(dose.dispensed_mg for dose in had.doses), abs=1.0)
     with open_contents(ran.journal) as contents:
         written = list(csv.DictReader(io.StringIO(weighing_record(contents))))
-    brackets = [row for row in written if row["weighing"] == "bracket"]
+    brackets = [row for row in written if row["weighing"] == "result"]
     assert [(row["source"], row["powder"], row["target_mg"]) for row in brackets] == [
         ("other", "monosodium_glutamate", "40.0000"),
         ("beads", "glass_beads", "100.0000"),

@@ -173,6 +173,26 @@ def test_lumps_that_shrink_with_the_gap_are_smaller_at_small_openings() -> None:
     assert largest_mg(0.5) < 0.2 * largest_mg(1.5)
 
 
+def test_shaken_crystals_come_in_avalanches_and_no_more_of_them_for_that() -> None:
+    even = POWDERS["monosodium_glutamate"].simulation.model_copy(
+        update={"load_variation": 0.0, "packing_variation": 0.0, "arch_diameter_mm": 0.0, "surge_share": 0.0}
+    )
+
+    def flowing(avalanche_mg: float, vibration: float) -> np.ndarray:
+        """What leaves in each of many steps at a narrow opening, once the slot is full."""
+        figures = even.model_copy(update={"avalanche_mg": avalanche_mg})
+        powder = POWDERS["monosodium_glutamate"].model_copy(update={"simulation": figures})
+        flow, rng = OurPowderFlow(powder), np.random.default_rng(3)
+        return np.array([flow.step(0.02, 0.4, vibration, 4000.0, rng) for _ in range(20_000)])[100:]
+
+    shaken = flowing(1.5, 1.0)
+    avalanches = shaken[shaken > 1e-9]
+    assert avalanches.std() == pytest.approx(avalanches.mean(), rel=0.1), "exponential"
+    assert avalanches.mean() == pytest.approx(1.5, rel=0.1)
+    assert shaken.mean() == pytest.approx(flowing(0.0, 1.0).mean(), rel=0.1)
+    assert flowing(1.5, 0.0) == pytest.approx(flowing(0.0, 0.0))
+
+
 def test_an_overloaded_balance_says_so() -> None:
     rig = bench(balance=BalanceSpec(maximum_mg=20_000.0))
     with pytest.raises(SkillFailed, match=r"balance\.overload"):

@@ -59,10 +59,8 @@ class Bracket:
     doses: Nets = field(default_factory=lambda: MappingProxyType({}))
     drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
     """What was seen about the last dose."""
-    before: Gross | None = None
-    """With the hand in place, just before the valve opened; None while nothing is unweighed."""
     lot: str = ""
-    """What is being dosed from there on."""
+    """What is being dosed."""
     lifted: Gross | None = None
     """The filled container, the hand away, before it is taken off the pan."""
 
@@ -111,6 +109,8 @@ class Believed:
     """What containers that have gone came to; until the batch has noted it."""
     is_zero_doubted: bool = False
     """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
+    zero_stepped_mg: float = 0.0
+    """By how much the balance's zero was seen to step at most: so much may have hidden in any dose of the run."""
 
     @property
     def weighed_container(self) -> Container | None:
@@ -245,18 +245,21 @@ class Believed:
         )
         self.dose_began(weighing.time_s)
 
-    def dosing_towards(self, target_mg: float, lot: str, before: Gross, *, has_stepped: bool = False) -> None:
+    def zero_stepped(self, by_mg: float) -> None:
+        """Weighings of one thing differ by so much, which neither chance nor powder explains; 0: by nothing."""
+        if _mass(by_mg) > 0.0:
+            self._set(is_zero_doubted=True, zero_stepped_mg=max(self.zero_stepped_mg, by_mg))
+
+    def dosing_towards(self, target_mg: float, lot: str, before: Gross) -> None:
         """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet.
 
-        `has_stepped`: the pan showed another weight than when it was last weighed, and nothing was dosed since.
         ValueError without a container that was weighed.
         """
         bracket = self._open_bracket
         self._set(
-            is_zero_doubted=self.is_zero_doubted or has_stepped,
             dosing=replace(self.dosing, target_mg=_mass(target_mg), is_unweighed=True),
             pan_empty_mg=before.gross_mg - bracket.dosed_mg(lot).mass_mg,
-            bracket=replace(bracket, before=before, last=before, lot=lot),
+            bracket=replace(bracket, last=before, lot=lot),
         )
 
     def dosing_ended(self, arrived_mg: float, gross_mg: float) -> None:
@@ -297,9 +300,8 @@ class Believed:
         if self.pan_empty_mg is not None:
             self._set(pan_empty_mg=self.pan_empty_mg + drift_mg)
         if (bracket := self.bracket) is not None:
-            before = _shifted(bracket.before, drift_mg) if bracket.before is not None else None
             bare, loaded = _shifted(bracket.bare, drift_mg), _shifted(bracket.loaded, drift_mg)
-            self._set(bracket=replace(bracket, bare=bare, loaded=loaded, before=before, last=now))
+            self._set(bracket=replace(bracket, bare=bare, loaded=loaded, last=now))
 
     # --- within
 
@@ -315,7 +317,7 @@ class Believed:
         total = Net(before.mass_mg + gained.mass_mg, math.hypot(before.uncertainty_mg, gained.uncertainty_mg))
         doses = MappingProxyType({**bracket.doses, bracket.lot: total})
         self._weighed(now.gross_mg)
-        self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now, before=None))
+        self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now))
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""

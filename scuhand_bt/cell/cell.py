@@ -4,6 +4,7 @@ Skills act only through this object.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -14,16 +15,18 @@ from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.places import Position
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
-from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Trajectory
+from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.record import Record
-from scuhand_bt.specs import BalanceBelief, Powder, PowderBelief, Source
+from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
 LOAD_STEP_MM3 = 2000.0
+RECENT = 4000
+"""Readings that are at hand: some minutes, in which a person puts a container on the pan."""
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
@@ -60,6 +63,19 @@ class Cell:
     """What is learnt of powders, by `Source.sheet_key`; the powder's own `belief` until then."""
     balance_belief: BalanceBelief = field(default_factory=BalanceBelief)
     """What is learnt of the balance."""
+    balance_figures: dict[BalanceFigure, float | None] = field(default_factory=dict)
+    """What this run has measured of it; None for what was measured before, and does not hold any more."""
+    known_delay_s: float | None = None
+    """How late it was last seen to show a load, by this run or an earlier one."""
+    readings: deque[Reading] = field(default_factory=lambda: deque(maxlen=RECENT))
+    """The balance's last ones, filled from where they arrive."""
+
+    @property
+    def balance_name(self) -> str:
+        """Which balance this is, as far as it tells, and how it is set: what is known of it belongs to that."""
+        spec = self.spec.balance
+        who = self.balance.identity or f"of {self.spec.cell}"
+        return f"{spec.driver} {who}, {spec.readability_mg:g} mg, {1.0 / spec.period_s:.3g} Hz"
 
     def device(self, name: str) -> Device:
         """A device by the name that skills lease it under: arm, hand, balance, changer."""

@@ -1,17 +1,35 @@
 """Gross on the cell's balance so that a mass can be told: again until it stays, and by the bare pan afterwards."""
 
+import math
+import statistics
+from collections.abc import Sequence
+from contextlib import closing
+
 from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.interfaces import StableMean
-from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close
-from scuhand_bt.events import BracketClosed, ContainerLifted, LotDosed
+from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close, moved_mg
+from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, step_delay_s
+from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.specs import BalanceBelief
 
 PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
 PAUSE_S = 1.5
 """Between two weighings that are to agree."""
+WATCHED = 5
+"""So many stable readings in a row tell what the pan shows."""
+CREEP_DIGITS = 5.0
+"""So far a filter of a second may still creep when the changer begins to change the load again."""
+
+CHANGED_MG = 50.0
+"""Every container weighs more, and no draught pushes so hard."""
+SLOWER = 1.25
+"""Times a known delay: a balance that shows a step later is not set as it was."""
+HAND_S = 1.0
+"""What a person takes to put a container down, besides."""
 
 
 def weighing_of(mean: StableMean) -> Gross:
@@ -20,12 +38,13 @@ def weighing_of(mean: StableMean) -> Gross:
 
 
 def weigh_until_still(
-    cell: Cell, last: Gross, allowed_mg: float, pause_s: float = 0.0
+    cell: Cell, last: Gross, allowed_mg: float, pause_s: float = 0.0, *, may_gain: bool = False
 ) -> Steps[tuple[Gross, StableMean]]:
     """The first two weighings in a row that differ by no more than allowed or by chance, from `last` on.
 
-    The next one comes after `pause_s`. A step of the zero is passed by it, and what creeps or drifts is not:
-    SkillFailed balance.drifting after `PATIENCE_S`.
+    The next one comes after `pause_s`. A step of the zero is passed by it and remembered, and what creeps or drifts is
+    not passed: SkillFailed balance.drifting after `PATIENCE_S`. What `may_gain` has powder still on its way, or
+    dripping: only what it loses is the zero's.
     """
     begin_s, digit_mg = cell.clock.now_s, cell.spec.balance.readability_mg
     while True:
@@ -35,6 +54,9 @@ def weigh_until_still(
         mean = yield from cell.balance.stable_mean()
         now = weighing_of(mean)
         changed_mg = now.gross_mg - last.gross_mg
+        stepped_mg = moved_mg(last, now, digit_mg)
+        if stepped_mg < 0.0 or not may_gain:
+            cell.believed.zero_stepped(abs(stepped_mg))
         if abs(changed_mg) <= max(allowed_mg, 2.0 * apart_mg(last, now, digit_mg)):
             return last, mean
         if now.time_s - begin_s > PATIENCE_S:
@@ -45,28 +67,104 @@ def weigh_until_still(
         last, pause_s = now, PAUSE_S
 
 
+def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
+    """Let the changer change the load, and see whether the pan goes on showing what it has shown until that comes.
+
+    Nothing falls then: it is the zero that moves. A person who changes containers leans on what they may.
+    """
+    if cell.changer.needs_person:
+        yield from changing
+        return
+    period_s, stable = cell.spec.balance.period_s, list[Reading]()
+    with closing(changing):
+        for wake in changing:
+            while cell.clock.now_s < wake.until_s and not wake.has_fired:
+                yield Wake(min(wake.until_s, cell.clock.now_s + period_s))
+                reading = cell.balance.latest
+                if reading is None or not reading.stable:
+                    stable.clear()
+                elif not stable or reading.time_s > stable[-1].time_s:
+                    stable.append(reading)
+                    if len(stable) == WATCHED:
+                        _compare(cell, shown, stable)
+                        stable.clear()
+
+
+def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
+    """Stable readings against an earlier weighing of the same, unless they show that the load has changed."""
+    digit_mg, values_mg = cell.spec.balance.readability_mg, [reading.value_mg for reading in stable]
+    u_mg = math.hypot(statistics.stdev(values_mg) / math.sqrt(len(values_mg)), digit_mg / math.sqrt(12.0))
+    now = Gross(statistics.fmean(values_mg), u_mg, stable[-1].time_s)
+    if CREEP_DIGITS * digit_mg < abs(now.gross_mg - shown.gross_mg) < CHANGED_MG:
+        cell.believed.zero_stepped(abs(moved_mg(shown, now, digit_mg)))
+
+
+def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
+    """The gross when something has come or gone: a balance with a dead time goes on showing for a while what was."""
+    end_s = cell.clock.now_s + LONGEST_DELAY_S
+    while was_mg is not None and cell.clock.now_s < end_s:
+        reading = yield from cell.balance.next_reading()
+        if abs(reading.value_mg - was_mg) > CHANGED_MG:
+            break
+    mean = yield from cell.balance.stable_mean()
+    return mean
+
+
+def step_delay(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: float) -> float | None:
+    """How late the balance has shown what came on its bare pan, by `brought_s` at the latest, where that can be told.
+
+    When a person has put it down nobody knows: it counts from where it shows, and no dead time is seen.
+    """
+    if abs(loaded.value_mg - bare.value_mg) < CHANGED_MG:
+        return None
+    curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if bare.time_s <= one.time_s <= loaded.time_s]
+    latest_s = math.inf if cell.changer.needs_person else brought_s
+    return step_delay_s(curve, bare.value_mg, loaded.value_mg, latest_s)
+
+
+def require_known_delay(cell: Cell, delay_s: float) -> None:
+    """Before a dose: a balance that is slower than it was is taken for that, and learnt anew by the next dose.
+
+    SkillFailed balance.slow where nothing doses safely with it.
+    """
+    inexact_s = cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
+    if delay_s > LONGEST_DELAY_S + inexact_s:
+        late = f"it showed the container {delay_s:.1f} s late; up to {LONGEST_DELAY_S:g} s are dosed with"
+        raise SkillFailed(Code.BALANCE_SLOW, late)
+    known_s = 2.0 * cell.balance_belief.lag_s if cell.known_delay_s is None else cell.known_delay_s
+    if delay_s > SLOWER * known_s + inexact_s:
+        cell.balance_belief = BalanceBelief(lag_s=delay_s / 2.0)
+        cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
+    elif cell.known_delay_s is not None:
+        delay_s = min(delay_s, known_s)
+    cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
+
+
 def take_container_away(cell: Cell) -> Steps[StableMean]:
     """Clear the pan, and weigh it bare: that closes the bracket about what was dosed into the container.
 
     Whether it closes is for the batch to say of its sample.
     """
-    believed = cell.believed
+    believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
     bracket = believed.bracket
     if bracket is not None and bracket.doses and bracket.lifted is None:
         mean = yield from cell.balance.stable_mean()
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
-    believed.changing_container()
-    yield from cell.changer.take_away()
-    bare = yield from cell.balance.stable_mean()
+        believed.zero_stepped(max(0.0, -moved_mg(bracket.last, weighing_of(mean), digit_mg)))
+    was_mg = believed.pan_gross_mg
     bracket = believed.bracket
+    believed.changing_container()
+    taking = cell.changer.take_away()
+    yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
+    bare = yield from weigh_changed(cell, was_mg)
     believed.removed()
     if bracket is None or bracket.lifted is None:
         believed.bracket_closed(None)
         return bare
     doses = list(bracket.doses.values())
-    digit_mg = cell.spec.balance.readability_mg
     closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
+    believed.zero_stepped(max(0.0, -closed.stepped_mg))
     adjusted = dict(zip(bracket.doses, closed.doses, strict=True))
     believed.bracket_closed(
         ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))
@@ -81,13 +179,14 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
             zero_mg=closed.zero_mg,
             closes=closed.closes,
             doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
+            bare=bare.written(),
         )
     )
     return bare
 
 
 def _in_words(closed: Closed) -> str:
-    if closed.unsteady_mg > 0.0:
+    if closed.stepped_mg != 0.0:
         return f"the bare pan shows {closed.zero_mg:+.2f} mg against before the container: the balance's zero has moved"
     return (
         f"by the bare pan before and after it the container has gained {closed.net.mass_mg:.2f} mg, "

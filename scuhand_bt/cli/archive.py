@@ -85,7 +85,7 @@ def show(
 
 
 def _told(story: Any) -> "Iterator[RenderableType]":
-    from scuhand_bt.journal.events import SampleResult
+    from scuhand_bt.journal.results import SampleResult
     from scuhand_bt.report.live import doses_table
     from scuhand_bt.report.run_story import chain_line, header_lines, told
 

@@ -96,6 +96,8 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None)
         try:
             session = make(control)
             out.print(Text(session.title))
+            for warning in session.warnings:
+                err.print(Text(f"Note: {warning}"))
             result = _watched(session)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
@@ -230,14 +232,22 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
 
 def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
+    from datetime import datetime
+
     from scuhand_bt.lab import state_folder, without_driver
+    from scuhand_bt.lab_state.beliefs import LabState
     from scuhand_bt.lab_state.inventory import Inventory
+    from scuhand_bt.run.balance_limits import below_usp, beyond_limits
     from scuhand_bt.run.inventory_conflicts import conflicts
 
     problems = without_driver(lab)
     try:
         stock = Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
         problems += [conflict.problem for conflict in conflicts(made, lab.cell, stock)]
+        last = list(LabState(state_folder(lab)).figures(simulated=False).values())[-1:]  # which it is, only a run knows
+        figures = last[0] if last else {}
+        problems += beyond_limits(made, lab, figures, datetime.now().astimezone())
+        problems += below_usp(made, lab, figures)
     except SourceError as error:
         problems += error.problems
     notes = [str(problem) for problem in problems]

@@ -64,7 +64,7 @@ def trees(name: NameArgument = None, lab: LabOption = None) -> None:
 
 @app.command()
 def powders(lab: LabOption = None) -> None:
-    """Show what the lab believes of its powders and its balance, and which run taught it."""
+    """Show what the lab believes of its powders, and which run taught it; `balance` shows what of the balance."""
     from scuhand_bt.lab import state_folder
     from scuhand_bt.lab_state.beliefs import LabState
 
@@ -77,10 +77,6 @@ def powders(lab: LabOption = None) -> None:
         for learnt in state.powders(simulated=simulated).values():
             table.add_row(learnt.name, *_belief_cells(learnt.belief), learnt.origin)
     out.print(table)
-    for simulated in (False, True):
-        for balance in state.balances(simulated=simulated).values():
-            figures = f"lag {balance.belief.lag_s:.2f} s, noise {balance.belief.noise_mg:.2f} mg"
-            out.print(Text(f"balance of '{balance.name}': {figures} ({balance.origin})"))
 
 
 def _belief_cells(belief: "PowderBelief") -> list[str]:

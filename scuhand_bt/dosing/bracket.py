@@ -14,6 +14,10 @@ a bare pan, l loaded pan, the hand away. D and N share no weighing: a zero that 
 one that steps between a and l, and what drips after g1, is in N alone. They are adjusted to each other by least
 squares; where they are farther apart than chance, neither is believed.
 
+A zero that steps between g0 and g1 and back between l1 and a1 is in both alike, as is one that steps between a0 and l0
+and back in the dose: no weighing of that container tells. That there are such steps is told by those that are seen,
+and the largest of them tells how large the others may be: it enters u of every dose of the run.
+
 The budget of u has these terms: readability and repeatability (in the u of each weighing), drift (r), zero (w).
 Eccentricity drops out of the differences: the container does not move between g0 and g1, nor the carousel's places.
 The balance's sensitivity is the check weight's business (`check_weight`). Air's buoyancy is not corrected: masses are
@@ -69,9 +73,19 @@ def apart_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     return math.hypot(before.uncertainty_mg, after.uncertainty_mg, walked_mg)
 
 
-def has_moved(before: Gross, after: Gross, readability_mg: float) -> bool:
-    """Whether two weighings of one thing differ by more than chance: the zero has stepped, or something has come."""
-    return abs(after.gross_mg - before.gross_mg) > AGREEMENT * apart_mg(before, after, readability_mg)
+def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
+    """By how much two weighings of one thing differ; 0 within chance. The zero has moved, or something has come."""
+    difference_mg = after.gross_mg - before.gross_mg
+    return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
+
+
+def unseen_mg(stepped_mg: float) -> float:
+    """What the largest of a few steps that were seen adds to the standard uncertainty of a dose that hides another.
+
+    It is a standard deviation by few observations: as for two degrees of freedom, 4.30 of it cover what 2 of a known
+    one do (JCGM 100:2008, G.3).
+    """
+    return stepped_mg * 4.30 / 2.0
 
 
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
@@ -114,8 +128,11 @@ def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, read
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)
     if drift.rate == 0.0:
         return Net(mass_mg, u_mg), drift
-    # The weighing before the dose is in the drift too: its error counts for both.
-    twice_mg = before.uncertainty_mg * math.sqrt(2.0 * duration_s / (before.time_s - earlier.time_s))
+    # A weighing that the dose rests on is in the drift too: its error counts for both.
+    shared, watched_s = (
+        (before, before.time_s - earlier.time_s) if earlier != before else (later, later.time_s - after.time_s)
+    )
+    twice_mg = shared.uncertainty_mg * math.sqrt(2.0 * duration_s / watched_s)
     return Net(mass_mg - drift.rate * duration_s, math.hypot(u_mg, twice_mg)), drift
 
 
@@ -153,13 +170,13 @@ class Closed:
     """N less all doses."""
     allowance_mg: float
     """How far they may be apart."""
-    unsteady_mg: float
-    """By how much more the bare pan's reading has moved than a sound zero walks, or than the drift explains."""
+    stepped_mg: float
+    """By how much the bare pan's reading has moved, less the drift; 0 where a sound zero walks as far."""
 
     @property
     def closes(self) -> bool:
         """A zero that has stepped may have done so at any moment, and twice: D and N then agree by chance."""
-        return abs(self.difference_mg) <= self.allowance_mg and self.unsteady_mg == 0.0
+        return abs(self.difference_mg) <= self.allowance_mg and self.stepped_mg == 0.0
 
 
 def close(
@@ -198,5 +215,6 @@ def close(
         adjusted.append(Net(dose.mass_mg + share * difference_mg, u_mg))
     lasted_s = bare_after.time_s - bare_before.time_s
     walked_mg = math.hypot(apart_mg(bare_before, bare_after, readability_mg), drift.uncertainty * lasted_s)
-    unsteady_mg = max(0.0, abs(zero_mg - drift.rate * lasted_s) - AGREEMENT * walked_mg)
-    return Closed(tuple(adjusted), net, zero_mg, difference_mg, AGREEMENT * chance_mg, unsteady_mg)
+    steady_mg = zero_mg - drift.rate * lasted_s
+    stepped_mg = steady_mg if abs(steady_mg) > AGREEMENT * walked_mg else 0.0
+    return Closed(tuple(adjusted), net, zero_mg, difference_mg, AGREEMENT * chance_mg, stepped_mg)

@@ -12,11 +12,10 @@ A controller lives for one dose; `Finish` is its last word.
 """
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Literal, Protocol
 
 from scuhand_bt.dosing.verdict import acceptance_mg
-from scuhand_bt.specs import BalanceBelief, PowderBelief
+from scuhand_bt.specs import BalanceBelief, Departure, PowderBelief
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,17 +77,6 @@ class Observation:
     """The opening the hand reports at that time."""
 
 
-class Departure(StrEnum):
-    """Where the stepwise controllers leave the paper's listing; what each is for stands in `paper`."""
-
-    GUARD = "guard"
-    OVERSHOOT = "overshoot"
-    GIVING_UP = "giving-up"
-    ORDER = "order"
-    FIRST_GUESS = "first-guess"
-    THAW = "thaw"
-
-
 @dataclass(frozen=True, slots=True)
 class DoseRequest:
     """What a controller is built from: the goal, the hand's valve, and what is believed of the powder."""
@@ -106,7 +94,9 @@ class DoseRequest:
     """How far that belief may be off: scoops vary."""
     uncertainty_mg: float = 0.1
     """The standard uncertainty to be expected of the net mass that is judged in the end."""
-    departures: frozenset[Departure] = frozenset(Departure)
+    wait_s: float = 0.0
+    """A fixed wait of stepwise controllers after each pulse, on top of the balance's settling."""
+    departures: tuple[Departure, ...] = tuple(Departure)
     """From the paper's listing; none of them is Algorithm 1 as printed."""
     streaming: bool = True
     valve_dead_time_s: float = 0.06

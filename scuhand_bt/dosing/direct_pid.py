@@ -10,7 +10,6 @@ where what the sum has gathered on the way holds the valve wide open through the
 """
 
 from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Weigh, stopped
-from scuhand_bt.dosing.paper import WAIT_S
 
 KP_PER_MG = 3.9e-4
 KI_PER_MG = 1.63e-4
@@ -64,4 +63,4 @@ class DirectPid:
         vibration = 1.0 if request.powder.vibration else 0.0
         opening_mm = NARROWEST_MM + effort * (request.max_opening_mm - NARROWEST_MM)
         dwell_s = SHORTEST_DWELL_S + effort * (LONGEST_DWELL_S - SHORTEST_DWELL_S)
-        return Pulse(opening_mm, dwell_s, vibration, WAIT_S)
+        return Pulse(opening_mm, dwell_s, vibration, request.wait_s)

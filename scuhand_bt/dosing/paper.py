@@ -16,7 +16,8 @@ open is settled like this:
 * *The branch of the argmin.* The minimum is a curve in (D, t). The shortest dwell is taken first and
   the opening solved for; only when the widest opening does not suffice does the dwell grow.
 
-Where the listing is left, the departure has a name (`Departure`) and can be taken back (`DoseRequest.departures`):
+Where the listing is left, the departure has a name (`scuhand_bt.specs.Departure`) and can be taken back, for a powder
+(`paper: {departures: [...]}` in `robot/powders.yaml`):
 
 * `guard`: the strict |e| < tolerance is held against the first settled reading, less the guard band that the verdict
   keeps (`verdict`). As printed there is none.
@@ -33,17 +34,15 @@ Where the listing is left, the departure has a name (`Departure`) and can be tak
 
 from dataclasses import dataclass, field
 
-from scuhand_bt.dosing.controller import Command, Departure, DoseRequest, Observation, Pulse, Weigh, stopped
+from scuhand_bt.dosing.controller import Command, DoseRequest, Observation, Pulse, Weigh, stopped
 from scuhand_bt.dosing.flow import EXPONENT, PulseModel, basis, fit_coefficient
+from scuhand_bt.specs import Departure
 
 STORED_MG = 0.5
 """A pulse that brought less is not stored for the fit (Algorithm 1)."""
 SHORTEST_DWELL_S = 0.1
 LONGEST_DWELL_S = 2.0
 """t_pose = 200 in the listing; the times per step of Table II say that its unit is 10 ms."""
-WAIT_S = 6.3
-"""Fixed wait of the paper's rig after each pulse, on top of the balance's settling (Table II: a step
-takes 7.2 s plus the time the valve is open)."""
 CAUTION = 2.5
 BARREN_PULSES = 5
 LOWERED = 2.0 / 3.0
@@ -121,7 +120,7 @@ class Paper:
         elif self._barren >= BARREN_PULSES and Departure.THAW in departures:
             mode.lower()
         full = pulse.opening_mm >= self._request.max_opening_mm and pulse.dwell_s >= LONGEST_DWELL_S
-        self._dry = self._dry + 1 if full and pulse.vibration and gained_mg < STORED_MG else 0
+        self._dry = self._dry + 1 if full and gained_mg < STORED_MG else 0
 
     def _aim(self, aim_mg: float) -> Pulse:
         request = self._request
@@ -133,7 +132,7 @@ class Paper:
             sized_by = self._mode
         wanted = aim_mg / sized_by.coefficient
         opening_mm, dwell_s = solve_pulse(wanted, request.max_opening_mm, request.valve_speed_mm_per_s)
-        return Pulse(opening_mm, dwell_s, 1.0 if self._use_vibration else 0.0, WAIT_S)
+        return Pulse(opening_mm, dwell_s, 1.0 if self._use_vibration else 0.0, request.wait_s)
 
 
 def solve_pulse(wanted_basis: float, max_opening_mm: float, speed_mm_per_s: float) -> tuple[float, float]:

@@ -21,11 +21,11 @@ from scuhand_bt.journal.events import (
     Paused,
     Resumed,
     RunBegun,
-    SampleResult,
 )
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 RunState = Literal["running", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"]

@@ -1,18 +1,17 @@
-"""The engine's own kinds of entries; those that skills write are in `scuhand_bt/events.py`, all in `journal/kinds.py`.
+"""The engine's own kinds of entries: of the run, its jobs and their actions; those of samples are in `results.py`.
+
+Those that skills write are in `scuhand_bt/events.py`, all of them in `kinds.py`.
 
 Fields with a default are absent in journals of before they were written.
 """
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from pydantic import ConfigDict, Field, JsonValue
 
 from scuhand_bt.events import Event, Text, Values, Weighing
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.specs import Verdict
-
-SampleVerdict = Literal[Verdict, "not as asked", "no dose", "skipped", "interrupted", "not run"]
-
+from scuhand_bt.journal.results import Chosen, SampleResult
 
 # --- the run
 
@@ -158,7 +157,7 @@ class FaultRules(Event):
 
 
 class Trouble(Event):
-    """Something beside the batch failed: a notification, or keeping what was learnt."""
+    """Something beside the batch is wrong: a notification failed, what was learnt is not kept, a limit is passed."""
 
     KIND: ClassVar = "trouble"
 
@@ -173,7 +172,7 @@ class Broken(Event):
     traceback: Text
 
 
-# --- jobs and samples
+# --- jobs
 
 
 class JobStarted(Event):
@@ -207,78 +206,6 @@ class JobEnded(Event):
     @property
     def failure(self) -> SkillFailed | None:
         return SkillFailed(self.code, self.detail or "") if self.code else None
-
-
-class DoseResult(Values):
-    """What one powder lot came to in one container of a sample."""
-
-    container: Text
-    lot: Text
-    target_mg: float
-    tolerance_mg: float
-    dispensed_mg: float
-    uncertainty_mg: float
-    verdict: Verdict
-    bracket: Literal["open", "closed", "does not close"] = "open"
-    """Whether the bare pan after the container confirms what was dosed into it."""
-
-    @property
-    def is_good(self) -> bool:
-        """In tolerance, and confirmed."""
-        return self.verdict == "in tolerance" and self.bracket == "closed"
-
-
-class SampleResult(Event):
-    """A sample has its result: one line of the table at the end.
-
-    It comes again when the sample's container has gone, and the bare pan was weighed.
-    """
-
-    KIND: ClassVar = "sample"
-
-    id: Text
-    container: Text | None
-    target_mg: float | None
-    dispensed_mg: float | None
-    error_mg: float | None
-    uncertainty_mg: float | None
-    tolerance_mg: float | None
-    pulses: int
-    scoops: int
-    vibration_s: float
-    duration_s: float
-    controller: str | None
-    verdict: SampleVerdict
-    code: str | None
-    """Of the failure, if there was one."""
-    detail: Text | None
-    true_mg: float | None
-    """The simulation's, for judging; None on a real cell."""
-    attempt: int = 1
-    doses: tuple[DoseResult, ...] = ()
-    """Every powder lot in every container; what stands above is of the one that the recipe asks for, or the last."""
-
-    @property
-    def is_open(self) -> bool:
-        """All is well as far as it is known, and a container is still to go."""
-        is_well = self.code is None and self.verdict == "in tolerance"
-        return is_well and any(dose.bracket == "open" for dose in self.doses)
-
-    @property
-    def is_good(self) -> bool:
-        """All doses in tolerance and confirmed, or a workflow that was to dose nothing; and no failure."""
-        wanted = "no dose" if self.target_mg is None else "in tolerance"
-        return self.code is None and self.verdict == wanted and all(dose.is_good for dose in self.doses)
-
-
-class Chosen(Event):
-    """A person chose what a sample's failure means (`on_failure: ask`)."""
-
-    KIND: ClassVar = "chosen"
-
-    sample: Text
-    attempt: int
-    action: str
 
 
 # --- actions

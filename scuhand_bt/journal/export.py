@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from scuhand_bt.events import DoseCurve
-from scuhand_bt.journal.events import Ended, Matter, SampleResult
+from scuhand_bt.journal.events import Ended, Matter
 from scuhand_bt.journal.kinds import KINDS
 from scuhand_bt.journal.reader import Contents, open_contents
+from scuhand_bt.journal.results import SampleResult
 
 DECIMALS = 6
 _ELSEWHERE = (SampleResult.KIND, Ended.KIND, Matter.KIND, DoseCurve.KIND)

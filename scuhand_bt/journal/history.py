@@ -10,7 +10,6 @@ from scuhand_bt.events import Dose, Event
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
-    Chosen,
     Decided,
     Ended,
     JobEnded,
@@ -19,11 +18,11 @@ from scuhand_bt.journal.events import (
     NotResumable,
     Resumed,
     RunBegun,
-    SampleResult,
 )
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.journal.results import Chosen, SampleResult
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.replay import Decision, Key, Recorded, Replay
 

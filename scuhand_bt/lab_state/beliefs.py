@@ -1,26 +1,31 @@
-"""What is learnt is kept: beliefs about powders and the balance, in the lab's `.scuhand/lab.db`.
+"""What is learnt is kept: beliefs about powders and balances, and what was measured of these, in `.scuhand/lab.db`.
 
-Rows are only ever added; the last one of a name counts, the others are its history. What was learnt from
+Rows are only ever added; the last one of a name counts, the others are its history; one without a value says that
+what was known is forgotten. What is known of a balance belongs to its `Cell.balance_name`. What was learnt from
 simulated devices is kept apart, and never read by a run: a real run must not believe a simulation, and a
 dry run of one seed must not depend on the runs before it.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.lab_state.lab_db import lab_db
+from scuhand_bt.lab_state.lab_db import lab_db, user_name
 from scuhand_bt.problems import SourceError
 from scuhand_bt.specs import BalanceBelief, PowderBelief
+
+FORGOTTEN = "null"
+"""In the place of a belief."""
 
 B = TypeVar("B", PowderBelief, BalanceBelief)
 
 
 @dataclass(frozen=True)
 class Learnt(Generic[B]):
-    """One belief as it was written: of a powder lot (`Source.sheet_key`), or of the cell's balance."""
+    """One belief as it was written: of a powder lot (`Source.sheet_key`), or of a balance (`Cell.balance_name`)."""
 
     version: int
     name: str
@@ -35,6 +40,19 @@ class Learnt(Generic[B]):
         return f"version {self.version}, {self.run}{', SIMULATED' if self.simulated else ''}"
 
 
+@dataclass(frozen=True)
+class Measured:
+    """One figure of a balance as it was written: who says so, and since when (ISO 8601)."""
+
+    value: float
+    says: str
+    at: str
+
+
+Figures = Mapping[str, Measured]
+"""What was measured of a balance, by `BalanceFigure`."""
+
+
 class LabState:
     """What the lab's database says of powders and balances; see `lab_db` for the errors of all of this."""
 
@@ -46,15 +64,32 @@ class LabState:
         return self._latest("powder", PowderBelief, simulated)
 
     def balances(self, *, simulated: bool) -> dict[str, Learnt[BalanceBelief]]:
-        """The last belief about each cell's balance."""
+        """The last belief about each balance."""
         return self._latest("balance", BalanceBelief, simulated)
+
+    def figures(self, *, simulated: bool) -> dict[str, Figures]:
+        """What was measured of each balance, and holds; the one that was measured last is the last."""
+        with lab_db(self._folder, write=False) as database:
+            if database is None:
+                return {}
+            rows = database.execute(
+                "SELECT balance, figure, value, says, at FROM measured WHERE simulated = ? ORDER BY id", (simulated,)
+            )
+            found: dict[str, dict[str, Measured]] = {}
+            for balance, figure, value, says, at in rows:
+                known = found.pop(balance, {})
+                known.pop(figure, None)
+                found[balance] = known if value is None else {**known, figure: Measured(value, says, at)}
+            return {balance: known for balance, known in found.items() if known}
 
     def recall(self, cell: Cell) -> None:
         """Give a real cell what was learnt on real devices."""
         cell.powder_beliefs |= {name: learnt.belief for name, learnt in self.powders(simulated=False).items()}
-        balance = self.balances(simulated=False).get(cell.spec.cell)
+        balance = self.balances(simulated=False).get(cell.balance_name)
         if balance is not None:
             cell.balance_belief = balance.belief
+        delay = self.figures(simulated=False).get(cell.balance_name, {}).get("delay_s")
+        cell.known_delay_s = delay.value if delay is not None else None
 
     def keep(self, cell: Cell, run: str) -> str | None:
         """Write what doses have taught a cell, where it is news; what went wrong, or None."""
@@ -71,17 +106,44 @@ class LabState:
             for name, belief in cell.powder_beliefs.items()
             if belief.doses and (name not in powders or powders[name].belief != belief)
         ]
-        name, belief = cell.spec.cell, cell.balance_belief
+        name, belief = cell.balance_name, cell.balance_belief
         if belief.fits and (name not in balances or balances[name].belief != belief):
             news.append(("balance", name, belief))
-        if not news:
+        figures = [(name, figure, value) for figure, value in cell.balance_figures.items()]
+        written = [(kind, name, belief.model_dump_json()) for kind, name, belief in news]
+        self._write(written, figures, simulated=cell.simulated, says=run)
+
+    def forget_balances(self) -> list[str]:
+        """Believe nothing of any real balance any more; their names."""
+        learnt, figures = self.balances(simulated=False), self.figures(simulated=False)
+        self._write(
+            [("balance", name, FORGOTTEN) for name in learnt],
+            [(name, figure, None) for name, known in figures.items() for figure in known],
+            simulated=False,
+            says=f"operator {user_name()}",
+        )
+        return sorted({*learnt, *figures})
+
+    def _write(
+        self,
+        beliefs: Sequence[tuple[str, str, str]],
+        figures: Sequence[tuple[str, str, float | None]],
+        *,
+        simulated: bool,
+        says: str,
+    ) -> None:
+        if not beliefs and not figures:
             return
         at = datetime.now().astimezone().isoformat(timespec="seconds")
-        with lab_db(self._folder, write=True) as database:
+        with lab_db(self._folder, write=True, durable=not simulated) as database:
             assert database is not None
             database.executemany(
                 "INSERT INTO learnt (kind, name, simulated, run, at, belief) VALUES (?, ?, ?, ?, ?, ?)",
-                [(kind, name, cell.simulated, run, at, belief.model_dump_json()) for kind, name, belief in news],
+                [(kind, name, simulated, says, at, belief) for kind, name, belief in beliefs],
+            )
+            database.executemany(
+                "INSERT INTO measured (balance, figure, simulated, value, says, at) VALUES (?, ?, ?, ?, ?, ?)",
+                [(name, figure, simulated, value, says, at) for name, figure, value in figures],
             )
 
     def _latest(self, kind: str, model: type[B], simulated: bool) -> dict[str, Learnt[B]]:
@@ -92,7 +154,9 @@ class LabState:
                 "SELECT version, name, run, at, belief FROM learnt WHERE kind = ? AND simulated = ? ORDER BY version",
                 (kind, simulated),
             )
+            last = {name: (version, run, at, belief) for version, name, run, at, belief in rows}
             return {
                 name: Learnt(version, name, simulated, run, at, model.model_validate_json(belief))
-                for version, name, run, at, belief in rows
+                for name, (version, run, at, belief) in last.items()
+                if belief != FORGOTTEN
             }

@@ -1,4 +1,4 @@
-"""The lab's own small database, `.scuhand/lab.db`: what was learnt, and the inventory.
+"""The lab's own small database, `.scuhand/lab.db`: what was learnt and measured, and the inventory.
 
 Its schema is versioned (`PRAGMA user_version`). Opening it brings an older one up to date, in place and as one
 transaction; one that a newer program has written is left alone. Rows are only ever added.
@@ -24,6 +24,11 @@ MIGRATIONS = (
         kind TEXT NOT NULL CHECK (kind IN ('station', 'cone', 'sheet', 'changer', 'container')), name TEXT NOT NULL,
         powder TEXT NOT NULL, lot TEXT NOT NULL, mass_mg REAL, used INTEGER,
         run TEXT, operator TEXT, at TEXT NOT NULL, CHECK (run IS NOT NULL OR operator IS NOT NULL)) STRICT
+    """,
+    """
+    CREATE TABLE measured (
+        id INTEGER PRIMARY KEY, balance TEXT NOT NULL, figure TEXT NOT NULL,
+        simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)), value REAL, says TEXT NOT NULL, at TEXT NOT NULL) STRICT
     """,
 )
 """One statement for each version of the schema, from the one before."""

@@ -13,6 +13,7 @@ from scuhand_bt.failures import Code
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
+from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
 from scuhand_bt.recipe.takes import Take, sources_of, takes_of
@@ -55,7 +56,8 @@ class Recipe:
     samples: tuple[Sample, ...]
     on_failure: Mapping[str, Action]
     marks: Mapping[str, Mark]
-    """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `on_failure.CODE`."""
+    """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `samples.ID.KEY`,
+    `on_failure.CODE`."""
 
     @property
     def hash(self) -> str:
@@ -102,8 +104,8 @@ class _Reader:
     """See `Recipe.marks`."""
     workflows: dict[str, Workflow] = field(default_factory=dict)
     """Those that the recipe names."""
-    is_sound: dict[str, bool] = field(default_factory=dict)
-    """By workflow."""
+    sound: dict[str, bool] = field(default_factory=dict)
+    """By workflow, whether it is."""
 
     def read(self) -> Recipe | None:
         root = parse(self.text, str(self.path), "a recipe")
@@ -129,6 +131,7 @@ class _Reader:
             self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
         on_failure = self._read_on_failure(root.get("on_failure"))
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
+        check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
         check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
         return Recipe(self.path, self.text, name, order, controller, sources, tuple(samples), on_failure, self.marks)
@@ -273,6 +276,7 @@ class _Reader:
         merged.update(entry.without(*RECIPE_WORDS).values)
         inputs: dict[str, Any] = {}
         for key, node in merged.items():
+            self.marks[f"samples.{sample_id}.{key}"] = node.mark
             declared = workflow.inputs.get(key)
             if declared is None:
                 self.problems.add(
@@ -303,14 +307,17 @@ class _Reader:
 
     def _takes(self, workflow: Workflow, inputs: Mapping[str, Any]) -> tuple[Take, ...]:
         """What a sample takes; of several sources nothing by a wrong workflow, which is reported where it stands."""
-        if len(sources_of(inputs)) > 1:
-            if workflow.name not in self.is_sound:
-                wrong = Problems()
-                check_workflows(self.lab.library, [workflow.name], wrong)
-                self.is_sound[workflow.name] = not wrong.found
-            if not self.is_sound[workflow.name]:
-                return ()
+        if len(sources_of(inputs)) > 1 and not self._is_sound(workflow.name):
+            return ()
         return takes_of(workflow, inputs, self.lab.library, self.problems)
+
+    def _is_sound(self, name: str) -> bool:
+        """Whether a workflow can be followed."""
+        if name not in self.sound:
+            wrong = Problems()
+            check_workflows(self.lab.library, [name], wrong)
+            self.sound[name] = not wrong.found
+        return self.sound[name]
 
     def _sample_id(self, entry: Entries) -> str:
         node = entry.get("id")

@@ -1,5 +1,6 @@
 """A sample, and what it asks of the lab: room in the container, range of the balance, powder, reach."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,8 +40,14 @@ class Sample:
         return self.takes[-1].source if self.takes else next(iter(self.sources), None)
 
     @property
+    def containers(self) -> list[Container]:
+        """Those that its mass may be for: its own called `container`, else all of its own."""
+        own = [value for value in self.inputs.values() if isinstance(value, Container)]
+        return [value for value in own if value is self.inputs.get("container")] or own
+
+    @property
     def container(self) -> Container | None:
-        return next((value for value in self.inputs.values() if isinstance(value, Container)), None)
+        return next(iter(self.containers), None)
 
     @property
     def mass_mg(self) -> float | None:
@@ -49,6 +56,14 @@ class Sample:
     @property
     def tolerance_mg(self) -> float | None:
         return self._mass("tolerance")
+
+    def is_dosed_into(self, container_id: str) -> bool:
+        """Whether its mass may be for this container; any may be where it has none of its own."""
+        return not self.containers or any(one.id == container_id for one in self.containers)
+
+    def is_mass(self, target_mg: float) -> bool:
+        """Whether it is its mass that is dispensed towards."""
+        return self.mass_mg is not None and math.isclose(target_mg, self.mass_mg, rel_tol=1e-9)
 
     def _mass(self, name: str) -> float | None:
         value = self.inputs.get(name)

@@ -93,7 +93,7 @@ class _Follower:
                 self._refuse_amount(node)
             return []
         workflow = library.workflows[node.name]
-        inputs = bound_inputs(workflow, inputs, library)
+        inputs = bound_inputs(workflow, inputs, library, node.arguments.keys() - inputs.keys())
         if len(sources) != 1 or "mass" not in workflow.inputs:
             return self.of(workflow.tree, Scope(inputs)) if sources else []
         if "mass" not in inputs:

@@ -1,7 +1,7 @@
 """What a person sees while a batch runs, and the table at its end."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import timedelta
 
 from py_trees.behaviour import Behaviour
@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.journal.events import SampleResult
+from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.run.batch import BatchObserver
@@ -26,6 +26,13 @@ REFRESH_S = 0.1
 LAST_DOSES = 8
 WIDE = 120
 """Columns of a terminal that shows the whole table of doses."""
+HOLDS = "holds (sim.)"
+"""What is in the container, which only a simulation can tell: of several powders all."""
+WIDE_COLUMNS = (
+    "id", "container", "target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds",
+    "verdict", "controller", HOLDS,
+)  # fmt: skip
+NARROW_COLUMNS = ("id", "target", "dispensed", "error mg", "seconds", "verdict")
 KEYS = "Ctrl-Z pauses, Ctrl-\\ stops after this sample, Ctrl-C stops now"
 _STATUS = {
     Status.SUCCESS: ("✓", "green"),
@@ -145,37 +152,58 @@ def tree_text(root: Behaviour, indent: int = 0) -> Text:
 
 
 def doses_table(results: Sequence[SampleResult], width: int = WIDE) -> Table:
-    """The doses as a table; in less than `WIDE` columns without what can be looked up elsewhere."""
-    is_wide = width >= WIDE
+    """The samples as a table, each dose of one with several in a row of its own below it.
+
+    In less than `WIDE` columns it is without what can be looked up elsewhere.
+    """
     is_judged = any(result.true_mg is not None for result in results)
+    columns = [name for name in (WIDE_COLUMNS if width >= WIDE else NARROW_COLUMNS) if name != HOLDS or is_judged]
     table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("id", no_wrap=True)
-    if is_wide:
-        table.add_column("container")
-    for name in ("target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds"):
-        if is_wide or name not in ("pulses", "scoops", "vibr. s", "tol. mg"):
-            table.add_column(name, justify="right")
-    table.add_column("verdict", no_wrap=True)
-    if is_wide:
-        table.add_column("controller")
-    if is_judged and is_wide:
-        table.add_column("true (sim.)", justify="right")
+    for name in columns:
+        is_text = name in ("id", "container", "verdict", "controller")
+        table.add_column(name, justify="left" if is_text else "right", no_wrap=name in ("id", "verdict"))
     for result in results:
-        verdict = result.verdict if result.code is None else f"{result.verdict}, {result.code}"
-        target = format_mass(result.target_mg) if result.target_mg is not None else ""
-        dispensed = format_mass(result.dispensed_mg) if result.dispensed_mg is not None else "–"
-        error = f"{result.error_mg:+.1f} ± {result.uncertainty_mg:.1f}" if result.error_mg is not None else "–"
-        tolerance = f"{result.tolerance_mg:g}" if result.tolerance_mg is not None else ""
-        counts = [tolerance, str(result.pulses), str(result.scoops), f"{result.vibration_s:.0f}"] if is_wide else []
-        cells: list[str | Text] = [result.id]
-        cells += [result.container or ""] if is_wide else []
-        cells += [target, dispensed, error, *counts, f"{result.duration_s:.0f}"]
-        cells.append(Text(verdict, style="yellow" if result.is_open else "green" if result.is_good else "red"))
-        cells += [result.controller or ""] if is_wide else []
-        if is_judged and is_wide:
-            cells.append(format_mass(result.true_mg) if result.true_mg is not None else "–")
-        table.add_row(*cells)
+        for row in _rows(result):
+            table.add_row(*(row.get(name, "") for name in columns))
     return table
+
+
+def _rows(result: SampleResult) -> Iterator[dict[str, str | Text]]:
+    """A sample's rows, by column."""
+    is_single = len(result.doses) < 2
+    verdict = result.verdict if result.code is None else f"{result.verdict}, {result.code}"
+    style = "yellow" if result.is_open else "green" if result.is_good else "red"
+    yield {
+        "id": result.id,
+        "container": result.container or "",
+        **(_masses(result) if is_single else {}),
+        "pulses": str(result.pulses),
+        "scoops": str(result.scoops),
+        "vibr. s": f"{result.vibration_s:.0f}",
+        "seconds": f"{result.duration_s:.0f}",
+        "verdict": Text(verdict, style=style),
+        "controller": result.controller or "",
+    }
+    for dose in () if is_single else result.doses:
+        style = "green" if dose.is_good else "yellow" if dose.is_open else "red"
+        yield {"id": f"  {_name(dose, result)}", **_masses(dose), "verdict": Text(dose.verdict, style=style)}
+
+
+def _masses(one: SampleResult | DoseResult) -> dict[str, str | Text]:
+    has_error = one.error_mg is not None
+    return {
+        "target": format_mass(one.target_mg) if one.target_mg is not None else "",
+        "dispensed": format_mass(one.dispensed_mg) if one.dispensed_mg is not None else "–",
+        "error mg": f"{one.error_mg:+.1f} ± {one.uncertainty_mg:.1f}" if has_error else "–",
+        "tol. mg": f"{one.tolerance_mg:g}" if one.tolerance_mg is not None else "",
+        HOLDS: format_mass(one.true_mg) if one.true_mg is not None else "–",
+    }
+
+
+def _name(dose: DoseResult, result: SampleResult) -> str:
+    """Which of a sample's doses it is."""
+    is_one_container = len({one.container for one in result.doses}) == 1
+    return dose.lot if is_one_container else f"{dose.container}: {dose.lot}"
 
 
 def end_line(result: BatchResult, seconds: float) -> str:
@@ -189,6 +217,14 @@ def end_line(result: BatchResult, seconds: float) -> str:
 def _in_words(result: SampleResult) -> str:
     if result.dispensed_mg is None or result.target_mg is None or result.error_mg is None:
         return f"{result.verdict}" + (f" ({result.code}: {result.detail})" if result.code else "")
-    line = f"{format_mass(result.dispensed_mg)} of {format_mass(result.target_mg)} ({result.error_mg:+.1f} mg)"
-    line += f" in {result.pulses} pulses, {format_duration(result.duration_s)}: {result.verdict}"
+    if len(result.doses) < 2:
+        said = _dispensed(result.dispensed_mg, result.target_mg, result.error_mg)
+    else:
+        doses = ((dose, _dispensed(dose.dispensed_mg, dose.target_mg, dose.error_mg)) for dose in result.doses)
+        said = "; ".join(f"{_name(dose, result)} {masses}, {dose.verdict}" for dose, masses in doses)
+    line = f"{said} in {result.pulses} pulses, {format_duration(result.duration_s)}: {result.verdict}"
     return line + (f" ({result.code})" if result.code else "")
+
+
+def _dispensed(dispensed_mg: float, target_mg: float, error_mg: float) -> str:
+    return f"{format_mass(dispensed_mg)} of {format_mass(target_mg)} ({error_mg:+.1f} mg)"

@@ -4,8 +4,8 @@ It is comma-separated, with a decimal point and CRLF (RFC 4180). A text that a s
 formula gets an apostrophe in front.
 
 A net mass is gross less tare less drift. A dose's tare is what the container weighed just before the valve opened,
-less what earlier doses had brought of the same powder. A `bracket` is the same dose after the bare pan was weighed
-behind its container, adjusted to that: the sample's result.
+less what earlier doses had brought of the same powder. A `result` is what is said of a dose at the end, adjusted to the
+bare pan behind its container where that confirms it (`bracket`). They stand last, one for each dose.
 """
 
 import csv
@@ -14,6 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from scuhand_bt.events import (
+    BracketClosed,
+    ContainerLifted,
     ContainerPlaced,
     Dose,
     DoseWeighed,
@@ -25,16 +27,10 @@ from scuhand_bt.events import (
     Weighing,
     WeightChecked,
 )
-from scuhand_bt.journal.events import (
-    JobStarted,
-    PanCompared,
-    Resumed,
-    RunBegun,
-    SampleResult,
-    SourceUsed,
-)
+from scuhand_bt.journal.events import JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
+from scuhand_bt.journal.results import SampleResult
 
 CONVENTION = (
     "absolute; in tolerance means |net - target| <= tolerance - 2 standard uncertainties of the net mass (guard band), "
@@ -44,7 +40,8 @@ COLUMNS = (
     "run", "simulated", "mode", "recipe", "recipe_hash", "operator", "at", "run_time_s", "sample", "attempt",
     "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "tare_mg",
     "gross_mg", "drift_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "lines_unit",
-    "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "failure_code", "source", "powder", "lot", "sheet",
+    "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "sample_verdict",
+    "bracket", "true_mg", "failure_code", "source", "powder", "lot", "sheet",
     "sheet_powder", "controller", "software", "entry", "entry_hash",
 )  # fmt: skip
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
@@ -82,6 +79,7 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
     tare: Tared | None = None
     loaded: Pulsed | DoseWeighed | None = None
     of_doses: dict[tuple[str, str], dict[str, object]] = {}
+    results: dict[str, tuple[SampleResult, dict[str, object]]] = {}
     for row in contents.rows("entry"):
         believed = row["state"]["believed"] if row["state"] is not None else believed
         match event := parsed(row["kind"], row["payload"]):
@@ -96,7 +94,7 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
             case Pulsed() | DoseWeighed():
                 loaded = event
             case SampleResult():
-                yield from _brackets(event, of_doses, contents, row)
+                results[event.id] = event, _entry(contents, row)
         if isinstance(event, ContainerPlaced | Tared | WeightChecked):
             identity = event.balance or identity
         if (weighed := _weighed(event, tare, loaded, believed)) is None:
@@ -104,8 +102,6 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
         pan = believed.get("pan") or {}
         job = jobs.get(row["job"]) or {}
         written = of_run | {
-            "at": row["at"],
-            "run_time_s": row["time_s"],
             "sample": job.get("sample"),
             "attempt": job.get("attempt"),
             "container": pan.get("id"),
@@ -118,37 +114,42 @@ def _rows(contents: Contents) -> Iterator[dict[str, object]]:
             **weighed,
             **_entry(contents, row),
         }
+        if isinstance(event, ContainerLifted | BracketClosed):  # which may come in the next sample's job
+            of_dose = next((one for place, one in of_doses.items() if place[0] == event.container), {})
+            written |= {name: of_dose.get(name) for name in ("sample", "attempt", "container_kind")}
         if isinstance(event, Dose):
             of_doses[event.container, event.lot] = written
         yield written
+    for result, entry in results.values():
+        yield from _result_rows(result, of_doses, entry)
 
 
 def _entry(contents: Contents, row: Mapping[str, Any]) -> dict[str, object]:
-    return {"entry": row["seq"] if contents.is_chained else None, "entry_hash": row["hash"].hex()}
+    number = row["seq"] if contents.is_chained else None
+    return {"at": row["at"], "run_time_s": row["time_s"], "entry": number, "entry_hash": row["hash"].hex()}
 
 
-def _brackets(
-    result: SampleResult,
-    of_doses: dict[tuple[str, str], dict[str, object]],
-    contents: Contents,
-    row: Mapping[str, Any],
+def _result_rows(
+    result: SampleResult, of_doses: Mapping[tuple[str, str], Mapping[str, object]], entry: Mapping[str, object]
 ) -> Iterator[dict[str, object]]:
-    """A row for each dose whose container has gone by now; what has got one leaves `of_doses`."""
+    """A row for each dose of a sample, by the last that was said of it."""
+    weighed = ("tare_mg", "gross_mg", "drift_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
     for dose in result.doses:
-        if dose.bracket == "open" or (written := of_doses.pop((dose.container, dose.lot), None)) is None:
-            continue
-        weighed = ("tare_mg", "gross_mg", "drift_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
+        written = of_doses.get((dose.container, dose.lot), {})
         yield {name: value for name, value in written.items() if name not in weighed} | {
-            "at": row["at"],
-            "run_time_s": row["time_s"],
-            "weighing": "bracket",
+            "weighing": "result",
+            "sample": result.id,
+            "attempt": result.attempt,
             "container": dose.container,
             "net_mg": dose.dispensed_mg,
             "standard_uncertainty_mg": dose.uncertainty_mg,
             "tolerance_mg": dose.tolerance_mg,
             "verdict": dose.verdict,
+            "sample_verdict": result.verdict,
+            "bracket": dose.bracket,
+            "true_mg": dose.true_mg,
             "failure_code": result.code,
-            **_entry(contents, row),
+            **entry,
         }
 
 
@@ -203,6 +204,12 @@ def _weighed(
                 "verdict": event.verdict,
                 "controller": event.controller,
             }
+        case ContainerLifted():
+            row = _gross(event) | {"weighing": "lifted", "container": event.container}
+            return row | {"standard_uncertainty_mg": event.uncertainty_mg}
+        case BracketClosed(bare=Weighing() as bare):
+            row = _gross(bare) | {"weighing": "bare pan", "container": event.container}
+            return row | {"standard_uncertainty_mg": bare.uncertainty_mg}
         case Reweighed():
             return _gross(event) | {"weighing": "after an interruption", "net_mg": event.arrived_mg}
         case PanCompared():

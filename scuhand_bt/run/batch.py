@@ -11,15 +11,16 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import Broken, Chosen, Ended, JobEnded, JobStarted, SampleResult, SampleVerdict
+from scuhand_bt.journal.events import Broken, Ended, JobEnded, JobStarted
 from scuhand_bt.journal.history import STOPPED, History, read_history
+from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
-from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, inputs_for, sample_result
+from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, doubted, inputs_for, sample_result
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
@@ -77,6 +78,13 @@ class Batch:
         self._after_job = after_job
         self._runner = Runner(cell, library, journal, control, Guards(cell), observer)
         self._results: dict[str, SampleResult] = {}
+        self._owners = {
+            value.id: sample.id
+            for sample in plan.recipe.samples
+            for value in sample.inputs.values()
+            if isinstance(value, Container)
+        }
+        """The samples of all containers, by the ids that these have in a first attempt."""
 
     def run(self) -> BatchResult:
         """Run every job; whatever happens, the cell ends safe and every sample has a verdict."""
@@ -234,7 +242,7 @@ class Batch:
             word = STOPPED if stops else "failed"
         code, detail = (failure.code, failure.detail) if failure is not None else (None, None)
         self._journal.job_ended(JobEnded(outcome=word, code=code, detail=detail))
-        self._note_brackets()
+        self._note_brackets(sample_id)
         self._after_job()
 
     def _result(
@@ -248,9 +256,9 @@ class Batch:
     ) -> SampleResult:
         containers = [value for value in inputs_for(sample, attempt).values() if isinstance(value, Container)]
         was_run = verdict != "not run"
-        true_mg = None
-        if self._true_mass_mg is not None and containers and was_run:
-            true_mg = self._true_mass_mg(containers[0].id)
+        true_mg = {}
+        if self._true_mass_mg is not None and was_run:
+            true_mg = {container.id: self._true_mass_mg(container.id) for container in containers}
         believed = self._cell.believed.dosing
         return sample_result(
             sample,
@@ -263,17 +271,25 @@ class Batch:
             attempt=attempt,
         )
 
-    def _note_brackets(self) -> None:
-        """Say of each sample whose container has gone what it came to by the bare pan.
+    def _note_brackets(self, waiting: str | None = None) -> None:
+        """Say of each sample whose container has gone what it came to by the bare pan, and of all what that tells.
 
-        One that has gone within its own sample's job waits for that sample's result.
+        One that has gone within the job of its own sample, which is still `waiting` for its result, waits too. What was
+        dosed into a container by another job than its sample's is no sample's dose.
         """
-        believed = self._cell.believed
+        believed, noted = self._cell.believed, dict(self._results)
         for closed in believed.closed:
-            for result in list(self._results.values()):
-                if any(dose.container == closed.container for dose in result.doses):
-                    self._note(confirmed(result, closed))
-                    believed.noted(closed)
+            owner = self._owners.get(closed.container.partition("#")[0])
+            result = self._results.get(owner) if owner is not None else None
+            if result is not None and any(dose.container == closed.container for dose in result.doses):
+                self._results[result.id] = confirmed(result, closed)
+            elif owner is not None and (owner == waiting or result is None):
+                continue
+            believed.noted(closed)
+        for name, before in noted.items():
+            now = doubted(self._results[name], believed.zero_stepped_mg)
+            if now is not before:
+                self._note(now)
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""

@@ -21,6 +21,7 @@ def state_of(cell: Cell) -> dict[str, Any]:
             name: belief.model_dump(mode="json", by_alias=False) for name, belief in cell.powder_beliefs.items()
         },
         "balance": cell.balance_belief.model_dump(mode="json", by_alias=False),
+        "balance_figures": dict(cell.balance_figures),
     }
 
 
@@ -35,3 +36,5 @@ def take_up(cell: Cell, state: Mapping[str, Any]) -> None:
     for name, belief in state["powders"].items():
         cell.powder_beliefs[name] = PowderBelief.model_validate(belief, by_name=True, by_alias=False)
     cell.balance_belief = BalanceBelief.model_validate(state["balance"], by_name=True, by_alias=False)
+    cell.balance_figures = dict(state.get("balance_figures", {}))
+    cell.known_delay_s = cell.balance_figures.get("delay_s", cell.known_delay_s)

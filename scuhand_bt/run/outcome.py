@@ -1,15 +1,16 @@
 """How a job, a sample, and a whole run came out."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import DoseResult, SampleResult, SampleVerdict
+from scuhand_bt.journal.results import DoseResult, SampleResult, SampleVerdict
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Verdict
@@ -62,17 +63,20 @@ def sample_result(
     *,
     scoops: int,
     duration_s: float,
-    true_mg: float | None,
+    true_mg: Mapping[str, float],
     attempt: int,
 ) -> SampleResult:
     """A sample's result from the doses of its job, in their order; `verdict` where there is another than theirs.
 
+    `true_mg` is what the simulation has in its containers, by their ids.
+
     The last dose of a lot into a container counts for both, as doses add up. What the recipe asks for, its mass
-    within its tolerance, is held against the dose with that target.
+    within its tolerance, is held against the dose with that target, into the sample's container.
     """
+    sample = replace(sample, inputs=inputs_for(sample, attempt))
     last = list({(dose.container, dose.lot): dose for dose in doses}.values())
-    found = tuple(_dose_result(dose, sample) for dose in last)
-    asked = [number for number, dose in enumerate(found) if _is_asked(dose.target_mg, sample)]
+    found = tuple(_dose_result(dose, sample, true_mg.get(dose.container)) for dose in last)
+    asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
     number = asked[-1] if asked else len(found) - 1
     main, of_main = (found[number], last[number]) if found else (None, None)
     is_asked = sample.mass_mg is None or bool(asked)
@@ -93,7 +97,7 @@ def sample_result(
         verdict=verdict or _verdict(found, is_asked=is_asked),
         code=failure.code if failure else None,
         detail=failure.detail if failure else None,
-        true_mg=true_mg,
+        true_mg=main.true_mg if main else next(iter(true_mg.values()), None),
         attempt=attempt,
         doses=found,
     )
@@ -103,7 +107,7 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     """The result after one of its containers has gone: adjusted to the bare pan's word, and flagged if that differs."""
     doses = tuple(_confirmed(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
     changes: dict[str, Any] = {"doses": doses}
-    main = next((d for d, before in zip(doses, result.doses, strict=True) if _is_main(before, result)), None)
+    main = _main(result, doses)
     if main is not None and result.target_mg is not None:
         changes |= {
             "dispensed_mg": main.dispensed_mg,
@@ -120,17 +124,47 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     return result.model_copy(update=changes)
 
 
-def _is_asked(target_mg: float, sample: Sample) -> bool:
-    return sample.mass_mg is not None and math.isclose(target_mg, sample.mass_mg, rel_tol=1e-9)
+def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
+    """The result after the run has seen the balance's zero step by so much, before its doses or after."""
+    doses = tuple(_doubted(dose, stepped_mg) for dose in result.doses)
+    if doses == result.doses:
+        return result
+    changes: dict[str, Any] = {"doses": doses}
+    if (main := _main(result, doses)) is not None:
+        changes["uncertainty_mg"] = main.uncertainty_mg
+    if result.verdict in get_args(Verdict):
+        changes["verdict"] = _verdict(doses, is_asked=True)
+        if result.code is None and changes["verdict"] != result.verdict:
+            seen = f"the balance's zero was seen to step by {stepped_mg:.2f} mg in this run, and may have in this dose"
+            changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": seen}
+    return result.model_copy(update=changes)
+
+
+def _doubted(dose: DoseResult, stepped_mg: float) -> DoseResult:
+    zero_mg = unseen_mg(stepped_mg)
+    if dose.bracket == "open" or zero_mg <= dose.zero_uncertainty_mg:
+        return dose
+    u_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + zero_mg**2)
+    verdict = judge(dose.target_mg, dose.tolerance_mg, dose.dispensed_mg, u_mg)
+    return dose.model_copy(update={"uncertainty_mg": u_mg, "zero_uncertainty_mg": zero_mg, "verdict": verdict})
+
+
+def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | None:
+    """The dose that the result stands by, as it is among `doses`."""
+    return next((dose for dose, had in zip(doses, result.doses, strict=True) if _is_main(had, result)), None)
+
+
+def _is_asked(dose: Dose | DoseResult, sample: Sample) -> bool:
+    return sample.is_mass(dose.target_mg) and sample.is_dosed_into(dose.container)
 
 
 def _is_main(dose: DoseResult, result: SampleResult) -> bool:
     return (dose.dispensed_mg, dose.uncertainty_mg) == (result.dispensed_mg, result.uncertainty_mg)
 
 
-def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
+def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResult:
     tolerance_mg = dose.tolerance_mg
-    if sample.tolerance_mg is not None and _is_asked(dose.target_mg, sample):
+    if sample.tolerance_mg is not None and _is_asked(dose, sample):
         tolerance_mg = min(tolerance_mg, sample.tolerance_mg)  # the recipe's word, whatever the workflow made of it
     return DoseResult(
         container=dose.container,
@@ -140,6 +174,8 @@ def _dose_result(dose: Dose, sample: Sample) -> DoseResult:
         dispensed_mg=dose.dispensed_mg,
         uncertainty_mg=dose.uncertainty_mg,
         verdict=judge(dose.target_mg, tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg),
+        bracket="open",
+        true_mg=true_mg,
     )
 
 

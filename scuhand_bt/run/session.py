@@ -3,7 +3,7 @@
 import secrets
 import sqlite3
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -11,6 +11,7 @@ from pathlib import Path
 
 import scuhand_bt
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.events import (
@@ -37,6 +38,7 @@ from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
+from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
@@ -47,6 +49,7 @@ from scuhand_bt.run.notify import Notice, NoticeState, Notifier
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.resume import Resumable, lab_files, world_path
 from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.skill import SkillFailed
 
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
 
@@ -69,9 +72,10 @@ class Session:
     `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one; `resumes` is the
     interrupted run (`run/resume.py` finds and checks it).
 
-    Raises, before anything moves: SourceError for an unknown controller, an unwritable folder, an unattended plan
-    that needs a person or a run that another process has, PlantError for a plant that cannot be used, NoCompiler
-    for a rehearsal without one, SkillFailed for places without a way between them, or a device that does not answer.
+    Raises, before anything moves: SourceError for an unknown controller, an unwritable folder, an unattended plan that
+    needs a person, a real balance beyond its limits or a run that another process has, PlantError for a plant that
+    cannot be used, NoCompiler for a rehearsal without one, SkillFailed for places without a way between them, or a
+    device that does not answer.
     """
 
     def __init__(
@@ -89,6 +93,8 @@ class Session:
         self.plan = plan
         self.notices: list[str] = []
         """What went wrong beside the batch: a notification that failed, an inventory that could not be kept."""
+        self.warnings: list[str] = []
+        """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
         self._lab, self._options = lab, options
@@ -111,9 +117,12 @@ class Session:
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
             self._make_cell(motion, opened)
             if not self.cell.simulated:
+                self._meet_balance()
                 self._state.recall(self.cell)
                 recall(self.cell, self._stock)
             self._begin(resumes)
+            for warning in self.warnings:
+                self.journal.event(Trouble(what=warning))
             opened.pop_all()
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
@@ -140,7 +149,7 @@ class Session:
         opened.callback(self._close_cell)
         if options.controller is not None:
             self.cell.controller = options.controller
-        self.cell.balance.on_reading = journal.weighed
+        self.cell.balance.on_reading = self._weighed
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         journal.heard = self._heard
@@ -148,6 +157,21 @@ class Session:
             self.cell.clock.hurries = lambda: self.control.halts
         if self.world is not None:
             journal.before_commit = self.world.save
+
+    def _meet_balance(self) -> None:
+        """Which one it is, it has said by its first reading. SourceError where a new run asks more than it gives."""
+        with suppress(SkillFailed):  # one that says nothing fails the run by itself
+            for wake in self.cell.balance.next_reading():
+                self.cell.clock.wait([wake])
+        figures = self._state.figures(simulated=False).get(self.cell.balance_name, {})
+        beyond = beyond_limits(self.plan, self._lab, figures, datetime.now().astimezone())
+        if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
+            raise SourceError(beyond)
+        self.warnings = [str(problem) for problem in [*beyond, *below_usp(self.plan, self._lab, figures)]]
+
+    def _weighed(self, reading: Reading) -> None:
+        self.cell.readings.append(reading)
+        self.journal.weighed(reading)
 
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""

@@ -1,6 +1,6 @@
 """From a checked workflow and its inputs to one small tree of py_trees nodes."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -42,11 +42,13 @@ class Tree:
         return None if reference is None else self._scope.read(reference)
 
 
-def bound_inputs(workflow: Workflow, given: Mapping[str, Any], library: Library) -> Values:
-    """A workflow's inputs: what is given, else its defaults."""
+def bound_inputs(
+    workflow: Workflow, given: Mapping[str, Any], library: Library, unknown: Collection[str] = ()
+) -> Values:
+    """A workflow's inputs: what is given, else its defaults; none for those given a value that is `unknown` yet."""
     values = dict(given)
     for declared in workflow.inputs.values():
-        if declared.name not in values and declared.default is not None:
+        if declared.name not in (*values, *unknown) and declared.default is not None:
             values[declared.name] = literal(declared.name, declared.type, declared.default, library)
     return resolve_percent(values)
 

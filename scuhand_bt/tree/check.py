@@ -16,6 +16,7 @@ from scuhand_bt.tree.grammar import (
     Branch,
     Call,
     Decorator,
+    Input,
     Reference,
     TreeNode,
     Workflow,
@@ -127,6 +128,8 @@ class _Checker:
         self._sizes: dict[str, int] = {}
         self._calling: list[str] = []
         self._is_whole = True
+        self._inputs: Mapping[str, Input] = {}
+        """Of the workflow that is checked now."""
         self._types: dict[str, WireType | None] = {}
         """By name; None where what gives the value is wrong, and reported, itself."""
 
@@ -142,6 +145,7 @@ class _Checker:
         self._calling.append(name)
         outer_types, self._types = self._types, {key: declared.type for key, declared in workflow.inputs.items()}
         outer_is_whole, self._is_whole = self._is_whole, workflow.is_whole
+        outer_inputs, self._inputs = self._inputs, workflow.inputs
         for declared in workflow.inputs.values():
             if declared.default is not None:
                 value = self._check_literal(declared.name, declared.type, declared.default)
@@ -152,7 +156,7 @@ class _Checker:
         result = NOTHING
         if workflow.result is not None:
             result = self._type_of(workflow.result, defined) or NOTHING
-        self._types, self._is_whole = outer_types, outer_is_whole
+        self._types, self._is_whole, self._inputs = outer_types, outer_is_whole, outer_inputs
         self._calling.pop()
         self._results[name] = result
         self._check_size(workflow)
@@ -251,6 +255,10 @@ class _Checker:
         if node.result is None:
             return defined
         before = self._types.get(node.result)
+        if node.result in self._inputs:
+            what = f"'{node.result}' is an input of this workflow, and stays what the workflow was given"
+            self._problems.add(node.result_mark, what, "a name of its own for the result")
+            return defined
         if result == NOTHING:
             self._problems.add(node.result_mark, f"'{node.name}' has no result to keep as '{node.result}'")
             result = None

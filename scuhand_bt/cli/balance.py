@@ -1,0 +1,87 @@
+"""Commands about the cell's balance: what is known of it and since when, and to forget that."""
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, out, the_lab
+
+if TYPE_CHECKING:
+    from scuhand_bt.lab import Lab
+    from scuhand_bt.lab_state.beliefs import LabState
+
+group = typer.Typer(invoke_without_command=True)
+app.add_typer(group, name="balance")
+
+WORDS: Mapping[str, tuple[str, str]] = {
+    "delay_s": ("shows a load late by", "s"),
+    "check_weight_error_mg": ("weighs a check weight off by", "mg"),
+    "repeatability_mg": ("repeatability", "mg"),
+    "noise_mg": ("noise of a reading", "mg"),
+    "drift_mg_per_s": ("drift", "mg/s"),
+    "minimum_weight_mg": ("minimum weight by USP 41", "mg"),
+    "lag_s": ("half its delay, by doses", "s"),
+}
+"""What each figure is called, and its unit."""
+
+
+@group.callback()
+def balance(
+    context: typer.Context,
+    simulated: Annotated[bool, typer.Option("--simulated", help="What simulated runs have measured.")] = False,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show what is known of the balance, since when and by which run; `balance forget` forgets it."""
+    if context.invoked_subcommand is not None:
+        context.obj = lab
+        return
+    loaded = the_lab(lab)
+    rows = _rows(_state(loaded), loaded.cell.balance.readability_mg, simulated=simulated)
+    if as_json:
+        keys = ("balance", "figure", "value", "says", "at")
+        out.print_json(json.dumps([dict(zip(keys, row, strict=True)) for row in rows]))
+        return
+    if not rows:
+        out.print("Nothing is known yet: `scuhand-bt run recipes/start_of_day.yaml` and doses measure the balance.")
+        return
+    table = Table("balance", "what", "", "says", "at", show_edge=False)
+    for name, figure, value, says, at in rows:
+        words, unit = WORDS[figure]
+        table.add_row(Text(name), words, f"{value:.3g} {unit}", Text(says), at)
+    out.print(table)
+    if simulated:
+        out.print("SIMULATED: no run reads this.")
+
+
+@group.command("forget")
+def forget(context: typer.Context, lab: LabOption = None) -> None:
+    """Forget what was measured of the balance, and learnt of it by doses: it was repaired, moved or set otherwise."""
+    names = _state(the_lab(lab or context.obj)).forget_balances()
+    out.print(Text(f"Forgotten: {'; '.join(names)}." if names else "Nothing was known."))
+
+
+def _rows(state: "LabState", readability_mg: float, *, simulated: bool) -> list[tuple[str, str, float, str, str]]:
+    """What was measured, what follows from it, and what doses have taught."""
+    from scuhand_bt.dosing.characteristic import least_repeatability_mg, usp_minimum_weight_mg
+
+    rows = []
+    for name, figures in state.figures(simulated=simulated).items():
+        rows += [(name, figure, one.value, one.says, one.at) for figure, one in figures.items()]
+        if (repeatability := figures.get("repeatability_mg")) is not None:
+            least_mg = usp_minimum_weight_mg(least_repeatability_mg(repeatability.value, readability_mg))
+            rows.append((name, "minimum_weight_mg", least_mg, repeatability.says, repeatability.at))
+    for name, learnt in state.balances(simulated=simulated).items():
+        rows.append((name, "lag_s", learnt.belief.lag_s, learnt.run, learnt.at))
+    return rows
+
+
+def _state(lab: "Lab") -> "LabState":
+    from scuhand_bt.lab import state_folder
+    from scuhand_bt.lab_state.beliefs import LabState
+
+    return LabState(state_folder(lab))

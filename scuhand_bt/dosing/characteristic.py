@@ -1,0 +1,100 @@
+"""What a balance is, by what it shows, and what can be told with it.
+
+Its delay, whatever its filter: where the load steps from m0 to m1 at t0, and r is read,
+
+    T = 1 / (m1 - m0)  integral of (m1 - r) dt,     from t0 until r has come to m1:
+
+n equal poles of tau have n tau, a mean over L has L/2, a dead time counts whole. While powder flows at a rate q, T q of
+it is not shown yet: that is what a dose may overshoot by.
+
+Its repeatability s [mg] is the standard deviation of weighings of one weight, taken off and put on again. It limits
+small masses: what is weighed to a share R of itself, with k = 2, weighs at least
+
+    m = k s / R           (EURAMET cg-18, appendix G)
+
+USP 41 has R = 0.10 % (m = 2000 s), and s no less than 0.41 digits. A dose asks for its own R = T/m, tolerance by mass:
+then the mass drops out, and the tolerance is to be at least k s, with a margin for days that are worse than that one.
+"""
+
+import statistics
+from collections.abc import Sequence
+from itertools import pairwise
+
+from scuhand_bt.dosing.verdict import COVERAGE
+
+LONGEST_DELAY_S = 3.2
+"""Of a balance that the controllers can dose with: slower ones show too late what a valve has let out."""
+USP_SHARE = 0.001
+USP_LEAST_DIGITS = 0.41
+MARGIN = 2.0
+"""cg-18 has a safety factor of two or more, for a repeatability that was measured once, on a quiet day."""
+STEP_SHARE = 0.01
+"""A step has come when more than this share of it is shown."""
+
+HELD_READINGS, HELD_DIGITS = 8, 5
+"""A display that shows the same so often, and in the next reading more than so many digits more or less, held it."""
+
+Curve = Sequence[tuple[float, float]]
+"""Readings: times [s], growing, and masses [mg]."""
+
+
+def step_delay_s(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> float | None:
+    """T of a step between two settled weighings; None where the curve does not show it from its beginning.
+
+    The step came at `latest_s`, unless more than `STEP_SHARE` of it was shown earlier: then with the last reading that
+    showed less. Of three readings in a row the middle one counts: a false line among them does no harm.
+    """
+    step_mg = after_mg - before_mg
+    triples = zip(curve, curve[1:], curve[2:], strict=False) if step_mg else ()
+    missing = [
+        (now[0], (after_mg - statistics.median((last[1], now[1], following[1]))) / step_mg)
+        for last, now, following in triples
+    ]
+    unmoved = [number for number, (_, share) in enumerate(missing) if share > 1.0 - STEP_SHARE]
+    if not unmoved or unmoved[-1] == len(missing) - 1:
+        return None
+    begin_s = min(latest_s, missing[unmoved[-1]][0])
+    area_s, last_s, last_share = 0.0, begin_s, 1.0
+    for time_s, share in missing:
+        if time_s > begin_s:
+            area_s += (last_share + share) / 2.0 * (time_s - last_s)
+            last_s, last_share = time_s, share
+    return area_s
+
+
+def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
+    """The most that a display has held back: it stood still, to the digit, and then jumped; 0 for one that follows.
+
+    What it holds back at the end nobody sees. A filter of a tenth of a second or more makes a ramp of whatever falls.
+    """
+    digits = [round(mg / readability_mg) for mg in readings_mg]
+    held, still = 0, 1
+    for last, now in pairwise(digits):
+        if still >= HELD_READINGS and abs(now - last) > HELD_DIGITS:
+            held = max(held, abs(now - last))
+        still = still + 1 if now == last else 1
+    return held * readability_mg
+
+
+def noise_and_drift(curve: Curve) -> tuple[float, float]:
+    """Of a pan on which nothing changes: the standard deviation of a reading about a line [mg], the line's slope
+    [mg/s]. At least three readings."""
+    times_s, values_mg = zip(*curve, strict=True)
+    slope, start_mg = statistics.linear_regression(times_s, values_mg)
+    off_mg = [value_mg - start_mg - slope * time_s for time_s, value_mg in curve]
+    return (sum(mg * mg for mg in off_mg) / (len(off_mg) - 2)) ** 0.5, slope
+
+
+def least_repeatability_mg(measured_mg: float | None, readability_mg: float) -> float:
+    """What a balance may be credited with: a few weighings may agree by chance, or by rounding."""
+    return max(measured_mg or 0.0, USP_LEAST_DIGITS * readability_mg)
+
+
+def usp_minimum_weight_mg(repeatability_mg: float) -> float:
+    """The least mass that this repeatability tells to 0.10 %."""
+    return COVERAGE * repeatability_mg / USP_SHARE
+
+
+def least_tolerance_mg(repeatability_mg: float) -> float:
+    """The narrowest tolerance that this repeatability tells."""
+    return MARGIN * COVERAGE * repeatability_mg

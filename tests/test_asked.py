@@ -1,0 +1,210 @@
+"""A workflow that does not dose what its sample asks is refused before anything moves, where that is written."""
+
+import pytest
+from conftest import Desk, LabFolder
+
+RECIPE = """\
+recipe: asked
+workflow: mine
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}
+  msg: {station: mortar_bay_2, container: small_agate_mortar, powder: monosodium_glutamate, amount: 8 g}
+samples:
+"""
+INPUTS = "source: Source, container: Container, mass: Mass, tolerance: Mass"
+FILL = "fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}"
+PLACE = "place_container: {container: $container}"
+NOTHING = "1:1: sample 'a' asks for 50 mg, and 'mine' doses nothing into its container; let it dispense $mass there"
+SAMPLE = "id: a, source: beads, container: xrd_holder, mass: 50 mg, tolerance: 2 mg"
+
+
+def into(container: str, mass: str, source: str = "source") -> str:
+    return FILL.replace("$container", f"${container}").replace("$mass", mass).replace("$source", f"${source}")
+
+
+def said(
+    desk: Desk, lab: LabFolder, *steps: str, inputs: str = INPUTS, samples: tuple[str, ...] = (SAMPLE,)
+) -> list[str]:
+    """The problems of samples whose workflow is these steps, the first of them in line 5, column 7."""
+    tree = "\n".join(f"    - {step}" for step in steps)
+    lab.write("trees/mine.yaml", f"workflow: mine\ninputs: {{{inputs}}}\ntree:\n  sequence:\n{tree}\n")
+    desk.lab = lab.load()
+    return desk.problems(RECIPE + "".join(f"  - {{{sample}}}\n" for sample in samples))
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [PLACE, FILL],
+        [PLACE, "timeout: {duration: 1 h, child: {" + FILL + "}}"],
+        # what comes before the asked mass into the same container counts towards it
+        [PLACE, FILL.replace("$mass", "20 mg"), FILL],
+        [PLACE, "repeat: {times: 2, child: {" + FILL.replace("$mass", "20 mg") + "}}", "optional: {" + FILL + "}"],
+        [PLACE, FILL.replace("$tolerance", "1 %")],
+        [PLACE, FILL.replace("$tolerance", "20 mg"), FILL],
+        # told only in the run
+        [PLACE, "tare: {as: gross}", FILL.replace("$mass", "$gross")],
+        # on some way it is as asked
+        [PLACE, "fallback: [{" + FILL.replace("$mass", "25 mg") + "}, {" + FILL + "}]"],
+        [PLACE, "fallback: [{" + FILL + "}, {" + FILL.replace("$mass", "25 mg") + "}]"],
+        [PLACE, FILL, "optional: {" + FILL.replace("$mass", "60 mg") + "}"],
+        ["fallback: [{sequence: [{" + PLACE + "}, {discard: }]}, {dispense: {mass: $mass, tolerance: $tolerance}}]"],
+    ],
+)
+def test_a_workflow_that_can_dose_what_is_asked_is_not_refused(
+    desk: Desk, lab_folder: LabFolder, steps: list[str]
+) -> None:
+    assert said(desk, lab_folder, *steps) == []
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        (
+            [PLACE, FILL.replace("$mass", "25 mg")],
+            ["6:60: no dose is of the 50 mg that sample 'a' asks for; this one is of 25 mg; write $mass"],
+        ),
+        (
+            [PLACE, "fallback: [{park: }, {" + FILL.replace("$mass", "25 mg") + "}]"],
+            ["6:82: no dose is of the 50 mg that sample 'a' asks for; this one is of 25 mg; write $mass"],
+        ),
+        (
+            [PLACE, FILL, FILL.replace("$mass", "60 mg")],
+            ["7:60: no dose is of the 50 mg that sample 'a' asks for; this one is of 60 mg; write $mass"],
+        ),
+        (
+            [PLACE, "scoop: {source: $source}"],
+            [NOTHING],
+        ),
+        (
+            [PLACE, FILL.replace("$tolerance", "5 mg")],
+            ["6:78: the dose is within 5 mg, and sample 'a' asks for 2 mg; write $tolerance"],
+        ),
+        (
+            [PLACE, FILL.replace("$tolerance", "10 %")],
+            ["6:78: the dose is within 5 mg, and sample 'a' asks for 2 mg; write $tolerance"],
+        ),
+        (
+            [PLACE, "scoop: {source: $source}", "dispense: {mass: $mass, tolerance: $mass}"],
+            ["7:42: the dose is within 50 mg, and sample 'a' asks for 2 mg; write $tolerance"],
+        ),
+    ],
+)
+def test_another_mass_and_a_wider_tolerance_are_refused_where_they_are_written(
+    desk: Desk, lab_folder: LabFolder, steps: list[str], expected: list[str]
+) -> None:
+    assert said(desk, lab_folder, *steps) == expected
+
+
+@pytest.mark.parametrize("step", [FILL, "dispense: {mass: $mass, tolerance: $tolerance}"])
+def test_a_tolerance_that_is_not_passed_on_is_the_callees_own_and_refused_at_the_call(
+    desk: Desk, lab_folder: LabFolder, step: str
+) -> None:
+    tight = SAMPLE.replace("tolerance: 2 mg", "tolerance: 1 mg")
+    (problem,) = said(desk, lab_folder, PLACE, step.replace(", tolerance: $tolerance", ""), samples=(tight,))
+    assert problem == "6:7: the dose is within 2 mg, and sample 'a' asks for 1 mg; write $tolerance"
+
+
+CHOOSE = """
+from scuhand_bt.skill import Cell, Container, Skill, Steps
+
+
+class Choose(Skill[Container]):
+    \"\"\"Choose a container.\"\"\"
+
+    one: Container
+    other: Container
+
+    def run(self, cell: Cell) -> Steps[Container]:
+        yield from ()
+        return self.one
+"""
+
+
+def test_what_only_the_run_can_tell_is_not_refused(desk: Desk, lab_folder: LabFolder) -> None:
+    tight = SAMPLE.replace("tolerance: 2 mg", "tolerance: 1 mg")
+    steps = (PLACE, "tare: {as: gross}", FILL.replace("$tolerance", "$gross"))
+    assert said(desk, lab_folder, *steps, samples=(tight,)) == []
+    lab_folder.write("skills/choose.py", CHOOSE)
+    inputs, sample = f"waste: Container, {INPUTS}", f"{SAMPLE}, waste: xrd_holder"
+    steps = ("choose: {one: $container, other: $waste, as: chosen}", into("chosen", "$mass"), into("chosen", "5 mg"))
+    assert said(desk, lab_folder, *steps, inputs=inputs, samples=(sample,)) == []
+    assert said(desk, lab_folder, steps[0], steps[2], inputs=inputs, samples=(sample,)) != []
+
+
+def test_the_place_is_that_of_the_literal_whatever_workflows_it_goes_through(desk: Desk, lab_folder: LabFolder) -> None:
+    inner = "workflow: inner\ninputs: {s: Source, c: Container, much: Mass, near: {type: Mass, default: 1 mg}}\ntree:\n"
+    inner += "  fill: {source: $s, container: $c, mass: $much, tolerance: $near}\n"
+    lab_folder.write("trees/inner.yaml", inner)
+    call = "inner: {s: $source, c: $container, much: $mass}"
+    assert said(desk, lab_folder, PLACE, call) == []
+    (problem,) = said(desk, lab_folder, PLACE, call.replace("$mass", "25 mg"))
+    assert problem.startswith("6:48: no dose is of the 50 mg")
+    (problem,) = said(desk, lab_folder, PLACE, call.replace("}", ", near: 3 mg}"))
+    assert problem.startswith("6:61: the dose is within 3 mg")
+    lab_folder.write("trees/inner.yaml", inner.replace("mass: $much", "mass: $s.amount"))
+    (problem,) = said(desk, lab_folder, PLACE, call)
+    assert problem.startswith("4:43: no dose is of the 50 mg that sample 'a' asks for; this one is of 20000 mg")
+
+
+def test_a_result_cannot_take_the_name_of_an_input(desk: Desk, lab_folder: LabFolder) -> None:
+    assert said(desk, lab_folder, PLACE, "tare: {as: mass}", FILL) == [
+        "6:18: 'mass' is an input of this workflow, and stays what the workflow was given; "
+        "a name of its own for the result"
+    ]
+
+
+TWO = "source: Source, msg: Source, first: Container, second: Container, mass: Mass, salt: Mass, tolerance: Mass"
+BOTH = (
+    "id: a, source: beads, msg: msg, first: xrd_holder, second: xrd_holder, mass: 50 mg, salt: 30 mg, tolerance: 2 mg"
+)
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [into("first", "$mass"), into("first", "$salt", "msg")],
+        [into("first", "$salt", "msg"), into("first", "$mass"), into("second", "$salt", "msg")],
+        [into("first", "5 mg"), into("second", "$mass")],
+        [into("second", "$mass"), into("first", "5 mg")],
+    ],
+)
+def test_each_powder_and_each_container_may_have_a_mass_of_its_own(
+    desk: Desk, lab_folder: LabFolder, steps: list[str]
+) -> None:
+    assert said(desk, lab_folder, *steps, inputs=TWO, samples=(BOTH,)) == []
+
+
+@pytest.mark.parametrize("second", [into("second", "$salt"), into("first", "$salt", "msg")])
+def test_parts_that_only_add_up_to_what_is_asked_are_refused(desk: Desk, lab_folder: LabFolder, second: str) -> None:
+    found = said(desk, lab_folder, into("first", "20 mg"), second, inputs=TWO, samples=(BOTH,))
+    assert [problem.split("; ")[1] for problem in found] == ["this one is of 20 mg", "this one is of 30 mg"]
+
+
+def test_what_goes_into_another_container_than_the_samples_own_is_not_what_it_asks(
+    desk: Desk, lab_folder: LabFolder
+) -> None:
+    inputs, sample = f"waste: Container, {INPUTS}", f"{SAMPLE}, waste: xrd_holder"
+    assert said(desk, lab_folder, into("waste", "$mass"), inputs=inputs, samples=(sample,)) == [NOTHING]
+    assert said(desk, lab_folder, into("waste", "5 mg"), FILL, inputs=inputs, samples=(sample,)) == []
+    assert said(desk, lab_folder, "scoop: {source: $source}", "dispense: {mass: $mass}") == [NOTHING]
+
+
+def test_a_sample_must_fit_into_its_own_container_whatever_else_is_named_before_it(
+    desk: Desk, lab_folder: LabFolder
+) -> None:
+    inputs, sample = f"waste: Container, {INPUTS}", f"waste: alumina_crucible, {SAMPLE.replace('50 mg', '900 mg')}"
+    (problem,) = said(desk, lab_folder, PLACE, FILL, inputs=inputs, samples=(sample,))
+    assert "does not fit into 'xrd_holder'" in problem
+
+
+def test_one_place_that_is_wrong_for_many_samples_is_said_once(desk: Desk, lab_folder: LabFolder) -> None:
+    samples = tuple(SAMPLE.replace("id: a", f"id: {name}") for name in "abc")
+    (problem,) = said(desk, lab_folder, PLACE, FILL.replace("$mass", "25 mg"), samples=samples)
+    assert "sample 'a' asks for; this one is of 25 mg (and 2 more samples like it); write $mass" in problem
+
+
+def test_a_sample_that_asks_no_mass_is_dosed_as_its_workflow_says(desk: Desk, lab_folder: LabFolder) -> None:
+    steps = [PLACE, FILL.replace("$mass", "25 mg").replace("$tolerance", "9 mg")]
+    inputs, sample = INPUTS.replace("mass: Mass, ", ""), SAMPLE.replace("mass: 50 mg, ", "")
+    assert said(desk, lab_folder, *steps, inputs=inputs, samples=(sample,)) == []

@@ -1,0 +1,209 @@
+"""Weighing until it stays, and the bare pan behind a container: with a balance that shows what it is told to."""
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from dose_bench import DISH
+
+from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.weighing import take_container_away, weigh_until_still, weighing_of
+from scuhand_bt.clock import Steps, T, Wake
+from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.events import BracketClosed, ContainerLifted
+from scuhand_bt.failures import SkillFailed
+
+TAKES_S, PERIOD_S = 2.0, 0.1
+"""How long one weighing takes, and one reading."""
+U_MG = 0.05
+BEADS = "glass_beads"
+
+
+class Shown:
+    """A cell whose balance shows these grosses, one a weighing; where it has none left, it shows the last again."""
+
+    def __init__(self, *gross_mg: float, by_time: Callable[[float], float] | None = None) -> None:
+        self.now_s = 0.0
+        self.times_s: list[float] = []
+        self.done: list[str] = []
+        self.believed, self.events = Believed(), []  # type: ignore[var-annotated]
+        self._gross_mg, self._by_time = list(gross_mg), by_time
+        self.cell = cast(
+            Cell,
+            SimpleNamespace(
+                clock=self,
+                spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1)),
+                balance=self,
+                believed=self.believed,
+                record=SimpleNamespace(event=self.events.append),
+                changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
+            ),
+        )
+
+    def stable_mean(self) -> Steps[StableMean]:
+        self.now_s += TAKES_S
+        self.times_s.append(self.now_s)
+        self.done.append("weighed")
+        yield from ()
+        gross_mg = self._by_time(self.now_s) if self._by_time else self._gross_mg[0]
+        del self._gross_mg[: len(self._gross_mg) > 1]
+        line = Reading(gross_mg, True, self.now_s, "mg", f"{gross_mg:.1f} mg".encode())
+        return StableMean(gross_mg, U_MG, self.now_s, (line,))
+
+    def next_reading(self) -> Steps[Reading]:
+        self.now_s += PERIOD_S
+        yield from ()
+        gross_mg = self._by_time(self.now_s) if self._by_time else self._gross_mg[0]
+        return Reading(gross_mg, True, self.now_s, "mg", f"{gross_mg:.1f} mg".encode())
+
+    def _take_away(self) -> Steps[None]:
+        yield from ()
+        self.done.append("taken away")
+
+    def drive(self, steps: Steps[T]) -> T:
+        """Run a generator to its end; it wakes when it asks for it."""
+        try:
+            while True:
+                wake: Wake = next(cast(Iterator[Wake], steps))
+                self.now_s = max(self.now_s, wake.until_s)
+        except StopIteration as end:
+            return cast(T, end.value)
+
+
+def until_still(shown: Shown, allowed_mg: float = 1.0, **pause: float) -> tuple[Gross, StableMean]:
+    return shown.drive(weigh_until_still(shown.cell, Gross(100.0, U_MG, 0.0), allowed_mg, **pause))
+
+
+@pytest.mark.parametrize("gross_mg", [99.0, 101.0])
+def test_a_weighing_that_differs_by_what_is_allowed_agrees_at_once(gross_mg: float) -> None:
+    shown = Shown(gross_mg)
+    last, mean = until_still(shown)
+    assert (last.gross_mg, mean.value_mg, shown.times_s) == (100.0, gross_mg, [2.0])
+
+
+def test_what_is_not_allowed_may_still_be_chance() -> None:
+    # In 2 s the zero walks by 0.018 mg; with both uncertainties that is 0.073 mg.
+    assert until_still(Shown(100.145), allowed_mg=0.0)[0].gross_mg == 100.0
+    assert until_still(Shown(100.148), allowed_mg=0.0)[0].gross_mg == 100.148
+
+
+def test_after_a_step_it_weighs_again_a_while_later_and_gives_the_two_that_agree() -> None:
+    shown = Shown(104.0, 102.9, 102.5)
+    last, mean = until_still(shown)
+    assert (last, mean.value_mg) == (Gross(102.9, U_MG, 5.5), 102.5)
+    assert shown.times_s == [2.0, 5.5, 9.0], "1.5 s lie between two that are to agree"
+
+
+def test_the_first_weighing_comes_after_the_pause_that_is_asked_for() -> None:
+    shown = Shown(100.0)
+    until_still(shown, pause_s=4.0)
+    assert shown.times_s == [6.0]
+
+
+@pytest.mark.parametrize("rate", [2.0, -2.0])
+def test_a_reading_that_goes_on_changing_fails_after_a_minute(rate: float) -> None:
+    shown = Shown(by_time=lambda now_s: 100.0 + rate * now_s)
+    with pytest.raises(SkillFailed) as failed:
+        until_still(shown)
+    assert failed.value.code == "balance.drifting"
+    assert failed.value.detail == f"after 60 s the reading still changes by {rate:+.2f} mg/s"
+    assert shown.times_s[-2] <= 60.0 < shown.times_s[-1]
+
+
+def test_a_weighing_after_exactly_a_minute_has_one_more_chance() -> None:
+    shown = Shown(by_time=lambda now_s: 100.0 + 2.0 * now_s)
+    with pytest.raises(SkillFailed):
+        until_still(shown, pause_s=2.0)
+    assert shown.times_s[-2:] == [60.0, 63.5]
+
+
+def test_patience_begins_with_the_first_weighing_and_what_agrees_late_is_taken() -> None:
+    shown = Shown(by_time=lambda now_s: 100.0 + 2.0 * min(now_s - 1000.0, 56.2))
+    shown.now_s = 1000.0
+    assert until_still(shown)[1].value_mg == 212.4
+    assert shown.now_s > 1060.0
+
+
+def a_dosed_container(shown: Shown) -> None:
+    """A dish of 20 g on the pan since 8 s, with 50 mg by two lots in it since 40 s."""
+    believed = shown.believed
+    believed.brought(DISH, from_changer=False)
+    believed.placed(Gross(10.0, U_MG, 0.0), Gross(20_010.0, U_MG, 8.0))
+    believed.tared(Gross(20_010.0, U_MG, 20.0))
+    for lot, mass_mg in ((BEADS, 30.0), ("salt", 20.0)):
+        believed.dosing_towards(mass_mg, lot, Gross(20_010.0, U_MG, 30.0))
+        believed.dosed(Net(mass_mg, 0.1), Drift(0.0, 0.005), Gross(20_060.0, U_MG, 40.0), 1, 0.0)
+    shown.now_s = 50.0
+
+
+def test_a_filled_container_is_weighed_and_taken_away_and_the_bare_pan_says_what_it_has_gained() -> None:
+    shown = Shown(20_060.3, 10.1)
+    a_dosed_container(shown)
+    bare = shown.drive(take_container_away(shown.cell))
+    assert (bare.value_mg, shown.done) == (10.1, ["weighed", "taken away", "weighed"])
+    assert (shown.believed.pan, shown.believed.bracket) == (None, None)
+    lifted, closed = shown.events
+    assert isinstance(lifted, ContainerLifted)
+    assert (lifted.container, lifted.gross_mg, lifted.readings[0].raw) == (DISH.id, 20_060.3, "20060.3 mg")
+    assert isinstance(closed, BracketClosed)
+    assert (closed.container, closed.closes) == (DISH.id, True)
+    assert (closed.net_mg, closed.difference_mg, closed.zero_mg) == pytest.approx((50.2, 0.2, 0.1))
+    assert closed.bare is not None
+    assert (closed.bare.gross_mg, closed.bare.readings[0].raw) == (10.1, "10.1 mg")
+    (told,) = shown.believed.closed
+    assert {lot: net.mass_mg for lot, net in told.doses.items()} == {lot: d.net_mg for lot, d in closed.doses.items()}
+    assert (told.container, told.closes, told.difference_mg) == (DISH.id, True, closed.difference_mg)
+    assert sum(net.mass_mg for net in told.doses.values()) == pytest.approx(50.0, abs=0.2)
+    assert told.detail == (
+        "by the bare pan before and after it the container has gained 50.20 mg, +0.20 mg against what was dosed; "
+        f"{closed.allowance_mg:.2f} mg are allowed"
+    )
+
+
+@pytest.mark.parametrize("moved_mg", [1.6, 8.0])
+def test_a_bare_pan_that_has_moved_is_said_to_have(moved_mg: float) -> None:
+    shown = Shown(20_060.0, 10.0 + moved_mg)
+    a_dosed_container(shown)
+    shown.drive(take_container_away(shown.cell))
+    (told,) = shown.believed.closed
+    assert not told.closes
+    what = f"the bare pan shows +{moved_mg:.2f} mg against before the container: the balance's zero has moved"
+    assert told.detail == what
+
+
+def test_a_container_that_was_weighed_before_it_was_taken_off_is_not_weighed_again_when_it_has_gone() -> None:
+    shown = Shown(20_060.0, 10.0)
+    a_dosed_container(shown)
+
+    def broken() -> Steps[None]:
+        yield from ()
+        shown.done.append("taken away")
+        raise SkillFailed("device.lost", "gone")
+
+    whole = shown.cell.changer
+    shown.cell.changer = cast(Any, SimpleNamespace(take_away=broken, needs_person=True))
+    with pytest.raises(SkillFailed):
+        shown.drive(take_container_away(shown.cell))
+    assert shown.believed.pan_gross_mg is None, "what stands there is not known"
+    shown.cell.changer = whole
+    shown.drive(take_container_away(shown.cell))
+    (told,) = shown.believed.closed
+    assert (told.closes, shown.done) == (True, ["weighed", "taken away", "taken away", "weighed"])
+
+
+def test_a_container_that_nothing_was_dosed_into_leaves_nothing_to_say() -> None:
+    shown = Shown(10.0)
+    shown.believed.brought(DISH, from_changer=False)
+    shown.believed.placed(Gross(10.0, U_MG, 0.0), Gross(20_010.0, U_MG, 8.0))
+    assert shown.drive(take_container_away(shown.cell)).value_mg == 10.0
+    assert (shown.events, shown.believed.closed, shown.believed.bracket) == ([], (), None)
+    assert shown.done == ["taken away", "weighed"]
+
+
+def test_an_empty_pan_is_weighed_bare() -> None:
+    shown = Shown(10.0)
+    assert weighing_of(shown.drive(take_container_away(shown.cell))) == Gross(10.0, U_MG, 2.0)
+    assert (shown.events, shown.believed.closed) == ([], ())

@@ -1,0 +1,178 @@
+"""Containers onto the pan and off it: what the pan shows meanwhile, and what of it is the zero's doing."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+from dose_bench import DISH, Bench, shipped_powders
+
+from scuhand_bt.cell.weighing import watched
+from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.lab import Lab
+from scuhand_bt.specs import Container
+
+WEIGHING_S, SWING_S, BACK_S = 1.0, 4.0, 1.0
+NEXT = DISH.model_copy(update={"id": "next"})
+U_MG = 0.05
+
+
+class Pan:
+    """A balance that shows its load and a zero of our choosing, at once and without noise; and a changer."""
+
+    is_stopped, fault, needs_person, identity = True, None, False, "pan"
+
+    def __init__(self, clock: Clock, load_mg: float) -> None:
+        self.clock, self.load_mg, self.spec, self.news = clock, load_mg, BalanceSpec(), Signal()
+        self.zero_mg: Callable[[float], float] = lambda time_s: 0.0
+        self.is_stable = True
+
+    def stop(self) -> None:
+        """Nothing of it moves."""
+
+    @property
+    def latest(self) -> Reading:
+        now_s = self.clock.now_s
+        return Reading(self.load_mg + self.zero_mg(now_s), self.is_stable, now_s)
+
+    def stable_mean(self, timeout_s: float = 30.0) -> Steps[StableMean]:
+        yield from self._wait(WEIGHING_S)
+        return StableMean(self.latest.value_mg, U_MG, self.clock.now_s, [self.latest])
+
+    def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
+        yield from self._wait(self.spec.period_s)
+        return self.latest
+
+    def bring(self, container: Container) -> Steps[None]:
+        yield from self._wait(SWING_S)
+        self.load_mg += container.empty_mass_mg
+        yield from self._wait(BACK_S)
+
+    def take_away(self) -> Steps[None]:
+        yield from self._wait(SWING_S)
+        self.load_mg = 0.0
+        yield from self._wait(BACK_S)
+
+    def _wait(self, duration_s: float) -> Steps[None]:
+        end_s = self.clock.now_s + duration_s
+        while self.clock.now_s < end_s:
+            yield Wake(end_s)
+
+
+@dataclass
+class Rig:
+    """A cell whose pan carries a dish with 50 mg, weighed all through at a still zero."""
+
+    lab: Lab
+
+    def __post_init__(self) -> None:
+        bench = Bench(shipped_powders()["glass_beads"], 50.0)
+        self.bench, self.clock = bench, bench.clock
+        self.pan: Any = Pan(bench.clock, DISH.empty_mass_mg + 50.0)
+        self.cell = replace(bench.cell, balance=self.pan, changer=self.pan)
+        self.began_s = self.clock.now_s
+        self.believed = believed = self.cell.believed
+        empty, full = self.gross(DISH.empty_mass_mg), self.gross(DISH.empty_mass_mg + 50.0)
+        believed.brought(DISH, from_changer=False)
+        believed.placed(self.gross(0.0), empty)
+        believed.cone_holds(self.cell.sources["store"], 3000.0)
+        believed.dosing_towards(50.0, "glass_beads", empty)
+        believed.dosed(Net(50.0, 0.1), Drift(0.0, 0.005), full, 1, 0.5)
+
+    def gross(self, gross_mg: float) -> Gross:
+        return Gross(gross_mg, U_MG, self.began_s)
+
+    def step(self, by_mg: float, from_s: float, until_s: float = 1e9) -> None:
+        """The zero is elsewhere from a time until another, both since the beginning."""
+        self.pan.zero_mg = lambda time_s: by_mg if from_s <= time_s - self.began_s < until_s else 0.0
+
+    def do(self, name: str, **inputs: Any) -> None:
+        self.bench.drive(self.lab.library.skills[name](**inputs).run(self.cell))
+
+    def remove(self) -> bool:
+        """Take the container away; whether its bracket closes."""
+        self.do("remove_container")
+        (closed,) = self.believed.closed
+        return closed.closes
+
+
+@pytest.fixture
+def rig(starter: Lab) -> Rig:
+    return Rig(starter)
+
+
+def test_a_still_zero_closes_and_nothing_is_remembered(rig: Rig) -> None:
+    assert rig.remove()
+    assert rig.believed.zero_stepped_mg == 0.0
+
+
+@pytest.mark.parametrize(("by_mg", "remembered_mg"), [(-1.0, 1.0), (1.0, 0.0)])
+def test_what_the_container_loses_as_the_hand_leaves_is_the_zeros_and_what_it_gains_may_have_dripped(
+    rig: Rig, by_mg: float, remembered_mg: float
+) -> None:
+    rig.step(by_mg, 0.0, WEIGHING_S + SWING_S)
+    assert not rig.remove()
+    assert rig.believed.zero_stepped_mg == pytest.approx(remembered_mg)
+
+
+@pytest.mark.parametrize(("by_mg", "remembered_mg"), [(-1.0, 1.0), (1.0, 0.0)])
+def test_a_bare_pan_that_shows_less_than_before_has_a_zero_that_moved_and_more_may_lie_on_it(
+    rig: Rig, by_mg: float, remembered_mg: float
+) -> None:
+    rig.step(by_mg, WEIGHING_S + SWING_S)
+    assert not rig.remove()
+    assert rig.believed.zero_stepped_mg == pytest.approx(remembered_mg)
+
+
+@pytest.mark.parametrize("by_mg", [-3.0, 3.0])
+def test_a_zero_that_steps_in_the_dose_and_back_while_the_changer_swings_is_seen_to_step_back(
+    rig: Rig, by_mg: float
+) -> None:
+    """D and N have it alike: 53 mg, where there are 50."""
+    rig.believed.dosed(Net(by_mg, 0.1), Drift(0.0, 0.005), rig.gross(rig.pan.load_mg + by_mg), 1, 0.5)
+    rig.step(by_mg, 0.0, WEIGHING_S + SWING_S / 2)
+    assert not rig.remove()
+    assert rig.believed.zero_stepped_mg == pytest.approx(3.0)
+
+
+def test_a_bare_pan_that_moves_while_a_container_is_brought_makes_its_bracket_doubtful(rig: Rig) -> None:
+    bare_s = 2 * WEIGHING_S + SWING_S + BACK_S
+    rig.step(2.0, bare_s + 1.0, bare_s + 3.0)
+    rig.do("place_container", container=NEXT)
+    assert (rig.believed.zero_stepped_mg, rig.believed.is_zero_doubted) == (pytest.approx(2.0), True)
+
+
+@pytest.mark.parametrize(("by_mg", "remembered_mg"), [(0.49, 0.0), (0.51, 0.51)])
+def test_what_a_slow_filter_may_still_creep_is_no_step(rig: Rig, by_mg: float, remembered_mg: float) -> None:
+    rig.step(by_mg, WEIGHING_S + 0.1, WEIGHING_S + SWING_S)
+    assert rig.remove() is (remembered_mg == 0.0)
+    assert rig.believed.zero_stepped_mg == pytest.approx(remembered_mg)
+
+
+@pytest.mark.parametrize("quiet", ["needs_person", "is_stable"])
+def test_what_shows_while_a_person_leans_on_the_pan_or_before_it_is_stable_is_not_the_zeros(
+    rig: Rig, quiet: str
+) -> None:
+    rig.step(2.0, WEIGHING_S + 0.1, WEIGHING_S + SWING_S)
+    setattr(rig.pan, quiet, quiet == "needs_person")
+    assert rig.remove()
+    assert rig.believed.zero_stepped_mg == 0.0
+
+
+def test_a_changer_that_is_watched_is_halted_with_its_skill(rig: Rig) -> None:
+    halted = []
+
+    def swing() -> Steps[None]:
+        try:
+            yield Wake(rig.clock.now_s + SWING_S)
+        finally:
+            halted.append(True)
+
+    changing = swing()
+    watching = watched(rig.cell, changing, rig.gross(rig.pan.load_mg))
+    next(watching)
+    watching.close()
+    assert halted == [True]
