@@ -19,6 +19,7 @@ then the mass drops out, and the tolerance is to be at least k s, with a margin 
 import statistics
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 from scuhand_bt.dosing.verdict import COVERAGE
 
@@ -38,8 +39,21 @@ Curve = Sequence[tuple[float, float]]
 """Readings: times [s], growing, and masses [mg]."""
 
 
-def step_delay_s(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> float | None:
-    """T of a step between two settled weighings; None where the curve does not show it from its beginning.
+class Step(NamedTuple):
+    """How a balance has shown a step of its load: so long after it came, so large a share was missing."""
+
+    times_s: tuple[float, ...]
+    missing: tuple[float, ...]
+
+    @property
+    def delay_s(self) -> float:
+        """T."""
+        points = zip((0.0, *self.times_s), (1.0, *self.missing), strict=True)
+        return sum((last + share) / 2.0 * (time_s - last_s) for (last_s, last), (time_s, share) in pairwise(points))
+
+
+def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> Step | None:
+    """The step between two settled weighings; None where the curve does not show it from its beginning.
 
     The step came at `latest_s`, unless more than `STEP_SHARE` of it was shown earlier: then with the last reading that
     showed less. Of three readings in a row the middle one counts: a false line among them does no harm.
@@ -54,12 +68,8 @@ def step_delay_s(curve: Curve, before_mg: float, after_mg: float, latest_s: floa
     if not unmoved or unmoved[-1] == len(missing) - 1:
         return None
     begin_s = min(latest_s, missing[unmoved[-1]][0])
-    area_s, last_s, last_share = 0.0, begin_s, 1.0
-    for time_s, share in missing:
-        if time_s > begin_s:
-            area_s += (last_share + share) / 2.0 * (time_s - last_s)
-            last_s, last_share = time_s, share
-    return area_s
+    after = [(time_s - begin_s, share) for time_s, share in missing if time_s > begin_s]
+    return Step(tuple(time_s for time_s, _ in after), tuple(share for _, share in after))
 
 
 def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:

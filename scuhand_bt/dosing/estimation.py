@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.specs import BalanceBelief
 
 Array = NDArray[np.float64]
@@ -42,6 +43,8 @@ LEAST_DOUBT, FINER = 0.08, 0.06
 """That standard deviation, at least; and how far apart, relative to each other, delays are that are told apart."""
 SAME_SHAPE = 0.7
 """Probability that the kind of filter was identified rightly."""
+STEP_DOUBT = 0.12
+"""Standard deviation of the delay's logarithm where a step has shown it."""
 CHANGED = 0.02
 """Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
@@ -118,6 +121,20 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tu
     adds[:, RATE] = (1.0 - e00) / dt_s
     adds[:, MASS] = 1.0
     return still, adds
+
+
+def balance_of(step: Step) -> BalanceBelief:
+    """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
+
+    Doubt stays: a filter that adapts hurries for a step.
+    """
+    delay_s, far = step.delay_s, dict.fromkeys(SHAPES, 0.0)
+    for shape, (pure, damping) in SHAPES.items():
+        model = np.array([delay_s]), np.array([pure]), np.array([damping])
+        for time_s, missing in zip(*step, strict=True):
+            still, _ = transitions(*model, max(time_s - pure * delay_s, 1e-3))
+            far[shape] += (missing - still[0, READING, READING]) ** 2
+    return BalanceBelief(lag_s=delay_s / 2.0, doubt=STEP_DOUBT, shape=min(far, key=far.__getitem__), fits=1)
 
 
 class Bank:

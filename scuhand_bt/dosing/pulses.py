@@ -35,7 +35,6 @@ def pulses(known: Knowledge) -> Generator[Command, Observation, Finish]:
         seen = yield pulse
         known.begin(seen.net_mg, seen.uncertainty_mg)
         sizing.learn(pulse, seen.net_mg - before_mg)
-        known.note_coefficient(sizing.coefficient)
     return known.finish("step_limit", seen)
 
 
