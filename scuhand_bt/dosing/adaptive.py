@@ -14,7 +14,7 @@ from typing import Literal
 
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
-from scuhand_bt.dosing.knowledge import FLOWS, FULL, GENTLE, Knowledge
+from scuhand_bt.dosing.knowledge import FLOWS, FULL, GENTLE, SEEN_S, STUCK_MM, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
@@ -81,10 +81,8 @@ class Adaptive:
             yield from self._look()
             gained_mg = known.bank.mass_mg - known.begin_mg
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
-            known.learn(gained_mg)
+            known.learn(gained_mg, self._vibration >= FULL)
             came = gained_mg > max(0.2 * min(expected_mg, 20.0), 4.0 * known.noise_mg[False])
-            if self._vibration >= FULL and not came:
-                known.nothing_came(max(self._widest_mm, known.shape.threshold_mm))
             self._shake(came)
             is_dry = self._is_dry(seen.net_mg - start_mg)
             if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended == "doubt":
@@ -134,11 +132,12 @@ class Adaptive:
         most_mg = known.most_mg
         if not known.knows_balance:
             most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
-        limit_mg = self._lump_mg()
+        limit_mg, period_s = self._lump_mg(), known.request.balance_period_s
         passed_s = sure_s = missing_mg = 0.0
         quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
+        stuck_mg, begin_s = bank.mass_mg, known.time_s
         surprises, opening_mm = 0, known.widest_mm(most_mg)
         if known.aim_mg <= bank.mass_mg:
             return "reached"
@@ -146,15 +145,21 @@ class Adaptive:
             wanted_mm = known.widest_mm(most_mg)
             # What does not come yet, or no more, may come at any moment: no reason to open wider.
             opening_mm = self._widest_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
+            unseen = known.time_s - begin_s < bank.delay_s + SEEN_S
+            if unseen:
+                opening_mm = known.widest_if_stuck_mm(opening_mm, most_mg - stuck_mg)
             score = yield from known.act(opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
+            if unseen:
+                stuck_mg += known.reference * known.shape.value(known.valve.opening_mm + STUCK_MM) * dt_s
+                if stuck_mg + known.stuck_mg(opening_mm, period_s) > most_mg:
+                    return "doubt"
             surprises = surprises + 1 if score > SURPRISE else 0
             if surprises >= SURPRISES:
                 return "doubt"
             if self._will_reach():
                 return "reached"
-            period_s = known.request.balance_period_s
             fear = chance(bank, *bank.coming(*known.closing(period_s)), most_mg)
             if fear > RISK:
                 return "doubt"

@@ -29,6 +29,7 @@ USP_SHARE = 0.001
 USP_LEAST_DIGITS = 0.41
 MARGIN = 2.0
 """cg-18 has a safety factor of two or more, for a repeatability that was measured once, on a quiet day."""
+LAST_MG = 3.0
 STEP_SHARE = 0.01
 """A step has come when more than this share of it is shown."""
 
@@ -42,6 +43,7 @@ Curve = Sequence[tuple[float, float]]
 class Step(NamedTuple):
     """How a balance has shown a step of its load: so long after it came, so large a share was missing."""
 
+    step_mg: float
     times_s: tuple[float, ...]
     missing: tuple[float, ...]
 
@@ -50,6 +52,17 @@ class Step(NamedTuple):
         """T."""
         points = zip((0.0, *self.times_s), (1.0, *self.missing), strict=True)
         return sum((last + share) / 2.0 * (time_s - last_s) for (last_s, last), (time_s, share) in pairwise(points))
+
+
+    @property
+    def last_s(self) -> float:
+        """Of the last 3 mg of the step: how long they take on the mean; a filter that adapts is slow for them."""
+        last = LAST_MG / self.step_mg
+        large = [number for number, share in enumerate(self.missing) if abs(share) > last]
+        points = [
+            (time_s, min(share, last)) for time_s, share in zip(self.times_s, self.missing, strict=True)
+        ][large[-1] if large else 0:]
+        return sum((a + b) / 2.0 * (to_s - from_s) for (from_s, a), (to_s, b) in pairwise(points)) / last
 
 
 def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> Step | None:
@@ -69,7 +82,7 @@ def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) ->
         return None
     begin_s = min(latest_s, missing[unmoved[-1]][0])
     after = [(time_s - begin_s, share) for time_s, share in missing if time_s > begin_s]
-    return Step(tuple(time_s for time_s, _ in after), tuple(share for _, share in after))
+    return Step(step_mg, tuple(time_s for time_s, _ in after), tuple(share for _, share in after))
 
 
 def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:

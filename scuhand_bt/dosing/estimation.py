@@ -45,6 +45,9 @@ SAME_SHAPE = 0.7
 """Probability that the kind of filter was identified rightly."""
 STEP_DOUBT = 0.12
 """Standard deviation of the delay's logarithm where a step has shown it."""
+ADAPTS, SLOWEST = 0.2, 6.0
+"""Of its delay: the last of a step that takes so much longer than it should shows a filter that adapts, at most so
+many times slower when little changes."""
 CHANGED = 0.02
 """Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
@@ -126,15 +129,21 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tu
 def balance_of(step: Step) -> BalanceBelief:
     """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
 
-    Doubt stays: a filter that adapts hurries for a step.
+    A filter that adapts hurries for a step, and takes its time over the last of it: then it may be anything between.
     """
-    delay_s, far = step.delay_s, dict.fromkeys(SHAPES, 0.0)
+    delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
     for shape, (pure, damping) in SHAPES.items():
         model = np.array([delay_s]), np.array([pure]), np.array([damping])
-        for time_s, missing in zip(*step, strict=True):
-            still, _ = transitions(*model, max(time_s - pure * delay_s, 1e-3))
-            far[shape] += (missing - still[0, READING, READING]) ** 2
-    return BalanceBelief(lag_s=delay_s / 2.0, doubt=STEP_DOUBT, shape=min(far, key=far.__getitem__), fits=1)
+        times_s = [max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s]
+        missing = tuple(float(transitions(*model, time_s)[0][0, READING, READING]) for time_s in times_s)
+        far[shape] = math.dist(missing, step.missing)
+        last_s[shape] = step._replace(missing=missing).last_s
+    shape = min(far, key=far.__getitem__)
+    slower = 1.0
+    if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
+        slower = min(step.last_s / max(last_s[shape], 0.3 * delay_s), SLOWEST)
+    doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
+    return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, fits=1)
 
 
 class Bank:

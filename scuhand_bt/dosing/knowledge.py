@@ -20,16 +20,22 @@ from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
 from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
 
-TELLS, KNOWN = 0.4, 0.25
-"""An opening tells the balance, and it is known, when its delay is known to this: the logarithm's standard deviation."""
-SLOWER = 0.6
-"""The reference falls to no less than this share of itself in an opening."""
+TELLS = 0.4
+"""An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
+SLOWER, SLOWER_SHAKEN = 0.8, 0.6
+"""The reference falls to no less than this share of itself in an opening, and in one that was shaken fully."""
 THRESHOLD_SHARE = 0.5
 """How much of an opening's error is taken to be the threshold's."""
 FLOWS = 0.4
 """Of its reference: a flow that is at least this strong is what was expected."""
-LEAST_MG = 4.0
-"""An opening that brought less teaches nothing."""
+LEAST_MG = 2.0
+"""An opening that brought less, and should have, teaches nothing."""
+STUCK_MM = 0.3
+"""Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
+BURST_S, SEEN_S = 0.3, 0.4
+"""Openings are no shorter; and so long after the balance's delay it is seen whether the sheet has stuck."""
+LEAST_SPARE_MG = 0.5
+"""Above the target, where the balance is too uncertain for any verdict."""
 SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 GENTLE, FULL = 0.4, 1.0
@@ -56,6 +62,8 @@ class Knowledge:
         """What a new opening's flow may be off by, relative to the reference."""
         self.error_mm = UNKNOWN_ERROR_MM if self.belief.doses == 0 else OPENING_ERROR_MM
         """What the opening, and the threshold, may be off by."""
+        self.seen = self.reference if self.belief.doses else 0.0
+        """The greatest coefficient that powder was seen to flow with."""
         self.gap_mm = self.belief.gap_mm
         """The opening above the threshold that the reference was seen at."""
         self.surge_mg = self.belief.surge_mg
@@ -76,7 +84,7 @@ class Knowledge:
 
     def begin(self, mass_mg: float, sd_mg: float) -> None:
         """The balance is at rest, the valve shut, and this has been dosed."""
-        self.begin_mg = mass_mg
+        self.begin_mg, self.surely = mass_mg, 0.0
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
@@ -101,7 +109,9 @@ class Knowledge:
             changed = math.log(gap_mm / from_mm)
         row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
         self.rows.append(row)
-        return self.bank.update(row, self.reference)
+        score = self.bank.update(row, self.reference)
+        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd)
+        return score
 
     def _learn_noise(self, reading_mg: float, phi_s: float, shaking: bool) -> None:
         """From second differences, which a slowly changing mass leaves alone."""
@@ -121,7 +131,8 @@ class Knowledge:
     @property
     def most_mg(self) -> float:
         """No more may leave: a stable mean would call it too much."""
-        return self.request.target_mg + self.request.tolerance_mg - COVERAGE * self.request.uncertainty_mg
+        spare_mg = self.request.tolerance_mg - COVERAGE * self.request.uncertainty_mg
+        return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
 
     @property
     def least_mg(self) -> float:
@@ -131,7 +142,8 @@ class Knowledge:
     @property
     def aim_mg(self) -> float:
         """The target; less by a lump where powder comes in lumps: they can be waited for, but not taken back."""
-        return max(self.request.target_mg - self.bank.surge_mg, self.least_mg + 0.1)
+        least_mg = min(self.least_mg + 0.1, self.request.target_mg)
+        return max(self.request.target_mg - self.bank.surge_mg, least_mg)
 
     @property
     def late_s(self) -> float:
@@ -144,6 +156,19 @@ class Knowledge:
             self.bank, self.shape, most_mg, self.late_s, request.valve_dead_time_s, request.valve_speed_mm_per_s,
             request.max_opening_mm, self.reference, self._known_gap_mm,
         )
+
+    def stuck_mg(self, opening_mm: float, open_s: float) -> float:
+        """What an opening lets out, and shutting it then, where the sheet has stuck."""
+        wider_mm = opening_mm + STUCK_MM
+        tail = self.shape.closing(wider_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
+        return self.reference * (self.shape.value(wider_mm) * open_s + tail)
+
+    def widest_if_stuck_mm(self, opening_mm: float, most_mg: float) -> float:
+        """No wider than that a sheet which sticks lets out no more than this until the valve can be shut again."""
+        narrowest_mm = self.shape.threshold_mm + NARROWEST_MM
+        while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, BURST_S) > most_mg:
+            opening_mm = max(narrowest_mm, 0.9 * opening_mm)
+        return opening_mm
 
     @property
     def strongest(self) -> float:
@@ -172,25 +197,28 @@ class Knowledge:
         sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
         self.reference += (0.2 if sure else 0.04) * (bank.coefficient - self.reference)
 
-    def learn(self, gained_mg: float) -> None:
+    def learn(self, gained_mg: float, shaken: bool) -> None:
         """From an opening and its tail: what the balance is, and the flow."""
         phi_s = sum(row.phi_s for row in self.rows)
-        expected_mg = self.reference * phi_s
+        noise_mg = self.noise_mg[False]
         self.surge_mg = self.bank.surge_mg
-        if phi_s <= 0.0 or gained_mg < max(LEAST_MG, 20.0 * self.noise_mg[False]):
+        if phi_s <= 0.0 or max(gained_mg, self.reference * phi_s) < max(LEAST_MG, 20.0 * noise_mg):
             return
-        self._learn_balance(gained_mg / phi_s)
-        self._learn_threshold()
-        phi_s = sum(row.phi_s for row in self.rows)
-        found = gained_mg / phi_s
-        self.gap_mm = float((phi_s / sum(row.dt_s for row in self.rows if row.phi_s > 0.0)) ** (1.0 / self.shape.exponent))
-        self.error_mm = OPENING_ERROR_MM
+        if gained_mg > max(LEAST_MG, 20.0 * noise_mg):
+            self._learn_balance(gained_mg / phi_s)
+            self._learn_threshold()
+            phi_s = sum(row.phi_s for row in self.rows)
+            self.seen = max(self.seen, self.surely, gained_mg / phi_s)
+            open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
+            self.gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
+            self.error_mm = OPENING_ERROR_MM
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
-        # slower little by little, and with the more doubt.
-        kept = max(found, SLOWER * self.reference)
-        self.spread = min(max(self.belief.spread, GUESSED_SPREAD, 0.5 * math.log(kept / found)), UNKNOWN_SPREAD)
-        self.reference = found = kept
-        self._ratios.append(math.log(found / self.belief.coefficient))
+        # slower little by little; what was seen to flow may always do so again.
+        found = max(gained_mg, noise_mg) / phi_s
+        self.reference = max(found, self.surely, (SLOWER_SHAKEN if shaken else SLOWER) * self.reference)
+        spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
+        self.spread = min(spread, UNKNOWN_SPREAD)
+        self._ratios.append(math.log(self.reference / self.belief.coefficient))
 
     def _learn_threshold(self) -> None:
         """Where the flow at narrow openings and at wide ones differ otherwise than they should, the threshold does."""
@@ -202,32 +230,32 @@ class Knowledge:
         """And what the opening's flow was by it."""
         self.shape = self.valve.shape = FlowShape(max(threshold_mm, 0.0), self.shape.exponent)
 
-    def nothing_came(self, opening_mm: float) -> None:
-        """All shaking notwithstanding: the powder needs a wider opening than was believed."""
-        gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
-        self._set_threshold(min(self.shape.threshold_mm + 0.4 * gap_mm, self.request.max_opening_mm - 0.2))
-
     def _learn_balance(self, coefficient: float) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
         known, found = self.balance, self.bank.identified(self.rows, self.begin_mg, coefficient)
         doubt = max(found.doubt, LEAST_DOUBT)
         if doubt > TELLS:
             return
+        if known.fits == 0:
+            self.balance = found.model_copy(update={"fits": 1, "doubt": doubt})
+            return
+        # What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
         apart = math.log(found.lag_s / known.lag_s)
-        if known.fits > 0 and abs(apart) < 3.0 * math.hypot(doubt, known.doubt, LEAST_DOUBT):
-            share = known.doubt**2 / (known.doubt**2 + doubt**2)
-            fits, lag_s = known.fits + 1, known.lag_s * math.exp(share * apart)
-            doubt = max(LEAST_DOUBT, known.doubt * math.sqrt(1.0 - share))
-            found = found.model_copy(update={"misfit": known.misfit + (found.misfit - known.misfit) / min(fits, 5)})
-            if found.doubt > known.doubt:
-                found = found.model_copy(update={"shape": known.shape})
-        else:
-            fits, lag_s = 1, found.lag_s
-        self.balance = found.model_copy(update={"fits": fits, "lag_s": lag_s, "doubt": doubt})
+        share = known.doubt**2 / (known.doubt**2 + doubt**2)
+        agreed = doubt * math.sqrt(share)
+        self.balance = found.model_copy(
+            update={
+                "fits": known.fits + 1,
+                "lag_s": known.lag_s * math.exp(share * apart),
+                "doubt": max(LEAST_DOUBT, math.hypot(agreed, max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0))),
+                "shape": found.shape if found.doubt <= known.doubt else known.shape,
+                "misfit": known.misfit + (found.misfit - known.misfit) / min(known.fits + 1, 5),
+            }
+        )
 
     @property
     def knows_balance(self) -> bool:
-        return self.balance.fits > 0 and self.balance.doubt < KNOWN
+        return self.balance.fits > 0
 
     def doubt_balance(self) -> None:
         """What a stable mean said is not what this balance was expected to say."""
