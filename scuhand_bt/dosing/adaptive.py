@@ -12,6 +12,8 @@ A dose is openings, each followed by a look with the valve shut, until a stable 
 from collections.abc import Generator
 from typing import Literal
 
+import numpy as np
+
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
 from scuhand_bt.dosing.knowledge import FLOWS, FULL, GENTLE, SEEN_S, STUCK_MM, Knowledge
@@ -81,13 +83,13 @@ class Adaptive:
             yield from self._look()
             gained_mg = known.bank.mass_mg - known.begin_mg
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
-            known.learn(gained_mg, self._vibration >= FULL)
             came = gained_mg > max(0.2 * min(expected_mg, 20.0), 4.0 * known.noise_mg[False])
+            if came or self._vibration >= FULL:
+                known.learn(gained_mg)
             self._shake(came)
             is_dry = self._is_dry(seen.net_mg - start_mg)
             if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended == "doubt":
-                last_mg = sum(row.reading_mg for row in known.rows[-3:]) / 3.0
-                known.begin(last_mg, 0.3)
+                known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
                 continue
             seen = yield from self._weigh()
             known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))

@@ -22,8 +22,10 @@ from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
 
 TELLS = 0.4
 """An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
-SLOWER, SLOWER_SHAKEN = 0.8, 0.6
-"""The reference falls to no less than this share of itself in an opening, and in one that was shaken fully."""
+SLOWER = 0.7
+"""The reference falls to no less than this share of itself in an opening."""
+PEAK = 5
+"""Readings that a flow's peak is taken over."""
 THRESHOLD_SHARE = 0.5
 """How much of an opening's error is taken to be the threshold's."""
 FLOWS = 0.4
@@ -84,7 +86,7 @@ class Knowledge:
 
     def begin(self, mass_mg: float, sd_mg: float) -> None:
         """The balance is at rest, the valve shut, and this has been dosed."""
-        self.begin_mg, self.surely = mass_mg, 0.0
+        self.begin_mg, self.surely, self._most_phi_s = mass_mg, 0.0, 0.0
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
@@ -110,8 +112,16 @@ class Knowledge:
         row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
-        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd)
+        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, self._peak())
         return score
+
+    def _peak(self) -> float:
+        """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
+        if len(self.rows) <= PEAK:
+            return 0.0
+        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - 4.0 * self.rows[-1].noise_mg
+        self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
+        return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
     def _learn_noise(self, reading_mg: float, phi_s: float, shaking: bool) -> None:
         """From second differences, which a slowly changing mass leaves alone."""
@@ -197,7 +207,7 @@ class Knowledge:
         sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
         self.reference += (0.2 if sure else 0.04) * (bank.coefficient - self.reference)
 
-    def learn(self, gained_mg: float, shaken: bool) -> None:
+    def learn(self, gained_mg: float) -> None:
         """From an opening and its tail: what the balance is, and the flow."""
         phi_s = sum(row.phi_s for row in self.rows)
         noise_mg = self.noise_mg[False]
@@ -215,7 +225,7 @@ class Knowledge:
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
         # slower little by little; what was seen to flow may always do so again.
         found = max(gained_mg, noise_mg) / phi_s
-        self.reference = max(found, self.surely, (SLOWER_SHAKEN if shaken else SLOWER) * self.reference)
+        self.reference = max(found, self.surely, SLOWER * self.reference)
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         self.spread = min(spread, UNKNOWN_SPREAD)
         self._ratios.append(math.log(self.reference / self.belief.coefficient))
