@@ -86,6 +86,8 @@ class Adaptive:
             came = gained_mg > max(0.2 * min(expected_mg, 20.0), 4.0 * known.noise_mg[False])
             if came or self._vibration >= FULL:
                 known.learn(gained_mg)
+            if self._vibration >= FULL and not came:
+                known.nothing_came()
             self._shake(came)
             is_dry = self._is_dry(seen.net_mg - start_mg)
             if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended == "doubt":

@@ -29,14 +29,14 @@ def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array
 
 def widest_mm(
     bank: Bank, shape: FlowShape, most_mg: float, late_s: float, dead_time_s: float, speed_mm_per_s: float,
-    max_opening_mm: float, reference: float, known_gap_mm: float,
+    max_opening_mm: float, reference: float, known_gap_mm: float, narrowest_mm: float,
 ) -> float:
     """The widest opening [mm] that the constraint allows; the narrowest where it allows none.
 
     `late_s` passes between a reading and the valve's answer; `known_gap_mm` is the opening above the threshold that
     the flow was seen at: what the powder's exponent may be off by makes others the less sure.
     """
-    gaps_mm = np.geomspace(NARROWEST_MM, max(max_opening_mm - shape.threshold_mm, 1.01 * NARROWEST_MM), CHOICES)
+    gaps_mm = np.geomspace(narrowest_mm, max(max_opening_mm - shape.threshold_mm, 1.01 * narrowest_mm), CHOICES)
     phi = gaps_mm**shape.exponent
     slope = shape.exponent * phi / gaps_mm
     closing_s = dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s

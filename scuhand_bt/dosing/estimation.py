@@ -48,7 +48,7 @@ STEP_DOUBT = 0.12
 ADAPTS, SLOWEST = 0.2, 6.0
 """Of its delay: the last of a step that takes so much longer than it should shows a filter that adapts, at most so
 many times slower when little changes."""
-CHANGED = 0.02
+CHANGED = 0.005
 """Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
@@ -278,6 +278,7 @@ class Bank:
         mean = self._x[:, MASS] + np.maximum(k * phi_s + self._x[:, G] * slope_s, 0.0)
         variance = p[:, MASS, MASS] + 2.0 * (p[:, MASS, K] * phi_s + p[:, MASS, G] * slope_s)
         variance += p[:, K, K] * phi_s**2 + 2.0 * p[:, K, G] * phi_s * slope_s + p[:, G, G] * slope_s**2
+        variance += (self.misfit * (mean - self._x[:, READING])) ** 2
         return mean, np.maximum(variance, 0.0) + 2.0 * self.surge_mg * k * phi_s
 
     def flow(self, phi: Array, slope: Array) -> tuple[Array, Array]:

@@ -41,6 +41,7 @@ LEAST_SPARE_MG = 0.5
 SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 GENTLE, FULL = 0.4, 1.0
+MOST_NARROWEST_MM = 0.5
 NEEDS_SHAKING = 0.3
 """A powder that was shaken for this share of the time it was open for is shaken from the start."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
@@ -73,6 +74,8 @@ class Knowledge:
         self.time_s = 0.0
         self.flow_s = self.shaken_s = 0.0
         self.rows: list[Row] = []
+        self.narrowest_mm = NARROWEST_MM
+        """Above the threshold: nothing comes from less."""
         self._recent_mg: list[float] = []
         self._ratios: list[float] = []
         """Openings' coefficients against the belief's, as logarithms."""
@@ -164,7 +167,7 @@ class Knowledge:
         request = self.request
         return widest_mm(
             self.bank, self.shape, most_mg, self.late_s, request.valve_dead_time_s, request.valve_speed_mm_per_s,
-            request.max_opening_mm, self.reference, self._known_gap_mm,
+            request.max_opening_mm, self.reference, self._known_gap_mm, self.narrowest_mm,
         )
 
     def stuck_mg(self, opening_mm: float, open_s: float) -> float:
@@ -175,7 +178,7 @@ class Knowledge:
 
     def widest_if_stuck_mm(self, opening_mm: float, most_mg: float) -> float:
         """No wider than that a sheet which sticks lets out no more than this until the valve can be shut again."""
-        narrowest_mm = self.shape.threshold_mm + NARROWEST_MM
+        narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
         while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, BURST_S) > most_mg:
             opening_mm = max(narrowest_mm, 0.9 * opening_mm)
         return opening_mm
@@ -239,6 +242,10 @@ class Knowledge:
     def _set_threshold(self, threshold_mm: float) -> None:
         """And what the opening's flow was by it."""
         self.shape = self.valve.shape = FlowShape(max(threshold_mm, 0.0), self.shape.exponent)
+
+    def nothing_came(self) -> None:
+        """All shaking notwithstanding: the powder needs more than so narrow an opening."""
+        self.narrowest_mm = min(1.4 * self.narrowest_mm, MOST_NARROWEST_MM)
 
     def _learn_balance(self, coefficient: float) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
