@@ -40,7 +40,7 @@ SURELY, SOON_S = 2.0, 1.0
 """What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
 EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
-Ended = Literal["reached", "doubt", "dry"]
+Ended = Literal["reached", "stuck", "surprise", "fear", "missing", "quiet", "lump", "dry"]
 
 
 class Adaptive:
@@ -90,7 +90,7 @@ class Adaptive:
                 known.nothing_came()
             self._shake(came)
             is_dry = self._is_dry(seen.net_mg - start_mg)
-            if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended == "doubt":
+            if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended != "reached":
                 known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
                 continue
             seen = yield from self._weigh()
@@ -158,15 +158,15 @@ class Adaptive:
             if unseen:
                 stuck_mg += known.reference * known.shape.value(known.valve.opening_mm + STUCK_MM) * dt_s
                 if stuck_mg + known.stuck_mg(opening_mm, period_s) > most_mg:
-                    return "doubt"
+                    return "stuck"
             surprises = surprises + 1 if score > SURPRISE else 0
             if surprises >= SURPRISES:
-                return "doubt"
+                return "surprise"
             if self._will_reach():
                 return "reached"
             fear = chance(bank, *bank.coming(*known.closing(period_s)), most_mg)
             if fear > RISK:
-                return "doubt"
+                return "fear"
             mass_mg = bank.mass_mg
             reading_mg = known.rows[-1].reading_mg
             expected_mg = known.reference * (passed_s - sure_s)
@@ -179,11 +179,11 @@ class Adaptive:
             else:
                 quiet_s += dt_s
             if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
-                return "doubt"
+                return "missing"
             if quiet_s > self._patience_s:
-                return "doubt"
+                return "quiet"
             if limit_mg and known.reference * passed_s > limit_mg:
-                return "doubt"
+                return "lump"
             if self._vibration >= FULL:
                 self._barren_s += dt_s
             if mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):

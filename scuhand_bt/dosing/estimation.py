@@ -41,14 +41,14 @@ NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
 """Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
 LEAST_DOUBT, FINER = 0.08, 0.06
 """That standard deviation, at least; and how far apart, relative to each other, delays are that are told apart."""
-SAME_SHAPE = 0.7
+SAME_SHAPE = 0.98
 """Probability that the kind of filter was identified rightly."""
 STEP_DOUBT = 0.12
 """Standard deviation of the delay's logarithm where a step has shown it."""
 ADAPTS, SLOWEST = 0.2, 6.0
 """Of its delay: the last of a step that takes so much longer than it should shows a filter that adapts, at most so
 many times slower when little changes."""
-CHANGED = 0.005
+CHANGED = 0.002
 """Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
