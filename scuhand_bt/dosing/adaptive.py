@@ -25,6 +25,8 @@ LISTENED = 12
 PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
 EVIDENT_S = 0.3
+ALARM = 1.3
+"""A flow that is surely so many times the expected one, near the target, shuts the valve."""
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
@@ -136,6 +138,7 @@ class Adaptive:
         most_mg = known.most_mg
         if not known.knows_balance:
             most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
+        reference = known.reference
         limit_mg, period_s = self._lump_mg(), known.request.balance_period_s
         passed_s = sure_s = missing_mg = 0.0
         quiet_s = 2.0 * EVIDENT_S
@@ -161,6 +164,9 @@ class Adaptive:
                     return "stuck"
             surprises = surprises + 1 if score > SURPRISE else 0
             if surprises >= SURPRISES:
+                return "surprise"
+            flows = bank.coefficient - 1.5 * bank.coefficient_sd
+            if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
                 return "surprise"
             if self._will_reach():
                 return "reached"
@@ -190,6 +196,12 @@ class Adaptive:
                 self._barren_s, barren_mg = 0.0, mass_mg
             if self._is_dry(mass_mg):
                 return "dry"
+
+    def _unseen_mg(self) -> float:
+        """What flows while it cannot be seen yet, and until the valve is shut."""
+        known, bank = self._known, self._known.bank
+        tail, _ = known.closing(known.request.balance_period_s + bank.delay_s)
+        return bank.coefficient * tail
 
     def _will_reach(self) -> bool:
         """Shut now, the mass ends where it should."""

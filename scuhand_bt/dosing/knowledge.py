@@ -42,8 +42,8 @@ SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 GENTLE, FULL = 0.4, 1.0
 MOST_NARROWEST_MM = 0.5
-NEEDS_SHAKING = 0.3
-"""A powder that was shaken for this share of the time it was open for is shaken from the start."""
+DIFFERS = 0.5
+"""By how much the flow may differ from what is believed, as a logarithm."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
 """What doses are taken to differ by, at least: until a second one was seen, and ever."""
 SHAKING_NOISE_MG = 0.3
@@ -67,12 +67,13 @@ class Knowledge:
         """What the opening, and the threshold, may be off by."""
         self.seen = self.reference if self.belief.doses else 0.0
         """The greatest coefficient that powder was seen to flow with."""
+        self.seen_now = 0.0
+        """In this dose."""
         self.gap_mm = self.belief.gap_mm
         """The opening above the threshold that the reference was seen at."""
         self.surge_mg = self.belief.surge_mg
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.time_s = 0.0
-        self.flow_s = self.shaken_s = 0.0
         self.rows: list[Row] = []
         self.narrowest_mm = NARROWEST_MM
         """Above the threshold: nothing comes from less."""
@@ -103,9 +104,6 @@ class Knowledge:
         phi_s, slope_s = self.valve.advance(self.time_s, seen.time_s)
         self.time_s = seen.time_s
         shaking = vibration > 0.0
-        if opening_mm > 0.0:
-            self.flow_s += dt_s
-            self.shaken_s += dt_s * shaking
         self._learn_noise(seen.net_mg, phi_s, shaking)
         changed = 0.0
         if opening_mm > 0.0:
@@ -115,7 +113,8 @@ class Knowledge:
         row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
-        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, self._peak())
+        self.seen_now = max(self.seen_now, self.surely)
+        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, 0.0 if shaking else self._peak())
         return score
 
     def _peak(self) -> float:
@@ -123,6 +122,7 @@ class Knowledge:
         if len(self.rows) <= PEAK:
             return 0.0
         rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - 4.0 * self.rows[-1].noise_mg
+        rise_mg -= LEAST_MG + 5.0 * self.bank.surge_mg
         self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
         return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
 
@@ -221,17 +221,27 @@ class Knowledge:
             self._learn_balance(gained_mg / phi_s)
             self._learn_threshold()
             phi_s = sum(row.phi_s for row in self.rows)
-            self.seen = max(self.seen, self.surely, gained_mg / phi_s)
+            self.seen = max(self.seen, self.surely)
             open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
             self.gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
             self.error_mm = OPENING_ERROR_MM
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
-        # slower little by little; what was seen to flow may always do so again.
-        found = max(gained_mg, noise_mg) / phi_s
+        # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
+        ratio = math.log(max(gained_mg, noise_mg) / (phi_s * self.reference)) * self._told(phi_s)
+        found = self.reference * math.exp(ratio)
+        if gained_mg > LEAST_MG:
+            self.seen = max(self.seen, found)
         self.reference = max(found, self.surely, SLOWER * self.reference)
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         self.spread = min(spread, UNKNOWN_SPREAD)
         self._ratios.append(math.log(self.reference / self.belief.coefficient))
+
+    def _told(self, phi_s: float) -> float:
+        """What an opening tells of the flow's coefficient, for all that its width may have been off."""
+        open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
+        gap_mm = (phi_s / open_s) ** (1.0 / self.shape.exponent)
+        off = self.shape.exponent * OPENING_ERROR_MM / gap_mm
+        return DIFFERS**2 / (DIFFERS**2 + off**2)
 
     def _learn_threshold(self) -> None:
         """Where the flow at narrow openings and at wide ones differ otherwise than they should, the threshold does."""
@@ -295,8 +305,8 @@ class Knowledge:
         if belief.doses == 0:
             spread = max(belief.spread, GUESSED_SPREAD)
         else:
-            spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(ratio * ratio, 1.0))
-        needs_shaking = self.shaken_s > NEEDS_SHAKING * self.flow_s > 0.0
+            off = max(abs(ratio), math.log(max(self.seen_now, 1e-9) / belief.coefficient))
+            spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(off * off, 1.0))
         return PowderBelief(
             coefficient=belief.coefficient * math.exp(weight * ratio),
             threshold_mm=self.shape.threshold_mm,
@@ -304,7 +314,7 @@ class Knowledge:
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
             surge_mg=belief.surge_mg + weight * (self.surge_mg - belief.surge_mg),
-            vibration=max(belief.vibration, GENTLE) if needs_shaking else belief.vibration,
+            vibration=belief.vibration,
             doses=belief.doses + 1,
         )
 
