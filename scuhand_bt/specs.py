@@ -87,6 +87,8 @@ class PowderBelief(Spec):
     """Relative standard deviation of the flow about that law, from one opening to the next."""
     surge_mg: Annotated[Milligrams, NotNegative] = 0.3
     """Mass that may come at once, unasked."""
+    erratic: Annotated[float, Field(ge=1)] = 3.0
+    """By what the variance of its predictions was too small."""
     vibration: Annotated[Ratio, Field(ge=0, le=1)] = 0.0
     """The level this powder needs to flow at all; 0 for one that flows by gravity."""
     doses: Annotated[int, Field(ge=0)] = 0

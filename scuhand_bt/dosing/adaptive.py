@@ -9,6 +9,7 @@ A dose is openings, each followed by a look with the valve shut, until a stable 
   notwithstanding, makes it believe in less flow, and so open wider.
 """
 
+import math
 from collections.abc import Generator
 from typing import Literal
 
@@ -82,7 +83,13 @@ class Adaptive:
         known.begin(seen.net_mg, 2.0 * known.noise_mg[False])
         for _ in range(MOST_OPENINGS):
             ended = yield from self._open()
+            means, variances = known.bank.coming(*known.closing(0.0))
+            predicted_mg = float(known.bank.weights @ means)
+            variances = variances / known.bank.erratic + (means - predicted_mg) ** 2
+            sd_mg = math.sqrt(float(known.bank.weights @ variances))
             yield from self._look()
+            if predicted_mg - known.begin_mg > 1.0:
+                known.judge_prediction(predicted_mg, sd_mg)
             gained_mg = known.bank.mass_mg - known.begin_mg
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
             came = gained_mg > max(0.2 * min(expected_mg, 20.0), 4.0 * known.noise_mg[False])

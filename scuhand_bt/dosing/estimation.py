@@ -153,6 +153,8 @@ class Bank:
         self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
         """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
         self.models, self.weights = list(models), weights / weights.sum()
+        self.erratic = 1.0
+        """By what the variances of what is coming have turned out to be too small."""
         self.least_weight = LEAST_WEIGHT
         self.restart(0.0, 1.0, 1.0, 1.0)
 
@@ -279,7 +281,7 @@ class Bank:
         variance = p[:, MASS, MASS] + 2.0 * (p[:, MASS, K] * phi_s + p[:, MASS, G] * slope_s)
         variance += p[:, K, K] * phi_s**2 + 2.0 * p[:, K, G] * phi_s * slope_s + p[:, G, G] * slope_s**2
         variance += (self.misfit * (mean - self._x[:, READING])) ** 2
-        return mean, np.maximum(variance, 0.0) + 2.0 * self.surge_mg * k * phi_s
+        return mean, (np.maximum(variance, 0.0) + 2.0 * self.surge_mg * k * phi_s) * self.erratic
 
     def flow(self, phi: Array, slope: Array) -> tuple[Array, Array]:
         """Mean and standard deviation of the flow [mg/s], by model, (..., H), at an opening's phi and slope."""

@@ -42,6 +42,8 @@ SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 GENTLE, FULL = 0.4, 1.0
 MOST_NARROWEST_MM = 0.5
+ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
+"""How fast it is learnt that predictions are worse than they claim."""
 DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
@@ -67,6 +69,7 @@ class Knowledge:
         """What the opening, and the threshold, may be off by."""
         self.seen = self.reference if self.belief.doses else 0.0
         """The greatest coefficient that powder was seen to flow with."""
+        self.erratic = self.belief.erratic
         self.seen_now = 0.0
         """In this dose."""
         self.gap_mm = self.belief.gap_mm
@@ -93,6 +96,7 @@ class Knowledge:
         self.begin_mg, self.surely, self._most_phi_s = mass_mg, 0.0, 0.0
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
+        self.bank.erratic = self.erratic
         self.rows.clear()
 
     def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
@@ -138,6 +142,12 @@ class Knowledge:
         if self.bank.unseen_mg > 5.0 * before_mg or abs(second_mg) > 12.0 * before_mg:
             return
         self.noise_mg[shaking] = max(self._digit_mg, math.sqrt(0.95 * before_mg**2 + 0.05 * second_mg**2 / 6.0))
+
+    def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
+        """What was predicted when the valve was told to shut, against what is known after the look."""
+        more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise_mg[False])
+        self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
+        self.erratic = max(self.erratic, 1.0)
 
     # --- how wide ---
 
@@ -313,6 +323,7 @@ class Knowledge:
             gap_mm=self.gap_mm,
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
+            erratic=self.erratic,
             surge_mg=belief.surge_mg + weight * (self.surge_mg - belief.surge_mg),
             vibration=belief.vibration,
             doses=belief.doses + 1,
