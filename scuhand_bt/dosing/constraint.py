@@ -46,6 +46,7 @@ def widest_mm(
     variance = variance + (off * (late_s + closing_s)[:, None]) ** 2
     unseen_s = bank.delays_s
     walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
-    variance = variance + (flow_sd**2 + walk**2 + off**2 + (UNSEEN_ERROR * flow) ** 2) * unseen_s**2 + 2.0 * bank.surge_mg * flow * unseen_s
+    unseen = (flow_sd**2 + walk**2 + off**2 + (UNSEEN_ERROR * flow) ** 2) * unseen_s**2 + 2.0 * bank.surge_mg * flow * unseen_s
+    variance = variance + bank.erratic * unseen
     allowed = np.nonzero(chance(bank, mean_mg, variance, most_mg) <= RISK)[0]
     return shape.threshold_mm + float(gaps_mm[allowed[-1]] if len(allowed) else gaps_mm[0])

@@ -36,6 +36,8 @@ STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 BURST_S, SEEN_S = 0.3, 0.4
 """Openings are no shorter; and so long after the balance's delay it is seen whether the sheet has stuck."""
+AIM_UNDER_MG = 0.15
+"""Too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
 """Above the target, where the balance is too uncertain for any verdict."""
 SLACK_S = 0.1
@@ -166,7 +168,8 @@ class Knowledge:
     def aim_mg(self) -> float:
         """The target; less by a lump where powder comes in lumps: they can be waited for, but not taken back."""
         least_mg = min(self.least_mg + 0.1, self.request.target_mg)
-        return max(self.request.target_mg - self.bank.surge_mg, least_mg)
+        under_mg = self.bank.surge_mg + AIM_UNDER_MG * math.sqrt(self.erratic)
+        return max(self.request.target_mg - under_mg, least_mg)
 
     @property
     def late_s(self) -> float:
@@ -269,7 +272,9 @@ class Knowledge:
 
     def nothing_came(self) -> None:
         """All shaking notwithstanding: the powder needs more than so narrow an opening."""
-        self.narrowest_mm = min(1.4 * self.narrowest_mm, MOST_NARROWEST_MM)
+        wider_mm = min(1.4 * self.narrowest_mm, MOST_NARROWEST_MM)
+        if self.stuck_mg(self.shape.threshold_mm + wider_mm, BURST_S) < self.most_mg - self.bank.mass_mg:
+            self.narrowest_mm = wider_mm
 
     def _learn_balance(self, coefficient: float) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
