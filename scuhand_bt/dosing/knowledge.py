@@ -187,20 +187,14 @@ class Knowledge:
         """What an opening lets out, and shutting it then, where the sheet has stuck."""
         wider_mm = opening_mm + STUCK_MM
         tail = self.shape.closing(wider_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
-        return self.reference * (1.0 + self.spread) * (self.shape.value(wider_mm) * open_s + tail)
+        return self.reference * (self.shape.value(wider_mm) * open_s + tail)
 
-    def unseen_plan(self, most_mg: float) -> tuple[float, float]:
-        """How wide a new opening may be until it is seen whether the sheet has stuck, and how long it may stay open.
-
-        Where even the narrowest would let out more than `most_mg` if it sticks, it is opened for a moment only.
-        """
-        seen_s = self.bank.delay_s + SEEN_S
-        opening_mm = narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
-        open_s = math.inf if self.stuck_mg(narrowest_mm, seen_s) <= most_mg else BURST_S
-        at_least_s = min(seen_s, open_s)
-        while opening_mm < self.request.max_opening_mm and self.stuck_mg(1.05 * opening_mm, at_least_s) <= most_mg:
-            opening_mm *= 1.05
-        return opening_mm, open_s
+    def widest_if_stuck_mm(self, opening_mm: float, most_mg: float) -> float:
+        """No wider than that a sheet which sticks lets out no more than this until the valve can be shut again."""
+        narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
+        while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, BURST_S) > most_mg:
+            opening_mm = max(narrowest_mm, 0.95 * opening_mm)
+        return opening_mm
 
     @property
     def strongest(self) -> float:
