@@ -32,6 +32,9 @@ SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
 """Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share."""
+SPARED_MG = 20.0
+"""So near to the target a bridge is broken by shutting and opening the valve, while that helps: what is shaken loose
+may be too much."""
 REST_MG = 0.3
 """The balance has seen what there is to see but for this."""
 LONGEST_LOOK_S = 25.0
@@ -95,7 +98,7 @@ class Adaptive:
             came = gained_mg > max(0.2 * min(expected_mg, 20.0), 4.0 * known.noise_mg[False])
             if came or self._vibration >= FULL:
                 known.learn(gained_mg)
-            if self._vibration >= FULL and not came:
+            if not came and self._fruitless > 1:
                 known.nothing_came()
             self._shake(came)
             is_dry = self._is_dry(seen.net_mg - start_mg)
@@ -236,5 +239,7 @@ class Adaptive:
     def _shake(self, came: bool) -> None:
         """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully."""
         self._fruitless = 0 if came else self._fruitless + 1
-        level = (0.0, 0.0, GENTLE, FULL)[min(self._fruitless, 3)]
+        near = self._known.most_mg - self._known.bank.mass_mg < SPARED_MG
+        levels = (0.0, 0.0, 0.0, 0.0, 0.0, GENTLE, GENTLE, GENTLE, FULL) if near else (0.0, 0.0, GENTLE, FULL)
+        level = levels[min(self._fruitless, len(levels) - 1)]
         self._vibration = max(self._known.belief.vibration, level)
