@@ -17,7 +17,7 @@ import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
-from scuhand_bt.dosing.knowledge import FLOWS, FULL, GENTLE, SEEN_S, STUCK_MM, Knowledge
+from scuhand_bt.dosing.knowledge import FLOWS, FULL, GENTLE, SEEN_S, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
@@ -154,7 +154,7 @@ class Adaptive:
         quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
-        stuck_mg, begin_s = bank.mass_mg, known.time_s
+        begin_s, (begins_mm, at_most_s) = known.time_s, known.begins_with(most_mg - bank.mass_mg)
         surprises, opening_mm = 0, known.widest_mm(most_mg)
         if known.aim_mg <= bank.mass_mg:
             return "reached"
@@ -162,16 +162,13 @@ class Adaptive:
             wanted_mm = known.widest_mm(most_mg)
             # What does not come yet, or no more, may come at any moment: no reason to open wider.
             opening_mm = self._widest_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
-            unseen = known.time_s - begin_s < bank.delay_s + SEEN_S
-            if unseen:
-                opening_mm = known.widest_if_stuck_mm(opening_mm, most_mg - stuck_mg)
+            if known.time_s - begin_s < bank.delay_s + SEEN_S:
+                opening_mm = min(opening_mm, begins_mm)
             score = yield from known.act(opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
-            if unseen:
-                stuck_mg += known.reference * known.shape.value(known.valve.opening_mm + STUCK_MM) * dt_s
-                if stuck_mg + known.stuck_mg(opening_mm, period_s) > most_mg:
-                    return "stuck"
+            if known.time_s - begin_s > at_most_s:
+                return "stuck"
             surprises = surprises + 1 if score > SURPRISE else 0
             if surprises >= SURPRISES:
                 return "surprise"

@@ -34,6 +34,8 @@ LEAST_MG = 2.0
 """An opening that brought less, and should have, teaches nothing."""
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
+STRONG = 0.5
+"""How much more of the flow it is allowed for then."""
 BURST_S, SEEN_S = 0.3, 0.4
 """Openings are no shorter; and so long after the balance's delay it is seen whether the sheet has stuck."""
 AIM_UNDER_MG = 0.15
@@ -187,12 +189,26 @@ class Knowledge:
         """What an opening lets out, and shutting it then, where the sheet has stuck."""
         wider_mm = opening_mm + STUCK_MM
         tail = self.shape.closing(wider_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
-        return self.reference * (self.shape.value(wider_mm) * open_s + tail)
+        strong = self.reference * (1.0 + min(self.spread, STRONG))
+        return strong * (self.shape.value(wider_mm) * open_s + tail)
 
-    def widest_if_stuck_mm(self, opening_mm: float, most_mg: float) -> float:
-        """No wider than that a sheet which sticks lets out no more than this until the valve can be shut again."""
+    def begins_with(self, most_mg: float) -> tuple[float, float]:
+        """How wide an opening may be until it is seen whether the sheet has stuck, and for how long at most.
+
+        Either so narrow that it can wait for that, or so short that it need not: whichever brings more.
+        """
+        seen_s = self.bank.delay_s + SEEN_S
+        waiting_mm, short_mm = self._safe_mm(most_mg, seen_s), self._safe_mm(most_mg, BURST_S)
+        share = BURST_S / (BURST_S + 2.0 * seen_s)
+        if self.stuck_mg(waiting_mm, seen_s) > most_mg or self.shape.value(short_mm) * share > self.shape.value(waiting_mm):
+            return short_mm, BURST_S
+        return waiting_mm, math.inf
+
+    def _safe_mm(self, most_mg: float, open_s: float) -> float:
+        """The widest that lets out no more than `most_mg` if it sticks; the narrowest where there is none."""
+        opening_mm = self.request.max_opening_mm
         narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
-        while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, BURST_S) > most_mg:
+        while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, open_s) > most_mg:
             opening_mm = max(narrowest_mm, 0.95 * opening_mm)
         return opening_mm
 
