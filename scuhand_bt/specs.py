@@ -88,7 +88,7 @@ class PowderBelief(Spec):
     surge_mg: Annotated[Milligrams, NotNegative] = 0.3
     """Mass that may come at once, unasked."""
     erratic: Annotated[float, Field(ge=1)] = 3.0
-    """By what the variance of its predictions was too small."""
+    """By what factor the variance of the predictions of its mass turned out to be too small."""
     vibration: Annotated[Ratio, Field(ge=0, le=1)] = 0.0
     """The level this powder needs to flow at all; 0 for one that flows by gravity."""
     doses: Annotated[int, Field(ge=0)] = 0
@@ -96,7 +96,7 @@ class PowderBelief(Spec):
 
 
 class BalanceBelief(Spec):
-    """What controllers believe of a balance: pessimistic until learnt from a run's first good dose."""
+    """What controllers believe of a balance: pessimistic until a container's step or a good opening has shown it."""
 
     lag_s: Annotated[Seconds, Field(gt=0, le=5)] = 0.6
     """Half the time that the reading of a steadily growing mass is behind it."""
@@ -109,7 +109,7 @@ class BalanceBelief(Spec):
     noise_mg: Annotated[Milligrams, NotNegative] = 0.1
     """Standard deviation of a single reading on a quiet pan."""
     fits: Annotated[int, Field(ge=0)] = 0
-    """How many openings the lag was learnt from; 0 while it is only assumed."""
+    """How many steps and openings the lag was learnt from; 0 while it is only assumed."""
 
 
 class Departure(StrEnum):

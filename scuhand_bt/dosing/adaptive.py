@@ -2,11 +2,15 @@
 
 A dose is openings, each followed by a look with the valve shut, until a stable mean is in tolerance. An opening
 
+* begins so narrow that the sheet may stick and it is seen in time, or ends before that can matter (`begins_with`);
 * is as wide as the chance constraint allows (`constraint`), narrower as the target comes near;
-* is shut when the expected mass has reached the aim; when more is to be feared; when for a while powder did not come as
-  it should, so that either a bridge holds it back or the balance does; or when a lump's share was shaken out;
-* is shaken when nothing comes, and never widened for it. Only a look that shows that nothing has come, all shaking
-  notwithstanding, makes it believe in less flow, and so open wider.
+* is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when for a
+  while powder did not come as it should, so that either a bridge holds it back or the balance does; or when a lump's
+  share was shaken out;
+* is never widened while nothing is seen to come.
+
+Where an opening brought nothing the next one is tried again, then shaken, gently and then fully. Only a look that shows
+that nothing has come, all shaking notwithstanding, makes it believe in less flow, and so open wider.
 """
 
 import math
@@ -17,19 +21,25 @@ import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
-from scuhand_bt.dosing.knowledge import FLOWS, FULL, GENTLE, SEEN_S, Knowledge
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, SEEN_S, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
+"""Of a dose."""
 LISTENED = 12
 """Readings that tell an unknown balance's noise."""
 PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
 EVIDENT_S = 0.3
+"""What has come no later than this ago still comes."""
+FLOWS = 0.4
+"""Of its reference: a flow that is at least this strong is what was expected."""
 ALARM = 1.3
 """A flow that is surely so many times the expected one, near the target, shuts the valve."""
 SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
+CAME_SHARE, CAME_MG = 0.2, 20.0
+"""An opening that brought this share of what was expected, or of so much, was not in vain."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
 """Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share."""
 SPARED_MG = 20.0
@@ -46,7 +56,9 @@ SURELY, SOON_S = 2.0, 1.0
 """What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
 EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
-Ended = Literal["reached", "stuck", "surprise", "fear", "missing", "quiet", "lump", "dry"]
+
+Ended = Literal["reached", "short", "surprise", "fear", "missing", "quiet", "lump", "dry"]
+"""Why an opening ended."""
 
 
 class Adaptive:
@@ -59,8 +71,10 @@ class Adaptive:
         self._steps = self._stream() if request.streaming else pulses(self._known)
         self._started = False
         self._vibration = request.powder.vibration
-        self._barren_s = self._widest_mm = 0.0
+        self._barren_s = 0.0
+        """Open and fully shaken, without powder."""
         self._fruitless = 0
+        """Openings in a row that brought nothing."""
 
     @property
     def estimate_mg(self) -> float:
@@ -95,7 +109,7 @@ class Adaptive:
                 known.judge_prediction(predicted_mg, sd_mg)
             gained_mg = known.bank.mass_mg - known.begin_mg
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
-            came = gained_mg > max(0.2 * min(expected_mg, 20.0), 4.0 * known.noise_mg[False])
+            came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise_mg[False])
             if came or self._vibration >= FULL:
                 known.learn(gained_mg)
             if not came and self._fruitless > 1:
@@ -161,14 +175,14 @@ class Adaptive:
         while True:
             wanted_mm = known.widest_mm(most_mg)
             # What does not come yet, or no more, may come at any moment: no reason to open wider.
-            opening_mm = self._widest_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
+            opening_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
             if known.time_s - begin_s < bank.delay_s + SEEN_S:
                 opening_mm = min(opening_mm, begins_mm)
             score = yield from known.act(opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
             if known.time_s - begin_s > at_most_s:
-                return "stuck"
+                return "short"
             surprises = surprises + 1 if score > SURPRISE else 0
             if surprises >= SURPRISES:
                 return "surprise"
@@ -231,6 +245,7 @@ class Adaptive:
 
     @property
     def _patience_s(self) -> float:
+        """An opening from which nothing comes is shut after this."""
         return 0.8 + min(self._known.bank.delay_s, 2.0)
 
     def _shake(self, came: bool) -> None:

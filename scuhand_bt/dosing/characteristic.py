@@ -30,6 +30,7 @@ USP_LEAST_DIGITS = 0.41
 MARGIN = 2.0
 """cg-18 has a safety factor of two or more, for a repeatability that was measured once, on a quiet day."""
 LAST_MG = 3.0
+"""The last of a step: a filter that adapts to how much changes takes it for a little thing, and its time over it."""
 STEP_SHARE = 0.01
 """A step has come when more than this share of it is shown."""
 
@@ -41,27 +42,28 @@ Curve = Sequence[tuple[float, float]]
 
 
 class Step(NamedTuple):
-    """How a balance has shown a step of its load: so long after it came, so large a share was missing."""
+    """How a balance has shown a step of its load."""
 
     step_mg: float
+    """Negative where the load was taken away."""
     times_s: tuple[float, ...]
+    """Of N readings: so long after the step came, growing."""
     missing: tuple[float, ...]
+    """(N,) so large a share of the step they did not show yet; negative where they showed too much."""
 
     @property
     def delay_s(self) -> float:
-        """T."""
+        """T: how late a steadily growing mass is read."""
         points = zip((0.0, *self.times_s), (1.0, *self.missing), strict=True)
         return sum((last + share) / 2.0 * (time_s - last_s) for (last_s, last), (time_s, share) in pairwise(points))
 
-
     @property
     def last_s(self) -> float:
-        """Of the last 3 mg of the step: how long they take on the mean; a filter that adapts is slow for them."""
+        """T of the last `LAST_MG` of the step, from the last reading that missed more than that."""
         last = LAST_MG / self.step_mg
         large = [number for number, share in enumerate(self.missing) if abs(share) > last]
-        points = [
-            (time_s, min(share, last)) for time_s, share in zip(self.times_s, self.missing, strict=True)
-        ][large[-1] if large else 0:]
+        shown = list(zip(self.times_s, self.missing, strict=True))[large[-1] if large else 0 :]
+        points = [(time_s, min(share, last)) for time_s, share in shown]
         return sum((a + b) / 2.0 * (to_s - from_s) for (from_s, a), (to_s, b) in pairwise(points)) / last
 
 

@@ -11,6 +11,8 @@ is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`), and g 
 is off by. w, z and d are the balance's: natural frequency, damping and pure delay. Each filter runs d behind, and what
 the valve let out since is added with its own uncertainty; between two readings phi is taken at its mean, for which
 the transition is exact. A model's weight is how likely it makes the readings.
+
+A balance is known by a step of its load (`balance_of`), and by an opening and its tail (`Bank.identified`).
 """
 
 import math
@@ -34,20 +36,24 @@ SHAPES = {
     "late": (0.55, 1.0),
     "delay": (0.9, 1.0),
 }
-"""Kinds of balances: the share of their delay that is pure, and the damping of the rest."""
+"""Kinds of balances: the share of their delay that is pure, d / T, and the damping z of the rest, 2 z / w = T - d."""
 DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 14))
 """Mean delays that a balance nothing is known of may have."""
 NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
 """Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
-LEAST_DOUBT, FINER = 0.08, 0.06
-"""That standard deviation, at least; and how far apart, relative to each other, delays are that are told apart."""
+LEAST_DOUBT = 0.08
+"""That standard deviation, at least."""
+FINER, FINER_STEPS = 0.06, range(-5, 6)
+"""How far apart, relative to each other, delays are that are told apart; and how many are tried about the likeliest."""
 SAME_SHAPE = 0.98
 """Probability that the kind of filter was identified rightly."""
 STEP_DOUBT = 0.12
 """Standard deviation of the delay's logarithm where a step has shown it."""
 ADAPTS, SLOWEST = 0.2, 6.0
-"""Of its delay: the last of a step that takes so much longer than it should shows a filter that adapts, at most so
-many times slower when little changes."""
+"""The last of a step that takes this share of the delay longer than it should shows a filter that adapts; it is at most
+so many times slower when little changes."""
+LEAST_LAST = 0.3
+"""Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
 CHANGED = 0.002
 """Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
@@ -72,6 +78,9 @@ LEAST_SPREAD = 0.5
 EXPONENT_ERROR = 0.5
 """What a powder's exponent may be off by: k holds the less, the more the opening has changed."""
 SURGE_GAIN, LEAST_SURGE_MG, MOST_SURGE_MG = 0.03, 0.01, 12.0
+"""How fast the lumps' mean mass follows the innovations while powder flows; and its bounds."""
+AS_EXPECTED, SURPRISING = 0.9, 4.0
+"""A squared innovation, in variances, that leaves it as it is; and from where on it counts no more."""
 FARTHEST = 5.0
 """An innovation of more standard deviations tells no more: one lump or one knock rules out no model."""
 LEAST_WEIGHT = 1e-3
@@ -129,7 +138,8 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tu
 def balance_of(step: Step) -> BalanceBelief:
     """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
 
-    A filter that adapts hurries for a step, and takes its time over the last of it: then it may be anything between.
+    A filter that adapts hurries for a step, and takes its time over the last of it: then its delay is taken to be the
+    geometric mean of what it is in a hurry and what it is otherwise, and may be either.
     """
     delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
     for shape, (pure, damping) in SHAPES.items():
@@ -141,7 +151,7 @@ def balance_of(step: Step) -> BalanceBelief:
     shape = min(far, key=far.__getitem__)
     slower = 1.0
     if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
-        slower = min(step.last_s / max(last_s[shape], 0.3 * delay_s), SLOWEST)
+        slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
     doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
     return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, fits=1)
 
@@ -150,12 +160,14 @@ class Bank:
     """The filters side by side, H of them: weights (H,), states (H, 5), covariances (H, 5, 5)."""
 
     def __init__(self, models: Sequence[Model], weights: Array, surge_mg: float, misfit: float) -> None:
+        """`weights` (H,) need not add up to 1."""
         self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
         """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
         self.models, self.weights = list(models), weights / weights.sum()
         self.erratic = 1.0
-        """By what the variances of what is coming have turned out to be too small."""
+        """By what factor the variances of what is coming have turned out to be too small."""
         self.least_weight = LEAST_WEIGHT
+        """Models less likely than this are dropped; with 0 none is."""
         self.restart(0.0, 1.0, 1.0, 1.0)
 
     @classmethod
@@ -176,7 +188,10 @@ class Bank:
     def restart(
         self, mass_mg: float, sd_mg: float, coefficient: float, spread: float, error_mm: float = OPENING_ERROR_MM
     ) -> None:
-        """A balance at rest, valve shut: the mass is known, k is what a new opening may be expected to show."""
+        """A balance at rest, valve shut: the mass is known to `sd_mg`, k is what a new opening may be expected to show.
+
+        `spread` is k's standard deviation relative to `coefficient`, `error_mm` the opening's. The weights stay.
+        """
         x, p = np.zeros(5), np.zeros((5, 5))
         x[[READING, MASS]], x[K] = mass_mg, coefficient
         p[np.ix_((READING, MASS), (READING, MASS))] = sd_mg**2
@@ -203,7 +218,7 @@ class Bank:
         return self._transitions[dt_s]
 
     def _late(self, dt_s: float, phi_s: float, slope_s: float) -> Array:
-        """(2, H) of what the valve let out in the interval that each model sees now; notes what it has yet to see."""
+        """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see."""
         if self._readings + 1 == self._passed.shape[1]:
             self._passed = np.append(self._passed, np.zeros_like(self._passed), axis=1)
         self._readings += 1
@@ -251,7 +266,7 @@ class Bank:
         score = float(innovation_mg[best] / math.sqrt(variance[best]))
         if k[best] * phi_s[best] > 0.01:
             told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
-            self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, 4.0) - 0.9))
+            self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, SURPRISING) - AS_EXPECTED))
             self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
         # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
         common = float(self.weights @ p[:, READING, READING]) + row.noise_mg**2 + float(self.weights @ changed_mg**2)
@@ -260,7 +275,8 @@ class Bank:
 
     def _weigh(self, squares: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
-        logs = np.log(np.maximum(self.weights, 1e-300)) - 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
+        told = 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
+        logs = np.log(np.maximum(self.weights, 1e-300)) - told
         weights = np.exp(logs - logs.max())
         kept = weights > self.least_weight
         self.weights = weights[kept] / weights[kept].sum()
@@ -273,7 +289,10 @@ class Bank:
     # --- what is known ---
 
     def coming(self, phi_s: Array | float = 0.0, slope_s: Array | float = 0.0) -> tuple[Array, Array]:
-        """Mean and variance of the mass that will have left, by model, (..., H), after phi and its slope go on so far."""
+        """Mean [mg] and variance [mg^2] of the mass that will have left, by model, (..., H).
+
+        Until then the integrals of phi and of its slope, (...), grow by as much.
+        """
         phi_s = self._unseen[0] + np.asarray(phi_s)[..., None]
         slope_s = self._unseen[1] + np.asarray(slope_s)[..., None]
         p, k = self._p, np.maximum(self._x[:, K], 0.0)
@@ -297,32 +316,30 @@ class Bank:
 
     @property
     def mass_sd_mg(self) -> float:
+        """Its standard deviation, with what the models differ by."""
         means, variances = self.coming()
         return math.sqrt(float(self.weights @ (variances + (means - self.weights @ means) ** 2)))
 
     @property
     def coefficient(self) -> float:
+        """k, in mg s^-1 mm^-n."""
         return float(self.weights @ self._x[:, K])
 
     @property
-    def opening_error_mm(self) -> tuple[float, float]:
-        """What the real opening is more than it was told to be, and its standard deviation."""
-        k = max(self.coefficient, 1e-9)
-        return float(self.weights @ self._x[:, G]) / k, math.sqrt(max(float(self.weights @ self._p[:, G, G]), 0.0)) / k
-
-    @property
     def coefficient_sd(self) -> float:
+        """Its standard deviation, with what the models differ by."""
         spread = self.weights @ (self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2)
         return math.sqrt(max(float(spread), 0.0))
 
     @property
     def delay_s(self) -> float:
+        """The balance's mean delay."""
         return float(self.weights @ self.delays_s)
 
     @property
     def unseen_mg(self) -> float:
         """What has left and is not read yet, with twice what that may be off by."""
-        means, variances = self.coming()
+        means, _ = self.coming()
         behind = means - self._x[:, READING]
         mean = float(self.weights @ behind)
         return abs(mean) + 2.0 * math.sqrt(float(self.weights @ ((behind - mean) ** 2)))
@@ -332,7 +349,8 @@ class Bank:
     def identified(self, rows: Sequence[Row], mass_mg: float, coefficient: float) -> BalanceBelief:
         """The balance, as an opening and its whole tail show it, now that the flow's mean `coefficient` is known.
 
-        Every model looks at the readings again; then finer ones about the likeliest do.
+        Every model looks at the `rows` again, from `mass_mg` on; then finer ones about the likeliest do. The belief's
+        `fits` and `noise_mg` are left to who asks.
         """
         every = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
         bank = self._after(every, rows, mass_mg, coefficient)
@@ -342,7 +360,7 @@ class Bank:
             share = float(bank.weights[ours].sum())
             if share > LEAST_SHARE:
                 centre_s = float(bank.weights[ours] @ bank.delays_s[ours]) / share
-                finer += [Model(centre_s * math.exp(FINER * step), shape) for step in range(-5, 6)]
+                finer += [Model(centre_s * math.exp(FINER * step), shape) for step in FINER_STEPS]
         bank = self._after(finer, rows, mass_mg, coefficient)
         logs = np.log(bank.delays_s)
         mean = float(bank.weights @ logs)

@@ -1,4 +1,11 @@
-"""What `adaptive` knows during one dose: the bank, the valve's path, the flow's reference; and what it keeps of it."""
+"""What `adaptive` knows during one dose, and what it keeps of it.
+
+* The bank of filters (`estimation`), begun anew with each opening, and the valve's path (`valve`).
+* The reference: the flow's coefficient k where nothing is in the powder's way. An opening shows k = gained mass over
+  the integral of phi; the reference goes at once to what is more, and little by little to what is less.
+* How wide an opening may be: the chance constraint (`constraint`), and what a sheet that sticks would let out.
+* How good its predictions turned out to be: `erratic`, by what factor their variance is too small.
+"""
 
 import math
 from collections.abc import Generator
@@ -18,7 +25,7 @@ from scuhand_bt.dosing.estimation import (
 )
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
-from scuhand_bt.specs import BalanceBelief, PowderBelief, Verdict
+from scuhand_bt.specs import PowderBelief, Verdict
 
 TELLS = 0.4
 """An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
@@ -26,12 +33,8 @@ SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
 PEAK = 5
 """Readings that a flow's peak is taken over."""
-THRESHOLD_SHARE = 0.5
-"""How much of an opening's error is taken to be the threshold's."""
-FLOWS = 0.4
-"""Of its reference: a flow that is at least this strong is what was expected."""
 LEAST_MG = 2.0
-"""An opening that brought less, and should have, teaches nothing."""
+"""An opening that neither brought this nor should have teaches nothing."""
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
@@ -45,15 +48,23 @@ LEAST_SPARE_MG = 0.5
 SLACK_S = 0.1
 """Between a reading and the command that answers it."""
 GENTLE, FULL = 0.4, 1.0
-MOST_NARROWEST_MM = 0.5
+"""Levels of vibration."""
+WIDER, MOST_NARROWEST_MM = 1.4, 0.5
+"""Where nothing comes from it, the narrowest opening grows by this factor, up to so far above the threshold."""
 ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
-"""How fast it is learnt that predictions are worse than they claim."""
+"""How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
 DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
 """What doses are taken to differ by, at least: until a second one was seen, and ever."""
 SHAKING_NOISE_MG = 0.3
 """Of a reading while the motor runs, until it was seen."""
+NOISE_GAIN, OUTLIER = 0.05, 12.0
+"""How fast the noise is learnt; a second difference of more standard deviations is no noise."""
+FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
+"""How far the reference goes after the flow with each sight of it; where the flow is surely stronger."""
+LEAST_WEIGHT, MOST_FITS = 0.2, 5
+"""What a dose counts beside those before, at least; and of how many openings the balance's misfit is the mean."""
 
 
 class Knowledge:
@@ -70,12 +81,13 @@ class Knowledge:
         self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
         """What a new opening's flow may be off by, relative to the reference."""
         self.error_mm = UNKNOWN_ERROR_MM if self.belief.doses == 0 else OPENING_ERROR_MM
-        """What the opening, and the threshold, may be off by."""
+        """What the opening is off by, and the threshold: their standard deviation."""
         self.seen = self.reference if self.belief.doses else 0.0
         """The greatest coefficient that powder was seen to flow with."""
-        self.erratic = self.belief.erratic
         self.seen_now = 0.0
-        """In this dose."""
+        """The same, in this dose."""
+        self.erratic = self.belief.erratic
+        """By what factor the variance of what was predicted is too small."""
         self.gap_mm = self.belief.gap_mm
         """The opening above the threshold that the reference was seen at."""
         self.surge_mg = self.belief.surge_mg
@@ -96,8 +108,10 @@ class Knowledge:
     # --- an opening ---
 
     def begin(self, mass_mg: float, sd_mg: float) -> None:
-        """The balance is at rest, the valve shut, and this has been dosed."""
-        self.begin_mg, self.surely, self._most_phi_s = mass_mg, 0.0, 0.0
+        """The balance is at rest, the valve shut, and this has been dosed, give or take `sd_mg`."""
+        self.begin_mg, self._most_phi_s = mass_mg, 0.0
+        self.surely = 0.0
+        """The coefficient that powder has surely flowed with, in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.bank.erratic = self.erratic
@@ -122,7 +136,8 @@ class Knowledge:
         self.rows.append(row)
         score = self.bank.update(row, self.reference)
         self.seen_now = max(self.seen_now, self.surely)
-        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, 0.0 if shaking else self._peak())
+        peak = 0.0 if shaking else self._peak()
+        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, peak)
         return score
 
     def _peak(self) -> float:
@@ -143,12 +158,16 @@ class Knowledge:
         second_mg = recent[-1] - 2.0 * recent[-2] + recent[-3]
         del recent[0]
         before_mg = self.noise_mg[shaking]
-        if self.bank.unseen_mg > 5.0 * before_mg or abs(second_mg) > 12.0 * before_mg:
+        if self.bank.unseen_mg > 5.0 * before_mg or abs(second_mg) > OUTLIER * before_mg:
             return
-        self.noise_mg[shaking] = max(self._digit_mg, math.sqrt(0.95 * before_mg**2 + 0.05 * second_mg**2 / 6.0))
+        variance = (1.0 - NOISE_GAIN) * before_mg**2 + NOISE_GAIN * second_mg**2 / 6.0
+        self.noise_mg[shaking] = max(self._digit_mg, math.sqrt(variance))
 
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
-        """What was predicted when the valve was told to shut, against what is known after the look."""
+        """What was predicted when the valve was told to shut, against what is known after the look.
+
+        Only what came more than that is held against it.
+        """
         more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise_mg[False])
         self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
         self.erratic = max(self.erratic, 1.0)
@@ -174,19 +193,28 @@ class Knowledge:
         return max(self.request.target_mg - under_mg, least_mg)
 
     @property
-    def late_s(self) -> float:
+    def _late_s(self) -> float:
+        """Between a reading and the valve's answer to it."""
         return self.request.balance_period_s + SLACK_S
 
     def widest_mm(self, most_mg: float) -> float:
         """The opening that the chance constraint allows, for as much mass as this."""
         request = self.request
         return widest_mm(
-            self.bank, self.shape, most_mg, self.late_s, request.valve_dead_time_s, request.valve_speed_mm_per_s,
-            request.max_opening_mm, self.reference, self._known_gap_mm, self.narrowest_mm,
+            self.bank,
+            self.shape,
+            most_mg,
+            self._late_s,
+            request.valve_dead_time_s,
+            request.valve_speed_mm_per_s,
+            request.max_opening_mm,
+            self.reference,
+            self._known_gap_mm,
+            self.narrowest_mm,
         )
 
     def stuck_mg(self, opening_mm: float, open_s: float) -> float:
-        """What an opening lets out, and shutting it then, where the sheet has stuck."""
+        """What an opening lets out that is shut after so long, where the sheet has stuck."""
         wider_mm = opening_mm + STUCK_MM
         tail = self.shape.closing(wider_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
         strong = self.reference * (1.0 + min(self.spread, STRONG))
@@ -195,12 +223,14 @@ class Knowledge:
     def begins_with(self, most_mg: float) -> tuple[float, float]:
         """How wide an opening may be until it is seen whether the sheet has stuck, and for how long at most.
 
-        Either so narrow that it can wait for that, or so short that it need not: whichever brings more.
+        Either so narrow that it can wait for that, or so short that it need not: whichever brings more. `most_mg` is
+        what may still be let out. Returns the opening [mm] and the longest time [s].
         """
         seen_s = self.bank.delay_s + SEEN_S
         waiting_mm, short_mm = self._safe_mm(most_mg, seen_s), self._safe_mm(most_mg, BURST_S)
         share = BURST_S / (BURST_S + 2.0 * seen_s)
-        if self.stuck_mg(waiting_mm, seen_s) > most_mg or self.shape.value(short_mm) * share > self.shape.value(waiting_mm):
+        brings_more = self.shape.value(short_mm) * share > self.shape.value(waiting_mm)
+        if brings_more or self.stuck_mg(waiting_mm, seen_s) > most_mg:
             return short_mm, BURST_S
         return waiting_mm, math.inf
 
@@ -220,6 +250,7 @@ class Knowledge:
 
     @property
     def _known_gap_mm(self) -> float:
+        """The opening above the threshold that the flow is seen at, or was when the valve was open last."""
         told_mm = self.valve.target_mm
         return max(told_mm - self.shape.threshold_mm, NARROWEST_MM) if told_mm > 0.0 else self.gap_mm
 
@@ -237,7 +268,7 @@ class Knowledge:
         """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
         bank = self.bank
         sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
-        self.reference += (0.2 if sure else 0.04) * (bank.coefficient - self.reference)
+        self.reference += (FOLLOWS_SURELY if sure else FOLLOWS) * (bank.coefficient - self.reference)
 
     def learn(self, gained_mg: float) -> None:
         """From an opening and its tail: what the balance is, and the flow."""
@@ -249,8 +280,7 @@ class Knowledge:
         if gained_mg > max(LEAST_MG, 20.0 * noise_mg):
             self._learn_balance(gained_mg / phi_s)
             self.seen = max(self.seen, self.surely)
-            open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
-            self.gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
+            self.gap_mm = self._mean_gap_mm(phi_s)
             self.error_mm = OPENING_ERROR_MM
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
@@ -265,24 +295,17 @@ class Knowledge:
 
     def _told(self, phi_s: float) -> float:
         """What an opening tells of the flow's coefficient, for all that its width may have been off."""
-        open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
-        gap_mm = (phi_s / open_s) ** (1.0 / self.shape.exponent)
-        off = self.shape.exponent * OPENING_ERROR_MM / gap_mm
+        off = self.shape.exponent * OPENING_ERROR_MM / self._mean_gap_mm(phi_s)
         return DIFFERS**2 / (DIFFERS**2 + off**2)
 
-    def _learn_threshold(self) -> None:
-        """Where the flow at narrow openings and at wide ones differ otherwise than they should, the threshold does."""
-        off_mm, sd_mm = self.bank.opening_error_mm
-        learnt = max(0.0, 1.0 - (sd_mm / self.error_mm) ** 2) * THRESHOLD_SHARE
-        self._set_threshold(self.shape.threshold_mm - learnt * min(max(off_mm, -0.3), 0.3))
-
-    def _set_threshold(self, threshold_mm: float) -> None:
-        """And what the opening's flow was by it."""
-        self.shape = self.valve.shape = FlowShape(max(threshold_mm, 0.0), self.shape.exponent)
+    def _mean_gap_mm(self, phi_s: float) -> float:
+        """Above the threshold, for the mean flow, while the valve was open."""
+        open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
+        return float((phi_s / open_s) ** (1.0 / self.shape.exponent))
 
     def nothing_came(self) -> None:
-        """All shaking notwithstanding: the powder needs more than so narrow an opening."""
-        wider_mm = min(1.4 * self.narrowest_mm, MOST_NARROWEST_MM)
+        """From several openings in a row: the powder needs more than so narrow an opening."""
+        wider_mm = min(WIDER * self.narrowest_mm, MOST_NARROWEST_MM)
         if self.stuck_mg(self.shape.threshold_mm + wider_mm, BURST_S) < self.most_mg - self.bank.mass_mg:
             self.narrowest_mm = wider_mm
 
@@ -299,18 +322,20 @@ class Knowledge:
         apart = math.log(found.lag_s / known.lag_s)
         share = known.doubt**2 / (known.doubt**2 + doubt**2)
         agreed = doubt * math.sqrt(share)
+        contradicted = max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0)
         self.balance = found.model_copy(
             update={
                 "fits": known.fits + 1,
                 "lag_s": known.lag_s * math.exp(share * apart),
-                "doubt": max(LEAST_DOUBT, math.hypot(agreed, max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0))),
+                "doubt": max(LEAST_DOUBT, math.hypot(agreed, contradicted)),
                 "shape": found.shape if found.doubt <= known.doubt else known.shape,
-                "misfit": known.misfit + (found.misfit - known.misfit) / min(known.fits + 1, 5),
+                "misfit": known.misfit + (found.misfit - known.misfit) / min(known.fits + 1, MOST_FITS),
             }
         )
 
     @property
     def knows_balance(self) -> bool:
+        """Whether anything has been learnt of it."""
         return self.balance.fits > 0
 
     def doubt_balance(self) -> None:
@@ -325,11 +350,12 @@ class Knowledge:
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance)
 
     def _powder(self) -> PowderBelief:
+        """The belief with this dose in it; as it was where no opening has told anything."""
         belief = self.belief
         if not self._ratios:
             return belief
         ratio = float(np.mean(self._ratios))
-        weight = max(0.2, 1.0 / (belief.doses + 1.0))
+        weight = max(LEAST_WEIGHT, 1.0 / (belief.doses + 1.0))
         # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
         if belief.doses == 0:
             spread = max(belief.spread, GUESSED_SPREAD)
@@ -338,7 +364,7 @@ class Knowledge:
             spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(off * off, 1.0))
         return PowderBelief(
             coefficient=belief.coefficient * math.exp(weight * ratio),
-            threshold_mm=self.shape.threshold_mm,
+            threshold_mm=belief.threshold_mm,
             gap_mm=self.gap_mm,
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),

@@ -1,4 +1,8 @@
-"""`adaptive` where the hand takes step commands only: pulses no larger than the risk rule allows."""
+"""`adaptive` where the hand takes step commands only: pulses, each weighed.
+
+A pulse is to bring the mean mass x [mg] of which z standard deviations of its surges, of mean mass m, stay within what
+remains (`within`), less for what the flow's coefficient may be off by.
+"""
 
 import math
 from collections.abc import Generator
@@ -7,6 +11,7 @@ from scuhand_bt.dosing.controller import Command, Finish, Observation, Pulse, We
 from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 
 DEVIATIONS = 2.5
+"""z."""
 BARREN_SHARE = 0.2
 """A pulse that brings less than this share of what was expected brings nothing."""
 DOUBTED_PULSES, GIVEN_UP_PULSES = 8, 20
