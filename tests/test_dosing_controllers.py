@@ -13,8 +13,7 @@ from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, Val
 from scuhand_bt.clock import Wake
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
-from scuhand_bt.dosing.estimation import FlowFilter, Row, fit_lag, fit_step, fit_surge
-from scuhand_bt.dosing.risk import DEVIATIONS, fastest, within
+from scuhand_bt.dosing.pulses import within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
@@ -59,19 +58,6 @@ def test_what_may_fall_unseen_stays_within_what_remains(remaining_mg: float, sur
     assert unseen_mg + 2.5 * math.sqrt(2.0 * surge_mg * unseen_mg) == pytest.approx(remaining_mg, abs=1e-6)
 
 
-@given(st.floats(0.1, 3000.0), st.floats(0.0, 1.0), st.floats(0.1, 3.0), st.floats(0.0, 1.5), st.floats(0.01, 12.0))
-def test_the_fastest_flow_fills_its_room_and_no_more(
-    room_mg: float, late_s: float, unseen_s: float, unsure: float, surge_mg: float
-) -> None:
-    flow = fastest(room_mg, late_s, unseen_s, unsure, surge_mg)
-    spread_mg = math.sqrt(2.0 * surge_mg * unseen_s * flow + (unsure * unseen_s * flow) ** 2)
-    assert late_s * flow + DEVIATIONS * spread_mg == pytest.approx(room_mg, rel=1e-6)
-
-
-def test_no_room_is_no_flow() -> None:
-    assert fastest(0.0, 0.3, 0.9, 0.2, 0.1) == fastest(-5.0, 0.3, 0.9, 0.2, 0.1) == 0.0
-
-
 @given(st.floats(0.15, 2.4))
 def test_the_tail_of_a_closing_valve_is_what_dead_reckoning_integrates(opening_mm: float) -> None:
     shape = FlowShape(0.1, 2.5)
@@ -80,79 +66,6 @@ def test_the_tail_of_a_closing_valve_is_what_dead_reckoning_integrates(opening_m
     path.advance(0.0, 2.0)
     path.command(2.0, 0.0)
     assert path.advance(2.0, 4.0) == pytest.approx(shape.closing(opening_mm, 0.06, 4.0), rel=0.12, abs=2e-3)
-
-
-def readings_of_a_pulse(lag_s: float) -> list[Row]:
-    """20 mg/s for a second, then shut; exact two poles."""
-    rows, first, second, mass = [], 0.0, 0.0, 0.0
-    for index in range(60):
-        phi_s = 0.1 if 3 <= index < 13 else 0.0
-        for _ in range(20):
-            mass += 20.0 * phi_s / 20.0
-            first += (mass - first) * 0.005 / lag_s
-            second += (first - second) * 0.005 / lag_s
-        rows.append(Row(0.1, phi_s, second + 0.05 * math.sin(7.0 * index), 0.1))
-    return rows
-
-
-@pytest.mark.parametrize("lag_s", [0.15, 0.3, 0.6])
-def test_the_lag_is_read_off_one_pulse(lag_s: float) -> None:
-    found_s = fit_lag(readings_of_a_pulse(lag_s), 15.0, 0.1)
-    assert found_s == pytest.approx(lag_s, rel=0.1)
-
-
-def test_a_lag_that_nothing_tells_is_refused() -> None:
-    rows = [Row(0.1, 0.0, 0.05 * math.sin(7.0 * index), 0.1) for index in range(60)]
-    assert fit_lag(rows, 15.0, 0.1) is None
-    assert fit_lag(rows[:5], 15.0, 0.1) is None
-
-
-@pytest.mark.parametrize("lag_s", [0.15, 0.3, 0.6])
-def test_a_probe_tells_the_lag_and_how_well_poles_follow(lag_s: float) -> None:
-    fit = fit_step(readings_of_a_pulse(lag_s), 0.05)
-    assert fit is not None
-    assert fit.lag_s == pytest.approx(lag_s, rel=0.1)
-    assert fit.misfit < 0.05
-
-
-def test_a_probe_tells_the_delay_of_a_balance_that_is_no_poles_at_all() -> None:
-    fell_mg = [20.0 * min(max(index - 3, 0), 10) / 10.0 for index in range(60)]
-    means_mg = [sum(fell_mg[max(0, index - 7) : index + 1]) / 8.0 for index in range(60)]
-    rows = [Row(0.1, 0.1 if 3 < index <= 13 else 0.0, mean_mg, 0.1) for index, mean_mg in enumerate(means_mg)]
-    fit = fit_step(rows, 0.05)
-    assert fit is not None
-    assert fit.lag_s == pytest.approx(0.35 / 2.0, rel=0.1), "the mean of eight readings is 0.35 s behind"
-    flow_that_stopped = [row._replace(phi_s=0.1 if 3 < index <= 33 else 0.0) for index, row in enumerate(rows)]
-    stopped = fit_step(flow_that_stopped, 0.05)
-    assert stopped is None or stopped.misfit > 0.1
-
-
-def test_a_probe_that_brought_nothing_tells_nothing() -> None:
-    rows = [Row(0.1, 0.1, 0.05 * math.sin(7.0 * index), 0.1) for index in range(60)]
-    assert fit_step(rows, 0.1) is None
-    assert fit_step(readings_of_a_pulse(0.3)[:8], 0.1) is None
-
-
-def test_a_steady_flow_shows_no_lumps_and_a_lumpy_one_does() -> None:
-    steady = readings_of_a_pulse(0.3)
-    lumpy = [row._replace(reading_mg=row.reading_mg + (4.0 if index > 8 else 0.0)) for index, row in enumerate(steady)]
-    assert fit_surge(steady, 20.0, 1.0, 0.3, 1.5) < 0.3
-    assert fit_surge(lumpy, 20.0, 0.1, 0.3, 1.5) > fit_surge(steady, 20.0, 0.1, 0.3, 1.5)
-
-
-def test_a_bridge_passes_neither_for_a_lag_nor_for_lumps() -> None:
-    # Readings of 20 mg/s for 0.6 s, though the valve was open for 2 s.
-    rows, first, second, mass = [], 0.0, 0.0, 0.0
-    for index in range(70):
-        for _ in range(20):
-            mass += 0.1 if 3 <= index < 9 else 0.0
-            first += (mass - first) * 0.005 / 0.3
-            second += (first - second) * 0.005 / 0.3
-        phi_s = 0.1 if 3 <= index < 23 else 0.0
-        rows.append(Row(0.1, phi_s, second + 0.05 * math.sin(7.0 * index), 0.1))
-    lag_s = fit_lag(rows, 20.0, 0.1)
-    assert lag_s is None or lag_s == pytest.approx(0.3, rel=0.25)
-    assert fit_surge(rows, 20.0, 0.1, 0.3, 0.4) < 0.5
 
 
 @pytest.mark.parametrize("target_mg", [20.0, 50.0, 500.0])
@@ -212,16 +125,6 @@ def test_a_powder_that_need_not_be_shaken_is_found_out_in_its_first_dose(plant: 
     learnt = Bench(powder, 500.0, 2, 0, Setting(plant=plant)).dose("adaptive").run.finish.powder
     assert learnt is not None
     assert learnt.pauses is pauses
-
-
-def test_the_filter_sees_through_the_lag() -> None:
-    estimate = FlowFilter(0.0, 15.0, 0.5, 0.1, 0.6)
-    for row in readings_of_a_pulse(0.6)[:13]:
-        estimate.update(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg, 15.0)
-        last_mg = row.reading_mg
-    assert last_mg < 10.0
-    assert estimate.mass_mg == pytest.approx(20.0, abs=2.0)
-    assert estimate.coefficient == pytest.approx(20.0, rel=0.15)
 
 
 @pytest.mark.parametrize("powder", ["glass_beads", "monosodium_glutamate"])

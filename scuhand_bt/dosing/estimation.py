@@ -121,9 +121,9 @@ def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tu
     w = 2.0 * damping / np.maximum((1.0 - pure) * delays_s, 0.02)
     s = damping * w
     root = np.sqrt((s * s - w * w + 1e-9).astype(complex))
-    cosh, sinh = (np.exp(-s * dt_s) * f(root * dt_s) for f in (np.cosh, np.sinh))
-    sinh = (sinh / root).real
-    e00, e01, e10, e11 = cosh.real + s * sinh, sinh, -w * w * sinh, cosh.real - s * sinh
+    slow, fast = np.exp((root - s) * dt_s), np.exp(-(root + s) * dt_s)
+    cosh, sinh = ((slow + fast) / 2.0).real, ((slow - fast) / (2.0 * root)).real
+    e00, e01, e10, e11 = cosh + s * sinh, sinh, -w * w * sinh, cosh - s * sinh
     still = np.zeros((len(w), 5, 5))
     still[:, READING, READING], still[:, READING, RATE], still[:, READING, MASS] = e00, e01, 1.0 - e00
     still[:, RATE, READING], still[:, RATE, RATE], still[:, RATE, MASS] = e10, e11, -e10
