@@ -142,9 +142,7 @@ def test_powder_that_came_before_a_dead_time_was_over_is_no_surprise_after_it() 
     assert bank.coefficient == pytest.approx(FLOW, rel=0.05), "nothing seen is no news yet"
 
 
-CONFIDENTLY_WRONG = pytest.mark.xfail(
-    strict=True, reason="wrong, and without doubt"
-)
+CONFIDENTLY_WRONG = pytest.mark.xfail(strict=True, reason="wrong, and without doubt")
 
 
 @pytest.mark.parametrize(
