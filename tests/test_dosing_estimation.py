@@ -216,6 +216,14 @@ def test_lumps_are_learnt_from_a_flow_that_comes_unevenly() -> None:
     assert learnt_mg[0] < 0.3 < learnt_mg[1]
 
 
+def test_what_has_left_in_lumps_is_less_sure_until_it_is_seen() -> None:
+    rows, _ = opening(balance("poles", 1.5), 1.5, 0.0)
+    fine, lumpy = (Bank([Model(1.5, "two poles")], np.ones(1), surge_mg, 0.02) for surge_mg in (0.05, 5.0))
+    for bank in (fine, lumpy):
+        bank.restart(0.0, 0.1, FLOW, 0.05)
+    assert seen_by(lumpy, rows).mass_sd_mg > 1.5 * seen_by(fine, rows).mass_sd_mg
+
+
 def test_what_is_coming_is_as_unsure_as_the_balance_the_flow_and_the_lumps() -> None:
     bank = Bank([Model(0.6, "two poles"), Model(1.2, "delay")], np.array([3.0, 1.0]), 0.5, 0.02)
     bank.restart(10.0, 0.4, FLOW, 0.25, 0.1)
@@ -280,6 +288,22 @@ def test_the_less_is_known_the_narrower_is_the_opening() -> None:
     erratic = resting()
     erratic.erratic = 9.0
     assert widest(erratic, 20.0) < usual_mm, "predictions that were wrong"
+
+
+def test_a_flow_that_is_known_without_doubt_is_trusted_to_a_fifth_of_what_is_unseen() -> None:
+    bank, delay_s = resting(0.6, spread=0.01), 0.6
+    bank.restart(0.0, 0.1, FLOW, 0.01, 0.001)
+    for most_mg in np.geomspace(20.0, 100.0, 20).tolist():
+        opening_mm = widest(bank, most_mg, known_gap_mm=widest(bank, most_mg) - 0.1)
+        answered_s = 0.2 + 0.06 + (opening_mm - 0.1) / 3.5 / 4.0
+        flow = FLOW * (opening_mm - 0.1) ** 2.5
+        assert flow * (answered_s + norm.isf(RISK) * 0.2 * delay_s) <= most_mg
+
+
+def test_on_a_slow_balance_most_of_what_was_predicted_wrongly_is_yet_to_be_seen() -> None:
+    usual, erratic = resting(3.0), resting(3.0)
+    erratic.erratic = 9.0
+    assert widest(erratic, 20.0, 0.4) - 0.1 < 0.6 * (widest(usual, 20.0, 0.4) - 0.1)
 
 
 def test_where_no_opening_is_allowed_it_is_the_narrowest() -> None:
