@@ -8,6 +8,7 @@ from scipy.linalg import expm
 from scipy.stats import norm
 
 from harness.random_physics import BalanceFigures, BalanceKind, DrawnBalance
+from scuhand_bt.dosing import constraint
 from scuhand_bt.dosing.characteristic import Step, step_of
 from scuhand_bt.dosing.constraint import RISK, chance, widest_mm
 from scuhand_bt.dosing.estimation import DELAYS_S, LEAST_DOUBT, SHAPES, Bank, Model, Row, balance_of, transitions
@@ -290,20 +291,24 @@ def test_the_less_is_known_the_narrower_is_the_opening() -> None:
     assert widest(erratic, 20.0) < usual_mm, "predictions that were wrong"
 
 
-def test_a_flow_that_is_known_without_doubt_is_trusted_to_a_fifth_of_what_is_unseen() -> None:
-    bank, delay_s = resting(0.6, spread=0.01), 0.6
-    bank.restart(0.0, 0.1, FLOW, 0.01, 0.001)
-    for most_mg in np.geomspace(20.0, 100.0, 20).tolist():
-        opening_mm = widest(bank, most_mg, known_gap_mm=widest(bank, most_mg) - 0.1)
-        answered_s = 0.2 + 0.06 + (opening_mm - 0.1) / 3.5 / 4.0
-        flow = FLOW * (opening_mm - 0.1) ** 2.5
-        assert flow * (answered_s + norm.isf(RISK) * 0.2 * delay_s) <= most_mg
+def test_no_balance_is_just_its_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    def all_widths_mm() -> float:
+        return sum(widest(resting(spread=0.01), most_mg, 0.7) for most_mg in np.geomspace(20.0, 100.0, 20).tolist())
+
+    usual_mm = all_widths_mm()
+    monkeypatch.setattr(constraint, "UNSEEN_ERROR", 0.0)
+    assert usual_mm < all_widths_mm()
 
 
 def test_on_a_slow_balance_most_of_what_was_predicted_wrongly_is_yet_to_be_seen() -> None:
     usual, erratic = resting(3.0), resting(3.0)
     erratic.erratic = 9.0
     assert widest(erratic, 20.0, 0.4) - 0.1 < 0.6 * (widest(usual, 20.0, 0.4) - 0.1)
+
+
+def test_lumps_that_are_not_seen_yet_narrow_the_opening_on_a_slow_balance() -> None:
+    fine, lumpy = (widest(resting(3.0, 0.1, surge_mg), 20.0, 0.2) - 0.1 for surge_mg in (0.1, 3.0))
+    assert lumpy < 0.87 * fine
 
 
 def test_where_no_opening_is_allowed_it_is_the_narrowest() -> None:

@@ -79,11 +79,11 @@ def test_an_opening_that_need_not_have_brought_anything_teaches_nothing() -> Non
 
 def test_narrow_openings_tell_less_of_the_flow_than_wide_ones() -> None:
     wide, narrow = Knowledge(request()), Knowledge(request())
-    at_wide = Scale(wide, 2.0 * BEADS.coefficient).opening(1.5, 1.0)
-    Scale(narrow, 2.0 * BEADS.coefficient).opening(0.25, 20.0)
+    at_wide = Scale(wide, 0.8 * BEADS.coefficient).opening(1.5, 1.0)
+    at_narrow = Scale(narrow, 0.8 * BEADS.coefficient).opening(0.25, 20.0)
     kept = narrow.finish("reached", Observation(9.0, 0.0, 0.05, True)).powder
     assert kept is not None
-    assert at_wide > 1.8 * BEADS.coefficient
+    assert at_wide < 0.85 * BEADS.coefficient < at_narrow
     assert kept.gap_mm == pytest.approx(0.25 - BEADS.threshold_mm, abs=0.02)
 
 
@@ -246,4 +246,12 @@ def test_onto_a_balance_that_nothing_is_known_of_little_is_let_out_at_first() ->
 
 def test_a_powder_that_must_be_shaken_is_shaken_from_the_first_opening_on() -> None:
     powder = PowderBelief(vibration=0.7, doses=3)
-    assert next(iter(openings_of_nothing(500.0, powder=powder)))[1] == 0.7
+    vibrations = [opening[1] for _, opening in zip(range(4), openings_of_nothing(500.0, powder=powder), strict=False)]
+    assert vibrations == [0.7, 0.7, 0.7, 1.0]
+
+
+def test_an_opening_is_no_wider_than_a_sheet_that_sticks_allows_until_that_would_be_seen() -> None:
+    settings: dict[str, object] = {"target_mg": 60.0, "balance": QUICK.model_copy(update={"lag_s": 0.3})}
+    known = Knowledge(request(**settings))
+    begins_mm, _ = known.begins_with(known.most_mg)
+    assert next(iter(openings_of_nothing(**settings)))[0] <= begins_mm < known.widest_mm(known.most_mg)  # type: ignore[arg-type]
