@@ -45,13 +45,10 @@ class Scale:
             step = self.known.act(opening_mm, 0.0)
             next(step)
             time_s = self.known.time_s + PERIOD_S
-            # The valve's own dead reckoning is exact here: the coefficient alone is in question.
-            self.left_mg += self.coefficient * self._phi_s(opening_mm, time_s)
+            # The valve is where it is reckoned to be: the coefficient alone is in question.
+            self.left_mg += self.coefficient * PERIOD_S * self.known.shape.value(self.known.valve.opening_mm)
             with pytest.raises(StopIteration):
                 step.send(Observation(time_s, self.left_mg, 0.05, False))
-
-    def _phi_s(self, opening_mm: float, time_s: float) -> float:
-        return PERIOD_S * self.known.shape.value(self.known.valve.opening_mm)
 
     def opening(self, opening_mm: float, duration_s: float) -> float:
         """The reference after it."""
