@@ -217,7 +217,7 @@ class Knowledge:
         """What an opening lets out that is shut after so long, where the sheet has stuck."""
         wider_mm = opening_mm + STUCK_MM
         tail = self.shape.closing(wider_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
-        strong = self.reference * (1.0 + min(self.spread, STRONG))
+        strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
         return strong * (self.shape.value(wider_mm) * open_s + tail)
 
     def begins_with(self, most_mg: float) -> tuple[float, float]:
