@@ -115,7 +115,7 @@ class Adaptive:
             if not came and self._fruitless > 1:
                 known.nothing_came()
             self._shake(came)
-            is_dry = self._is_dry(seen.net_mg - start_mg)
+            is_dry = self._is_dry(known.bank.mass_mg - start_mg)
             if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended != "reached":
                 known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
                 continue
