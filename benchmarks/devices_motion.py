@@ -30,7 +30,8 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, prepared_motion
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort

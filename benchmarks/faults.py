@@ -9,8 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from harness.fault_matrix import MOMENTS, Matrix
-from scuhand_bt.sim.fault_rules import KINDS
+from harness.fault_matrix import FAULTS, MOMENTS, Matrix
 
 
 def main() -> None:
@@ -24,9 +23,9 @@ def main() -> None:
         matrix = Matrix(Path(folder), controller=given.controller)
         for seed in range(given.seeds):
             moments = matrix.moments(seed)
-            outcomes += [matrix.run(fault, moment, at_s, seed) for fault in KINDS for moment, at_s in moments.items()]
+            outcomes += [matrix.run(fault, moment, at_s, seed) for fault in FAULTS for moment, at_s in moments.items()]
     table = Table("fault", *MOMENTS, show_edge=False)
-    for fault in KINDS:
+    for fault in FAULTS:
         cells = []
         for moment in MOMENTS:
             here = [outcome for outcome in outcomes if (outcome.fault, outcome.moment) == (fault, moment)]

@@ -73,7 +73,8 @@ TARGETS = (
     Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop",)),
     Target("guards", "scuhand_bt/run/guards.py", (), ("guard_limits", "guards")),
     Target("spill", "scuhand_bt/motion/spill.py", (), ("motion_spill",)),
-    Target("journal", "scuhand_bt/journal/writer.py", (), ("journal_writer", "journal")),
+    Target("journal", "scuhand_bt/journal/writer.py", (), ("journal_writer", "journal", "journal_store")),
+    Target("journal file", "scuhand_bt/journal/store.py", (), ("journal_writer", "journal_store", "fencing")),
     Target("hash chain", "scuhand_bt/journal/hash_chain.py", (), ("journal_writer", "journal")),
     Target("hand protocol, CRC", "scuhand_bt/devices/hand_protocol.py", (), ("hand_protocol",)),
     Target(

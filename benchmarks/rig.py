@@ -230,7 +230,8 @@ class Bench:
         assert cell.believed.bracket is not None
         digit_mg = cell.spec.balance.readability_mg
         reference = Reference(cell.believed.bracket.last, Drift(0.0, 0.0), Net(0.0, 0.0), digit_mg)
-        return run_dose(new_controller(known, request), cell.hand, cell.balance, cell.clock, cell.record, reference)
+        controller = new_controller(known, request)
+        return run_dose(controller, request, cell.hand, cell.balance, cell.clock, cell.record, reference)
 
     def _keep(self, name: str, run: DoseRun) -> str:
         """What a controller that no recipe can name came to, as a dose; why it ended."""

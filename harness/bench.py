@@ -195,9 +195,6 @@ class Response:
             value_mg = ill.shown_mg(bench, value_mg, dt_s)
         return value_mg
 
-    def __reduce__(self) -> str:
-        raise TypeError("a hostile world ends with its program")
-
 
 class HostilePlant:
     """The physics of the bench that is `at_hand` when a cell is made: `--plant harness.bench:HostilePlant`."""

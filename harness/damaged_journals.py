@@ -12,7 +12,7 @@ from scuhand_bt.journal.archive import story, summary
 from scuhand_bt.journal.export import canonical_of
 from scuhand_bt.journal.hash_chain import COLUMNS
 from scuhand_bt.journal.reader import Contents, open_contents
-from scuhand_bt.journal.writer import SCHEMA, SCHEMA_VERSION
+from scuhand_bt.journal.store import SCHEMA, SCHEMA_VERSION
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report.run_story import chain_line, header_lines, told
 from scuhand_bt.report.weighing_record import weighing_record

@@ -27,7 +27,8 @@ from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.sim.mass_ledger import in_container
 from scuhand_bt.sim.world import World
@@ -46,6 +47,7 @@ samples:
 """
 FLAGS = (
     "on_failure: {dose.overshoot: flag, dose.not_reached: flag, hand.no_flow: skip_sample, otherwise: skip_sample}\n"
+    "overshoot_limit: 0\n"
 )
 OWN = {
     "short": SHORT

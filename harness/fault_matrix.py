@@ -19,8 +19,9 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
-from scuhand_bt.run.session import Options, Session
-from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
+from scuhand_bt.sim.fault_rules import KINDS, OUTAGES, parse_faults
 
 RECIPE = """\
 recipe: matrix
@@ -35,11 +36,14 @@ samples:
 """
 MOMENTS = {"approach": "move_over", "dosing": "dispense", "return": "return_leftover"}
 """The moments, each in the middle of the first action of a skill."""
+FAULTS = [name for name in KINDS if name not in OUTAGES]
+"""Those that come while a run goes on."""
 RECOVERS = "recovers"
 CODES: Mapping[str, set[str]] = {
     "balance.silent": {"device.lost"},
     "balance.garbage": {RECOVERS, "device.lost"},
     "balance.bit_flips": {RECOVERS},
+    "balance.restarted": {RECOVERS, "container.changed", "device.lost"},
     "balance.unstable": {"balance.unstable"},
     "balance.overload": {"balance.overload"},
     "balance.drifting": {"balance.unstable", "hand.leak"},
@@ -48,7 +52,7 @@ CODES: Mapping[str, set[str]] = {
     "valve.stuck_closed": {"hand.valve_stuck"},
     "valve.slow": {RECOVERS, "dose.overshoot"},
     "vibration.dead": {RECOVERS, "hand.no_flow"},
-    "powder.clog": {RECOVERS, "hand.no_flow", "dose.overshoot"},
+    "powder.clog": {RECOVERS, "dose.overshoot"},
     "cone.leak": {"balance.unstable", "hand.leak"},
     "servo.overheat": {"servo.overload"},
     "servo.overload": {"servo.overload"},
@@ -56,7 +60,7 @@ CODES: Mapping[str, set[str]] = {
     "arm.lost": {"device.lost"},
     "hand.emergency_stop": {"device.emergency_stop"},
     "hand.lost": {"device.lost"},
-    "scoop.nothing": {RECOVERS, "hand.no_flow", "hand.cone_empty"},
+    "scoop.nothing": {RECOVERS},
     "container.wrong": {"container.wrong_mass"},
     "operator.refuses": {"operator.refused"},
 }

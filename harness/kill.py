@@ -17,6 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from py_trees.common import Status
+
+from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.hash_chain import verify
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
@@ -27,8 +30,10 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.make_cell import DryRun, prepared_motion
+from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.session import Session
+from scuhand_bt.sim.fault_rules import FaultFile
 
 BROKEN = 70
 """Exit code of a child that ended by an exception."""
@@ -49,6 +54,8 @@ class Batch:
     motion: MotionPlanner
     folder: Path
     seed: int
+    faults: FaultFile | None = None
+    unattended: bool = False
 
 
 @dataclass
@@ -69,12 +76,16 @@ class Tally:
 
 
 class Deadly(BatchObserver):
-    """Shows nothing, and ends its own process at a tick."""
+    """Shows nothing, and ends its own process at a tick; of those at which a skill is at work, where one is named."""
 
-    def __init__(self, last_tick: int | None) -> None:
-        self._left = last_tick
+    def __init__(self, last_tick: int | None, within: str = "") -> None:
+        self._left, self._within = last_tick, within
 
     def ticked(self, root: Any) -> None:
+        if self._within and not any(
+            node.name == self._within and node.status is Status.RUNNING for node in root.iterate()
+        ):
+            return
         if self._left is not None:
             self._left -= 1
             if self._left <= 0:
@@ -94,6 +105,10 @@ class Kill:
 
     after_s: float = math.inf
     at_tick: int | None = None
+    within: str = ""
+    """The skill that is at work then."""
+    at_event: str = ""
+    """Or as soon as an entry of this kind is in the journal."""
 
 
 def at_any_time(rng: random.Random, whole_s: float, kills: int) -> Iterator[Kill]:
@@ -118,7 +133,7 @@ def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
         if code is not None and code not in (0, 1):
             tally.problems.append(f"seed {batch.seed}: a child ended with {code} before it was killed")
             return
-        begun = begun or next(iter(_journals(batch.folder)), None)
+        begun = begun or next(iter(journals(batch.folder)), None)
         if code is not None:
             break
         tally.kills += 1
@@ -129,14 +144,14 @@ def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
                 break
     else:
         code = run_child(batch, begun, Kill())
-    begun = begun or next(_journals(batch.folder))
+    begun = begun or next(journals(batch.folder))
     tally.batches += 1
     if code not in (0, 1):
         tally.problems.append(f"seed {batch.seed}: ended with {code}")
     _judge(batch, begun, tally)
 
 
-def _journals(folder: Path) -> Iterator[Path]:
+def journals(folder: Path) -> Iterator[Path]:
     return (path for path in sorted(folder.glob("*.sqlite")) if _has_begun(path))
 
 
@@ -154,7 +169,7 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
     if child == 0:
         code = BROKEN
         try:
-            code = _run(batch, begun, kill.at_tick)
+            code = _run(batch, begun, kill)
         except BaseException:
             traceback.print_exc()
         finally:
@@ -170,14 +185,22 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
     return None
 
 
-def _run(batch: Batch, begun: Path | None, last_tick: int | None) -> int:
-    options = Options(DryRun(batch.seed), folder=batch.folder)
+def _run(batch: Batch, begun: Path | None, kill: Kill) -> int:
+    options = Options(DryRun(batch.seed, faults=batch.faults), folder=batch.folder, unattended=batch.unattended)
     found = None
     if begun is not None:
         found = resumable(begun, checked_history(begun), batch.plan, batch.lab, accept_changes=False)
     session = Session(batch.plan, batch.lab, options, batch.motion, resumes=found)
+    heard = session.journal.heard
+
+    def deadly(event: Event | Note) -> None:
+        heard(event)
+        if event.entry()[0] == kill.at_event:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    session.journal.heard = deadly
     try:
-        return session.run(Deadly(last_tick)).exit_code
+        return session.run(Deadly(kill.at_tick, kill.within)).exit_code
     finally:
         session.close()
 

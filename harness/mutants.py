@@ -24,7 +24,7 @@ RECIPES: Mapping[str, str] = {
     + SOURCES
     + "defaults: {source: beads, container: xrd_holder, tolerance: 2 %}\nsamples:\n  - {id: a, mass: 80 mg}\n"
     + POLICY,
-    "recipes/lists.yaml": "recipe: lists\nworkflow: scoop_and_dispense\norder: by_powder\n"
+    "recipes/lists.yaml": "recipe: lists\nworkflow: scoop_and_dispense\norder: by_powder\novershoot_limit: 3\n"
     + SOURCES
     + "defaults: {source: msg, container: pellet_die_13mm}\nsamples:\n"
     "  - {id: [x, y], mass: [100 mg, 0.2 g]}\n  - {id: z, mass: 90 mg, tolerance: 5 mg, repeat: 2}\n" + POLICY,

@@ -1,5 +1,6 @@
 """The entry point. It imports nothing of the rest before a Ctrl-C is answered in words: that takes half a second."""
 
+import os
 import sys
 
 from scuhand_bt.exit_codes import ExitCode
@@ -7,6 +8,9 @@ from scuhand_bt.exit_codes import ExitCode
 
 def main() -> None:
     """The command line; the exit code says how it went."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:  # it was closed, and its number must not become the journal's
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r" if name == "stdin" else "w"))
     try:
         from scuhand_bt import cli
 

@@ -102,6 +102,19 @@ class BalanceSlower(SkillEvent):
     """How late it was known to be."""
 
 
+class BalanceDoubted(SkillEvent):
+    """A stable mean contradicts what a controller took to be on the pan: what is known of the balance is given up."""
+
+    KIND: ClassVar = "balance_doubted"
+
+    difference_mg: float
+    """The mean less the estimate."""
+    allowed_mg: float
+    """By how much they may differ."""
+    lag_s: float
+    """What was believed."""
+
+
 class Tared(SkillEvent, Weighing):
     """The container was weighed before its first powder."""
 
@@ -343,6 +356,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     RepeatabilityMeasured,
     BalanceWatched,
     BalanceSlower,
+    BalanceDoubted,
     Scooped,
     Returned,
     Discarded,

@@ -30,6 +30,7 @@ class Code(StrEnum):
     BALANCE_BRACKET_OPEN = "balance.bracket_open"
     CONTAINER_MISSING = "container.missing"
     CONTAINER_MOVED = "container.moved"
+    CONTAINER_CHANGED = "container.changed"
     CONTAINER_WRONG_MASS = "container.wrong_mass"
     CONTAINER_TOO_SMALL = "container.too_small"
     HAND_CONE_EMPTY = "hand.cone_empty"
@@ -40,6 +41,7 @@ class Code(StrEnum):
     SCOOP_NOTHING = "scoop.nothing"
     SOURCE_EMPTY = "source.empty"
     DOSE_OVERSHOOT = "dose.overshoot"
+    DOSE_OVERSHOOTS = "dose.overshoots"
     DOSE_RUNAWAY = "dose.runaway"
     DOSE_NOT_REACHED = "dose.not_reached"
     DOSE_TOO_SMALL = "dose.too_small"
@@ -161,6 +163,11 @@ CATALOGUE: Mapping[str, Failure] = {
         "See whether the container was touched, tipped or taken away; begin its dose again with a new one.",
         ("cell",),
     ),
+    Code.CONTAINER_CHANGED: Failure(
+        "After an interruption the container on the pan weighs what it cannot, or is another one.",
+        "See whether it was touched, tipped, exchanged or taken away; give the sample a new one (`on_failure: redo`).",
+        ("cell",),
+    ),
     Code.CONTAINER_WRONG_MASS: Failure(
         "What was put on the pan does not weigh what this container should.",
         "Check that it is the right container, empty and clean; correct robot/containers.yaml if it changed.",
@@ -178,8 +185,8 @@ CATALOGUE: Mapping[str, Failure] = {
         "Discard or return what is in the cone and swap the sheet.",
     ),
     Code.HAND_NO_FLOW: Failure(
-        "The cone should hold powder, but none comes out, even with vibration.",
-        "Look whether the scoop brought any; else for a bridge or a lump at the apex. Dry or sieve the powder.",
+        "The cone should hold more powder, but none comes out, even with vibration: a bridge, or a poor scoop.",
+        "Let it out and scoop again (the shipped workflows do); look for a lump at the apex. Dry or sieve the powder.",
     ),
     Code.HAND_VALVE_STUCK: Failure(
         "The valve does not move; powder may be running out of it.",
@@ -192,8 +199,9 @@ CATALOGUE: Mapping[str, Failure] = {
         ("run",),
     ),
     Code.SCOOP_NOTHING: Failure(
-        "The scoop brought (almost) nothing.",
-        "Check that the mortar holds powder and stands at its station.",
+        "Two scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",
+        "See that the mortar holds powder and stands at its station, and that none bridges in the cone; then resume.",
+        ("run",),
     ),
     Code.SOURCE_EMPTY: Failure(
         "The source holds less than a scoop can reach.",
@@ -202,6 +210,11 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.DOSE_OVERSHOOT: Failure(
         "More than the target plus its tolerance has been dispensed; it cannot be taken back.",
         "Discard and dose a new container, or accept the mass that was measured.",
+    ),
+    Code.DOSE_OVERSHOOTS: Failure(
+        "Samples in a row overshot, as many as the recipe's `overshoot_limit` allows: something is not what it was.",
+        "Look at the balance's filter (and say `scuhand-bt balance forget`), the valve and the powder; then resume.",
+        ("run",),
     ),
     Code.DOSE_RUNAWAY: Failure(
         "Far more than the target is in the container, and the valve is still open.",

@@ -32,6 +32,7 @@ S = TypeVar("S", bound=Spec)
 
 PACKAGE = "scuhand_lab"
 CELL_FILE = Path("robot") / "cell.yaml"
+STATE = ".scuhand"
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,27 @@ def state_folder(lab: Lab) -> Path:
 
     The working folder's for the packed starter lab, and for one that cannot be written.
     """
-    packed = lab.folder == starter_lab() and lab.folder.name == "starter_lab"
-    home = Path.cwd() if packed or not os.access(lab.folder, os.W_OK) else lab.folder
-    return home / ".scuhand"
+    return _state_of(lab.folder)
+
+
+def _state_of(folder: Path) -> Path:
+    packed = folder == starter_lab() and folder.name == "starter_lab"
+    home = Path.cwd() if packed or not os.access(folder, os.W_OK) else folder
+    return home / STATE
+
+
+def find_state(chosen: Path | None = None) -> Path:
+    """Where a lab's journals are, to look at or to stop a run: nothing of the lab is read, which may be broken or gone.
+
+    Raises SourceError if the chosen folder is no lab and was none.
+    """
+    here = Path().resolve()
+    for folder in (here, *here.parents) if chosen is None else (chosen,):
+        if (folder / STATE).is_dir():
+            return folder / STATE
+        if is_lab(folder):
+            break
+    return _state_of(find_lab(None, chosen))
 
 
 def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
@@ -84,19 +103,26 @@ def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
     Raises SourceError if the chosen folder is no lab.
     """
     if chosen is not None:
-        if not _is_lab(chosen):
+        if not is_lab(chosen):
             problems = Problems()
             problems.add(Mark(str(chosen)), "is no lab", f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one")
             problems.raise_any()
         return chosen
     start = (recipe.parent if recipe is not None else Path()).resolve()
     for folder in (start, *start.parents):
-        if _is_lab(folder):
+        if is_lab(folder):
             return folder
     return starter_lab()
 
 
-def _is_lab(folder: Path) -> bool:
+def files_of(folder: Path, pattern: str) -> list[Path]:
+    """The files of a lab's folder, in order; not what an editor leaves beside them (`x~`, `#x#`, `.x.swp`, `.#x`)."""
+    found = folder.glob(pattern)
+    return sorted(path for path in found if not (path.name.startswith((".", "#")) or path.name.endswith("~")))
+
+
+def is_lab(folder: Path) -> bool:
+    """Whether a folder is a lab."""
     try:
         return (folder / CELL_FILE).is_file()
     except OSError:  # not ours to read, or a name that cannot be
@@ -177,7 +203,7 @@ def _load_cell(path: Path, problems: Problems) -> CellSpec | None:
 def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]]:
     _mount(folder)
     skills: dict[str, type[Skill[Any]]] = {}
-    for path in sorted((folder / "skills").glob("*.py")):
+    for path in files_of(folder / "skills", "*.py"):
         if path.stem.startswith("_"):
             continue
         module_name = f"{PACKAGE}.skills.{path.stem}"
@@ -287,7 +313,7 @@ def _where(error: BaseException, path: Path) -> Mark:
 
 def _load_workflows(folder: Path, problems: Problems) -> dict[str, Workflow]:
     workflows: dict[str, Workflow] = {}
-    for path in sorted(folder.glob("*.yaml")):
+    for path in files_of(folder, "*.yaml"):
         try:
             root = load(path, "a workflow")
         except SourceError as error:
@@ -331,7 +357,7 @@ def _check_what_was_read(library: Library, folder: Path, problems: Problems) -> 
         name: {part.name for part in walk(workflow.tree) if isinstance(part, Call)}
         for name, workflow in workflows.items()
     }
-    wrong = {path.stem for path in (folder / "trees").glob("*.yaml")}
+    wrong = {path.stem for path in files_of(folder / "trees", "*.yaml")}
     wrong -= {name for name, workflow in workflows.items() if workflow.is_whole}
     doubtful = set(wrong)
     while more := {name for name in calls if name not in doubtful and calls[name] & doubtful}:

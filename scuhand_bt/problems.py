@@ -58,7 +58,7 @@ class Problems:
             parts.append(allowed or "known: " + (", ".join(known[:30]) + (", …" if len(known) > 30 else "")))
         if meant := nearest(unknown, tuple(known)):
             parts.append(f"did you mean '{meant}'?")
-        self.found.append(Problem(mark, _one_line("; ".join(parts))))
+        self.found.append(Problem(mark, harmless("; ".join(parts))))
 
     def raise_any(self) -> None:
         if self.found:
@@ -81,8 +81,12 @@ def _plain_spelling(name: str) -> str:
 
 def shorten(text: str, length: int = 40) -> str:
     """Text on one line, cut for a message."""
-    return _one_line(text if len(text) <= length else text[: length - 1] + "…")
+    return harmless(text if len(text) <= length else text[: length - 1] + "…")
 
 
-def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else " " if c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in text)
+def harmless(text: str, *, keep: str = "") -> str:
+    """Text from outside as it may be shown: on one line, and without a command to a terminal or a hidden sign."""
+    if text.isprintable():
+        return text
+    shown = (c if c.isprintable() or c in keep else " " if c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in text)
+    return "".join(shown)

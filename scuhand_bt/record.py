@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 from pydantic import JsonValue
 
+from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.events import NOTE_PREFIX, SKILL_EVENTS, Note, SkillEvent
 
 
@@ -14,11 +15,22 @@ class RecordLost(Exception):  # noqa: N818 - it says what happened
 class Record:
     """The part of the journal that skills may write, `cell.record`: what they did and weighed, and a lab's own notes.
 
-    The run's course and its verdicts are the engine's to write. `keep` is the journal's; without it nothing is kept.
+    The run's course and its verdicts are the engine's to write. `keep` and `waits` are the journal's; without them
+    nothing is kept.
     """
 
-    def __init__(self, keep: Callable[[SkillEvent | Note], None] = lambda event: None) -> None:
+    def __init__(
+        self,
+        keep: Callable[[SkillEvent | Note], None] = lambda event: None,
+        waits: Callable[[], Wake | None] = lambda: None,
+    ) -> None:
         self._keep = keep
+        self._waits = waits
+
+    def kept(self) -> Steps[None]:
+        """Wait until all that was written is on disk: before what must not happen unless that is known."""
+        while (writing := self._waits()) is not None:
+            yield writing
 
     def event(self, event: SkillEvent, *more: object) -> None:
         """Write an entry of a shipped kind: `cell.record.event(Tared(...))`. Raises TypeError for anything else."""

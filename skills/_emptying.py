@@ -1,6 +1,6 @@
 """What `return_leftover` and `discard` share: letting everything out of the cone."""
 
-from scuhand_bt.skill import Cell, Steps
+from scuhand_bt.skill import Cell, Returned, Source, Steps
 
 SHAKE_S = 3.0
 SPARE = 2.0
@@ -23,3 +23,11 @@ def empty_cone(cell: Cell) -> Steps[None]:
         yield from cell.hand.pulse(opening_mm, dwell_s, vibration=1.0)
         duration_s -= dwell_s
     cell.believed.emptied()
+
+
+def empty_into(cell: Cell, source: Source) -> Steps[None]:
+    """Empty the cone over the source that its powder came from, which then holds it again."""
+    held_mg = cell.believed.cone_mg
+    yield from empty_cone(cell)
+    cell.believed.returned(source.name, held_mg)
+    cell.record.event(Returned(source=source.name, expected_mg=held_mg))

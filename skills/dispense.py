@@ -6,12 +6,21 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
+from scuhand_bt.cell.believed import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
+from scuhand_bt.cell.doubt import doubt_balance
 from scuhand_bt.cell.places import over_balance
-from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
+from scuhand_bt.cell.weighing import (
+    SCOOP_DOUBT,
+    possible_mg,
+    require_unchanged,
+    weigh_until_still,
+    weighing_of,
+)
 from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import (
+    AGREEMENT,
     Gross,
     Reference,
     dose_between,
@@ -48,8 +57,6 @@ DIFFERENT_READINGS = 12
 """So many that are all multiples of two digits apart come by chance once in 2^(n-1); of more digits, more rarely."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
-SCOOP_DOUBT = 0.15
-"""How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 
 
 def _known_controller(name: str) -> str:
@@ -66,6 +73,7 @@ class Dispense(Skill[Dose]):
 
     raises = (
         Code.BALANCE_COARSE,
+        Code.CONTAINER_CHANGED,
         Code.CONTAINER_MISSING,
         Code.CONTAINER_TOO_SMALL,
         Code.DOSE_NOT_REACHED,
@@ -73,6 +81,7 @@ class Dispense(Skill[Dose]):
         Code.DOSE_TOO_SMALL,
         Code.HAND_CONE_EMPTY,
         Code.HAND_NO_FLOW,
+        Code.SCOOP_NOTHING,
     )
     devices = ("hand", "balance")
     typical_s = 30.0
@@ -84,6 +93,7 @@ class Dispense(Skill[Dose]):
     """A dosing controller by name; the run's, if none is named."""
 
     def run(self, cell: Cell) -> Steps[Dose]:
+        require_unchanged(cell)
         bracket = cell.believed.bracket
         if bracket is None or cell.believed.pan_empty_mg is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed empty: `tare` comes before `dispense`")
@@ -117,13 +127,15 @@ class Dispense(Skill[Dose]):
         controller = new_controller(self.controller or cell.controller, request)
         believed.dosing_towards(self.mass_mg, lot, before)
         cell.record.event(DoseBegun(**dict(empty.written()), lot=lot, target_mg=self.mass_mg))
+        yield from cell.record.kept()  # before powder falls
         try:
-            run = yield from run_dose(controller, cell.hand, cell.balance, cell.clock, cell.record, reference)
+            run = yield from run_dose(controller, request, cell.hand, cell.balance, cell.clock, cell.record, reference)
         finally:
             gross_mg = cell.balance.latest.value_mg if cell.balance.latest is not None else before.gross_mg
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
+        doubt_balance(cell, request.balance, run.curve)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last), may_gain=True)
         gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
@@ -178,17 +190,30 @@ class Dispense(Skill[Dose]):
         return min(max(watch_s, SHORTEST_WATCH_S), LONGEST_WATCH_S)
 
     def settle(self, cell: Cell) -> Steps[None]:
-        """The apex over the container again; what has arrived since that was last weighed has left the cone."""
+        """The apex over the container again; what has arrived since that was last weighed has left the cone.
+
+        SkillFailed container.changed where more has come, or less, than can have.
+        """
         believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+        require_unchanged(cell)
         bracket = believed.bracket
         if believed.pan is None or bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was weighed before the interruption")
         place, _ = over_balance(cell.spec, believed.pan)
         if math.dist(cell.apex_mm(), cell.places_mm[place]) > ASIDE_MM:
             yield from cell.move_to(place)
+        if not believed.dosing.is_unweighed:
+            return
         mean = yield from cell.balance.stable_mean()
         gained, _ = dose_between(bracket.last, bracket.last, weighing_of(mean), weighing_of(mean), digit_mg)
         cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
+        least_mg, most_mg = possible_mg(cell, AGREEMENT * gained.uncertainty_mg)
+        if not least_mg <= gained.mass_mg <= most_mg:
+            raise SkillFailed(
+                Code.CONTAINER_CHANGED,
+                f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
+                f"and {least_mg:.1f} to {most_mg:.1f} mg can have come",
+            )
         believed.reweighed(gained, weighing_of(mean), self._source(cell).sheet_key)
 
     def request(self, cell: Cell) -> DoseRequest:
@@ -263,13 +288,25 @@ class Dispense(Skill[Dose]):
 
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
-        if run.finish.reason == "empty":
-            # What the cone was thought to hold still, and did not, never left the mortar.
-            cell.believed.cone_ran_empty()
-            raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
-        if run.finish.reason == "no_flow":
-            raise SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, vibrating at full opening")
+        if run.finish.reason in ("empty", "no_flow"):
+            raise self._gave_out(cell, reached)
         if dose.error_mg > self.tolerance_mg:
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "step_limit":
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")
+
+    def _gave_out(self, cell: Cell, reached: str) -> SkillFailed:
+        """Why no powder comes: an empty cone, a bridge or a poor scoop, or a source that gives nothing.
+
+        A valve that does not follow is not among them: the hand has told that, with hand.valve_stuck.
+        """
+        believed, source = cell.believed, self._source(cell)
+        came_mg, held_mg = believed.load.came_mg, believed.cone_mg
+        believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow")
+        if source.name in believed.barren_sources:
+            barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
+            return SkillFailed(Code.SCOOP_NOTHING, f"{barren}, open and shaken; it is not scooped from any more")
+        if not believed.is_load_doubted:
+            return SkillFailed(Code.HAND_CONE_EMPTY, f"the cone ran empty at {reached}")
+        came = f"of its load {came_mg:.0f} mg have come, and it should hold {held_mg:.0f} mg more"
+        return SkillFailed(Code.HAND_NO_FLOW, f"no powder comes at {reached}, open and shaken: {came}")

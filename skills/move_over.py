@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import Field
 
 from scuhand_bt.cell.places import over_balance
+from scuhand_bt.cell.weighing import require_unchanged
 from scuhand_bt.skill import Cell, Code, Container, Millimetres, Skill, SkillFailed, Steps
 
 LOWERING_MM_PER_S = 60.0
@@ -25,6 +26,7 @@ class MoveOver(Skill[None]):
     from_above_mm: Annotated[Millimetres, Field(ge=0, le=100)] = 0.0
 
     def run(self, cell: Cell) -> Steps[None]:
+        require_unchanged(cell)
         pan = cell.believed.weighed_container
         if pan is None or pan.id != self.container.id:
             there = f"'{pan.id}'" if pan is not None else "nothing"

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.weighing import (
     require_known_delay,
     shown_step,
@@ -13,9 +14,6 @@ from scuhand_bt.cell.weighing import (
 )
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
-
-CLEAR_MM = 90.0
-"""The apex must be this far aside from the pan's centre while containers are changed."""
 
 
 class PlaceContainer(Skill[None]):
@@ -90,8 +88,5 @@ class PlaceContainer(Skill[None]):
 
     @staticmethod
     def _require_clear(cell: Cell) -> None:
-        pan_x_mm, pan_y_mm, _ = cell.spec.station_of_kind("balance").position_mm
-        x_mm, y_mm, _ = cell.apex_mm()
-        aside_mm = ((x_mm - pan_x_mm) ** 2 + (y_mm - pan_y_mm) ** 2) ** 0.5
-        if aside_mm < CLEAR_MM:
+        if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
             raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")

@@ -1,8 +1,8 @@
 """What is left in the cone goes back into its mortar."""
 
-from scuhand_bt.skill import Cell, Code, Returned, Skill, SkillFailed, Source, Steps
+from scuhand_bt.skill import Cell, Code, Skill, SkillFailed, Source, Steps
 
-from ._emptying import empty_cone
+from ._emptying import empty_into
 
 
 class ReturnLeftover(Skill[None]):
@@ -23,7 +23,4 @@ class ReturnLeftover(Skill[None]):
         if source.sheet_key != self.source.sheet_key:
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.sheet_key}, not {self.source.sheet_key}")
         yield from cell.move_to(source.station)
-        returned_mg = believed.cone_mg
-        yield from empty_cone(cell)
-        believed.returned(source.name, returned_mg)
-        cell.record.event(Returned(source=source.name, expected_mg=returned_mg))
+        yield from empty_into(cell, source)

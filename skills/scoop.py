@@ -32,7 +32,7 @@ from scuhand_bt.skill import (
     Steps,
 )
 
-from ._emptying import empty_cone
+from ._emptying import empty_cone, empty_into
 
 WALL_GAP_MM = 4.0
 """Between the mortar's bore and the largest rim that goes in."""
@@ -60,7 +60,10 @@ class Stroke:
 
 
 class Scoop(Skill[Milligrams]):
-    """Scoop powder from a source into the cone; gives the mass that the cone is expected to hold."""
+    """Scoop powder from a source into the cone; gives the mass that the cone is expected to hold.
+
+    A load that gave out too early is let out into its mortar before: as a poor scoop, or a bridge, it is in the way.
+    """
 
     raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY)
     devices = ("arm", "hand")
@@ -73,6 +76,10 @@ class Scoop(Skill[Milligrams]):
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
         source, believed = self.source, cell.believed
+        if believed.is_load_doubted and believed.cone_source is not None:
+            loaded = cell.sources[believed.cone_source]
+            yield from cell.move_to(loaded.station)
+            yield from empty_into(cell, loaded)
         self._require_clean(cell)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
@@ -151,12 +158,12 @@ class Scoop(Skill[Milligrams]):
         source, believed = self.source, cell.believed
         bed_mm = bed_diameter_mm(source.mortar, in_mortar_mg, source.powder.bulk_density_mg_per_mm3)
         share = collected_share(stroke.open_mm, stroke.closed_mm, self.over_travel_mm, bed_mm)
-        taken_mg = share * in_mortar_mg
-        believed.scooped(source, taken_mg)
+        before_mg = believed.cone_mg
+        believed.scooped(source, share * in_mortar_mg)
         cell.record.event(
             Scooped(
                 source=source.name,
-                expected_mg=taken_mg,
+                expected_mg=believed.cone_mg - before_mg,
                 open_mm=stroke.open_mm,
                 closed_mm=stroke.closed_mm,
                 swing_deg=stroke.swing_deg,

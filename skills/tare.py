@@ -1,6 +1,6 @@
 """The software tare: the stable gross before the first powder."""
 
-from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
+from scuhand_bt.cell.weighing import require_unchanged, weigh_until_still, weighing_of
 from scuhand_bt.skill import Cell, Code, Milligrams, Skill, SkillFailed, Steps, Tared
 
 STILL_DIGITS = 2.0
@@ -16,6 +16,7 @@ class Tare(Skill[Milligrams]):
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[Milligrams]:
+        require_unchanged(cell)
         bracket = cell.believed.bracket
         if cell.believed.weighed_container is None or bracket is None:
             raise SkillFailed(Code.CONTAINER_MISSING, "no container was placed; `place_container` comes before `tare`")

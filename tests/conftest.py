@@ -25,7 +25,7 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.runner import Runner
-from scuhand_bt.skill import DEVICES, Skill
+from scuhand_bt.skill import DEVICES, Skill, SkillFailed
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.replay import Replay
@@ -147,6 +147,7 @@ class FakeDevice:
     def __init__(self) -> None:
         self.news = Signal()
         self.is_stopped = True
+        self.fault: SkillFailed | None = None
 
     def stop(self) -> None:
         pass

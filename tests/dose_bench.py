@@ -127,6 +127,7 @@ class Bench:
         """One dose by a controller's name."""
         empty = weighing_of(self.drive(self.cell.balance.stable_mean(60.0)))
         against = Reference(empty, Drift(0.0, 0.0), Net(0.0, 0.0), self.cell.spec.balance.readability_mg)
-        controller = new_controller(name, self.request(belief, balance, name))
-        run = self.drive(run_dose(controller, self.cell.hand, self.cell.balance, self.clock, Record(), against))
+        asked, cell = self.request(belief, balance, name), self.cell
+        controller = new_controller(name, asked)
+        run = self.drive(run_dose(controller, asked, cell.hand, cell.balance, self.clock, Record(), against))
         return Dosed(self.world.true_mass(DISH.id) - self.target_mg, run)

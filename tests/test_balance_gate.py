@@ -35,8 +35,9 @@ from scuhand_bt.record import Record
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.make_cell import DryRun, Setup, set_up
+from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.specs import BalanceBelief
 
@@ -194,7 +195,7 @@ def test_a_delay_known_from_an_earlier_run_is_held_against_the_first_container(t
     cell = dry_run(tmp_path, RECIPE).session.cell
     quicker = replace(cell, simulated=False, balance_figures={"delay_s": 0.3}, known_delay_s=None)
     LabState(tmp_path).keep(quicker, "before")
-    LabState(tmp_path).recall(quicker)
+    LabState(tmp_path).recall(quicker, datetime.now().astimezone())
     assert quicker.known_delay_s == 0.3
 
 
@@ -258,7 +259,7 @@ def test_what_is_known_belongs_to_one_balance_and_its_settings(tmp_path: Path) -
     finer = cell.spec.model_copy(update={"balance": cell.spec.balance.model_copy(update={"readability_mg": 0.01})})
     for spec, knows in ((cell.spec, True), (finer, False)):
         fresh = replace(cell, spec=spec, balance_belief=BalanceBelief(), known_delay_s=None)
-        state.recall(fresh)
+        state.recall(fresh, datetime.now().astimezone())
         assert (fresh.balance_belief.fits > 0, fresh.known_delay_s is not None) == (knows, knows)
     cell.balance.identity = "another"
     assert "another" in cell.balance_name
@@ -444,6 +445,21 @@ def test_a_run_that_was_begun_goes_on_whatever_its_balance(
     session = Session(plan, lab, Options(None, "paper", tmp_path / "runs"), shared_planner(plan, lab), resumes=found)
     session.close()
     assert "a check weight is asked for" in session.warnings[0]
+
+
+def test_a_resumed_real_run_believes_what_the_lab_does_by_now(
+    tmp_path: Path, plan_of: Callable[..., tuple[Plan, Lab]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = dry_run(tmp_path, RECIPE, stop_at=400, controller="adaptive")
+    assert (ran.result.is_complete, ran.session.cell.balance_belief.fits > 0) == (False, True)
+    assert any(belief.doses for belief in ran.session.cell.powder_beliefs.values())
+    monkeypatch.setattr("scuhand_bt.run.session.set_up", taken_for_real)
+    plan, lab = plan_of()
+    found = resumable(ran.journal, checked_history(ran.journal), plan, lab, accept_changes=True)
+    session = Session(plan, lab, Options(None, "paper", tmp_path / "runs"), shared_planner(plan, lab), resumes=found)
+    session.close()
+    assert session.cell.balance_belief == BalanceBelief(), "nothing was learnt on real devices, or it was forgotten"
+    assert session.cell.powder_beliefs == {}
 
 
 def taken_for_real(plan: Plan, lab: Lab, simulation: object, *args: object, **more: object) -> Setup:

@@ -1,13 +1,17 @@
 """What is learnt of powders and balances is kept in the lab, versioned, and apart from what was simulated."""
 
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-from conftest import LabFolder
+from conftest import Call, LabFolder
 from running import dry_run
 
 from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.specs import BalanceBelief, PowderBelief
+
+NOW = datetime.now().astimezone()
 
 CHARACTERISE = """
 recipe: characterise
@@ -45,10 +49,10 @@ def test_a_real_cell_recalls_what_was_learnt_on_real_devices_only(tmp_path: Path
     state = LabState(tmp_path)
     cell = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell
     fresh = replace(cell, powder_beliefs={})
-    state.recall(fresh)
+    state.recall(fresh, NOW)
     assert fresh.powder_beliefs == {}
     state.keep(replace(cell, simulated=False), "real")
-    state.recall(fresh)
+    state.recall(fresh, NOW)
     assert set(fresh.powder_beliefs) == {"glass_beads/L7"}
     assert fresh.balance_belief == cell.balance_belief
 
@@ -68,3 +72,62 @@ def test_a_new_powder_with_a_poor_first_guess_is_measured_in_minutes(tmp_path: P
     belief = LabState(tmp_path).powders(simulated=True)["monosodium_glutamate/L7"].belief
     assert 25.0 < belief.coefficient < 85.0, "gravity brings 32, and shaking 79"
     assert ran.session.cell.clock.now_s < 300.0
+
+
+@pytest.mark.parametrize(("days", "is_known"), [(6.9, True), (7.1, False)])
+def test_what_doses_taught_of_a_balance_a_week_ago_is_learnt_anew_and_of_a_powder_it_is_believed(
+    tmp_path: Path, days: float, is_known: bool
+) -> None:
+    cell, state = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell, LabState(tmp_path)
+    state.keep(replace(cell, simulated=False), "real")
+    later = replace(cell, powder_beliefs={})
+    state.recall(later, NOW + timedelta(days=days))
+    assert later.balance_belief == (cell.balance_belief if is_known else BalanceBelief())
+    assert later.powder_beliefs == cell.powder_beliefs
+
+
+def test_what_was_learnt_of_a_powder_is_shown_with_its_date_and_forgotten_by_lot(
+    command: Call, lab_folder: LabFolder, tmp_path: Path
+) -> None:
+    folder = lab_folder.folder
+    lots = ("glass_beads", "glass_beads/L7", "glass_beads/L8", "glass_beads_fine/L7")
+    cell = dry_run(tmp_path, CHARACTERISE, controller="paper").session.cell
+    beliefs = {lot: PowderBelief(doses=3) for lot in lots}
+    state = LabState(folder / ".scuhand")
+    for simulated in (False, True):
+        state.keep(replace(cell, powder_beliefs=beliefs, simulated=simulated), "run-1")
+
+    def known() -> list[str]:
+        assert list(state.powders(simulated=True)) == list(lots), "what was simulated is nobody's belief"
+        return list(state.powders(simulated=False))
+
+    rows = [line for line in command("powders", "--lab", folder).stdout.splitlines() if "glass_beads/L7" in line]
+    assert f"{NOW:%Y-%m-%dT}" in rows[0]
+    assert "run-1" in rows[0]
+    assert "SIMULATED" in rows[1]
+    assert command("powders", "forget", "glass_beads/L7", "--lab", folder).stdout == "Forgotten: glass_beads/L7.\n"
+    assert known() == ["glass_beads", "glass_beads/L8", "glass_beads_fine/L7"]
+    assert command("powders", "forget", "glass_beads", "--lab", folder).stdout == (
+        "Forgotten: glass_beads, glass_beads/L8.\n"
+    )
+    assert known() == ["glass_beads_fine/L7"]
+    assert command("powders", "forget", "glass_beads", "--lab", folder).stdout.startswith("Nothing was learnt of")
+    ended = command("powders", "forget", "glass_bead", "--lab", folder)
+    assert (ended.returncode, "did you mean 'glass_beads'?" in ended.stderr) == (2, True)
+    state.keep(replace(cell, powder_beliefs=beliefs, simulated=False), "run-2")
+    assert known() == sorted(lots), "what is learnt later is believed"
+
+
+def test_a_balance_whose_teaching_is_old_is_told_to_be_learnt_anew(
+    command: Call, lab_folder: LabFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = dry_run(tmp_path, CHARACTERISE, controller="paper").session.cell
+    LabState(lab_folder.folder / ".scuhand").keep(
+        replace(cell, simulated=False, balance_belief=BalanceBelief(fits=2)), "run-1"
+    )
+    assert "anew" not in command("balance", "--lab", lab_folder.folder).stdout
+    monkeypatch.setattr("scuhand_bt.lab_state.beliefs.BALANCE_BELIEVED_FOR", timedelta(0))
+    assert (
+        "shimadzu simulated, 0.1 mg, 10 Hz: doses taught its delay"
+        in command("balance", "--lab", lab_folder.folder).stdout
+    )

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
-from scuhand_bt.cell.believed import Believed, ClosedBracket
+from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.specs import Source
 
@@ -56,13 +57,22 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "scooped": st.builds(lambda s, m: lambda b: b.scooped(s, m), sources, masses_mg),
     "emptied": st.just(Believed.emptied),
     "returned": st.builds(lambda n, m: lambda b: b.returned(n, m), names, masses_mg),
-    "cone_ran_empty": st.just(Believed.cone_ran_empty),
+    "gave_out": st.booleans().map(lambda is_short: lambda b: b.gave_out(is_short=is_short)),
+    "sources_mended": st.just(Believed.sources_mended),
     "sheet_swapped": st.just(Believed.sheet_swapped),
     "sheet_is": st.builds(lambda s, n: lambda b: b.sheet_is(s.sheet_key, n), sources, st.integers(-1, 9)),
     "changing_container": st.just(Believed.changing_container),
     "removed": st.just(Believed.removed),
     "brought": st.builds(lambda by: lambda b: b.brought(DISH, from_changer=by), st.booleans()),
     "placed": st.builds(lambda bare, loaded: lambda b: b.placed(bare, loaded), weighings, weighings),
+    "rebracketed": st.builds(
+        lambda bare, loaded, held, left: lambda b: b.rebracketed(bare, loaded, Net(20_000.0, 0.1), held, left),
+        weighings,
+        weighings,
+        nets,
+        masses_mg,
+    ),
+    "container_given_up": st.just(lambda b: b.container_given_up("it is another one")),
     "slots_refilled": st.just(Believed.slots_refilled),
     "containers_taken": st.builds(lambda n: lambda b: b.containers_taken(n, {"die": n}), st.integers(-1, 9)),
     "dose_began": st.just(lambda b: b.dose_began(1.0)),
@@ -172,6 +182,10 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
     assert written == {
         "cone_mg": 3000.0,
         "cone_source": "beads",
+        "load": {"scooped_mg": 3000.0, "came_mg": 0.0},
+        "is_load_doubted": False,
+        "yields": {},
+        "barren_loads": {},
         "sheet": "glass_beads/L7",
         "sheets_used": 1,
         "slots_used": 1,
@@ -196,9 +210,12 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "drift": {"rate": 0.0, "uncertainty": 0.005},
             "lot": SALT.sheet_key,
             "lifted": None,
+            "carried": {},
+            "empty": None,
         },
         "closed": [],
         "is_zero_doubted": False,
+        "given_up": "",
         "zero_stepped_mg": 0.0,
     }
     assert JSON.validate_python({**written, "pan": pan}, by_name=True, by_alias=False) == believed
@@ -218,11 +235,88 @@ def test_a_scoop_takes_from_its_source_what_it_brings_and_an_empty_cone_gives_it
     believed.scooped(BEADS, 3000.0)
     believed.dosing_ended(1000.0, 21_000.0)
     assert (believed.cone_mg, believed.sources_mg, believed.dosing.scoops) == (2000.0, {"beads": 2000.0}, 1)
-    believed.cone_ran_empty()
+    believed.gave_out(is_short=False)
     assert (believed.cone_mg, believed.cone_source, believed.sources_mg) == (0.0, None, {"beads": 4000.0})
     believed.returned("beads", 100.0)
     assert believed.sources_mg == {"beads": 4100.0}
     assert believed.sheet == "glass_beads/L7"
+
+
+def test_a_load_that_gave_less_tells_what_the_next_one_will_bring_and_is_let_out_first() -> None:
+    believed = Believed()
+    believed.source_holds("beads", 20_000.0)
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(400.0, 0.0)
+    believed.dosing_ended(600.0, 0.0)
+    believed.gave_out(is_short=True)
+    assert (believed.yields, believed.is_load_doubted, believed.cone_mg) == ({"beads": 0.25}, True, 3000.0)
+    believed.emptied()
+    believed.returned("beads", 3000.0)
+    assert not believed.is_load_doubted
+    believed.scooped(BEADS, 4000.0)
+    assert (believed.cone_mg, believed.sources_mg) == (1000.0, {"beads": 18_000.0})
+    believed.dosing_ended(900.0, 0.0)
+    believed.gave_out(is_short=False)
+    assert (believed.yields, believed.cone_source) == ({"beads": 0.225}, None)
+    assert believed.sources_mg == {"beads": 18_100.0}
+
+
+def test_a_load_that_gives_more_than_its_source_did_of_late_is_doubted_and_told_by() -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(1000.0, 0.0)
+    believed.gave_out(is_short=True)
+    believed.emptied()
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(1000.0, 0.0)
+    assert (believed.is_load_doubted, believed.yields) == (False, {"beads": 0.25})
+    believed.dosing_ended(1000.0, 0.0)
+    assert (believed.is_load_doubted, believed.yields) == (True, {"beads": 0.5})
+    believed.dosing_ended(9000.0, 0.0)
+    assert believed.yields == {"beads": 1.0}
+    believed.gave_out(is_short=False)
+    assert believed.yields == {"beads": 1.0}, "a scoop brings no more than all of it"
+
+
+def test_a_sound_load_that_ran_empty_a_little_early_or_late_teaches_nothing() -> None:
+    believed = Believed()
+    for came_mg in (3900.0, 4100.0):
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(came_mg, 0.0)
+        believed.gave_out(is_short=False)
+        assert (believed.yields, believed.is_load_doubted) == ({}, False)
+
+
+@pytest.mark.parametrize("is_short", [True, False])
+@pytest.mark.parametrize(("came_mg", "barren"), [(29.9, {"beads"}), (30.0, set())])
+def test_two_loads_in_a_row_of_which_nothing_came_make_a_source_barren(
+    came_mg: float, barren: set[str], is_short: bool
+) -> None:
+    believed = Believed()
+    for came in (0.0, came_mg):
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(came, 0.0)
+        assert believed.barren_sources == set()
+        believed.gave_out(is_short=is_short)
+        believed.emptied()
+    assert believed.barren_sources == barren
+    believed.sources_mended()
+    assert believed.barren_sources == set()
+
+
+def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_nothing_of_scoops() -> None:
+    believed = Believed()
+    for came_mg in (0.0, 30.0, 0.0):
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(came_mg, 0.0)
+        if came_mg == 0.0:
+            believed.gave_out(is_short=True)
+        believed.emptied()
+    believed.cone_holds(BEADS, 500.0)
+    believed.gave_out(is_short=True)
+    believed.dosing_ended(31.0, 0.0)
+    believed.gave_out(is_short=True)
+    assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
 
 
 def test_a_loaded_cone_goes_into_no_other_powder_and_an_emptied_one_may_have() -> None:
@@ -388,3 +482,58 @@ def test_of_all_steps_that_were_seen_the_largest_stays() -> None:
         believed.zero_stepped(by_mg)
     believed.bracket_closed(gone())
     assert (believed.zero_stepped_mg, believed.is_zero_doubted) == (3.0, False)
+
+
+def test_after_an_outage_all_weighings_begin_anew_and_what_it_holds_is_what_was_weighed() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.dosed(Net(20.0, 0.1), STILL, weighed(20_030.5, 9.0), 3, 1.5)
+    believed.dosing_towards(50.0, SALT.sheet_key, weighed(20_030.5, 10.0))
+    believed.rebracketed(weighed(-20_000.0, 20.0), weighed(35.0, 30.0), Net(20_000.0, 0.1), Net(35.0, 0.3), 15.0)
+    bracket = believed.bracket
+    assert bracket is not None
+    assert (bracket.bare, bracket.loaded, bracket.last) == (weighed(-20_000.0, 20.0), *2 * [weighed(35.0, 30.0)])
+    assert (bracket.doses, bracket.empty, bracket.lifted) == ({}, Net(20_000.0, 0.1), None)
+    assert bracket.dosed_mg(BEADS.sheet_key) == Net(20.0, 0.1), "as it was weighed before"
+    assert bracket.dosed_mg(SALT.sheet_key) == Net(15.0, pytest.approx(0.1**0.5, rel=1e-6)), "what came since"
+    assert (believed.pan_gross_mg, believed.pan_empty_mg, believed.cone_mg) == (35.0, 0.0, 85.0)
+    assert not believed.dosing.is_unweighed
+    believed.dosing_towards(50.0, SALT.sheet_key, weighed(35.5, 40.0))
+    believed.dosed(Net(5.0, 0.1), STILL, weighed(40.5, 50.0), 1, 0.0)
+    assert believed.bracket is not None
+    assert believed.bracket.dosed_mg(SALT.sheet_key).mass_mg == 20.0
+
+
+def test_an_outage_before_any_powder_leaves_none_in_the_container() -> None:
+    believed = on_the_pan()
+    believed.rebracketed(weighed(0.0, 20.0), weighed(20_000.1, 30.0), Net(20_000.0, 0.1), Net(0.1, 0.3), 0.1)
+    assert believed.bracket is not None
+    assert (believed.bracket.holds, believed.pan_empty_mg, believed.cone_mg) == ({}, 20_000.1, 100.0)
+
+
+def test_a_container_that_is_given_up_confirms_no_dose_and_has_no_weight_until_another_is_placed() -> None:
+    believed = on_the_pan()
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.container_given_up("it is another one")
+    (told,) = believed.closed
+    assert (told.container, told.closes, told.detail) == (DISH.id, False, "it is another one")
+    assert (believed.bracket, believed.weighed_container, believed.pan) == (None, None, DISH)
+    assert (believed.given_up, believed.dosing.is_unweighed) == ("it is another one", False)
+    believed.placed(weighed(10.0), weighed(20_010.0))
+    assert believed.given_up == ""
+
+
+def test_an_empty_container_that_is_given_up_has_no_dose_to_deny() -> None:
+    believed = on_the_pan()
+    believed.container_given_up("it is another one")
+    assert (believed.closed, believed.given_up) == ((), "it is another one")
+
+
+def test_what_the_last_reading_of_a_broken_dose_has_shown_was_seen() -> None:
+    believed = on_the_pan()
+    assert believed.seen_mg == 0.0
+    believed.dosing_towards(50.0, BEADS.sheet_key, weighed(20_010.5))
+    believed.dosing_ended(12.0, 20_022.5)
+    assert believed.seen_mg == pytest.approx(12.0)
+    believed.dosed(Net(12.0, 0.1), STILL, weighed(20_022.5, 9.0), 1, 0.5)
+    assert believed.seen_mg == 0.0

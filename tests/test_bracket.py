@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt.dosing.bracket import (
+    SOUND_DIGITS_PER_S,
     Closed,
     Drift,
     Gross,
@@ -19,9 +20,11 @@ from scuhand_bt.dosing.bracket import (
     close,
     dose_between,
     drift_between,
-    mean_drift,
+    drift_of_dose,
+    held,
     moved_mg,
     significant,
+    standing,
     walk_mg,
 )
 
@@ -112,10 +115,10 @@ def test_a_sound_balance_closes_and_is_off_by_no_more_than_it_says() -> None:
 
 
 def test_drifts_that_contradict_each_other_are_not_averaged_away() -> None:
-    agree = mean_drift(Drift(0.01, 0.005), Drift(0.02, 0.03))
+    agree = drift_of_dose(Drift(0.01, 0.005), Drift(0.02, 0.03), 0.1)
     assert agree.rate == pytest.approx(0.01, abs=0.001)
     assert agree.uncertainty < 0.005
-    differ = mean_drift(Drift(0.0, 0.005), Drift(0.5, 0.03))
+    differ = drift_of_dose(Drift(0.0, 0.005), Drift(0.5, 0.03), 0.1)
     assert differ.rate == pytest.approx(0.25)
     assert differ.uncertainty > 0.14
 
@@ -164,14 +167,25 @@ def test_a_drift_within_two_standard_deviations_is_none_and_no_more_uncertain_th
 
 def test_drifts_are_weighed_by_their_certainty_until_they_are_four_standard_deviations_apart() -> None:
     one, other = Drift(1.0, 3.0), Drift(21.0, 4.0)
-    near = mean_drift(one, other)
+    near = drift_of_dose(one, other, 1000.0)
     assert (near.rate, near.uncertainty) == (pytest.approx(1.0 + 20.0 * 9.0 / 25.0), pytest.approx(12.0 / 5.0))
-    back = mean_drift(other, one)
+    back = drift_of_dose(other, one, 1000.0)
     assert (back.rate, back.uncertainty) == (pytest.approx(near.rate), pytest.approx(near.uncertainty))
-    far = mean_drift(one, Drift(25.0, 4.0))
+    far = drift_of_dose(one, Drift(25.0, 4.0), 0.1)
     assert far.rate == pytest.approx(13.0)
-    assert far.uncertainty == pytest.approx(math.sqrt(2.5**2 + 24.0**2 / 12.0))
-    assert mean_drift(Drift(25.0, 4.0), one).uncertainty == pytest.approx(far.uncertainty)
+    assert far.uncertainty == pytest.approx(math.sqrt(2.5**2 + 24.0**2 / 3.0))
+    assert drift_of_dose(Drift(25.0, 4.0), one, 0.1).uncertainty == pytest.approx(far.uncertainty)
+
+
+@pytest.mark.parametrize("duration_s", [5.0, 15.0, 30.0, 45.0])
+def test_a_creep_that_sets_in_when_the_valve_opens_is_within_its_dose_s_uncertainty(duration_s: float) -> None:
+    def crept_mg(time_s: float) -> float:
+        return 6.0 * -math.expm1(-max(time_s, 0.0) / 60.0)
+
+    before, after = Gross(1000.0, 0.02, 0.0), Gross(1050.0 + crept_mg(duration_s), 0.02, duration_s)
+    later = Gross(1050.0 + crept_mg(duration_s + 8.0), 0.02, duration_s + 8.0)
+    gained, _ = dose_between(Gross(1000.0, 0.02, -5.0), before, after, later, 0.1)
+    assert abs(gained.mass_mg - 50.0) < 2.0 * gained.uncertainty_mg
 
 
 BEFORE, LATER = Gross(1000.0, 0.3, 100.0), Gross(1050.0, 0.4, 115.0)
@@ -269,3 +283,21 @@ def test_a_bare_pan_that_moved_beyond_the_walk_and_the_drift_closes_nothing() ->
         one = replace(steady, difference_mg=difference_mg, allowance_mg=2.0, stepped_mg=stepped_mg)
         assert one.closes is closes
     assert not replace(steady, difference_mg=-2.1, allowance_mg=2.0).closes
+
+
+def test_what_stands_on_the_pan_is_told_by_the_bare_pan_before_or_after_it_whatever_the_zero() -> None:
+    bare, loaded = Gross(-9100.0, 0.1, 20.0), Gross(150.0, 0.2, 10.0)
+    one, other = standing(bare, loaded, 0.1), standing(replace(bare, time_s=0.0), loaded, 0.1)
+    assert one.mass_mg == other.mass_mg == 9250.0
+    drifted_mg = SOUND_DIGITS_PER_S * 0.1 * 10.0
+    assert one.uncertainty_mg == pytest.approx(math.hypot(0.1, 0.2, walk_mg(0.1, 10.0), drifted_mg))
+    assert one.uncertainty_mg == pytest.approx(other.uncertainty_mg)
+
+
+def test_what_a_container_holds_is_what_it_weighs_more_than_empty_and_drift_and_span_are_doubts() -> None:
+    span_mg = 1e-5 * 9200.0
+    once = held(Net(9200.0, 0.3), [Net(9240.0, 0.4)])
+    assert (once.mass_mg, once.uncertainty_mg) == (40.0, pytest.approx(math.hypot(0.5, span_mg)))
+    about = held(Net(9200.0, 0.3), [Net(9240.0, 0.4), Net(9242.0, 0.2)])
+    u_mg = math.hypot(0.5, span_mg, 2.0 / math.sqrt(12.0))
+    assert (about.mass_mg, about.uncertainty_mg) == (41.0, pytest.approx(u_mg))

@@ -259,7 +259,7 @@ def test_a_wrong_recipe_moves_nothing(command: Call, wrong: Path, lab_folder: La
 
 def test_a_cell_whose_devices_do_not_answer_is_code_3(command: Call, recipe: Path, lab_folder: LabFolder) -> None:
     lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
-    ended = command("run", recipe)
+    ended = command("run", recipe, "--operator", "Eve")
     assert ended.returncode == 3
     assert "Traceback" not in ended.stderr
     assert "SIMULATED" not in ended.stdout
@@ -277,7 +277,7 @@ def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_
             "the changer 'carousel'",
             "",
         )
-    ended = command("run", recipe)
+    ended = command("run", recipe, "--operator", "Eve")
     assert (ended.returncode, ended.stdout) == (2, "")
     assert "robot/cell.yaml:6:19: the changer 'carousel' has no driver" in ended.stderr
 

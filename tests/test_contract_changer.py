@@ -124,7 +124,7 @@ def test_bringing_that_is_closed_in_the_middle_can_be_begun_again_once_it_has_st
 def test_an_operator_who_refuses_has_moved_nothing() -> None:
     bench = ChangerBench("operator")
     bench.person.answer = "stop"
-    with pytest.raises(SkillFailed, match=r"operator\.refused: Put the empty petri_dish 'one' on the pan\."):
+    with pytest.raises(SkillFailed, match=r"operator\.refused: Put the petri_dish 'one' on the pan\."):
         bench.run(bench.device.bring(dish("one")))
     assert bench.on_pan is None
     bench.person.answer = "done"

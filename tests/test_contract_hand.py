@@ -151,6 +151,22 @@ def test_a_morph_that_is_closed_in_the_middle_leaves_the_sheet_as_it_is_then(ben
     assert hand.cone_diameter_mm == pytest.approx(held_mm, abs=0.1)
 
 
+def test_a_sheet_that_a_person_has_rolled_as_it_is_mounted_is_counted_from_there(bench: Any) -> None:
+    hand = bench.device
+    bench.run(hand.morph(80.0))
+    hand.rolled_as_mounted()
+    assert hand.knows_its_roller
+    assert hand.cone_diameter_mm == pytest.approx(90.0, abs=0.1)
+    bench.run(hand.morph(85.0))
+    assert hand.cone_diameter_mm == pytest.approx(85.0, abs=0.1)
+
+
+@pytest.mark.real_time
+def test_a_hand_that_was_connected_anew_does_not_know_its_roller() -> None:
+    with WiredHandBench().open() as bench:
+        assert not bench.device.knows_its_roller
+
+
 # --- what is refused
 
 

@@ -11,7 +11,8 @@ from scuhand_bt.lab import without_driver
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.wire.balances import TWINS
 
 CHANGER = "changer: {driver: carousel, slots: 24}"

@@ -164,6 +164,10 @@ def test_too_much_for_the_tolerance_is_an_overshoot_and_the_dose_is_recorded_as_
     assert [event.verdict for event in rig.kept(Dose)] == ["over"]
 
 
+def test_a_dose_at_its_tolerance_is_no_overshoot_and_not_surely_in_it(rig: Rig) -> None:
+    assert rig.dispense(TARGET_MG + TOLERANCE_MG).verdict == "over"
+
+
 def test_a_dose_that_its_controller_took_for_done_and_that_weighs_less_is_gone_on_with(rig: Rig) -> None:
     """A draught weighs on the pan just while the controller looks."""
     began_s = rig.clock.now_s
@@ -181,7 +185,7 @@ def test_a_dose_that_nothing_is_added_to_is_under_after_its_rounds(rig: Rig) -> 
 
 
 def test_a_dose_that_ended_for_another_reason_is_not_gone_on_with(rig: Rig) -> None:
-    with pytest.raises(SkillFailed, match=r"hand\.cone_empty"):
+    with pytest.raises(SkillFailed, match=r"hand\.no_flow"):
         rig.dispense(20.0, 30.0, reason="empty")
     assert rig.brings == [30.0]
 
@@ -237,6 +241,7 @@ def test_two_powder_lots_in_one_container_are_each_measured_by_their_own_weighin
 
 
 def test_split_doses_of_one_lot_add_up_to_one_target(rig: Rig) -> None:
+    rig.cell.believed.cone_holds(rig.cell.sources["store"], 30.0)
     with pytest.raises(SkillFailed, match=r"hand\.cone_empty: the cone ran empty at 20\.0 mg of 50 mg"):
         rig.dispense(20.0, reason="empty")
     rig.cell.believed.cone_holds(rig.cell.sources["store"], 3000.0)
@@ -245,22 +250,42 @@ def test_split_doses_of_one_lot_add_up_to_one_target(rig: Rig) -> None:
     assert (dose.dispensed_mg, dose.verdict) == (pytest.approx(50.5), "in tolerance")
 
 
+@pytest.mark.parametrize("reason", ["empty", "no_flow"])
 @pytest.mark.parametrize(
-    ("reason", "code"),
-    [("empty", "hand.cone_empty"), ("no_flow", "hand.no_flow"), ("step_limit", "dose.not_reached")],
+    ("held_mg", "code", "doubted"), [(779.9, "hand.cone_empty", False), (780.1, "hand.no_flow", True)]
 )
-def test_a_controller_that_gave_up_fails_the_skill_by_its_reason(rig: Rig, reason: str, code: str) -> None:
+def test_powder_that_does_not_come_is_an_empty_cone_or_none_by_what_the_cone_should_hold(
+    rig: Rig, reason: str, held_mg: float, code: str, doubted: bool
+) -> None:
+    rig.cell.believed.cone_holds(rig.cell.sources["store"], held_mg)
     with pytest.raises(SkillFailed) as failed:
         rig.dispense(30.0, reason=reason)
-    assert failed.value.code == code
+    assert (failed.value.code, rig.cell.believed.is_load_doubted) == (code, doubted)
+
+
+def test_a_dose_that_took_too_many_steps_is_not_reached(rig: Rig) -> None:
+    with pytest.raises(SkillFailed, match=r"dose\.not_reached"):
+        rig.dispense(30.0, reason="step_limit")
+
+
+def test_two_loads_that_brought_nothing_are_told_as_such(rig: Rig) -> None:
+    for code in (
+        r"hand\.no_flow: .* of its load 0 mg have come, and it should hold 3000 mg more",
+        r"scoop\.nothing: 2 ",
+    ):
+        rig.cell.believed.emptied()
+        rig.cell.believed.scooped(rig.cell.sources["store"], 3000.0)
+        with pytest.raises(SkillFailed, match=code):
+            rig.dispense(0.0, reason="no_flow")
 
 
 def test_a_cone_that_ran_empty_holds_nothing_and_what_it_was_thought_to_hold_is_in_the_mortar(rig: Rig) -> None:
+    rig.cell.believed.cone_holds(rig.cell.sources["store"], 700.0)
     with pytest.raises(SkillFailed, match=r"hand\.cone_empty"):
         rig.dispense(30.0, reason="empty")
     believed = rig.cell.believed
     assert (believed.cone_mg, believed.cone_source) == (0.0, None)
-    assert believed.sources_mg["store"] == pytest.approx(10_000.0 - 30.0)
+    assert believed.sources_mg["store"] == pytest.approx(7000.0 + 700.0 - 30.0)
 
 
 def test_without_a_tare_there_is_no_dose(rig: Rig) -> None:
@@ -313,3 +338,22 @@ def test_adaptive_is_done_exactly_where_the_verdict_will_be_in_tolerance(
         command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, False))
     command = controller.decide(Observation(time_s, TARGET_MG + error_mg, uncertainty_mg, True))
     assert (command.reason if isinstance(command, Finish) else None) == reason
+
+
+def test_into_a_container_that_was_given_up_nothing_is_dosed(rig: Rig) -> None:
+    rig.cell.believed.container_given_up("it is another one")
+    with pytest.raises(SkillFailed, match=r"container\.changed: it is another one"):
+        rig.dispense(TARGET_MG)
+    assert rig.seen == []
+
+
+def test_the_valve_opens_once_the_empty_containers_weighing_is_on_disk(rig: Rig) -> None:
+    on_disk: list[tuple[str, float, bool]] = []
+
+    def waits() -> None:
+        on_disk.append((type(rig.written[-1]).__name__, rig.balance.load_mg, rig.cell.hand.is_stopped))
+
+    rig.cell.record = Record(rig.written.append, waits)
+    empty_mg = rig.balance.load_mg
+    rig.dispense(TARGET_MG)
+    assert on_disk == [("DoseBegun", empty_mg, True)]

@@ -11,7 +11,7 @@ from scuhand_bt.cell.dose_loop import DoseRun, run_dose, silence_s
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, Reading, StableMean
-from scuhand_bt.dosing import Command, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.dosing import Command, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
 from scuhand_bt.events import Note, Pulsed, SkillEvent
 from scuhand_bt.failures import SkillFailed
@@ -102,6 +102,8 @@ class Recorded(Record):
 class Loop:
     """Runs the loop on a scripted controller and balance."""
 
+    cone_mg = 5000.0
+
     def __init__(self, commands: Iterable[Command], net_mg: Iterable[float]) -> None:
         self.clock = VirtualClock()
         self.clock.wait([Wake(BEGAN_S)])
@@ -110,7 +112,8 @@ class Loop:
 
     def run(self, against: Reference | None = None) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
-        steps = run_dose(self.controller, hand, balance, self.clock, self.record, against or reference())
+        asked = DoseRequest(100.0, 2.0, 0.3, 2.4, 4.0, 0.1, self.cone_mg)
+        steps = run_dose(self.controller, asked, hand, balance, self.clock, self.record, against or reference())
         try:
             while True:
                 self.clock.wait([next(steps)])
@@ -258,3 +261,52 @@ def test_a_pulse_before_any_reading_is_no_point_of_the_curve() -> None:
 def test_a_wait_before_weighing_is_as_long_as_it_was_asked_for() -> None:
     for wait_s in (0.0, 0.7, 30.0):
         assert Loop([Weigh(wait_s)], [3.0]).run().duration_s == pytest.approx(wait_s)
+
+
+def test_a_minute_of_pulses_without_a_gain_ends_the_dose_whatever_its_controller_hopes_for() -> None:
+    run = Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 40 + [1.1] * 160).run()
+    assert (run.finish.reason, run.finish.estimate_mg) == ("no_flow", pytest.approx(1.1))
+    assert run.pulses == 41 + 61, "the gain at the 41st begins a new minute"
+    assert Loop([Pulse(1.0, 1.0)] * 200, [0.0] * 200).run().pulses == 61
+
+
+@pytest.mark.parametrize(("came_mg", "reason"), [(240.0, "no_flow"), (260.0, "empty")])
+def test_a_barren_minute_is_an_empty_cone_where_that_has_given_what_it_should_hold(came_mg: float, reason: str) -> None:
+    loop = Loop([Pulse(1.0, 1.0)] * 100, [came_mg] * 100)
+    loop.cone_mg = 1000.0
+    assert loop.run(reference(earlier=Net(500.0, 0.1))).finish.reason == reason
+
+
+def test_what_the_weighing_after_a_barren_minute_shows_counts_and_so_does_a_controllers_own_word() -> None:
+    stream = [Stream(1.0)] * 650
+    for mean_mg, commands in ((5.0, [*stream, Weigh(), Stream(0.0)]), (0.0, [*stream, Weigh()])):
+        assert Loop(commands, [0.0] * 650 + [mean_mg] * 2).run().finish.reason == "reached"
+
+
+@pytest.mark.parametrize(("seconds", "reason"), [(59, "reached"), (61, "no_flow")])
+def test_a_stream_that_brings_nothing_is_told_by_the_weighing_after_a_minute(seconds: int, reason: str) -> None:
+    commands = [*[Stream(1.0)] * (10 * seconds), Weigh(), *[Stream(0.0)] * 100, Weigh()]
+    assert Loop(commands, [0.0] * len(commands)).run().finish.reason == reason
+
+
+def test_a_shut_valve_is_no_reason_to_give_up() -> None:
+    assert Loop([Stream(0.0), Weigh()] * 700, [0.0] * 1400).run().finish.reason == "reached"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "word", "reason"),
+    [(61, "step_limit", "no_flow"), (59, "step_limit", "step_limit"), (61, "overshoot", "overshoot")],
+)
+def test_a_minute_counts_from_when_powder_last_came_by_the_readings(seconds: int, word: Any, reason: str) -> None:
+    coming = [float(mg) for mg in range(50)]
+    still = [50.0 + 0.4 * (-1) ** number for number in range(10 * seconds)]
+    commands = [*[Stream(1.0)] * (len(coming) + len(still)), Weigh(), Finish(word, 50.0, 0.1)]
+    assert Loop(commands, [*coming, *still, 50.2]).run().finish.reason == reason
+
+
+def test_what_a_draught_has_pushed_is_no_gain_that_stays() -> None:
+    commands = [Stream(1.0)] * 20 + [Weigh()] + ([Stream(1.0)] * 200 + [Weigh()]) * 4
+    net_mg = [*[9.0] * 20, 0.0]
+    for gained_mg in (2.0, 4.0, 6.0, 8.0):
+        net_mg += [gained_mg] * 201
+    assert Loop(commands, net_mg).run().finish.reason == "reached"

@@ -174,7 +174,7 @@ def test_adaptive_survives_any_readings_and_keeps_its_commands_possible(readings
 def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> None:
     rig = Bench(BEADS, 500.0, 3, 0, Setting(hand=HandSpec(streaming=streams)))
     controller = new_controller("adaptive", rig.request())
-    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), against(25_000.0))
+    steps = run_dose(controller, rig.request(), rig.cell.hand, rig.cell.balance, rig.clock, Record(), against(25_000.0))
     while rig.world.true_mass("dish") < 30.0:
         rig.clock.wait([next(steps)])
     rig.world.remove()
@@ -187,7 +187,7 @@ def test_the_valve_is_shut_when_the_container_is_taken_away(streams: bool) -> No
 def test_the_valve_is_shut_when_a_dose_is_given_up_halfway() -> None:
     rig = Bench(BEADS, 500.0, 3)
     controller = new_controller("adaptive", rig.request())
-    steps = run_dose(controller, rig.cell.hand, rig.cell.balance, rig.clock, Record(), against(0.0))
+    steps = run_dose(controller, rig.request(), rig.cell.hand, rig.cell.balance, rig.clock, Record(), against(0.0))
     for _ in range(40):
         rig.clock.wait([next(steps)])
     steps.close()

@@ -1,6 +1,6 @@
 """Faults by a file: how it is read, when they come, and what they do to a run."""
 
-import pickle
+import json
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from running import Ran, Watching, dry_run, shared_planner
 from wire_helpers import carry_out, wait_for
 
-from harness.fault_matrix import MOMENTS, Matrix
+from harness.fault_matrix import FAULTS, MOMENTS, Matrix
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.journal.export import canonical
@@ -22,10 +22,12 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
+from scuhand_bt.run.options import options_of
 from scuhand_bt.run.resume import checked_history, resumable
-from scuhand_bt.run.session import Session, options_of
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import KINDS, parse_faults
 from scuhand_bt.sim.faults import Faults
+from scuhand_bt.sim.plain_state import read, written
 from scuhand_bt.skill import SkillFailed
 
 BATCH = """
@@ -165,7 +167,7 @@ def test_the_state_of_faults_can_be_kept_and_taken_up() -> None:
     first.push_mg()
     first.comes("scoop.nothing", 2.0)
     for name in Faults.STATE:
-        setattr(second, name, pickle.loads(pickle.dumps(getattr(first, name))))
+        setattr(second, name, read(json.loads(json.dumps(written(getattr(first, name)))), getattr(second, name)))
     assert second.active == first.active == {"balance.draught": 2.0}
     assert [second.push_mg() for _ in range(9)] == [first.push_mg() for _ in range(9)]
     later = [[f.comes("scoop.nothing", 3.0) for _ in range(20)] for f in (first, second)]
@@ -336,7 +338,7 @@ def matrix(tmp_path_factory: pytest.TempPathFactory) -> tuple[Matrix, dict[str, 
     return made, made.moments(0)
 
 
-@pytest.mark.parametrize("fault", KINDS)
+@pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize(
     "moment", [moment if moment == "dosing" else pytest.param(moment, marks=pytest.mark.slow) for moment in MOMENTS]
 )

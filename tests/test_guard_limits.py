@@ -7,8 +7,9 @@ from typing import Any, cast
 import pytest
 from dose_bench import DISH, PAN
 
-from scuhand_bt.cell.believed import Believed, Bracket
+from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.pan_bracket import Bracket
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.clock import Signal
 from scuhand_bt.devices.interfaces import Reading

@@ -19,7 +19,8 @@ from scuhand_bt.journal.hash_chain import COLUMNS
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import open_contents, open_journal, read
 from scuhand_bt.journal.results import SampleResult
-from scuhand_bt.journal.writer import SCHEMA_VERSION, Journal
+from scuhand_bt.journal.store import SCHEMA_VERSION
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.resume import checked_history
@@ -246,12 +247,14 @@ def test_reading_changes_nothing(run: Path) -> None:
 
 def test_a_lost_journal_says_so_once(tmp_path: Path) -> None:
     journal = write_run(tmp_path / "r.sqlite")
-    journal._db.execute("PRAGMA query_only=ON")  # as a full disk
+    journal._store.db.execute("PRAGMA query_only=ON")  # as a full disk
     with pytest.raises(RecordLost, match="cannot be written any more"):
         journal.event(Paused())
     journal.event(Paused())
     journal.close()
-    assert problem_of(journal.path, journal.head) is None
+    assert problem_of(journal.path, None) is None
+    assert journal.kept_in is not None
+    assert problem_of(journal.kept_in, journal.head) is None
 
 
 def test_readings_are_written_as_they_came(run: Path) -> None:

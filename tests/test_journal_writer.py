@@ -17,11 +17,12 @@ from pydantic import BaseModel, Field
 
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events import Dose, Note, Pulsed, SheetSwapped
-from scuhand_bt.journal import writer
+from scuhand_bt.journal import store, writer
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted, Trouble
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
 from scuhand_bt.journal.plain import plain, to_json
-from scuhand_bt.journal.writer import FLUSH_S, SCHEMA_VERSION, Journal
+from scuhand_bt.journal.store import SCHEMA_VERSION
+from scuhand_bt.journal.writer import FLUSH_S, Journal
 from scuhand_bt.record import RecordLost
 from scuhand_bt.specs import Source
 
@@ -137,9 +138,9 @@ def test_a_real_run_is_on_disk_when_a_call_returns_and_a_dry_one_need_not(
     path: Path, durable: bool, synchronous: int
 ) -> None:
     journal = Journal(path, durable=durable)
-    assert journal._db.execute("PRAGMA synchronous").fetchone() == (synchronous,)
-    assert journal._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
-    assert journal._db.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,) == (2,)
+    assert journal._store.db.execute("PRAGMA synchronous").fetchone() == (synchronous,)
+    assert journal._store.db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    assert journal._store.db.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,) == (2,)
     journal.close()
 
 
@@ -162,7 +163,7 @@ def test_a_closed_journal_is_one_file_and_a_discarded_one_none(journal: Journal,
     assert [file.name for file in path.parent.iterdir()] == ["r.sqlite"]
     reader.close()
     with pytest.raises(sqlite3.ProgrammingError):
-        other._db.execute("SELECT 1")
+        other._store.db.execute("SELECT 1")
 
 
 def test_a_second_program_goes_on_with_number_and_chain(journal: Journal, path: Path) -> None:
@@ -328,17 +329,44 @@ def test_of_two_that_weigh_the_later_one_has_the_readings_until_it_ends(journal:
 # --- a journal that is lost
 
 
-def test_a_lost_journal_says_so_once_and_drops_what_is_told_to_it_then(journal: Journal, path: Path) -> None:
+def test_a_lost_journal_says_so_once_and_what_is_told_to_it_then_is_kept_elsewhere(
+    journal: Journal, path: Path
+) -> None:
     journal.event(SheetSwapped(sheets_used=2))
     head = journal.head
-    journal._db.execute("PRAGMA query_only=ON")  # as a full disk
+    assert journal.kept_in == path
+    journal._store.db.execute("PRAGMA query_only=ON")  # as a full disk
     with pytest.raises(RecordLost, match=r"r\.sqlite cannot be written any more"):
         journal.event(SheetSwapped(sheets_used=2))
     journal.before_commit = lambda: pytest.fail("nothing is kept any more")
-    assert journal.action_started(begun("park")) == 1, "the last entry there is"
-    journal._db.execute("PRAGMA query_only=OFF")
+    assert journal.action_started(begun("park")) == 3
+    journal.close()
+    assert len(rows(path)) == 1
+    rescued = journal.kept_in
+    assert rescued is not None
+    assert (rescued.parent.parent, rescued.name) == (path.parent.parent, path.name)
+    assert rows(rescued, "seq, kind") == [(1, "sheet"), (2, "sheet"), (3, "action_started")]
+    with closing(sqlite3.connect(path)) as database:
+        assert database.execute("PRAGMA journal_mode").fetchone() == ("delete",), "one file again"
+    for file, last in ((path, head), (rescued, journal.head)):
+        with closing(sqlite3.connect(file)) as database:
+            assert verify(database, last).problem is None
+
+
+def test_what_can_be_kept_nowhere_is_said_to_be_and_the_cell_can_still_be_made_safe(
+    journal: Journal, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     journal.event(SheetSwapped(sheets_used=2))
-    assert (journal.head, len(rows(path))) == (head, 1)
+
+    def full(**where: Any) -> str:
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(store, "mkdtemp", full)
+    path.unlink()
+    with pytest.raises(RecordLost, match=r"it was taken away; what happens now is kept nowhere"):
+        journal.event(SheetSwapped(sheets_used=2))
+    journal.event(SheetSwapped(sheets_used=3))
+    assert journal.kept_in is None
 
 
 # --- the chain

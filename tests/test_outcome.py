@@ -11,7 +11,7 @@ from dose_bench import DISH
 from rich.console import Console
 from running import dry_run, make_lab
 
-from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import Net
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose

@@ -13,7 +13,8 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.make_cell import DryRun, Rehearsal
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
 

@@ -22,12 +22,14 @@ from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.report.live import PlainLines
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.control import Control, take_wish
+from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, find_run, resumable
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.session import Session
 from scuhand_bt.skill import Condition, Ratio, Seconds, Skill, SkillFailed, pause
 
 RECIPE = """
@@ -136,19 +138,31 @@ def test_a_stopped_run_goes_on_where_it_was(run: Run, at_tick: int) -> None:
     assert len(places) == 3
 
 
-def test_powders_that_change_to_and_fro_are_changed_every_time_over_a_stop(tmp_path: Path) -> None:
-    samples = "".join(
-        f"  - {{id: s{i}, mass: 20 mg, source: {source}}}\n"
-        for i, source in enumerate(("beads", "msg", "beads", "msg"))
-    )
-    recipe = f"""
+TO_AND_FRO = """
 recipe: to-and-fro
 order: as_written
 workflow: fill_xrd_holder
-defaults: {{container: xrd_holder, tolerance: 2 mg}}
+defaults: {container: xrd_holder, tolerance: 2 mg}
 samples:
-{samples}"""
-    run = Run(tmp_path, make_lab(tmp_path / "lab"), recipe)
+  - {id: s0, mass: 20 mg, source: beads}
+  - {id: s1, mass: 20 mg, source: msg}
+  - {id: s2, mass: 20 mg, source: beads}
+  - {id: s3, mass: 20 mg, source: msg}
+"""
+
+
+class Telling(Watch):
+    """As whoever resumes a run without a terminal sees it."""
+
+    def __init__(self, lines: list[str], total: int) -> None:
+        super().__init__()
+        plain = PlainLines(lines.append, total)
+        self.job_started, self.sample_ended = plain.job_started, plain.sample_ended
+        self.sample_known = plain.sample_known
+
+
+def test_powders_that_change_to_and_fro_are_changed_every_time_over_a_stop(tmp_path: Path) -> None:
+    run = Run(tmp_path, make_lab(tmp_path / "lab"), TO_AND_FRO)
 
     class StopAt(Watch):
         """Stop as soon as this sample begins."""
@@ -158,8 +172,11 @@ samples:
                 self.session.control.wish("stop")
 
     assert run.go(StopAt()).exit_code == 130
-    ended = run.go(Watch(), resumes=True)
+    lines: list[str] = []
+    ended = run.go(Telling(lines, 4), resumes=True)
     assert [sample.verdict for sample in ended.samples] == ["in tolerance"] * 4
+    told = [line.partition(":")[0].split(" for ")[-1] for line in lines]
+    assert told == ["s3", "[4/4] s3", "finish the batch"], "what is new, and counted on from what was there"
     jobs = [row["name"] for row in read(run.journal, "job") if row["outcome"] == "done"]
     assert [name.split(" for ")[-1] for name in jobs if name.startswith("change")] == ["s1", "s2", "s3"]
     assert [skill for skill, outcome in actions(run.journal) if outcome == "done"].count("swap_sheet") == 3
@@ -399,7 +416,7 @@ def test_a_job_stopped_at_any_tick_repeats_no_finished_action(tree: str, tmp_pat
             if len(stopped.trees) == tick:
                 stopped.control.wish("stop_now")
 
-        stopped.ticked = ticked  # type: ignore[method-assign]
+        stopped.ticked = ticked
         first = stopped.run(TREES[tree], SKILLS)
         finished = outcomes(stopped)
         stopped.control = Control()
@@ -469,7 +486,7 @@ def test_what_a_workflow_kept_is_kept_over_an_interruption(tmp_path: Path) -> No
     assert [what for _, what in bench.log] == ["4.5"]
 
 
-class Unpicklable:
+class Unwritable:
     """A plant whose powder cannot be saved."""
 
     class Flow:
@@ -479,13 +496,13 @@ class Unpicklable:
         def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
             return min(in_cone_mg, 100.0 * opening_mm * dt_s)
 
-    def flow(self, powder: object) -> "Unpicklable.Flow":
+    def flow(self, powder: object) -> "Unwritable.Flow":
         return self.Flow()
 
 
 def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(run: Run) -> None:
     plan, lab = run.plan()
-    options = Options(DryRun(plant="test_resume:Unpicklable"), folder=run.folder)
+    options = Options(DryRun(plant="test_resume:Unwritable"), folder=run.folder)
     session = Session(plan, lab, options, shared_planner(plan, lab))
     watch = Watch("stop_now", 200)
     watch.session = session
@@ -493,7 +510,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
         session.run(watch)
     finally:
         session.close()
-    with pytest.raises(SourceError, match=r"Unpicklable cannot be pickled.*anew"):
+    with pytest.raises(SourceError, match=r"Unwritable cannot be written down.*anew"):
         checked_history(run.journal)
 
 
@@ -502,7 +519,7 @@ def test_a_full_disk_ends_the_run_safe_and_says_so(run: Run) -> None:
         def ticked(self, root: Any) -> None:
             super().ticked(root)
             if self.ticks == 60:
-                database = self.session.journal._db
+                database = self.session.journal._store.db
                 pages = database.execute("PRAGMA page_count").fetchone()[0]
                 database.execute(f"PRAGMA max_page_count={pages}")
 
@@ -515,13 +532,8 @@ def test_a_full_disk_ends_the_run_safe_and_says_so(run: Run) -> None:
     assert run.go(Watch(), resumes=True).exit_code == 0
 
 
-def test_a_wish_that_is_none_is_taken_away_and_a_run_that_is_looked_at_is_not_held(tmp_path: Path) -> None:
+def test_a_run_that_is_looked_at_is_not_held(tmp_path: Path) -> None:
     journal = tmp_path / "a.sqlite"
-    wish = journal.with_suffix(".wish")
-    for text in ("{", '"dance"', "[1]", "\x00"):
-        wish.write_text(text, encoding="utf-8")
-        assert take_wish(wish) is None
-        assert not wish.exists()
     with journal.with_suffix(".lock").open("w+") as looking:
         fcntl.flock(looking, fcntl.LOCK_SH)  # as another who looks whether the run is held
         assert not is_held(journal)

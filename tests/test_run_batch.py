@@ -7,8 +7,12 @@ from running import Ran, dry_run, make_lab
 
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.export import canonical
+from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
 from scuhand_bt.problems import SourceError
+from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.session import Session
 
 ONE_DOSE = """
 recipe: one
@@ -99,17 +103,6 @@ class Gusher:
         return self.Flow()
 
 
-class Dry:
-    """A plant whose powder never flows."""
-
-    class Flow:
-        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: object) -> float:
-            return 0.0
-
-    def flow(self, powder: object) -> "Dry.Flow":
-        return self.Flow()
-
-
 class LaterNan:
     """A plant that is sound when it is tried, and breaks in the run."""
 
@@ -130,6 +123,7 @@ workflow: scoop_and_dispense
 defaults: {source: beads, container: pellet_die_13mm, mass: 100 mg}
 samples: [{id: a}, {id: b}]
 on_failure: {dose.overshoot: %s, hand.no_flow: %s, otherwise: stop}
+overshoot_limit: 0
 """
 
 
@@ -152,7 +146,7 @@ def test_stop_ends_the_batch_and_what_was_not_run_says_so(tmp_path: Path) -> Non
 
 
 def test_skip_sample_goes_on_with_the_next(tmp_path: Path) -> None:
-    ran = dry_run(tmp_path, TWO_DOSES % ("flag", "skip_sample"), plant="test_run_batch:Dry")
+    ran = dry_run(tmp_path, TWO_DOSES % ("skip_sample", "stop"), plant="test_run_batch:Gusher")
     assert ran.result.exit_code == ExitCode.FLAGGED
     assert [sample.verdict for sample in ran.result.samples] == ["skipped", "skipped"]
 
@@ -298,7 +292,7 @@ def test_without_a_changer_the_operator_brings_each_container(tmp_path: Path) ->
     brought = [person.job for person in ran.session.plan.persons if "on the pan" in person.what]
     assert brought == ["s-1", "s-2", "s-3"]
     asked = [event["payload"]["question"] for event in read(ran.journal, "event") if event["kind"] == "asked"]
-    assert sum("Put the empty xrd_holder" in question for question in asked) == 3
+    assert sum("Put the xrd_holder" in question for question in asked) == 3
     assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 3
 
 
@@ -387,3 +381,46 @@ def test_a_value_that_a_skill_refuses_is_found_by_the_check(tmp_path: Path, call
     lab = make_lab(tmp_path / "lab", trees__w=tree)
     with pytest.raises(SourceError, match=r"w\.yaml:3:"):
         dry_run(tmp_path, "recipe: r\nworkflow: w\nsamples: [{id: a, source: beads}]\n", lab=lab)
+
+
+def test_a_step_of_the_zero_that_is_seen_later_doubts_what_was_confirmed_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sessions: list[Session] = []
+    run = Session.run
+
+    def noticed(session: Session, observer: BatchObserver) -> BatchResult:
+        sessions.append(session)
+        return run(session, observer)
+
+    def step_while_c_stands_there(root: object) -> None:
+        (session,) = sessions
+        assert session.world is not None
+        if session.world.pan.container_id == "c" and session.cell.believed.zero_stepped_mg == 0.0:
+            session.cell.believed.zero_stepped(8.0)
+
+    monkeypatch.setattr(Session, "run", noticed)
+    recipe = """
+recipe: steps
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, source: beads, mass: 30 mg}
+samples: [{id: a}, {id: b}, {id: c}]
+"""
+    assert dry_run(tmp_path, recipe).sample("a").is_good
+    sessions.clear()
+    doubted = dry_run(tmp_path, recipe, at_tick=step_while_c_stands_there).sample("a")
+    assert not doubted.is_good
+    assert "zero was seen to step by 8.00 mg in this run" in (doubted.detail or "")
+
+
+def test_what_the_bare_pan_says_of_a_sample_is_in_its_journal_too(tmp_path: Path) -> None:
+    """A resumed run has it from there."""
+    recipe = """
+recipe: one
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, source: beads, mass: 30 mg}
+samples: [{id: a}]
+"""
+    ran = dry_run(tmp_path, recipe)
+    assert ran.sample("a").doses[0].bracket == "closed"
+    assert read_history(ran.journal).samples["a", 1].doses == ran.sample("a").doses

@@ -410,9 +410,9 @@ def test_the_next_skill_waits_until_the_device_reports_that_it_has_stopped(bench
         arm.is_stopped = True
         arm.news.fire()
 
-    bench.agenda.at(4.0, stands)
+    bench.agenda.at(0.8, stands)
     assert bench.run("sequence: [{push: }, {arm: {name: next}}]", {**SKILLS, "push": Push}).failure is None
-    assert bench.log[:2] == [(0.0, "pushed"), (4.0, "next begins")]
+    assert bench.log[:2] == [(0.0, "pushed"), (0.8, "next begins")]
 
 
 def test_a_halted_skills_device_is_waited_for_too(bench: Bench) -> None:
@@ -444,17 +444,17 @@ def test_a_device_that_never_stops_is_a_failure_and_the_skill_is_not_begun(bench
     bench.cell.device("arm").is_stopped = False
 
     class Push(Skill[None]):
-        """End, with the arm still moving."""
+        """Move, and when halted move on."""
 
         devices = ("arm",)
 
         def run(self, cell: Any) -> Steps[None]:
             bench.cell.device("arm").is_stopped = False
-            return
-            yield
+            yield from wait_until(cell, 3600.0)
 
     bench.cell.device("arm").is_stopped = True
-    outcome = bench.run("sequence: [{push: }, {arm: }]", {**SKILLS, "push": Push})
+    tree = "fallback: [{timeout: {duration: 1 s, child: {push: }}}, {arm: }]"
+    outcome = bench.run(tree, {**SKILLS, "push": Push})
     assert outcome.failure is not None
     assert outcome.failure.code == "device.busy"
     assert "arm" in outcome.failure.detail

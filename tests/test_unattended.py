@@ -1,6 +1,8 @@
 """Who is needed, and when: the policy `ask`, and unattended runs, which need nobody or are refused."""
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import Desk, LabFolder, problems_of
@@ -10,9 +12,11 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab
 from scuhand_bt.recipe.plan import Plan, check_unattended, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.make_cell import DryRun
-from scuhand_bt.run.operator import Nobody
-from scuhand_bt.run.session import Options, Session
+from scuhand_bt.run.operator import Nobody, Person, TerminalOperator
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
 
 RECIPE = """\
 recipe: one
@@ -111,3 +115,21 @@ def test_nobody_answers_with_a_failure_at_once() -> None:
     with pytest.raises(SkillFailed, match="Press the button") as caught:
         Nobody().ask("Press the button")
     assert caught.value.code == "operator.absent"
+
+
+@pytest.mark.parametrize("gone", ["", OSError("hung up")])
+def test_nobody_answers_for_a_person_whose_terminal_has_gone(
+    monkeypatch: pytest.MonkeyPatch, gone: str | OSError
+) -> None:
+    def readline() -> str:
+        if isinstance(gone, OSError):
+            raise gone
+        return gone
+
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True, readline=readline))
+    told: list[object] = []
+    steps = TerminalOperator(VirtualClock(), told.append, lambda question: None, Person("Ada")).ask("Is it so?")
+    with pytest.raises(SkillFailed, match="Is it so") as caught:
+        list(steps)
+    assert caught.value.code == "operator.absent"
+    assert [type(one).__name__ for one in told] == ["Asked"]

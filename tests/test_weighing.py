@@ -5,16 +5,27 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from dose_bench import DISH
+from dose_bench import DISH, MORTAR, shipped_powders
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.weighing import take_container_away, weigh_until_still, weighing_of
+from scuhand_bt.cell.places import CLEAR_MM
+from scuhand_bt.cell.weighing import (
+    SCOOP_DOUBT,
+    possible_mg,
+    take_container_away,
+    weigh_until_still,
+    weighing_of,
+)
 from scuhand_bt.clock import Steps, T, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.events import BracketClosed, ContainerLifted
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.journal.events import ContainerReweighed
+from scuhand_bt.record import Record
+from scuhand_bt.run.outage import settle_outage
+from scuhand_bt.specs import Source
 
 TAKES_S, PERIOD_S = 2.0, 0.1
 """How long one weighing takes, and one reading."""
@@ -38,7 +49,7 @@ class Shown:
                 spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1)),
                 balance=self,
                 believed=self.believed,
-                record=SimpleNamespace(event=self.events.append),
+                record=Record(self.events.append),
                 changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
             ),
         )
@@ -127,6 +138,11 @@ def test_patience_begins_with_the_first_weighing_and_what_agrees_late_is_taken()
     assert shown.now_s > 1060.0
 
 
+def source(name: str) -> Source:
+    powder = shipped_powders()["glass_beads"]
+    return Source(name=name, station="bay", mortar=MORTAR, powder=powder, amount_mg=5000.0)
+
+
 def a_dosed_container(shown: Shown) -> None:
     """A dish of 20 g on the pan since 8 s, with 50 mg by two lots in it since 40 s."""
     believed = shown.believed
@@ -207,3 +223,119 @@ def test_an_empty_pan_is_weighed_bare() -> None:
     shown = Shown(10.0)
     assert weighing_of(shown.drive(take_container_away(shown.cell))) == Gross(10.0, U_MG, 2.0)
     assert (shown.events, shown.believed.closed) == ([], ())
+
+
+def test_nothing_goes_back_and_no_more_comes_than_the_cone_can_have_lost() -> None:
+    shown = Shown()
+    shown.cell.sources = {"beads": source("beads")}
+    a_dosed_container(shown)
+    shown.believed.cone_holds(shown.cell.sources["beads"], 1000.0)
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 0.5), "no dose is under way"
+    shown.believed.dosing_towards(80.0, BEADS, Gross(20_060.0, U_MG, 45.0))
+    more_mg = SCOOP_DOUBT * shown.cell.sources["beads"].powder.load_limit_mg
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 1000.0 + more_mg + 0.5)
+    shown.believed.dosing_ended(30.0, 20_090.0)
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 1000.0 + more_mg + 0.5), "what was seen has left the cone already"
+
+
+def test_what_leaves_no_source_known_brings_nothing() -> None:
+    shown = Shown()
+    shown.cell.sources = {}
+    a_dosed_container(shown)
+    shown.believed.dosing_towards(80.0, BEADS, Gross(20_060.0, U_MG, 45.0))
+    assert possible_mg(shown.cell, 0.5) == (-0.5, 0.5)
+
+
+class Resumed(Shown):
+    """The same cell when its run is resumed: the arm over the pan, 50 mg in the dish, a changer, and a person."""
+
+    def __init__(self, *gross_mg: float, aside_mm: float = 0.0, answer: str = "another") -> None:
+        super().__init__(*gross_mg)
+        a_dosed_container(self)
+        self.asked: list[tuple[str, list[str]]] = []
+        self._answer = answer
+        cell = cast(Any, self.cell)
+        cell.spec.station_of_kind = lambda kind: SimpleNamespace(name=kind)
+        cell.hand, cell.operator = SimpleNamespace(knows_its_roller=True), self
+        cell.aside_of_pan_mm, cell.move_to = lambda: aside_mm, lambda place: self._do(f"at {place}")
+        cell.apex = lambda: "where it was"
+        cell.changer.bring = lambda container: self._do(f"{container.id} brought")
+        cell.sources = {}
+
+    def _do(self, what: str) -> Steps[None]:
+        yield from ()
+        self.done.append(what)
+
+    def ask(self, question: str, choices: list[str]) -> Steps[str]:
+        yield from ()
+        self.asked.append((question, list(choices)))
+        return self._answer
+
+    def settle(self) -> ContainerReweighed:
+        journal = cast(Any, SimpleNamespace(event=self.events.append))
+        self.drive(settle_outage(journal, self.cell))
+        (told,) = self.events
+        assert isinstance(told, ContainerReweighed)
+        return told
+
+
+@pytest.mark.parametrize(("found_mg", "held_mg"), [(15_050.0, 50.2), (-5_000.0, 50.4)])
+def test_after_an_outage_a_container_is_weighed_about_the_bare_pan_or_once_where_it_was_on_its_way(
+    found_mg: float, held_mg: float
+) -> None:
+    resumed = Resumed(found_mg, -5_000.0, 15_050.4)
+    told = resumed.settle()
+    assert resumed.done == ["at park", "weighed", "taken away", "weighed", "dish brought", "weighed", "at where it was"]
+    assert (told.held_mg, told.counts, resumed.asked) == (pytest.approx(held_mg), True, [])
+    bracket = resumed.believed.bracket
+    assert bracket is not None
+    assert sum(net.mass_mg for net in bracket.holds.values()) == pytest.approx(held_mg)
+
+
+def test_an_arm_that_is_aside_stays_where_it_is() -> None:
+    resumed = Resumed(15_050.0, -5_000.0, 15_050.0, aside_mm=CLEAR_MM)
+    resumed.settle()
+    assert resumed.done == ["weighed", "taken away", "weighed", "dish brought", "weighed"]
+
+
+@pytest.mark.parametrize(("answer", "counts"), [("same", True), ("another", False)])
+def test_powder_that_nothing_explains_counts_where_a_person_says_so(answer: str, counts: bool) -> None:
+    resumed = Resumed(15_060.0, -5_000.0, 15_060.0, answer=answer)
+    assert resumed.settle().counts is counts
+    ((question, choices),) = resumed.asked
+    assert question.startswith("After the outage 'dish' weighs as if it held 60.0 mg, and 48.")
+    assert choices == ["another", "same", "stop"]
+    assert (resumed.believed.bracket is not None) is counts
+
+
+def test_less_than_nothing_is_never_the_same_and_a_stop_ends_the_run_as_it_is() -> None:
+    resumed = Resumed(14_990.0, -5_000.0, 14_990.0, answer="stop")
+    with pytest.raises(SkillFailed, match=r"operator\.refused: After the outage 'dish' weighs as if it held -10\.0 mg"):
+        resumed.settle()
+    assert resumed.asked[0][1] == ["another", "stop"]
+    assert resumed.believed.bracket is not None, "the next who resumes is asked again"
+
+
+def test_a_dose_that_broke_off_takes_from_the_cone_what_no_reading_had_shown() -> None:
+    resumed = Resumed(15_090.0, -5_000.0, 15_090.0, answer="same")
+    resumed.cell.sources = {"beads": source("beads")}
+    resumed.believed.cone_holds(resumed.cell.sources["beads"], 1000.0)
+    resumed.believed.dosing_towards(80.0, "salt", Gross(20_060.0, U_MG, 45.0))
+    resumed.believed.dosing_ended(30.0, 20_090.0)
+    assert resumed.settle().counts
+    assert resumed.asked[0][1] == ["same", "another", "stop"]
+    assert resumed.believed.cone_mg == pytest.approx(960.0)
+
+
+def test_a_filled_container_goes_once_its_weight_is_on_disk() -> None:
+    shown = Shown(20_060.3, 10.1)
+    a_dosed_container(shown)
+    writes: list[Wake | None] = [Wake(60.0), Wake(70.0), None]
+
+    def waits() -> Wake | None:
+        shown.done.append(f"{type(shown.events[-1]).__name__} not on disk" if writes[0] else "on disk")
+        return writes.pop(0)
+
+    shown.cell.record = Record(shown.events.append, waits)
+    shown.drive(take_container_away(shown.cell))
+    assert shown.done == ["weighed", *2 * ["ContainerLifted not on disk"], "on disk", "taken away", "weighed"]

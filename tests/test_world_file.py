@@ -7,6 +7,8 @@ import pickle
 import random
 import signal
 import warnings
+from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, cast
 
@@ -28,6 +30,7 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim import cell as cell_module
 from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.mass_ledger import Compartment
+from scuhand_bt.sim.plain_state import Misplaced, read, written
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.world import DEAD_MAN_S, OUTAGE_S, SERVO_WATCHDOG_S, World
@@ -257,11 +260,12 @@ def test_the_file_names_its_compartments_in_the_text_that_they_always_had(tmp_pa
     bench.let_pass(1.0)
     bench.world.save()
     _, state, _ = WorldFile.open(path)
-    (_, _, masses_mg, _), (_, load, *_) = pickle.loads(state)
+    beside, (_, load, *_) = json.loads(state)
+    _, _, masses_mg, _ = read(beside)
     places = {"cone", "sheet", "flight", "pan", "returned", "waste", "spilled", "source:store"}
     assert {type(name) for name in masses_mg} == {str}
     assert masses_mg.keys() == places
-    flying = load[ConeLoad.STATE.index("flying")]
+    flying = read(load[ConeLoad.STATE.index("flying")])
     assert flying
     assert {(type(place), place) for _, _, place in flying} == {(str, "balance")}
 
@@ -329,32 +333,144 @@ def test_containers_come_back_with_what_they_hold_and_cost_a_save_nothing(tmp_pa
     is_sound(restored.world)
 
 
-class Unpicklable(OurPowderFlow):
-    """Somebody's flow, which holds what cannot be pickled."""
+class Unwritable(OurPowderFlow):
+    """Somebody's flow, which holds what is no data."""
 
     def __init__(self, powder: Powder) -> None:
         super().__init__(powder)
         self.factor = lambda: 1.0
 
 
-class UnpicklablePlant:
-    def flow(self, powder: Powder) -> Unpicklable:
-        return Unpicklable(powder)
+class UnwritablePlant:
+    def flow(self, powder: Powder) -> Unwritable:
+        return Unwritable(powder)
 
 
 def test_a_plant_that_cannot_be_saved_is_told_once_and_refused_on_resume(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.world"
-    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(UnpicklablePlant(), "my_lab:Unpicklable"))
+    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(UnwritablePlant(), "my_lab:Unwritable"))
     bench = Bench.with_powder(path)
     bench.drive(bench.cell.hand.pulse(1.0, 0.5))
     bench.let_pass(1.0)
     assert bench.world.true_mass(DISH.id) > 1.0
     assert len(bench.told) == 1
-    assert "my_lab:Unpicklable cannot be pickled" in bench.told[0]
+    assert "my_lab:Unwritable cannot be written down" in bench.told[0]
     with pytest.raises(SourceError, match=r"cannot be read: No such file.*start it anew"):
         Bench.taken_up(path)
+
+
+class Hopper:
+    """A part of somebody's flow, with whatever data it likes."""
+
+    def __init__(self) -> None:
+        self.level_mg = 3.0
+        self.by_size: dict[Any, Any] = {}
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Values that a plant's objects share."""
+
+    factor: float = 1.0
+
+
+SHARED = Figures()
+
+
+class Rich(OurPowderFlow):
+    """Somebody's flow, of many kinds of data."""
+
+    def __init__(self, powder: Powder) -> None:
+        super().__init__(powder)
+        self.hopper = Hopper()
+        self.figures = SHARED
+
+    def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: Any) -> float:
+        self.hopper.by_size[2.5, "fine"] = (np.arange(3), math.inf, deque([(1, b"\xff")], maxlen=4))
+        self.figures = Figures(2.0)
+        self.later = self.hopper.by_size.keys() == {(2.5, "fine")}
+        return super().step(dt_s, opening_mm, vibration, in_cone_mg, rng)
+
+
+class RichPlant:
+    def flow(self, powder: Powder) -> Rich:
+        return Rich(powder)
+
+
+def test_a_plants_objects_come_back_with_all_their_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "run.world"
+    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(RichPlant(), "my_lab:Rich"))
+    bench = Bench.with_powder(path)
+    bench.drive(bench.cell.hand.pulse(1.0, 0.5))
+    bench.world.save()
+
+    flow = cast(Rich, Bench.taken_up(path).world.load.flow)
+
+    assert vars(flow).keys() == vars(bench.world.load.flow).keys()
+    ((key, (array, infinite, queue)),) = flow.hopper.by_size.items()
+    assert (key, array.tolist(), infinite) == ((2.5, "fine"), [0, 1, 2], math.inf)
+    assert (queue, queue.maxlen) == (deque([(1, b"\xff")]), 4)
+    assert (flow.figures, flow.later, SHARED) == (Figures(2.0), True, Figures(1.0))
+
+
+# --- a file from elsewhere ---
+
+
+class Command:
+    """What a pickle of it does when it is read."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.system, ("touch was_run",)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        pickle.dumps(Command()),
+        b'[{"object":["posix.system",{"command":"touch was_run"}]},[]]',
+        b'[[],[[null,null],[{"object":["test_world_file.Command",{}]},null,[],false,null,"",null,null,0.0],[],[]]]',
+    ],
+)
+def test_a_crafted_file_is_refused_and_runs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, state: bytes
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    WorldFile.create(tmp_path / "a.world", state).close()
+    with pytest.raises(SourceError, match="the dry run cannot be resumed"):
+        Bench.taken_up(tmp_path / "a.world")
+    assert not (tmp_path / "was_run").exists()
+
+
+@pytest.mark.parametrize(
+    "plain",
+    [
+        {"object": ["test_world_file.Hopper", {"__class__": 1}]},
+        {"object": ["test_world_file.Hopper"]},
+        {"generator": {"bit_generator": "default_rng"}},
+        {"array": ["|O", ["x"]]},
+        {"eval": "1"},
+    ],
+)
+def test_state_that_was_never_written_is_not_read(plain: Any) -> None:
+    with pytest.raises((LookupError, TypeError, ValueError)):
+        read(plain, Hopper())
+
+
+@pytest.mark.parametrize("onto", [None, Figures()])
+def test_an_object_is_read_only_onto_one_of_its_class(onto: object) -> None:
+    with pytest.raises(Misplaced, match=r"there is no test_world_file.Hopper where one was"):
+        read(json.loads(json.dumps(written(Hopper()))), onto)
+
+
+@pytest.mark.parametrize("name", ["PCG64", "MT19937", "Philox", "SFC64"])
+def test_a_generator_goes_on_where_it_was(name: str) -> None:
+    rng = np.random.Generator(getattr(np.random, name)(5))
+    rng.standard_normal(3)
+    again = read(json.loads(json.dumps(written(rng))))
+    assert again.standard_normal(9).tolist() == rng.standard_normal(9).tolist()
+    assert again.integers(0, 9, 9, np.uint8).tolist() == rng.integers(0, 9, 9, np.uint8).tolist()
 
 
 # --- the file itself ---
@@ -432,7 +548,9 @@ def test_damage_is_an_older_state_or_a_clear_error(tmp_path: Path, data: st.Data
         assert last_of(path) in ((b"o" * 700, b""), (b"n" * 700, b"l" * 100))
 
 
-@pytest.mark.parametrize("content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 1\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 2\n", b"scuhand_bt world 1\n" + bytes(9000)]
+)
 def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.world"
     path.write_bytes(content)
@@ -447,6 +565,6 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 
 def test_a_state_of_another_version_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.world"
-    WorldFile.create(path, b"\x80\x05cnowhere\nNothing\n.").close()
+    WorldFile.create(path, b'["of another", "shape", 1]').close()
     with pytest.raises(SourceError, match="another version of the program or the plant"):
         Bench.taken_up(path)

@@ -118,6 +118,17 @@ def test_what_the_container_loses_as_the_hand_leaves_is_the_zeros_and_what_it_ga
     assert rig.believed.zero_stepped_mg == pytest.approx(remembered_mg)
 
 
+@pytest.mark.parametrize(("by_mg", "least_mg", "most_mg"), [(0.1, 0.0, 0.3), (0.6, 0.6, 0.8), (-0.6, 0.0, 0.5)])
+def test_what_it_gains_may_be_a_creep_that_was_there_while_it_dosed_too(
+    rig: Rig, by_mg: float, least_mg: float, most_mg: float
+) -> None:
+    rig.step(by_mg, 0.0, WEIGHING_S + SWING_S)
+    rig.remove()
+    (closed,) = rig.believed.closed
+    (dose,) = closed.doses.values()
+    assert least_mg <= dose.uncertainty_mg < most_mg
+
+
 @pytest.mark.parametrize(("by_mg", "remembered_mg"), [(-1.0, 1.0), (1.0, 0.0)])
 def test_a_bare_pan_that_shows_less_than_before_has_a_zero_that_moved_and_more_may_lie_on_it(
     rig: Rig, by_mg: float, remembered_mg: float

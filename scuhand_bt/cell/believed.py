@@ -11,24 +11,23 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from pydantic import AfterValidator, PlainSerializer
-
+from scuhand_bt.cell.load import Load
+from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.specs import Container, Source
 
-_AS_WRITTEN = PlainSerializer(dict)
-_READ_ONLY = AfterValidator(MappingProxyType)
-Counts: TypeAlias = Annotated[Mapping[str, int], _READ_ONLY, _AS_WRITTEN]
-Masses: TypeAlias = Annotated[Mapping[str, float], _READ_ONLY, _AS_WRITTEN]
-"""Masses [mg] by name; read-only, as the rest of what is believed."""
-Nets: TypeAlias = Annotated[Mapping[str, Net], _READ_ONLY, _AS_WRITTEN]
-"""Doses by powder lot (`Source.sheet_key`)."""
+Counts: TypeAlias = Annotated[Mapping[str, int], READ_ONLY, AS_WRITTEN]
+Masses: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
+"""Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
+
+BARREN_LOADS = 2
+"""So many barren loads in a row, and a source is not scooped from any more: it is empty, or nothing gets out of the
+cone."""
 
 
 @dataclass(frozen=True)
@@ -46,48 +45,19 @@ class DoseSoFar:
 
 
 @dataclass(frozen=True)
-class Bracket:
-    """The weighings about what is dosed into one container (`dosing/bracket.py`)."""
-
-    container: str
-    bare: Gross
-    """The pan before the container came."""
-    loaded: Gross
-    """With the empty container, the hand away."""
-    last: Gross
-    """The last weighing of what stands there, whether with the hand in place or without."""
-    doses: Nets = field(default_factory=lambda: MappingProxyType({}))
-    drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
-    """What was seen about the last dose."""
-    lot: str = ""
-    """What is being dosed."""
-    lifted: Gross | None = None
-    """The filled container, the hand away, before it is taken off the pan."""
-
-    def dosed_mg(self, lot: str) -> Net:
-        """What was dosed of a powder lot until now."""
-        return self.doses.get(lot, Net(0.0, 0.0))
-
-
-@dataclass(frozen=True)
-class ClosedBracket:
-    """What came out when a container had gone: its doses, and whether they may be believed."""
-
-    container: str
-    doses: Nets
-    closes: bool
-    difference_mg: float
-    """What the container has gained by the bare pan, less what was dosed."""
-    detail: str
-
-
-@dataclass(frozen=True)
 class Believed:
     """What the cell is believed to hold. Frozen to all but its own verbs."""
 
     cone_mg: float = 0.0
     cone_source: str | None = None
     """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
+    load: Load = field(default_factory=Load)
+    is_load_doubted: bool = False
+    """The load gave no more, or more, than it was believed to hold: it is let out before the next scoop."""
+    yields: Masses = field(default_factory=lambda: MappingProxyType({}))
+    """By source, the share of what its scoops should bring that they were seen to; 1 where nothing else was seen."""
+    barren_loads: Counts = field(default_factory=lambda: MappingProxyType({}))
+    """By source, how many loads in a row, the last ones, have brought nothing."""
     sheet: str | None = None
     """The powder lot (`Source.sheet_key`) that this sheet has touched; None for a fresh one."""
     sheets_used: int = 1
@@ -109,13 +79,27 @@ class Believed:
     """What containers that have gone came to; until the batch has noted it."""
     is_zero_doubted: bool = False
     """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
+    given_up: str = ""
+    """Why the container that was last on the pan counts no more; empty where it does."""
     zero_stepped_mg: float = 0.0
     """By how much the balance's zero was seen to step at most: so much may have hidden in any dose of the run."""
+
+    @property
+    def seen_mg(self) -> float:
+        """What has come since the container was last weighed, by the last reading of a dose that broke off."""
+        if not self.dosing.is_unweighed or self.bracket is None or self.pan_gross_mg is None:
+            return 0.0
+        return max(0.0, self.pan_gross_mg - self.bracket.last.gross_mg)
 
     @property
     def weighed_container(self) -> Container | None:
         """The container on the pan, if its weight has shown that it is the right one."""
         return self.pan if self.pan_gross_mg is not None else None
+
+    @property
+    def barren_sources(self) -> frozenset[str]:
+        """Those whose scoops have brought nothing so often that no more are made."""
+        return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
 
     # --- the cone and the sources
 
@@ -125,7 +109,7 @@ class Believed:
 
     def cone_holds(self, source: Source, mass_mg: float) -> None:
         """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
-        self._set(cone_mg=_mass(mass_mg), cone_source=source.name, sheet=source.sheet_key)
+        self._set(cone_mg=_mass(mass_mg), cone_source=source.name, sheet=source.sheet_key, load=Load())
 
     def touched(self, source: Source) -> None:
         """The sheet has gone into the powder of a source. ValueError while the cone holds another lot."""
@@ -133,34 +117,58 @@ class Believed:
             return
         if self.cone_mg > 0.0:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and is in '{source.name}'")
-        self._set(sheet=source.sheet_key, cone_source=None)
+        self.emptied()
+        self._set(sheet=source.sheet_key)
 
     def scooped(self, source: Source, mass_mg: float) -> None:
-        """A scoop has brought so much of a source into the cone. ValueError while it holds another source's powder."""
+        """A scoop should have brought so much of a source into the cone; it has brought what this source yields of it.
+
+        ValueError while the cone holds another source's powder.
+        """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
             raise ValueError(f"the cone holds powder of '{self.cone_source}', and has scooped from '{source.name}'")
-        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - _mass(mass_mg))
+        brought_mg = self.yields.get(source.name, 1.0) * _mass(mass_mg)
+        left_mg = max(0.0, self.sources_mg.get(source.name, 0.0) - brought_mg)
         self._set(
-            cone_mg=self.cone_mg + mass_mg,
+            cone_mg=self.cone_mg + brought_mg,
             cone_source=source.name,
             sheet=source.sheet_key,
+            load=replace(self.load, scooped_mg=self.load.scooped_mg + mass_mg),
             sources_mg={**self.sources_mg, source.name: left_mg},
             dosing=replace(self.dosing, scoops=self.dosing.scoops + 1),
         )
 
     def emptied(self) -> None:
         """Everything has been let out of the cone."""
-        self._set(cone_mg=0.0, cone_source=None)
+        self._set(cone_mg=0.0, cone_source=None, load=Load(), is_load_doubted=False)
 
     def returned(self, source: str, mass_mg: float) -> None:
         """So much has come back into a source."""
         self.source_holds(source, self.sources_mg.get(source, 0.0) + _mass(mass_mg))
 
-    def cone_ran_empty(self) -> None:
-        """Nothing comes any more: what the cone was thought to hold still never left its source."""
-        if self.cone_source is not None:
-            self.returned(self.cone_source, self.cone_mg)
-        self.emptied()
+    def gave_out(self, *, is_short: bool) -> None:
+        """Nothing comes any more, open and shaken: what that tells of the load, and of what the source's scoops bring.
+
+        A load that `is_short` gave far less than it was believed to hold: a bridge holds it, or it was a poor scoop.
+        Any other was all of it: what it was thought to hold still never left its source.
+        """
+        if (name := self.cone_source) is None:
+            return
+        load = self.load
+        if load.scooped_mg > 0.0 and not load.is_barren and (is_short or name in self.yields):
+            self._set(yields={**self.yields, name: load.scoops_share})
+        elif load.scooped_mg > 0.0 and load.is_barren:
+            self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
+        if is_short:
+            self._set(is_load_doubted=True)
+        else:
+            self.returned(name, self.cone_mg)
+            self.emptied()
+
+    def sources_mended(self) -> None:
+        """A person has looked after the sources that gave nothing: they may be scooped from again."""
+        barren = self.barren_sources
+        self._set(barren_loads={name: loads for name, loads in self.barren_loads.items() if name not in barren})
 
     # --- the sheet
 
@@ -170,7 +178,8 @@ class Believed:
 
     def sheet_is(self, lot: str | None, number: int) -> None:
         """This sheet, by its number, is in the hand, has touched this powder lot (None: it is fresh), and is empty."""
-        self._set(cone_mg=0.0, cone_source=None, sheet=lot, sheets_used=_count(number))
+        self._set(sheet=lot, sheets_used=_count(number))
+        self.emptied()
 
     # --- containers
 
@@ -197,7 +206,42 @@ class Believed:
         """The container on the pan has the weight that its kind has. ValueError without one."""
         if self.pan is None:
             raise ValueError("no container stands on the pan")
-        self._set(pan_gross_mg=loaded.gross_mg, bracket=Bracket(self.pan.id, bare, loaded, loaded))
+        self._set(pan_gross_mg=loaded.gross_mg, bracket=Bracket(self.pan.id, bare, loaded, loaded), given_up="")
+
+    def rebracketed(self, bare: Gross, loaded: Gross, empty: Net, held: Net, left_cone_mg: float) -> None:
+        """After an outage the same container was weighed by the bare pan, and holds so much; all weighings begin anew.
+
+        What has come meanwhile has left the cone, and is of the lot that was dosed last. ValueError without a bracket.
+        """
+        bracket = self.bracket
+        if bracket is None or self.pan is None:
+            raise ValueError("no container on the pan was weighed before")
+        carried: dict[str, Net] = {}
+        if bracket.holds or self.dosing.is_unweighed:
+            carried = bracket.carried_of(held)
+            self._left_cone(max(0.0, left_cone_mg))
+        self._set(
+            pan_empty_mg=loaded.gross_mg - sum(net.mass_mg for net in carried.values()),
+            pan_gross_mg=loaded.gross_mg,
+            dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
+            bracket=bracket.begun_anew(bare, loaded, empty, carried),
+        )
+
+    def container_given_up(self, why: str) -> None:
+        """What stands on the pan, if anything does, is not what was weighed there, or nobody knows."""
+        bracket = self.bracket
+        if bracket is None:
+            return
+        had = bool(bracket.holds) or self.dosing.is_unweighed
+        lost = (ClosedBracket(bracket.container, MappingProxyType({}), False, 0.0, why),) if had else ()
+        self._set(
+            bracket=None,
+            pan_empty_mg=None,
+            pan_gross_mg=None,
+            given_up=why,
+            closed=(*self.closed, *lost),
+            dosing=replace(self.dosing, target_mg=None, is_unweighed=False),
+        )
 
     def lifted(self, weighing: Gross) -> None:
         """What is about to be taken off the pan weighs so much, the hand away. ValueError without a bracket."""
@@ -236,13 +280,8 @@ class Believed:
 
     def tared(self, weighing: Gross) -> None:
         """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
-        bracket = self._open_bracket
-        loaded = bracket.loaded if bracket.doses else weighing
-        self._set(
-            pan_empty_mg=weighing.gross_mg,
-            pan_gross_mg=weighing.gross_mg,
-            bracket=replace(bracket, loaded=loaded, last=weighing),
-        )
+        bracket = self._open_bracket.tared(weighing)
+        self._set(pan_empty_mg=weighing.gross_mg, pan_gross_mg=weighing.gross_mg, bracket=bracket)
         self.dose_began(weighing.time_s)
 
     def zero_stepped(self, by_mg: float) -> None:
@@ -300,8 +339,7 @@ class Believed:
         if self.pan_empty_mg is not None:
             self._set(pan_empty_mg=self.pan_empty_mg + drift_mg)
         if (bracket := self.bracket) is not None:
-            bare, loaded = _shifted(bracket.bare, drift_mg), _shifted(bracket.loaded, drift_mg)
-            self._set(bracket=replace(bracket, bare=bare, loaded=loaded, last=now))
+            self._set(bracket=bracket.with_zero_moved(drift_mg, now))
 
     # --- within
 
@@ -313,16 +351,20 @@ class Believed:
 
     def _gained(self, gained: Net, drift: Drift, now: Gross) -> None:
         bracket = self._open_bracket
-        before = bracket.dosed_mg(bracket.lot)
-        total = Net(before.mass_mg + gained.mass_mg, math.hypot(before.uncertainty_mg, gained.uncertainty_mg))
-        doses = MappingProxyType({**bracket.doses, bracket.lot: total})
         self._weighed(now.gross_mg)
-        self._set(bracket=replace(bracket, doses=doses, drift=drift, last=now))
+        self._set(bracket=bracket.gained(gained, drift, now))
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""
-        if self.cone_source is not None:
-            self._set(cone_mg=max(0.0, self.cone_mg - mass_mg))
+        if (name := self.cone_source) is None:
+            return
+        load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
+        if not load.is_barren and name in self.barren_loads:
+            self._set(barren_loads={one: count for one, count in self.barren_loads.items() if one != name})
+        if mass_mg > self.cone_mg and name in self.yields and load.scooped_mg > 0.0:
+            yields = {**self.yields, name: load.scoops_share}
+            self._set(yields=yields, is_load_doubted=True)  # it brought more than of late: nobody knows how much
+        self._set(cone_mg=max(0.0, self.cone_mg - mass_mg), load=load)
 
     def _weighed(self, gross_mg: float) -> None:
         """A gross belongs to a container that is known: while containers are changed it says nothing."""
@@ -332,10 +374,6 @@ class Believed:
     def _set(self, **changes: Any) -> None:
         for name, value in changes.items():
             object.__setattr__(self, name, MappingProxyType(value) if isinstance(value, dict) else value)
-
-
-def _shifted(weighing: Gross, by_mg: float) -> Gross:
-    return replace(weighing, gross_mg=weighing.gross_mg + by_mg)
 
 
 def _mass(mass_mg: float) -> float:

@@ -89,8 +89,16 @@ class Cell:
 
     def apex_mm(self) -> tuple[float, float, float]:
         """Where the cone's apex is now, in the base frame."""
-        x_m, y_m, z_m = apex(self.arm.positions, self.spec.hand.apex_offset_mm / 1000).position_m
+        x_m, y_m, z_m = self.apex().position_m
         return (1000 * x_m, 1000 * y_m, 1000 * z_m)
+
+    def apex(self) -> ApexPose:
+        """The pose of the cone's apex now."""
+        return apex(self.arm.positions, self.spec.hand.apex_offset_mm / 1000)
+
+    def aside_of_pan_mm(self) -> float:
+        """How far the cone's apex is from the middle of the pan, seen from above."""
+        return math.dist(self.apex_mm()[:2], self.spec.station_of_kind("balance").position_mm[:2])
 
     def place(self, name: str) -> ApexPose:
         """The apex pose of a named place, cone upright; KeyError for an unknown one."""

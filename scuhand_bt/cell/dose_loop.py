@@ -5,12 +5,14 @@ the motor off when it ends, however it ends: a reading that does not come for `s
 """
 
 import math
+import statistics
+from collections import deque
 from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
 from scuhand_bt.dosing.bracket import Gross, Reference
-from scuhand_bt.dosing.controller import Controller, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.dosing.controller import Controller, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
 from scuhand_bt.events import Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
@@ -61,8 +63,30 @@ class DoseRun:
         )
 
 
+BARREN_S = 60.0
+"""Open for so long without a gain: nothing comes, whatever the controller hopes for. A fresh load primes within 10 s,
+and an arch stands for 40 s at the most before it is shaken."""
+GAIN_MG, AVERAGED = 1.0, 10
+"""A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
 LONGEST_S = 1800.0
 """No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
+
+
+@dataclass
+class _Flow:
+    """How long the valve has been open since powder was last seen to come."""
+
+    gained_mg: float
+    barren_s: float = 0.0
+    _recent_mg: deque[float] = field(default_factory=lambda: deque(maxlen=AVERAGED))
+
+    def note(self, seen: Observation) -> None:
+        self._recent_mg.append(seen.net_mg)
+        level_mg = seen.net_mg if seen.stable else statistics.fmean(self._recent_mg)
+        if (seen.stable or len(self._recent_mg) == AVERAGED) and level_mg > self.gained_mg + GAIN_MG:
+            self.gained_mg, self.barren_s = level_mg, 0.0
+        if seen.stable:
+            self.gained_mg = min(self.gained_mg, level_mg)  # what a draught has pushed is no gain that stays
 
 
 def silence_s(period_s: float) -> float:
@@ -71,9 +95,15 @@ def silence_s(period_s: float) -> float:
 
 
 def run_dose(
-    controller: Controller, hand: Hand, balance: Balance, clock: Clock, record: Record, reference: Reference
+    controller: Controller,
+    request: DoseRequest,
+    hand: Hand,
+    balance: Balance,
+    clock: Clock,
+    record: Record,
+    reference: Reference,
 ) -> Steps[DoseRun]:
-    """Run a controller to its `Finish`; net masses are against `reference`, weighed with the hand in place.
+    """Run a controller to its `Finish` of a request; net masses are against `reference`, weighed with the hand there.
 
     SkillFailed from the balance: device.lost, balance.unstable, balance.overload; container.moved.
     """
@@ -84,6 +114,7 @@ def run_dose(
     streaming = False
     last = reference.before
     most_mg, below = -math.inf, 0
+    flow = _Flow(reference.earlier.mass_mg)
 
     def require_nothing_lost(seen: Observation) -> None:
         nonlocal most_mg, below
@@ -130,6 +161,7 @@ def run_dose(
                     hand.opening_mm,
                 )
                 vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
+                flow.barren_s += (clock.now_s - acted_s) * (command.opening_mm > 0.0)
                 level = command.vibration
             else:
                 streaming = False
@@ -138,6 +170,7 @@ def run_dose(
                     note(command.opening_mm, command.vibration)
                     yield from hand.pulse(command.opening_mm, command.dwell_s, command.vibration)
                     note(0.0, 0.0)
+                    flow.barren_s += command.dwell_s
                     vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
                 else:
                     hand.stop()
@@ -150,7 +183,12 @@ def run_dose(
                 level = 0.0
                 record.event(_pulsed(command, seen, acted_s, mean))
             require_nothing_lost(seen)
+            flow.note(seen)
             command = controller.decide(seen)
+            is_going_on = not isinstance(command, Finish) or command.reason == "step_limit"
+            if seen.stable and flow.barren_s > BARREN_S and is_going_on:
+                why = request.given_up(seen.net_mg - reference.earlier.mass_mg)
+                command = Finish(why, seen.net_mg, seen.uncertainty_mg)
             curve.append(
                 CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
             )

@@ -14,6 +14,8 @@ DISPENSING_HEIGHT_MM = 80.0
 """Apex above the pan while dispensing (paper, section V-A)."""
 MOUTH_CLEARANCE_MM = 15.0
 """Apex above a container's mouth, where that is higher."""
+CLEAR_MM = 90.0
+"""The apex must be this far aside from the pan's centre while containers are changed."""
 HOVER_MM = 25.0
 """Apex above a mortar's rim, or above the opening of the waste bin."""
 

@@ -5,11 +5,11 @@ import statistics
 from collections.abc import Sequence
 from contextlib import closing
 
-from scuhand_bt.cell.believed import ClosedBracket
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.dosing.bracket import Closed, Gross, apart_mg, close, moved_mg
+from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, moved_mg, total
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
 from scuhand_bt.dosing.estimation import balance_of
 from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
@@ -28,6 +28,8 @@ CHANGED_MG = 50.0
 """Every container weighs more, and no draught pushes so hard."""
 SLOWER = 1.25
 """Times a known delay: a balance that shows a step later is not set as it was."""
+SCOOP_DOUBT = 0.15
+"""How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 HAND_S = 1.0
 """What a person takes to put a container down, besides."""
 
@@ -142,18 +144,42 @@ def require_known_delay(cell: Cell, step: Step) -> None:
     cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
 
 
+def require_unchanged(cell: Cell) -> None:
+    """SkillFailed container.changed where the container that was on the pan counts no more."""
+    if cell.believed.given_up:
+        raise SkillFailed(Code.CONTAINER_CHANGED, cell.believed.given_up)
+
+
+def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
+    """Least and most that can have come into the container since it was last weighed: nothing goes back.
+
+    Nothing comes but from the cone, while a dose is not weighed yet: what that is believed to hold, and what a scoop
+    may bring more. `chance_mg` is how far the weighings may be apart by themselves.
+    """
+    believed = cell.believed
+    if not believed.dosing.is_unweighed:
+        return -chance_mg, chance_mg
+    source = cell.sources.get(believed.cone_source or "")
+    doubt_mg = SCOOP_DOUBT * source.powder.load_limit_mg if source is not None else 0.0
+    return -chance_mg, believed.seen_mg + believed.cone_mg + doubt_mg + chance_mg
+
+
 def take_container_away(cell: Cell) -> Steps[StableMean]:
     """Clear the pan, and weigh it bare: that closes the bracket about what was dosed into the container.
 
     Whether it closes is for the batch to say of its sample.
     """
-    believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+    believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
     bracket = believed.bracket
-    if bracket is not None and bracket.doses and bracket.lifted is None:
+    if bracket is not None and bracket.holds and bracket.lifted is None:
         mean = yield from cell.balance.stable_mean()
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
-        believed.zero_stepped(max(0.0, -moved_mg(bracket.last, weighing_of(mean), digit_mg)))
+        yield from cell.record.kept()  # before the container goes
+        moved = moved_mg(bracket.last, weighing_of(mean), digit_mg)
+        believed.zero_stepped(max(0.0, -moved))
+        # What has dripped, or a force that grows with the container, and did while it was dosed.
+        crept = Net(0.0, max(0.0, moved))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
     believed.changing_container()
@@ -167,7 +193,8 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
     doses = list(bracket.doses.values())
     closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
     believed.zero_stepped(max(0.0, -closed.stepped_mg))
-    adjusted = dict(zip(bracket.doses, closed.doses, strict=True))
+    since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
+    adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}
     believed.bracket_closed(
         ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))
     )

@@ -1,7 +1,5 @@
-"""Commands about what runs have left: runs, show, verify, export."""
+"""Commands about what runs have left: runs, show, export."""
 
-import json
-import re
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -9,12 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import RenderableType
-from rich.json import JSON
 from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.ongoing import runs_folder
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, print_json
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -23,6 +20,8 @@ if TYPE_CHECKING:
     from scuhand_bt.journal.reader import Contents
 
 EXIT_ALTERED = ExitCode.CELL_FAULT
+NEWEST = 50
+"""So many runs are listed where not all are asked for."""
 JournalArgument = Annotated[
     str,
     typer.Argument(
@@ -40,21 +39,27 @@ def find_journal(run: str, lab: Path | None) -> Path:
 
 
 @app.command()
-def runs(as_json: JsonFlag = False, lab: LabOption = None) -> None:
+def runs(
+    every: Annotated[bool, typer.Option("--all", help=f"All of them, not only the newest {NEWEST}.")] = False,
+    as_json: JsonFlag = False,
+    lab: LabOption = None,
+) -> None:
     """List the lab's runs, the newest first: what each was, in what state it is, and how many samples are good."""
     from scuhand_bt.journal.archive import summaries
 
     found = summaries(runs_folder(lab))
     if as_json:
-        out.print_json(json.dumps([asdict(one) for one in found]))
+        print_json([asdict(one) for one in found])
         return
     table = Table("run", "recipe", "mode", "started", "state", "good", show_edge=False)
-    for one in found:
+    for one in found if every else found[:NEWEST]:
         good = f"{one.good}" if one.total is None else f"{one.good}/{one.total}"
         state = f"{one.state}: {one.reason}" if one.reason else one.state
         mode = "SIMULATED" if one.mode == "SIMULATED" else one.mode.partition(" (")[0]
         table.add_row(*(Text(cell) for cell in (one.id, one.recipe, mode, one.started, state, good)))
     out.print(table if found else Text(f"There are no runs in {runs_folder(lab)}."))
+    if not every and len(found) > NEWEST:
+        out.print(f"… and {len(found) - NEWEST} older ones (--all).")
 
 
 @app.command()
@@ -76,9 +81,12 @@ def show(
         problem = contents.verified.problem
         if contents.verified.entries:
             found = frames_of(contents, frames) if frames is not None else story(contents)
-            parts = [JSON(json.dumps(found))] if as_json else list(_frames(found) if frames else _told(found))
+            if as_json:
+                print_json(found)
+            else:
+                parts = list(_frames(found) if frames else _told(found))
     for part in parts:
-        out.print(part, soft_wrap=as_json)
+        out.print(part)
     if problem is not None:
         err.print(Text(f"The journal is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)
@@ -103,45 +111,6 @@ def _frames(lines: Any) -> "Iterator[RenderableType]":
     for line in lines:
         stable = "stable" if line["stable"] else "moving"
         yield Text(f"{line['time_s']:10.3f} s  {line['value_mg']:12.3f} mg  {stable}  {line['raw']!r}")
-
-
-@app.command()
-def verify(
-    run: JournalArgument,
-    head: Annotated[str | None, typer.Option(metavar="HASH", help="The head that the run printed at its end.")] = None,
-    lab: LabOption = None,
-) -> None:
-    """Find out whether a journal is as it was written: every entry there, and none altered."""
-    from scuhand_bt.journal.archive import summary_of
-    from scuhand_bt.journal.reader import open_contents
-
-    expected = head.strip().lower() if head is not None else None
-    if expected is not None and not re.fullmatch("[0-9a-f]{64}", expected):
-        raise typer.BadParameter("a head is 64 hexadecimal digits", param_hint="--head")
-    path = find_journal(run, lab)
-    with open_contents(path, expected) as contents:
-        verified, is_chained = contents.verified, contents.is_chained
-        summary = summary_of(path, contents.database) if verified.problem is None else None
-        its_name = next((row["value"] for row in contents.rows("run") if row["key"] == "run"), path.stem)
-    if not is_chained:
-        what = "an older scuhand-bt wrote it, without a chain: whether it was altered cannot be told"
-        err.print(Text(f"{path}: {what}."))
-        raise typer.Exit(ExitCode.BAD_INPUT)
-    if verified.problem is not None or summary is None:
-        err.print(Text(f"{path}: {verified.problem}."))
-        raise typer.Exit(EXIT_ALTERED)
-    if its_name != path.stem:
-        err.print(Text(f"{path}: it is the journal of another run, {its_name}."))
-        raise typer.Exit(EXIT_ALTERED)
-    out.print(Text(f"{path.stem}: {verified.entries} entries, each as it was written. Head: {verified.head}"))
-    if expected is not None:
-        out.print("The head is the expected one: no entry is missing.")
-        return
-    out.print("Without --head, entries cut off at the end cannot be told: compare the head with the one printed then.")
-    if summary.state == "interrupted":
-        out.print("The run has no end: it was interrupted, or its end was cut off.")
-    elif summary.state in ("running", "paused"):
-        out.print(f"The run has no end yet: it is {summary.state}.")
 
 
 @app.command()

@@ -1,17 +1,16 @@
 """Commands about the cell's balance: what is known of it and since when, and to forget that."""
 
-import json
 from collections.abc import Mapping
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, out, the_lab
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, print_json, the_lab
 
 if TYPE_CHECKING:
-    from scuhand_bt.lab import Lab
     from scuhand_bt.lab_state.beliefs import LabState
 
 group = typer.Typer(invoke_without_command=True)
@@ -40,11 +39,14 @@ def balance(
     if context.invoked_subcommand is not None:
         context.obj = lab
         return
+    from scuhand_bt.lab_state.beliefs import BALANCE_BELIEVED_FOR
+
     loaded = the_lab(lab)
-    rows = _rows(_state(loaded), loaded.cell.balance.readability_mg, simulated=simulated)
+    state = lab_state(loaded)
+    rows = _rows(state, loaded.cell.balance.readability_mg, simulated=simulated)
     if as_json:
         keys = ("balance", "figure", "value", "says", "at")
-        out.print_json(json.dumps([dict(zip(keys, row, strict=True)) for row in rows]))
+        print_json([dict(zip(keys, row, strict=True)) for row in rows])
         return
     if not rows:
         out.print("Nothing is known yet: `scuhand-bt run recipes/start_of_day.yaml` and doses measure the balance.")
@@ -56,12 +58,16 @@ def balance(
     out.print(table)
     if simulated:
         out.print("SIMULATED: no run reads this.")
+    for learnt in state.balances(simulated=simulated).values():
+        if learnt.is_older_than(BALANCE_BELIEVED_FOR, datetime.now().astimezone()):
+            days = f"more than {BALANCE_BELIEVED_FOR.days} days ago"
+            out.print(Text(f"{learnt.name}: doses taught its delay {days}; the next dose learns it anew."))
 
 
 @group.command("forget")
 def forget(context: typer.Context, lab: LabOption = None) -> None:
     """Forget what was measured of the balance, and learnt of it by doses: it was repaired, moved or set otherwise."""
-    names = _state(the_lab(lab or context.obj)).forget_balances()
+    names = lab_state(the_lab(lab or context.obj)).forget_balances()
     out.print(Text(f"Forgotten: {'; '.join(names)}." if names else "Nothing was known."))
 
 
@@ -78,10 +84,3 @@ def _rows(state: "LabState", readability_mg: float, *, simulated: bool) -> list[
     for name, learnt in state.balances(simulated=simulated).items():
         rows.append((name, "lag_s", learnt.belief.lag_s, learnt.run, learnt.at))
     return rows
-
-
-def _state(lab: "Lab") -> "LabState":
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.lab_state.beliefs import LabState
-
-    return LabState(state_folder(lab))

@@ -1,9 +1,9 @@
 """Commands about a recipe: run it, check it, plan it."""
 
-import json
 import signal
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +15,7 @@ from scuhand_bt.cli.shared import (
     FaultsOption,
     JsonFlag,
     LabOption,
+    OperatorOption,
     RecipeArgument,
     SeedOption,
     UnattendedFlag,
@@ -22,15 +23,19 @@ from scuhand_bt.cli.shared import (
     err,
     on_signals,
     out,
+    print_json,
     the_lab,
+    unwatched,
 )
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
+    from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.lab import Lab
     from scuhand_bt.recipe.plan import Plan
+    from scuhand_bt.run.batch import BatchObserver
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
@@ -49,12 +54,16 @@ def run(
     plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
     faults: FaultsOption = None,
     unattended: UnattendedFlag = False,
+    operator: OperatorOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
+    from scuhand_bt.cli.persons import the_person
+    from scuhand_bt.lab import state_folder
     from scuhand_bt.run.make_cell import DryRun, Rehearsal
-    from scuhand_bt.run.session import Options, Session
+    from scuhand_bt.run.options import Options
+    from scuhand_bt.run.session import Session
     from scuhand_bt.sim.fault_rules import read_faults
 
     if speed is not None and not 0 < speed < float("inf"):
@@ -74,64 +83,90 @@ def run(
 
     def make(control: "Control") -> "Session":
         made, loaded = the_plan(recipe, lab)
-        return Session(made, loaded, Options(simulation, controller, unattended=unattended), control=control)
+        person = the_person(operator, state_folder(loaded), is_asked=simulation is None)
+        options = Options(simulation, controller, unattended=unattended, person=person)
+        return Session(made, loaded, options, control=control)
 
-    run_to_its_end(make, json_file)
+    with unwatched():
+        run_to_its_end(make, json_file)
 
 
 def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None) -> None:
     """Run a session, watched on a terminal, else with plain lines; ends the command with its exit code.
 
-    Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample.
+    Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample; a closed terminal does not.
     """
-    from scuhand_bt.journal.export import canonical
-    from scuhand_bt.report.live import doses_table, end_line
+    from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.run.control import Control
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
     began, control = time.monotonic(), Control()
-    others = {signal.SIGTSTP: control.toggle_pause, signal.SIGQUIT: lambda: control.wish("stop")}
-    with on_signals(lambda: control.wish("stop_now"), others):
+    supervisor = Supervisor(control)
+    others = {
+        signal.SIGTSTP: control.toggle_pause,
+        signal.SIGQUIT: lambda: control.wish("stop"),
+        signal.SIGHUP: lambda: None,
+    }
+    with on_signals(supervisor.stop, others):  # to the last line: what the run came to is not to be changed any more
         try:
             session = make(control)
             out.print(Text(session.title))
             for warning in session.warnings:
                 err.print(Text(f"Note: {warning}"))
-            result = _watched(session)
+            result = _watched(session, supervisor)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(ExitCode.BAD_INPUT) from None
-    out.print(doses_table(result.samples, out.width))
-    out.print(Text(end_line(result, time.monotonic() - began)))
-    for rule in session.unused_rules:
-        out.print(Text(f"Never came: {rule}"))
-    for notice in session.notices:
-        err.print(Text(notice))
-    if not result.is_complete and session.can_be_resumed:
-        out.print(Text(f"`scuhand-bt resume {session.run_id}` goes on with it."))
-    out.print(Text(f"Journal: {session.journal.path}"))
-    out.print(Text(f"Head of its chain: {session.journal.head}"))
-    if json_file is not None:
-        try:
-            json_file.write_text(canonical(session.journal.path), encoding="utf-8")
-        except OSError as error:
-            err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has it all"))
-            raise typer.Exit(result.exit_code or ExitCode.BAD_INPUT) from None
+        _tell(session, result, time.monotonic() - began)
+        if json_file is not None:
+            _export(session, result, json_file)
     raise typer.Exit(result.exit_code)
 
 
-def _watched(session: "Session") -> "BatchResult":
+def _watched(session: "Session", supervisor: "Supervisor") -> "BatchResult":
     """Run with the live view on a terminal, else with plain lines."""
     from scuhand_bt.report.live import LiveView, PlainLines
 
     try:
-        if out.is_terminal:
-            with LiveView(out, session.cell, session.plan, session.control) as view:
-                return session.run(view)
-        return session.run(PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples)))
+        with ExitStack() as opened:
+            if out.is_terminal:
+                view: BatchObserver = opened.enter_context(LiveView(out, session.cell, session.plan, session.control))
+            else:
+                view = PlainLines(lambda line: out.print(Text(line)), len(session.plan.recipe.samples))
+            opened.enter_context(supervisor.watching(session))
+            return session.run(view)
     finally:
         session.close()
+
+
+def _tell(session: "Session", result: "BatchResult", seconds: float) -> None:
+    """What the run came to."""
+    from scuhand_bt.report.live import doses_table, end_line
+
+    out.print(doses_table(result.samples, out.width))
+    out.print(Text(end_line(result, seconds)))
+    for rule in session.unused_rules:
+        out.print(Text(f"Never came: {rule}"))
+    for notice in session.notices:
+        err.print(Text(notice))
+    kept_in, path = session.journal.kept_in, session.journal.path
+    if not result.is_complete and session.can_be_resumed and kept_in is not None:
+        moved = f"`mv {kept_in} {path}` brings it back, then " if kept_in != path else ""
+        out.print(Text(f"{moved}`scuhand-bt resume {session.run_id}` goes on with it."), soft_wrap=True)
+    out.print(Text(f"Journal: {kept_in or 'lost'}"))
+    out.print(Text(f"Head of its chain: {session.journal.head}"))
+
+
+def _export(session: "Session", result: "BatchResult", json_file: Path) -> None:
+    """The canonical export, of the journal or of what was rescued of it."""
+    from scuhand_bt.journal.export import canonical
+
+    try:
+        json_file.write_text(canonical(session.journal.kept_in or session.journal.path), encoding="utf-8")
+    except OSError as error:
+        err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has it all"))
+        raise typer.Exit(result.exit_code or ExitCode.BAD_INPUT) from None
 
 
 @app.command()
@@ -151,10 +186,10 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
             {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
             for p in error.problems
         ]
-        out.print_json(json.dumps({"ok": False, "problems": problems}))
+        print_json({"ok": False, "problems": problems})
         raise typer.Exit(ExitCode.BAD_INPUT) from None
     if as_json:
-        out.print_json(json.dumps({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes}))
+        print_json({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes})
     else:
         out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
 
@@ -165,7 +200,7 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
     made, loaded = the_plan(recipe, lab)
     notes = _notes(made, loaded, quiet=as_json)
     if as_json:
-        out.print_json(json.dumps({**_plan_values(made), "notes": notes}))
+        print_json({**_plan_values(made), "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):

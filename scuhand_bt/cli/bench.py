@@ -1,6 +1,5 @@
 """Commands about a cell's devices: twins of them, and a doctor for them."""
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +17,7 @@ from scuhand_bt.cli.shared import (
     err,
     on_signals,
     out,
+    print_json,
     the_lab,
 )
 from scuhand_bt.exit_codes import ExitCode
@@ -79,7 +79,7 @@ def doctor(
     failed = sum(finding.verdict == "FAIL" for finding in findings)
     if as_json:
         values = {"cell": spec.cell, "simulated": twins, "ok": not failed, "findings": [asdict(f) for f in findings]}
-        out.print_json(json.dumps(values))
+        print_json(values)
     else:
         out.print(Text(f"The cell '{spec.cell}', {'SIMULATED: twins of its devices' if twins else 'real devices'}"))
         table = Table("device", "check", "found", "expected", "verdict", "what to do", show_edge=False)

@@ -1,8 +1,8 @@
-"""Commands about a lab's content: its skills, its workflows, what it has learnt, and a new lab."""
+"""Commands about a lab's content: its skills, its workflows, and a new lab."""
 
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -10,9 +10,6 @@ from rich.text import Text
 
 from scuhand_bt.cli.shared import LabOption, NameArgument, app, out, the_lab, unknown
 from scuhand_bt.quantity import Unit
-
-if TYPE_CHECKING:
-    from scuhand_bt.specs import PowderBelief
 
 
 @app.command()
@@ -60,35 +57,6 @@ def trees(name: NameArgument = None, lab: LabOption = None) -> None:
         inputs = ", ".join(f"{declared.name}: {declared.type.name}" for declared in workflow.inputs.values())
         table.add_row(key, inputs, workflow.summary)
     out.print(table)
-
-
-@app.command()
-def powders(lab: LabOption = None) -> None:
-    """Show what the lab believes of its powders, and which run taught it; `balance` shows what of the balance."""
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.lab_state.beliefs import LabState
-
-    loaded = the_lab(lab)
-    state = LabState(state_folder(loaded))
-    table = Table("powder lot", "C'", "onset mm", "exponent", "spread", "surge mg", "vibration", "doses", "learnt")
-    for name, powder in loaded.library.powders.items():
-        table.add_row(name, *_belief_cells(powder.belief), "first guess (robot/powders.yaml)", style="dim")
-    for simulated in (False, True):
-        for learnt in state.powders(simulated=simulated).values():
-            table.add_row(learnt.name, *_belief_cells(learnt.belief), learnt.origin)
-    out.print(table)
-
-
-def _belief_cells(belief: "PowderBelief") -> list[str]:
-    return [
-        f"{belief.coefficient:.1f}",
-        f"{belief.threshold_mm:.2f}",
-        f"{belief.exponent:.2f}",
-        f"{belief.spread:.0%}",
-        f"{belief.surge_mg:.1f}",
-        f"{belief.vibration:.0%}",
-        str(belief.doses),
-    ]
 
 
 @app.command()

@@ -1,11 +1,10 @@
 """Commands about failures: what a code means and what to do about it, and what can be made to fail in a simulation."""
 
-import json
-
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, out, the_lab, unknown
+from scuhand_bt.cli.shared import JsonFlag, LabOption, NameArgument, app, err, out, print_json, the_lab, unknown
+from scuhand_bt.problems import SourceError
 
 
 @app.command()
@@ -13,10 +12,14 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     """Explain a failure code: meaning, remedy, who raises it, what a recipe can do about it; or list all of them."""
     from scuhand_bt.failures import CATALOGUE
     from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
+    from scuhand_bt.tree.check import Library
     from scuhand_bt.tree.grammar import Decorator, walk
 
-    loaded = the_lab(lab)
-    library = loaded.library
+    try:
+        library = the_lab(lab).library
+    except SourceError as error:  # the shared catalogue is explained all the same
+        library = Library({}, {})
+        err.print(Text(f"Without what this lab's skills add, as it cannot be read: {error.problems[0]}"))
     failures = library.failures()
     if code is not None and code not in failures:
         raise unknown("failure code", code, failures)
@@ -38,7 +41,7 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
         if code in (None, name)
     }
     if as_json:
-        out.print_json(json.dumps(explained))
+        print_json(explained)
     elif code is None:
         table = Table("code", "meaning", "remedy", show_edge=False)
         for name, values in explained.items():

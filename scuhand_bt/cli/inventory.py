@@ -1,14 +1,13 @@
 """Commands about the cell between runs: what it is believed to hold, an operator's corrections, and who is told."""
 
-import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, the_lab, unknown
+from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, the_lab, unknown
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import MASS, parse
 
@@ -36,7 +35,7 @@ def inventory(
         return
     stock = _inventory(the_lab(lab)).stock(simulated=simulated)
     if as_json:
-        out.print_json(json.dumps([asdict(entry) for entry in stock.values()]))
+        print_json([asdict(entry) for entry in stock.values()])
         return
     if not stock:
         out.print("Nothing is known yet: a run, or `scuhand-bt inventory set`, tells the inventory.")
@@ -56,9 +55,15 @@ def set_entry(
     value: Annotated[str, typer.Argument(help="A mass (12 g); of the sheet: fresh, touched; else how many are used.")],
     powder: PowderOption = None,
     lot: LotOption = None,
+    reason: Annotated[str | None, typer.Option(help="Why it is corrected; `audit` shows it.")] = None,
+    operator: OperatorOption = None,
     lab: LabOption = None,
 ) -> None:
     """Correct the inventory: what is at a station or in the cone, a fresh sheet, slots or containers used."""
+    from scuhand_bt.cli.persons import the_person
+    from scuhand_bt.lab import state_folder
+    from scuhand_bt.run.holds import take_cell
+
     loaded = the_lab(lab or context.obj)
     stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
     if powder is not None and powder not in loaded.library.powders:
@@ -78,7 +83,9 @@ def set_entry(
     if kind == "changer" and changer.driver != "operator" and (entry.used or 0) > changer.slots:
         what = f"'{value}' is more than the changer's {changer.slots} slots; write 0 to {changer.slots}"
         raise typer.BadParameter(what, param_hint="VALUE")
-    kept.enter(entry)
+    person = the_person(operator, state_folder(loaded), is_asked=False)
+    with take_cell(state_folder(loaded)):  # what a run has in the cell is not corrected beside it
+        kept.enter(replace(entry, reason=reason), person.name if person is not None else None)
     out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
 
 

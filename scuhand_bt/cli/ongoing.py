@@ -1,6 +1,6 @@
 """Commands about runs that go on, or were interrupted: resume, pause, stop."""
 
-import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +8,7 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.batch import run_to_its_end, the_plan
-from scuhand_bt.cli.shared import LabOption, app, err, out
+from scuhand_bt.cli.shared import LabOption, OperatorOption, app, err, out, unwatched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
@@ -21,15 +21,13 @@ RunArgument = Annotated[
     str, typer.Argument(metavar="RUN", help="A run's id, a unique beginning of it, or 'last'.", show_default=False)
 ]
 NowFlag = Annotated[bool, typer.Option("--now", help="Halt what is at work: valve closed, vibration off, arm stopped.")]
-HEARD_S = 5.0
-"""A run that goes on takes up a wish within this time."""
 
 
 def runs_folder(lab: Path | None) -> Path:
-    """Where the runs of the lab (or of the one around this folder) are."""
-    from scuhand_bt.lab import find_lab, load_lab, state_folder
+    """Where the runs of the lab (or of the one around this folder) are; nothing of the lab is read."""
+    from scuhand_bt.lab import find_state
 
-    return state_folder(load_lab(find_lab(None, lab))) / "runs"
+    return find_state(lab) / "runs"
 
 
 @app.command()
@@ -39,33 +37,40 @@ def resume(
         bool, typer.Option("--accept-changes", help="Go on though recipe, lab or program have changed; it is noted.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
+    operator: OperatorOption = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
     """Continue a paused run; go on with one that was stopped or killed, without doing anything twice."""
+    from scuhand_bt.cli.persons import the_person
     from scuhand_bt.journal.presence import is_held
-    from scuhand_bt.run.resume import checked_history, find_run, resumable
-    from scuhand_bt.run.session import Session, options_of
+    from scuhand_bt.run.holds import take_run
+    from scuhand_bt.run.options import options_of
+    from scuhand_bt.run.resume import checked_history, find_run, its_places, resumable
+    from scuhand_bt.run.session import Session
 
     journal = find_run(runs_folder(lab), run)
     if is_held(journal):
         _tell(journal, "continue", "continues")
         return
-    history = checked_history(journal)
-    options = options_of(history, journal.parent, journal)
-    plan, its_lab = the_plan(Path(history.run.recipe_path), Path(history.run.lab))
-    found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes)
-    for line in what_is_known(history, len(plan.recipe.samples)):
-        out.print(Text(line))
-    for change in found.changes:
-        out.print(Text(f"Accepted: {change}."))
-    if out.is_terminal and options.simulation is None and not yes:
-        typer.confirm("Is the cell as described, and may the run go on?", abort=True)
+    with unwatched(), take_run(journal) as presence:  # before anything is read of it
+        history = checked_history(journal)
+        options = options_of(history, journal.parent, journal)
+        plan, its_lab = the_plan(*its_places(journal, history.run))
+        found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes, presence=presence)
+        for line in what_is_known(history, len(plan.recipe.samples)):
+            out.print(Text(line))
+        for change in found.changes:
+            out.print(Text(f"Accepted: {change}."))
+        person = the_person(operator, journal.parent.parent, is_asked=options.simulation is None)
+        options = replace(options, person=person)
+        if out.is_terminal and options.simulation is None and not yes:
+            typer.confirm("Is the cell as described, and may the run go on?", abort=True)
 
-    def make(control: "Control") -> "Session":
-        return Session(plan, its_lab, options, control=control, resumes=found)
+        def make(control: "Control") -> "Session":
+            return Session(plan, its_lab, options, control=control, resumes=found)
 
-    run_to_its_end(make, json_file)
+        run_to_its_end(make, json_file)
 
 
 @app.command()
@@ -110,18 +115,17 @@ def what_is_known(history: "History", samples: int) -> list[str]:
 
 
 def _tell(journal: Path, wish: "Wish", done: str) -> None:
-    """Leave a wish, and see that the run has heard it."""
+    """Say a wish to the process that has the run, and what it answers."""
     from scuhand_bt.journal.presence import is_held
-    from scuhand_bt.run.control import leave_wish
+    from scuhand_bt.run.control import HEARD, say_wish
 
-    if not is_held(journal):
-        err.print(Text(f"{journal.stem} is not running."))
+    try:
+        answer = say_wish(journal, wish)
+    except TimeoutError:
+        answer = "it does not answer"
+    if answer is None:
+        answer = "another process is about to begin or to resume it" if is_held(journal) else "it is not running"
+    if answer != HEARD:
+        err.print(Text(f"{journal.stem}: {answer}."))
         raise typer.Exit(ExitCode.BAD_INPUT)
-    leave_wish(journal, wish)
-    deadline = time.monotonic() + HEARD_S
-    while journal.with_suffix(".wish").exists():
-        if time.monotonic() > deadline or not is_held(journal):
-            err.print(Text(f"{journal.stem} does not answer."))
-            raise typer.Exit(ExitCode.BAD_INPUT)
-        time.sleep(0.02)
     out.print(Text(f"{journal.stem} {done}."))

@@ -1,27 +1,49 @@
 """What all commands share: the application, its two consoles, common options, and how errors end a command."""
 
 import io
+import json
+import os
+import queue
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
 
 import scuhand_bt
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import CATALOGUE, SkillFailed
-from scuhand_bt.problems import SourceError, nearest
+from scuhand_bt.problems import SourceError, harmless, nearest
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
+    from scuhand_bt.lab_state.beliefs import LabState
 
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+MOST_WAITING = 1000
+"""So many parts of the output may wait for who reads it; what comes then is left out."""
+LAST_WORDS_S = 2.0
+"""So long a program waits at its end for who reads its output."""
+
+
+class PlainConsole(Console):
+    """A console on which text is only text, wherever it comes from: no markup, and no command to the terminal."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(highlight=False, markup=False, emoji=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=harmless(segment.text, keep="\n"))
+
 
 app = typer.Typer(
     help="Scoop and dispense powders by recipe. Exit codes: "
@@ -31,8 +53,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+out = PlainConsole(width=None if sys.stdout.isatty() else 160)
+err = PlainConsole(stderr=True, soft_wrap=True)
 
 RecipeArgument = Annotated[Path, typer.Argument(help="A recipe file (YAML).", show_default=False)]
 LabOption = Annotated[
@@ -44,6 +66,10 @@ FaultsOption = Annotated[
 ]
 UnattendedFlag = Annotated[
     bool, typer.Option("--unattended", help="Nobody is there: refuse a plan that needs a person, never wait for one.")
+]
+OperatorOption = Annotated[
+    str | None,
+    typer.Option("--operator", metavar="NAME", help="Who is at the cell; a run on the cell asks without it."),
 ]
 NameArgument = Annotated[str | None, typer.Argument(help="Show this one in full.", show_default=False)]
 JsonFlag = Annotated[bool, typer.Option("--json", help="Write JSON to the standard output.")]
@@ -58,16 +84,21 @@ def main() -> None:
         app()
     except SourceError as error:
         for problem in error.problems:
-            err.print(Text(str(problem)))
+            _complain(str(problem))
         count = len(error.problems)
         if count > 1:
-            err.print(f"{count} problems; nothing was moved.")
+            _complain(f"{count} problems; nothing was moved.")
         sys.exit(ExitCode.BAD_INPUT)
     except SkillFailed as error:
         remedy = CATALOGUE[error.code].remedy if error.code in CATALOGUE else ""
-        err.print(Text(f"{error}. {remedy}".rstrip()))
+        _complain(f"{error}. {remedy}".rstrip())
         # No way, or nobody to ask, is found before anything moves; a device that does not answer is the cell's fault.
         sys.exit(ExitCode.BAD_INPUT if error.code.startswith(("arm.", "operator.")) else ExitCode.CELL_FAULT)
+
+
+def _complain(text: str) -> None:
+    with suppress(OSError):  # who cannot be told has the exit code
+        err.print(Text(text))
 
 
 def _version(wanted: bool) -> None:
@@ -87,7 +118,7 @@ def _options(
 
 @contextmanager
 def on_signals(stop: Callable[[], None], others: Mapping[signal.Signals, Callable[[], None]] = {}) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a closed terminal end a run safely instead of the process at once; `others` as they say."""
+    """Ctrl-C, SIGTERM and a closed terminal end what goes on safely, not the process at once; `others` as they say."""
     wishes = {**dict.fromkeys(END_SIGNALS, stop), **others}
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -101,6 +132,78 @@ def on_signals(stop: Callable[[], None], others: Mapping[signal.Signals, Callabl
             signal.signal(number, handler)
 
 
+class Beside(io.TextIOBase):
+    """A stream to whoever watches, which nobody waits for: it is written on a thread, and may vanish."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self.is_gone = stream is None
+        """Nobody is there any more."""
+        self._stream = stream
+        self._parts: queue.Queue[str | None] = queue.Queue(MOST_WAITING)
+        self._thread = threading.Thread(target=self._write, daemon=True, name="output")
+        self._thread.start()
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return getattr(self._stream, "encoding", None) or "utf-8"
+
+    def isatty(self) -> bool:
+        return self._stream is not None and self._stream.isatty()
+
+    def write(self, text: str) -> int:
+        if not self.is_gone:
+            with suppress(queue.Full):
+                self._parts.put_nowait(text)
+        return len(text)
+
+    def __enter__(self) -> "Beside":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        with suppress(queue.Full):
+            self._parts.put(None, timeout=LAST_WORDS_S)
+            self._thread.join(LAST_WORDS_S)
+
+    def _write(self) -> None:
+        put = self._putting()
+        while (part := self._parts.get()) is not None:
+            if not self.is_gone:
+                try:
+                    put(part)
+                except (OSError, ValueError):
+                    self.is_gone = True
+
+    def _putting(self) -> Callable[[str], object]:
+        """How a part is written: past the stream's own buffer, whose lock the program's end would wait for."""
+        if self._stream is None:
+            return lambda part: None
+        stream = self._stream
+        try:
+            stream.flush()
+            file = stream.fileno()
+        except (OSError, ValueError):
+            return lambda part: (stream.write(part), stream.flush())
+        errors = stream.errors or "strict"
+
+        def put(part: str) -> None:
+            left = memoryview(part.encode(self.encoding, errors))
+            while left:
+                left = left[os.write(file, left) :]
+
+        return put
+
+
+@contextmanager
+def unwatched() -> Iterator[None]:
+    """What is done in here goes on whatever becomes of the standard streams."""
+    before = sys.stdout, sys.stderr
+    with Beside(sys.stdout) as sys.stdout, Beside(sys.stderr) as sys.stderr:
+        try:
+            yield
+        finally:
+            sys.stdout, sys.stderr = before
+
+
 def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
     """The lab of `--lab`, else the nearest one upward from the recipe (or from here), else the starter lab."""
     from scuhand_bt.lab import find_lab, load_lab
@@ -108,9 +211,22 @@ def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
     return load_lab(find_lab(recipe, folder))
 
 
+def lab_state(lab: "Lab") -> "LabState":
+    """What was learnt and measured in a lab."""
+    from scuhand_bt.lab import state_folder
+    from scuhand_bt.lab_state.beliefs import LabState
+
+    return LabState(state_folder(lab))
+
+
+def print_json(values: object) -> None:
+    """Values as JSON on the standard output; what is not ASCII is escaped, so that nothing in it is lost or shown."""
+    out.file.write(json.dumps(values, indent=2) + "\n")
+
+
 def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
     """The error for a name that is not known, with the nearest that is."""
     known = sorted(known)
     meant = nearest(name, tuple(known))
     hint = f"; did you mean '{meant}'?" if meant else ""
-    return typer.BadParameter(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}")
+    return typer.BadParameter(harmless(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}"))

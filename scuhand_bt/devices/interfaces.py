@@ -115,6 +115,15 @@ class Hand(Device, Protocol):
     def cone_diameter_mm(self) -> float: ...
 
     @property
+    def knows_its_roller(self) -> bool:
+        """Whether `cone_diameter_mm` was followed since a person has seen the sheet, or is only what it may be."""
+        ...
+
+    def rolled_as_mounted(self) -> None:
+        """A person has rolled the sheet as it is mounted: `cone_diameter_mm` counts from there."""
+        ...
+
+    @property
     def opening_mm(self) -> float:
         """The valve's opening as its servo reports it."""
         ...

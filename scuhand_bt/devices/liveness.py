@@ -10,6 +10,10 @@ LIMIT_S = 0.07
 """Longer without a beat, and what moves is stopped: it stands within 100 ms. Waits beat every 20 ms."""
 
 
+class Hung(BaseException):
+    """Raised in whatever the run's thread does, once that has taken far too long: no skill is to catch it."""
+
+
 class Liveness:
     """The run's pulse. Until the first beat nobody is watched: a console without a run, a test."""
 
@@ -23,6 +27,11 @@ class Liveness:
     def end(self) -> None:
         """The run is over: nobody is watched any more."""
         self._last_s = None
+
+    @property
+    def last_s(self) -> float | None:
+        """When the tick was last alive, by the wall's clock; None where nobody is watched."""
+        return self._last_s
 
     @property
     def silent_s(self) -> float:

@@ -83,8 +83,9 @@ class ScuHand:
         self._chain = chain
         self._roller = roller
         self._clock = clock
-        self._at_zero_deg = self._cone(start_diameter_mm).roller_deg(spec) - self._roller_deg
-        """What the roller's angle counted from the flat sheet is at the servo's zero."""
+        self._start_diameter_mm = start_diameter_mm
+        self.rolled_as_mounted()
+        self.knows_its_roller = False
 
     @property
     def is_stopped(self) -> bool:
@@ -125,6 +126,12 @@ class ScuHand:
     def close(self) -> None:
         """Close the valve and the controller's port; the chain is the arm's to close."""
         self._controller.close()
+
+    def rolled_as_mounted(self) -> None:
+        """The cone has its start diameter now; what was believed of it before is given up."""
+        self._at_zero_deg = self._cone(self._start_diameter_mm).roller_deg(self.spec) - self._roller_deg
+        """What the roller's angle counted from the flat sheet is at the servo's zero."""
+        self.knows_its_roller = True
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         """Begin to change the cone's size, no faster than the hand's speed and than the roller's servo can."""

@@ -25,7 +25,7 @@ conventional ones, 0.03 % (2.5 g/cm3) to 0.06 % (1.6 g/cm3) less than mass (OIML
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 AGREEMENT = 4.0
@@ -33,6 +33,8 @@ AGREEMENT = 4.0
 SOUND_DIGITS_PER_S = 0.05
 """A sound balance that has warmed up drifts no faster (standard deviation), in digits: 3 in a minute. One that does is
 seen by A-B-A: the drift is in D and N with opposite signs."""
+SPAN_SHARE = 1e-5
+"""By how much a balance's span may differ (standard deviation) before and after it was off: 2 ppm/K over 5 K."""
 WALK_DIGITS = 1.0
 """Random walk of a sound balance's zero: standard deviation after a minute, in digits."""
 
@@ -101,17 +103,18 @@ def significant(drift: Drift, readability_mg: float) -> Drift:
     return Drift(0.0, min(drift.uncertainty, SOUND_DIGITS_PER_S * readability_mg))
 
 
-def mean_drift(before: Drift, after: Drift) -> Drift:
+def drift_of_dose(before: Drift, after: Drift, readability_mg: float) -> Drift:
     """During a dose, by the drift before it and after it.
 
-    Where they agree, their weighted mean; where they do not, anything between them is as likely.
+    Where they agree, their weighted mean, or none where that is no more than chance. Where they do not, it began or
+    ended in between, and may have been faster there than at either end: a creep that sets in when the valve opens is.
     """
     difference, chance = after.rate - before.rate, math.hypot(before.uncertainty, after.uncertainty)
     if abs(difference) > AGREEMENT * chance:
-        return Drift((before.rate + after.rate) / 2.0, math.hypot(chance / 2.0, difference / math.sqrt(12.0)))
+        return Drift((before.rate + after.rate) / 2.0, math.hypot(chance / 2.0, difference / math.sqrt(3.0)))
     weight = after.uncertainty**2 / chance**2
     rate = weight * before.rate + (1.0 - weight) * after.rate
-    return Drift(rate, before.uncertainty * after.uncertainty / chance)
+    return significant(Drift(rate, before.uncertainty * after.uncertainty / chance), readability_mg)
 
 
 def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, readability_mg: float) -> tuple[Net, Drift]:
@@ -122,7 +125,10 @@ def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, read
     """
     seen = [drift_between(one, two, readability_mg) for one, two in ((earlier, before), (after, later)) if one != two]
     unseen = Drift(0.0, SOUND_DIGITS_PER_S * readability_mg)
-    drift = significant(mean_drift(*seen) if len(seen) == 2 else seen[0] if seen else unseen, readability_mg)
+    if len(seen) == 2:
+        drift = drift_of_dose(seen[0], seen[1], readability_mg)
+    else:
+        drift = significant(seen[0], readability_mg) if seen else unseen
     duration_s = later.time_s - before.time_s
     mass_mg = later.gross_mg - before.gross_mg
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)
@@ -134,6 +140,33 @@ def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, read
     )
     twice_mg = shared.uncertainty_mg * math.sqrt(2.0 * duration_s / watched_s)
     return Net(mass_mg - drift.rate * duration_s, math.hypot(u_mg, twice_mg)), drift
+
+
+def standing(bare: Gross, loaded: Gross, readability_mg: float) -> Net:
+    """What stands on the pan, by the bare pan soon before it or after it; whatever the zero is."""
+    first, last = sorted((bare, loaded), key=lambda weighing: weighing.time_s)
+    drifted_mg = SOUND_DIGITS_PER_S * readability_mg * (last.time_s - first.time_s)
+    return Net(loaded.gross_mg - bare.gross_mg, math.hypot(apart_mg(first, last, readability_mg), drifted_mg))
+
+
+def held(empty: Net, full: Sequence[Net]) -> Net:
+    """What a container holds, by what it weighed empty, and what it weighs now: once, or about the bare pan (A-B-A).
+
+    Between the two its balance may have been off, and have another zero, as each is a difference by itself; and a
+    little other span, which counts with all of the container's mass. What the weighings of now differ by is a drift,
+    or a loss, which may have been anywhere between them.
+    """
+    masses_mg = [one.mass_mg for one in full]
+    drifted_mg = (max(masses_mg) - min(masses_mg)) / math.sqrt(12.0)
+    span_mg = SPAN_SHARE * empty.mass_mg
+    u_mg = math.hypot(empty.uncertainty_mg, max(one.uncertainty_mg for one in full), drifted_mg, span_mg)
+    return Net(sum(masses_mg) / len(full) - empty.mass_mg, u_mg)
+
+
+def total(nets: Iterable[Net]) -> Net:
+    """The sum of what shares no weighing."""
+    parts = list(nets)
+    return Net(sum(one.mass_mg for one in parts), math.hypot(*(one.uncertainty_mg for one in parts)))
 
 
 @dataclass(frozen=True, slots=True)

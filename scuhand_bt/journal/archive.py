@@ -26,6 +26,7 @@ from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.runs_index import Kept, read_index, stamps, write_index
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 RunState = Literal["running", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"]
@@ -56,8 +57,21 @@ class Summary:
 
 def summaries(folder: Path) -> list[Summary]:
     """All runs of a folder, the newest first; nothing is verified, and one that cannot be read says why."""
-    found = [(_began(path, one), one) for path in folder.glob("*.sqlite") for one in [summary(path)]]
-    return [one for _, one in sorted(found, key=lambda pair: pair[0], reverse=True)]
+    kept, now = read_index(folder), stamps(folder)
+    found: list[Summary] = []
+    news: dict[str, Kept] = {}
+    for name, stamp in now.items():
+        if stamp and name in kept and kept[name][0] == stamp:
+            found.append(Summary(**json.loads(kept[name][1])))
+            continue
+        one = summary(folder / name)
+        found.append(one)
+        if stamp and one.state not in ("running", "paused", "unreadable"):
+            news[name] = stamp, json.dumps(asdict(one))
+    gone = kept.keys() - now.keys()
+    if news or gone:
+        write_index(folder, news, gone)
+    return sorted(found, key=lambda one: _began(folder, one), reverse=True)
 
 
 def summary(path: Path) -> Summary:
@@ -156,7 +170,8 @@ def frames(contents: Contents, sample: str) -> list[dict[str, Any]]:
     return found
 
 
-def _began(path: Path, one: Summary) -> float:
+def _began(folder: Path, one: Summary) -> float:
     if one.started:
         return datetime.fromisoformat(one.started).timestamp()
+    path = folder / f"{one.id}.sqlite"
     return path.stat().st_mtime if path.exists() else 0.0

@@ -74,6 +74,8 @@ class RunBegun(Event):
     sources: dict[Text, SourceUsed] = Field(default_factory=dict)
     samples: list[SamplePlanned] | None = None
     operator: Text | None = None
+    signed: bool = False
+    """The operator has proven it by a PIN."""
     devices: dict[str, dict[str, JsonValue]] = Field(default_factory=dict)
     """Each device as `cell.yaml` has it."""
     version: str
@@ -81,6 +83,8 @@ class RunBegun(Event):
     libraries: dict[str, str] = Field(default_factory=dict)
     started: str
     """ISO 8601 with its offset from UTC."""
+    ledger: str | None = None
+    """The head of the lab's ledger before this run."""
 
 
 class Resumed(Event):
@@ -94,6 +98,8 @@ class Resumed(Event):
     """What had changed since, and was accepted."""
     version: str
     operator: Text | None = None
+    signed: bool = False
+    """The operator has proven it by a PIN."""
 
 
 class Paused(Event):
@@ -296,6 +302,27 @@ class PanCompared(Event, Weighing):
     """Its gross before."""
 
 
+class ContainerReweighed(Event):
+    """A resumed run has weighed the container that was on the pan about the bare pan, whatever the zero is by now."""
+
+    KIND: ClassVar = "container_reweighed"
+
+    container: Text
+    before: Weighing
+    """The pan as it was found."""
+    bare: Weighing
+    loaded: Weighing
+    """The container put back."""
+    held_mg: float
+    """What it holds, by what it weighed empty."""
+    uncertainty_mg: float
+    least_mg: float
+    most_mg: float
+    """What it can hold: what it held, and what the cone can have lost."""
+    counts: bool
+    """False: it was given up, and its sample fails."""
+
+
 class Settled(Event):
     """An action that had begun and not ended begins again, as its skill declares."""
 
@@ -325,6 +352,10 @@ class Answered(Event):
 
     question: Text
     answer: str
+    by: Text | None = None
+    """Who; None for a simulated person."""
+    signed: bool = False
+    """With this person's PIN."""
 
 
 ENGINE_EVENTS: tuple[type[Event], ...] = (
@@ -349,6 +380,7 @@ ENGINE_EVENTS: tuple[type[Event], ...] = (
     Decided,
     ArmMoved,
     PanCompared,
+    ContainerReweighed,
     Settled,
     Asked,
     Answered,

@@ -28,7 +28,7 @@ def canonical(journal: Path) -> str:
 
 def canonical_of(contents: Contents) -> str:
     """The export of what a journal holds as JSON text."""
-    return json.dumps(_export(contents), sort_keys=True, indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(_export(contents), sort_keys=True, indent=1) + "\n"
 
 
 def _export(contents: Contents) -> dict[str, Any]:

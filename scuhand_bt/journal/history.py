@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ _TOLD_BY = (
     *(NotResumable, Ended, Resumed),
 )
 _KINDS = tuple(event.KIND for event in _TOLD_BY)
+_OF_ACTIONS = (ActionStarted.KIND, ActionEnded.KIND, Decided.KIND)
 
 
 @dataclass
@@ -46,6 +48,7 @@ class JobHistory:
     failure: SkillFailed | None = None
     doses: list[Dose] = field(default_factory=list)
     actions: dict[Key, Recorded] = field(default_factory=dict)
+    """Of a job that is not over, as the decisions: nothing else is replayed."""
     decisions: dict[Key, Decision] = field(default_factory=dict)
     _last_failed: tuple[dict[Key, Any], Key, SkillFailed] | None = None
 
@@ -85,6 +88,8 @@ class History:
     """Run time of the last entry."""
     at: str = ""
     """Wall time of the last entry."""
+    head: str = ""
+    """The hash of the last entry: who goes on with the run goes on behind that one."""
     lost_world: str = ""
     """Why the simulated world could not be kept; empty where it was."""
     ended: Ended | None = None
@@ -118,15 +123,18 @@ def read_history(path: Path) -> History:
 def history_of(database: sqlite3.Connection) -> History:
     """The history that a journal's database tells."""
     history = History()
-    started: dict[int, tuple[JobHistory, Key]] = {}
     jobs: dict[int, JobHistory] = {}
+    acted: dict[int, list[tuple[int, int | None, str, str]]] = {}
+    last_state = "{}"
     marks = ", ".join("?" * len(_KINDS))
-    query = f"""SELECT seq, job, action, time_s, at, state, kind, CASE WHEN kind IN ({marks}) THEN payload END
+    query = f"""SELECT seq, job, action, time_s, at, state, kind, hash, CASE WHEN kind IN ({marks}) THEN payload END
         FROM entry ORDER BY seq"""
-    for seq, job_seq, action, time_s, at, state, kind, payload in database.execute(query, _KINDS):
-        history.time_s, history.at = time_s, at
-        if state is not None:
-            history.state = json.loads(state)
+    for seq, job_seq, action, time_s, at, state, kind, head, payload in database.execute(query, _KINDS):
+        history.time_s, history.at, history.head = time_s, at, head.hex()
+        last_state = state or last_state
+        if kind in _OF_ACTIONS:
+            acted.setdefault(job_seq, []).append((seq, action, kind, payload))
+            continue
         event = parsed(kind, json.loads(payload)) if payload is not None else None
         match event:
             case RunBegun():
@@ -144,13 +152,15 @@ def history_of(database: sqlite3.Connection) -> History:
             case Resumed():
                 history.ended = None
         if event is not None and job_seq in jobs:
-            _note(jobs[job_seq], event, seq, action, started)
+            _note(jobs[job_seq], event)
+    history.state = json.loads(last_state)
+    for job_seq, job in jobs.items():
+        if not job.is_over:
+            _note_actions(job, acted.get(job_seq, ()))
     return history
 
 
-def _note(
-    job: JobHistory, event: Event, seq: int, action: int | None, started: dict[int, tuple[JobHistory, Key]]
-) -> None:
+def _note(job: JobHistory, event: Event) -> None:
     """One entry within a job."""
     match event:
         case JobEnded():
@@ -160,17 +170,23 @@ def _note(
             job.outcome = job.failure = None
         case Dose():
             job.doses.append(event)
-        case ActionStarted():
-            key = event.path, event.visit
-            started[seq] = job, key
-            job.actions[key] = Recorded(event.skill, to_json(event.inputs), "started")
-        case ActionEnded() if action in started:
-            _, key = started[action]
-            before = job.actions[key]
-            job.actions[key] = Recorded(before.skill, before.inputs, event.outcome, event.code, event.result)
-            if event.failure is not None:
-                job._last_failed = job.actions, key, event.failure
-        case Decided():
-            key = event.path, event.visit
-            job.decisions[key] = Decision(event.failure, event.had_begun)
-            job._last_failed = job.decisions, key, event.failure
+
+
+def _note_actions(job: JobHistory, acted: Iterable[tuple[int, int | None, str, str]]) -> None:
+    """What the job's actions did and its nodes decided: entry, the entry of its action, kind, payload."""
+    started: dict[int | None, Key] = {}
+    for seq, action, kind, payload in acted:
+        match event := parsed(kind, json.loads(payload)):
+            case ActionStarted():
+                key = started[seq] = event.path, event.visit
+                job.actions[key] = Recorded(event.skill, to_json(event.inputs), "started")
+            case ActionEnded() if action in started:
+                key = started[action]
+                before = job.actions[key]
+                job.actions[key] = Recorded(before.skill, before.inputs, event.outcome, event.code, event.result)
+                if event.failure is not None:
+                    job._last_failed = job.actions, key, event.failure
+            case Decided():
+                key = event.path, event.visit
+                job.decisions[key] = Decision(event.failure, event.had_begun)
+                job._last_failed = job.decisions, key, event.failure

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from scuhand_bt.journal.hash_chain import COLUMNS, Entry
-from scuhand_bt.journal.writer import SCHEMA
+from scuhand_bt.journal.store import SCHEMA
 
 _JSON_OF_RUN = ("simulated", "seed", "libraries")
 """What version 1 kept of a run as JSON; the rest was plain text."""

@@ -5,6 +5,7 @@ The system frees the lock however the process ends.
 
 import fcntl
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
@@ -20,9 +21,19 @@ class Presence:
         self._lock = _locked(journal.with_suffix(".lock"))
 
     def end(self) -> None:
-        """Let go of the run."""
-        Path(self._lock.name).unlink(missing_ok=True)
-        self._lock.close()
+        """Let go of the run; once is enough."""
+        if not self._lock.closed:
+            path = Path(self._lock.name)
+            with suppress(OSError):  # gone already, or another's: only this one is taken away
+                if os.path.samestat(os.fstat(self._lock.fileno()), path.stat()):
+                    path.unlink()
+            self._lock.close()
+
+    def __enter__(self) -> "Presence":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.end()
 
 
 def _locked(path: Path) -> TextIO:
@@ -42,7 +53,7 @@ def _locked(path: Path) -> TextIO:
 def is_held(journal: Path) -> bool:
     """Whether a process runs this run now."""
     try:
-        with journal.with_suffix(".lock").open("r+") as lock:
+        with journal.with_suffix(".lock").open() as lock:  # which a folder that is only to be read allows
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: who only looks is not taken for who runs it
     except FileNotFoundError:
         return False

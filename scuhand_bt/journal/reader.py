@@ -5,17 +5,20 @@ counted as lost, and `Contents.verified` says so.
 """
 
 import json
+import os
+import shutil
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
 from scuhand_bt.journal.kinds import NewerShape
 from scuhand_bt.journal.migrations import MIGRATIONS, in_memory
-from scuhand_bt.journal.writer import SCHEMA_VERSION
+from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 _JSON_COLUMNS = ("inputs", "result", "payload", "state")
@@ -59,7 +62,7 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
         if not path.is_file():
             raise _problem(path, "there is no such journal")
         # Not only errors of SQLite: a damaged journal may hold anything.
-        with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)) as file:
+        with _readable(path) as uri, closing(sqlite3.connect(uri, uri=True, isolation_level=None)) as file:
             file.text_factory = lambda text: text.decode(errors="backslashreplace")
             version: int = file.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
@@ -84,18 +87,47 @@ def open_journal(path: Path) -> Iterator[tuple[sqlite3.Connection, int]]:
 
 
 @contextmanager
-def open_contents(path: Path, head: str | None = None) -> Iterator[Contents]:
-    """What a journal holds, verified; `head` is what its chain should end in. Raises SourceError as `open_journal`."""
+def open_verified(path: Path, head: str | None = None) -> Iterator[tuple[sqlite3.Connection, int, Verified]]:
+    """A journal's database, its version, and how far its chain is whole, all of one moment. Raises as `open_journal`.
+
+    Its views are the file's own: only the table of entries is verified.
+    """
     with open_journal(path) as (database, version):
         if version < SCHEMA_VERSION:
             count = database.execute("SELECT COUNT(*) FROM entry").fetchone()[0]
-            yield Contents(path, version, database, Verified(count, "", None))
+            yield database, version, Verified(count, "", None)
             return
         database.execute("BEGIN")  # a run that goes on writes meanwhile
-        verified = verify(database, head)
+        yield database, version, verify(database, head)
+
+
+@contextmanager
+def open_contents(path: Path, head: str | None = None) -> Iterator[Contents]:
+    """What a journal holds, verified; `head` is what its chain should end in. Raises SourceError as `open_journal`."""
+    with open_verified(path, head) as (database, version, verified):
+        if version < SCHEMA_VERSION:
+            yield Contents(path, version, database, verified)
+            return
         rows = database.execute(f"SELECT {COLUMNS}, hash FROM entry WHERE seq <= {verified.entries} ORDER BY seq")
         with closing(in_memory((Entry(*row[:-1]), row[-1]) for row in rows)) as whole:
             yield Contents(path, version, whole, verified)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[str]:
+    """The journal's file, by a URI that changes nothing.
+
+    To read the log that a killed run has left, SQLite wants a third file beside it: where that is not there and cannot
+    be made, the two are copied.
+    """
+    log, index = (path.with_name(path.name + suffix) for suffix in ("-wal", "-shm"))
+    with ExitStack() as opened:
+        if log.is_file() and not index.exists() and not os.access(path.parent, os.W_OK):
+            folder = Path(opened.enter_context(TemporaryDirectory()))
+            for part in (path, log):
+                shutil.copy(part, folder)
+            path = folder / path.name
+        yield f"{path.absolute().as_uri()}?mode=ro"
 
 
 def read(path: Path, table: str) -> list[dict[str, Any]]:

@@ -77,6 +77,11 @@ class SampleResult(Event):
         return is_well and any(dose.bracket == "open" for dose in self.doses)
 
     @property
+    def overshot_mg(self) -> float | None:
+        """By how much the worst of its doses is beyond its target, if that is beyond its tolerance too."""
+        return max((dose.error_mg for dose in self.doses if dose.error_mg > dose.tolerance_mg), default=None)
+
+    @property
     def is_good(self) -> bool:
         """All doses in tolerance and confirmed, or a workflow that was to dose nothing; and no failure."""
         wanted = "no dose" if self.target_mg is None else "in tolerance"

@@ -2,78 +2,57 @@
 
 It is one table of entries, which are only ever added, and chained by their hashes (`journal/hash_chain.py`). What a
 reader would rather see (jobs, actions, pulses, doses, events) are views of it.
+
+The file (`journal/store.py`) is written beside the run's tick: what happens is numbered and chained where it happens, a
+thread puts it on disk, in that order, and what may only begin once it is there waits for `waits`. A dry run, whose time
+stands still meanwhile, writes where it stands. A journal that is lost (removed, replaced, overtaken by another process,
+on a full disk) ends the run, and what happens until then is kept in a file elsewhere.
 """
 
 import json
 import sqlite3
+import threading
 import time
 import zlib
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
 from pydantic import JsonValue
 
+from scuhand_bt.clock import Signal, Wake
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.events import BracketClosed, ContainerLifted, Dose, DoseBegun, DoseWeighed, Event, Note
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
-from scuhand_bt.journal.hash_chain import COLUMNS, GENESIS, Entry, digest
+from scuhand_bt.journal.hash_chain import Entry, digest
 from scuhand_bt.journal.plain import to_json
+from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.record import RecordLost
 
-SCHEMA_VERSION = 2
 POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed)
 """What is weighed before powder falls or a container goes: what is believed then is written with it, in mid-action."""
 FLUSH_S = 0.5
 """Readings of the balance wait this long in memory, by the wall's time, before they are written down."""
-_ENDED = """
-    LEFT JOIN (SELECT {of} AS of, MAX(seq) AS seq FROM entry WHERE kind = '{of}_ended' GROUP BY {of}) AS last
-        ON last.of = began.seq
-    LEFT JOIN entry AS ended ON ended.seq = last.seq
-    WHERE began.kind = '{of}_started' ORDER BY began.seq"""
-SCHEMA = f"""
-CREATE TABLE entry (
-    seq INTEGER PRIMARY KEY, kind TEXT NOT NULL, job INTEGER, action INTEGER, time_s REAL NOT NULL, at TEXT NOT NULL,
-    payload TEXT NOT NULL, state TEXT, frames BLOB, hash BLOB NOT NULL) STRICT;
-CREATE TRIGGER entries_stay BEFORE UPDATE ON entry BEGIN SELECT RAISE(ABORT, 'entries are only added'); END;
-CREATE TRIGGER entries_last BEFORE DELETE ON entry BEGIN SELECT RAISE(ABORT, 'entries are only added'); END;
-CREATE VIEW run AS SELECT each.key AS key,
-    CASE WHEN each.type IN ('true', 'false', 'null') THEN each.type ELSE CAST(each.value AS TEXT) END AS value
-    FROM entry, json_each(entry.payload) AS each WHERE entry.kind = 'run';
-CREATE VIEW job AS SELECT began.seq AS id,
-    json_extract(began.payload, '$.name') AS name, json_extract(began.payload, '$.sample') AS sample,
-    json_extract(began.payload, '$.attempt') AS attempt, json_extract(began.payload, '$.workflow') AS workflow,
-    began.time_s AS started_s, ended.time_s AS ended_s, json_extract(ended.payload, '$.outcome') AS outcome,
-    json_extract(ended.payload, '$.code') AS code, json_extract(ended.payload, '$.detail') AS detail
-    FROM entry AS began {_ENDED.format(of="job")};
-CREATE VIEW action AS SELECT began.seq AS id, began.job AS job,
-    json_extract(began.payload, '$.path') AS path, json_extract(began.payload, '$.visit') AS visit,
-    json_extract(began.payload, '$.skill') AS skill, json_extract(began.payload, '$.inputs') AS inputs,
-    began.time_s AS started_s, ended.time_s AS ended_s,
-    COALESCE(json_extract(ended.payload, '$.outcome'), 'started') AS outcome,
-    json_extract(ended.payload, '$.code') AS code,
-    NULLIF(json_quote(json_extract(ended.payload, '$.result')), 'null') AS result
-    FROM entry AS began {_ENDED.format(of="action")};
-CREATE VIEW pulse AS SELECT seq AS id, action, time_s, payload FROM entry WHERE kind = 'pulse' ORDER BY seq;
-CREATE VIEW dose AS SELECT seq AS id, job, time_s, payload FROM entry WHERE kind = 'dose' ORDER BY seq;
-CREATE VIEW event AS SELECT seq AS id, action, time_s, kind, payload FROM entry
-    WHERE kind NOT IN ('run', 'job_started', 'job_ended', 'job_resumed', 'action_started', 'action_ended', 'pulse',
-        'dose', 'frames') ORDER BY seq;
-"""
-_INSERT = f"INSERT INTO entry ({COLUMNS}, hash) VALUES (?{', ?' * len(Entry._fields)})"
+LOOK_S = 0.25
+"""So often it is seen whether the journal's file is still there, and this run's."""
 
 
 class Journal:
-    """Writes one run, new or continued. Every call is on disk (committed) when it returns.
+    """Writes one run, new or continued.
 
-    `durable` is full fsync, for real runs; a dry run goes without. Every call may raise RecordLost, once: what
-    is told to a lost journal after that is dropped, so that the cell can still be made safe.
+    `durable` is full fsync, for real runs; a dry run goes without. Every call is committed when it returns, or, with
+    `is_beside`, waits for no disk (but for `settle` and `close`). Every call may raise RecordLost, once: what is told
+    to a lost journal after that goes to where it is `kept_in`, so that the cell can still be made safe. Raises OSError,
+    sqlite3.Error for a file that is none.
     """
 
     def __init__(self, path: Path, *, durable: bool) -> None:
         self.path = path
+        self.is_beside = False
+        """Whether a thread beside puts entries on disk; set where time is real."""
+        self.news = Signal()
+        """Fires when entries have come on disk, or never will."""
         self.before_commit: Callable[[], None] = lambda: None
         """Called before every write: a simulated world keeps itself, so that it is never older than the journal."""
         self.now_s: Callable[[], float] = lambda: 0.0
@@ -87,32 +66,58 @@ class Journal:
         """The action that is acting now; what devices record is its doing."""
         self.doses: list[Dose] = []
         """The doses of the current job."""
-        self._lost = False
+        self._lost: RecordLost | None = None
+        self._is_told = False
         self._state: Mapping[str, JsonValue] | None = None
         self._readings: deque[Reading] = deque()
         self._weighing: set[int] = set()
         self._flushed_at_s = time.monotonic()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._db = sqlite3.connect(path, isolation_level=None)
-        self._db.execute("PRAGMA journal_mode=WAL")
-        self._db.execute(f"PRAGMA synchronous={'FULL' if durable else 'OFF'}")
-        if self._db.execute("PRAGMA user_version").fetchone()[0] == 0:
-            self._db.executescript(f"BEGIN; {SCHEMA} PRAGMA user_version={SCHEMA_VERSION}; COMMIT;")
-        last = self._db.execute("SELECT seq, hash FROM entry ORDER BY seq DESC LIMIT 1").fetchone()
-        self._seq: int = last[0] if last else 0
-        self._head: bytes = last[1] if last else GENESIS
+        self._store: Store | None = Store(path, durable=durable)
+        self._seq, self._head = self._store.last
+        self._on_disk = self._seq
+        self._queue: list[tuple[Row, Event | Note | None]] = []
+        self._numbering = threading.Lock()
+        self._writing = threading.Lock()
+        self._wanted, self._closing = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._keep_writing, daemon=True, name="journal")
+        self._thread.start()
+
+    @property
+    def last(self) -> tuple[int, str]:
+        """The number and the hash of the last entry."""
+        with self._numbering:
+            return self._seq, self._head.hex()
 
     @property
     def head(self) -> str:
         """The hash of the last entry: who knows it can tell whether any entry is missing."""
         return self._head.hex()
 
+    @property
+    def kept_in(self) -> Path | None:
+        """Where all that has happened is: elsewhere than in `path` once that was lost, None where it is nowhere."""
+        return self._store.path if self._store is not None else None
+
+    def waits(self, seq: int | None = None) -> Wake | None:
+        """What is to be waited for until an entry (None: all there are) is on disk; None where it is."""
+        wake = Wake.on(self.news)
+        return None if self._on_disk >= (self._seq if seq is None else seq) else wake
+
+    def settle(self) -> None:
+        """Wait until all is on disk: only where nothing moves. Raises RecordLost, once, where it cannot be."""
+        self._write()
+        self._raise_lost()
+
+    def keep_up(self) -> None:
+        """To be called all through a run: readings that have waited are written, and a lost journal is said to be."""
+        self.flush(FLUSH_S)
+        self._raise_lost()
+
     def event(self, event: Event | Note) -> None:
         """Anything that happens within the job and the action that are at work, or beside them."""
         if isinstance(event, Dose):
             self.doses.append(event)
-        self._append(event, with_state=isinstance(event, POINTS_OF_NO_RETURN))
-        self.heard(event)
+        self._append(event, with_state=isinstance(event, POINTS_OF_NO_RETURN), is_told=True)
 
     def job_started(self, event: JobStarted) -> None:
         self.job = self.action = None
@@ -163,23 +168,66 @@ class Journal:
         self.action = max(self._weighing, default=None)
         self._append(Frames(readings=len(lines)), frames=frames)
 
-    def _append(self, event: Event | Note, *, with_state: bool = False, frames: bytes | None = None) -> int:
-        if self._lost:
-            return self._seq
-        self.before_commit()  # first, for it may have something to say itself
-        kind, payload = event.entry()
-        state = self._changed_state() if with_state else None
-        at = datetime.now().astimezone().isoformat(timespec="milliseconds")
-        seq = self._seq + 1
-        entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
-        head = digest(self._head, entry)
-        try:
-            self._db.execute(_INSERT, (*entry, head))
-        except sqlite3.Error as error:
-            self._lost = True
-            raise RecordLost(f"the journal {self.path} cannot be written any more: {error}") from error
-        self._seq, self._head = seq, head
+    def _append(
+        self, event: Event | Note, *, with_state: bool = False, frames: bytes | None = None, is_told: bool = False
+    ) -> int:
+        if self._lost is None:
+            self.before_commit()  # first, for it may have something to say itself
+        with self._numbering:
+            kind, payload = event.entry()
+            state = self._changed_state() if with_state else None
+            at = datetime.now().astimezone().isoformat(timespec="milliseconds")
+            seq = self._seq + 1
+            entry = Entry(seq, kind, self.job, self.action, self.now_s(), at, payload, state, frames)
+            self._seq, self._head = seq, digest(self._head, entry)
+            self._queue.append(((entry, self._head), event if is_told else None))
+        if self.is_beside:
+            self._wanted.set()
+        else:
+            self._write()
+        self._raise_lost()
         return seq
+
+    def _keep_writing(self) -> None:
+        while not self._closing.is_set():
+            self._wanted.wait(LOOK_S)
+            self._wanted.clear()
+            self._write()
+
+    def _write(self) -> None:
+        """Put on disk what waits, or see that the file is still there to take more."""
+        with self._writing:
+            with self._numbering:
+                waiting, self._queue = self._queue, []
+            rows = [row for row, _ in waiting]
+            try:
+                if self._store is not None and rows:
+                    self._store.add(rows)
+                elif self._store is not None:
+                    self._store.look()
+            except (RecordLost, sqlite3.Error, OSError) as why:
+                self._lose(why, rows)
+            if rows:
+                self._on_disk = rows[-1][0].seq
+        for _, event in waiting:
+            if event is not None:
+                self.heard(event)
+        if self.is_beside and rows:
+            self.news.fire()
+
+    def _lose(self, why: Exception, rows: Sequence[Row]) -> None:
+        assert self._store is not None
+        before, self._store = self._store, self._store.moved(rows)
+        before.close()
+        if self._lost is None:
+            where = f"what happened is in {self.kept_in}" if self.kept_in else "what happens now is kept nowhere"
+            self._lost = RecordLost(f"the journal {self.path} cannot be written any more: {why}; {where}")
+        self.news.fire()
+
+    def _raise_lost(self) -> None:
+        if self._lost is not None and not self._is_told:
+            self._is_told = True
+            raise self._lost
 
     def _changed_state(self) -> str | None:
         state = self.state()
@@ -189,10 +237,15 @@ class Journal:
         return to_json(state)
 
     def close(self) -> None:
-        """The journal is one file again, which may be copied as it is."""
-        with suppress(sqlite3.Error):
-            self._db.execute("PRAGMA journal_mode=DELETE")
-        self._db.close()
+        """Wait until all is on disk; the journal is one file again, which may be copied as it is. Once is enough."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        self._wanted.set()
+        self._thread.join()
+        self._write()
+        if self._store is not None:
+            self._store.close()
 
     def discard(self) -> None:
         """The run did not come about: no journal of it."""

@@ -1,14 +1,14 @@
 """What is learnt is kept: beliefs about powders and balances, and what was measured of these, in `.scuhand/lab.db`.
 
 Rows are only ever added; the last one of a name counts, the others are its history; one without a value says that
-what was known is forgotten. What is known of a balance belongs to its `Cell.balance_name`. What was learnt from
-simulated devices is kept apart, and never read by a run: a real run must not believe a simulation, and a
-dry run of one seed must not depend on the runs before it.
+what was known is forgotten. What is known of a balance belongs to its `Cell.balance_name`, and what doses have taught
+of it is believed for `BALANCE_BELIEVED_FOR`. What was learnt from simulated devices is kept apart, and never read by a
+run: a real run must not believe a simulation, and a dry run of one seed must not depend on the runs before it.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -19,6 +19,8 @@ from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 FORGOTTEN = "null"
 """In the place of a belief."""
+BALANCE_BELIEVED_FOR = timedelta(days=7)
+"""Nobody tells a program that a filter was set otherwise: what is older than this is learnt anew, by one small dose."""
 
 B = TypeVar("B", PowderBelief, BalanceBelief)
 
@@ -38,6 +40,10 @@ class Learnt(Generic[B]):
     def origin(self) -> str:
         """Where it comes from, in a word."""
         return f"version {self.version}, {self.run}{', SIMULATED' if self.simulated else ''}"
+
+    def is_older_than(self, age: timedelta, now: datetime) -> bool:
+        """Whether it was learnt longer ago than that."""
+        return now - datetime.fromisoformat(self.at) > age
 
 
 @dataclass(frozen=True)
@@ -82,12 +88,12 @@ class LabState:
                 found[balance] = known if value is None else {**known, figure: Measured(value, says, at)}
             return {balance: known for balance, known in found.items() if known}
 
-    def recall(self, cell: Cell) -> None:
-        """Give a real cell what was learnt on real devices."""
-        cell.powder_beliefs |= {name: learnt.belief for name, learnt in self.powders(simulated=False).items()}
+    def recall(self, cell: Cell, now: datetime) -> None:
+        """Give a real cell what was learnt on real devices, and let it believe nothing else of powders and balance."""
+        cell.powder_beliefs = {name: learnt.belief for name, learnt in self.powders(simulated=False).items()}
         balance = self.balances(simulated=False).get(cell.balance_name)
-        if balance is not None:
-            cell.balance_belief = balance.belief
+        is_known = balance is not None and not balance.is_older_than(BALANCE_BELIEVED_FOR, now)
+        cell.balance_belief = balance.belief if balance is not None and is_known else BalanceBelief()
         delay = self.figures(simulated=False).get(cell.balance_name, {}).get("delay_s")
         cell.known_delay_s = delay.value if delay is not None else None
 
@@ -111,6 +117,8 @@ class LabState:
             news.append(("balance", name, belief))
         figures = [(name, figure, value) for figure, value in cell.balance_figures.items()]
         written = [(kind, name, belief.model_dump_json()) for kind, name, belief in news]
+        if not belief.fits and name in balances and not cell.simulated:  # it was given up, or was too old
+            written.append(("balance", name, FORGOTTEN))
         self._write(written, figures, simulated=cell.simulated, says=run)
 
     def forget_balances(self) -> list[str]:
@@ -123,6 +131,12 @@ class LabState:
             says=f"operator {user_name()}",
         )
         return sorted({*learnt, *figures})
+
+    def forget_powders(self, name: str) -> list[str]:
+        """Believe nothing any more of a powder lot, or of all lots of a powder; their names."""
+        lots = [lot for lot in self.powders(simulated=False) if lot == name or lot.startswith(f"{name}/")]
+        self._write([("powder", lot, FORGOTTEN) for lot in lots], [], simulated=False, says=f"operator {user_name()}")
+        return lots
 
     def _write(
         self,

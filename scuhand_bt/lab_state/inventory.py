@@ -5,7 +5,7 @@ corrects it with `scuhand-bt inventory set`. Rows are only ever added: the last 
 its history. What was simulated is kept apart, and never read by a run.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_mass
 
 StockKind = Literal["station", "cone", "sheet", "changer", "container"]
+_COLUMNS = "kind, name, powder, lot, mass_mg, used, run, operator, at, reason"
 STOCK_KINDS: tuple[StockKind, ...] = ("station", "cone", "sheet", "changer", "container")
 
 
@@ -36,6 +37,8 @@ class StockEntry:
     run: str | None = field(default=None, compare=False)
     operator: str | None = field(default=None, compare=False)
     at: str = field(default="", compare=False)
+    reason: str | None = field(default=None, compare=False)
+    """Why an operator has corrected it, if that was said."""
 
     @property
     def lot_key(self) -> str:
@@ -83,7 +86,7 @@ class Inventory:
             if database is None:
                 return {}
             rows = database.execute(
-                "SELECT kind, name, powder, lot, mass_mg, used, run, operator, at FROM inventory WHERE id IN "
+                f"SELECT {_COLUMNS} FROM inventory WHERE id IN "
                 "(SELECT max(id) FROM inventory WHERE cell = ? AND simulated = ? GROUP BY kind, name)",
                 (self._cell, simulated),
             )
@@ -93,35 +96,46 @@ class Inventory:
             }
 
     def keep(self, cell: Cell, run: str) -> str | None:
-        """Write what has changed of a run's belief since it was last written; what went wrong, or None.
+        """Write what has changed of a run's belief since it was last written; what went wrong, or None."""
+        return self.keeping(cell, run)()
 
-        What an operator has corrected meanwhile stands until the run itself changes it.
-        """
-        try:
-            kept = self._kept.setdefault(cell.simulated, dict(self.stock(simulated=cell.simulated)))
-            news = [entry for entry in _believed(cell) if kept.get((entry.kind, entry.name)) != entry]
-            if news:
-                self._write(news, cell.simulated, run, None)
-            kept |= {(entry.kind, entry.name): entry for entry in news}
-        except SourceError as error:
-            return str(error)
-        return None
+    def keeping(self, cell: Cell, run: str) -> Callable[[], str | None]:
+        """As `keep`, of what is believed now, to be called where nobody waits for a disk."""
+        believed, simulated = list(_believed(cell)), cell.simulated
 
-    def enter(self, entry: StockEntry) -> None:
-        """An operator's correction, of the real cell."""
-        self._write([entry], False, None, user_name())
+        def keep() -> str | None:
+            try:
+                kept = self._kept.setdefault(simulated, dict(self.stock(simulated=simulated)))
+                news = [entry for entry in believed if kept.get((entry.kind, entry.name)) != entry]
+                if news:
+                    self._write(news, simulated, run, None)
+                kept |= {(entry.kind, entry.name): entry for entry in news}
+            except SourceError as error:
+                return str(error)
+            return None
+
+        return keep
+
+    def enter(self, entry: StockEntry, operator: str | None = None) -> None:
+        """A correction of the real cell, by this operator, or the user of the computer."""
+        self._write([entry], False, None, operator or user_name())
+
+    def corrections(self) -> list[StockEntry]:
+        """All that operators have corrected, in order."""
+        with lab_db(self._folder, write=False) as database:
+            query = f"SELECT {_COLUMNS} FROM inventory WHERE cell = ? AND operator IS NOT NULL ORDER BY id"
+            return [StockEntry(*row) for row in database.execute(query, (self._cell,))] if database is not None else []
 
     def _write(self, entries: Iterable[StockEntry], simulated: bool, run: str | None, operator: str | None) -> None:
         at = datetime.now().astimezone().isoformat(timespec="seconds")
         rows = [
-            (self._cell, simulated, e.kind, e.name, e.powder, e.lot, e.mass_mg, e.used, run, operator, at)
+            (self._cell, simulated, e.kind, e.name, e.powder, e.lot, e.mass_mg, e.used, run, operator, at, e.reason)
             for e in entries
         ]
         with lab_db(self._folder, write=True, durable=not simulated) as database:
             assert database is not None
             database.executemany(
-                "INSERT INTO inventory (cell, simulated, kind, name, powder, lot, mass_mg, used, run, operator, at) "
-                "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                f"INSERT INTO inventory (cell, simulated, {_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 rows,
             )
 

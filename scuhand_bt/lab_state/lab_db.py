@@ -1,4 +1,5 @@
-"""The lab's own small database, `.scuhand/lab.db`: what was learnt and measured, and the inventory.
+"""The lab's own small database, `.scuhand/lab.db`: what was learnt and measured, the inventory, the ledger, and who
+signs with a PIN.
 
 Its schema is versioned (`PRAGMA user_version`). Opening it brings an older one up to date, in place and as one
 transaction; one that a newer program has written is left alone. Rows are only ever added.
@@ -30,6 +31,16 @@ MIGRATIONS = (
         id INTEGER PRIMARY KEY, balance TEXT NOT NULL, figure TEXT NOT NULL,
         simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)), value REAL, says TEXT NOT NULL, at TEXT NOT NULL) STRICT
     """,
+    """
+    CREATE TABLE ledger (
+        number INTEGER PRIMARY KEY, at TEXT NOT NULL, run TEXT NOT NULL, occasion TEXT NOT NULL,
+        entries INTEGER NOT NULL, head TEXT NOT NULL, key TEXT, hash TEXT NOT NULL, signature TEXT) STRICT
+    """,
+    """
+    CREATE TABLE person (
+        number INTEGER PRIMARY KEY, name TEXT NOT NULL, at TEXT NOT NULL, salt BLOB NOT NULL, hash BLOB NOT NULL) STRICT
+    """,
+    "ALTER TABLE inventory ADD COLUMN reason TEXT",
 )
 """One statement for each version of the schema, from the one before."""
 FILE = "lab.db"

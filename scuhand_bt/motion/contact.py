@@ -15,7 +15,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
@@ -100,6 +99,8 @@ def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floa
     leg = np.clip(np.searchsorted(corners_s, times_s, side="right") - 1, 0, len(legs_s) - 1)
     share = np.clip((times_s - corners_s[leg]) / np.maximum(legs_s[leg], 1e-12), 0.0, 1.0)[:, None]
     raw = np.hstack([positions_m[leg] * (1 - share) + positions_m[leg + 1] * share, _turned(axes, leg, share)])
+    from scipy.ndimage import uniform_filter1d  # which not every command has to load
+
     for _ in range(2):
         raw = uniform_filter1d(raw, width, axis=0, mode="nearest")
     # The averages are taken finely; cubics through every fourth of their values follow them to micrometres.

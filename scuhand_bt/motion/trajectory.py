@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from scuhand_bt.motion.kinematics import Floats
 
@@ -146,5 +145,7 @@ def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:
 
 def through(times_s: Floats, positions: Floats) -> JointTrajectory:
     """The smoothest cubics through samples (m, n) of a motion that begins and ends at rest."""
+    from scipy.interpolate import CubicSpline  # half a second, which not every command has to spend
+
     spline = CubicSpline(times_s, positions, axis=0, bc_type="clamped")
     return JointTrajectory(times_s, np.ascontiguousarray(spline.c[::-1]))

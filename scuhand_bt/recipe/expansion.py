@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from scuhand_bt.problems import Mark, Problems
+from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.recipe.table import read_table
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
@@ -12,8 +12,11 @@ MAX_SAMPLES = 20_000
 """The most that one recipe may have."""
 
 
-def expand(node: Node, folder: Path, problems: Problems) -> Iterator[Entries]:
-    """One entry of `samples` as the samples it stands for: the rows of a table, lists, repeats."""
+def expand(node: Node, folder: Path, lab: Path, problems: Problems) -> Iterator[Entries]:
+    """One entry of `samples` as the samples it stands for: the rows of a table, lists, repeats.
+
+    A table is named from the recipe's `folder`, and stands there or in the `lab`.
+    """
     if not isinstance(node, Entries):
         problems.add(node.mark, f"{describe(node)} is no sample", "- {id: …, container: …, mass: …}")
         return
@@ -22,6 +25,9 @@ def expand(node: Node, folder: Path, problems: Problems) -> Iterator[Entries]:
         yield from _expand_lists(node, problems)
     elif not isinstance(table, Scalar) or not table.text:
         problems.add(table.mark, f"'table': {describe(table)} is no file name")
+    elif not _is_within(folder / table.text, folder, lab):
+        what = f"'{shorten(table.text, 120)}' is neither in the recipe's folder nor in the lab"
+        problems.add(table.mark, what, "a recipe reads no other file: put the table beside it")
     else:
         shared = node.without("table")
         rows = read_table(folder / table.text, table.mark, problems)
@@ -33,6 +39,14 @@ def expand(node: Node, folder: Path, problems: Problems) -> Iterator[Entries]:
             if "table" in row.keys:
                 problems.add(row.keys["table"], "a table cannot name another table")
             yield from _expand_lists(_merge(shared, row), problems)
+
+
+def _is_within(path: Path, *folders: Path) -> bool:
+    """Whether a file is in one of these, by whatever links."""
+    try:
+        return any(path.resolve().is_relative_to(folder.resolve()) for folder in folders)
+    except (OSError, ValueError, RuntimeError):  # a name with a NUL, links in a circle
+        return False
 
 
 def _merge(shared: Entries, row: Entries) -> Entries:

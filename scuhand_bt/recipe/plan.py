@@ -224,6 +224,6 @@ class _Forecaster:
         try:
             forecast = self._library.skills[node.name].forecast(inputs, self._lab.cell)
             return _Expected(forecast.duration_s, forecast.person, node.mark)
-        except Exception as error:  # the lab's own code
+        except (Exception, SystemExit) as error:  # the lab's own code
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
             raise SourceError([Problem(node.mark, shorten(what, 200))]) from error

@@ -1,7 +1,6 @@
 """Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
 
 import hashlib
-import re
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -15,6 +14,8 @@ from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
+from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
+from scuhand_bt.recipe.identity import Ids, wrong_id
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
 from scuhand_bt.recipe.takes import Take, sources_of, takes_of
 from scuhand_bt.specs import Container, Positive, Source, Spec
@@ -38,9 +39,12 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
     "otherwise": "stop",
 }
 ORDERS = ("by_powder", "as_written")
-RECIPE_KEYS = ("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples", "on_failure")
-_ID = re.compile(r"\w[\w.+-]{0,63}")
-_ID_ALLOWED = "letters, digits and . _ - +, at most 64, beginning with a letter or digit"
+OVERSHOOT_LIMIT = 2
+"""One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
+RECIPE_KEYS = (
+    *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
+    *("on_failure", "overshoot_limit"),
+)
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ class Recipe:
     sources: Mapping[str, Source]
     samples: tuple[Sample, ...]
     on_failure: Mapping[str, Action]
+    overshoot_limit: int
+    """So many samples in a row that overshot stop the batch; 0: none does."""
     marks: Mapping[str, Mark]
     """Where what is questioned later stands, by its keys: `sources.NAME`, `sources.NAME.amount`, `samples.ID.KEY`,
     `on_failure.CODE`."""
@@ -129,18 +135,21 @@ class _Reader:
         ]
         if "sources" not in root.keys and needed:
             self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
-        on_failure = self._read_on_failure(root.get("on_failure"))
+        on_failure, limit = self._read_on_failure(root.get("on_failure")), self._read_overshoot_limit(root)
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
         check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
-        return Recipe(self.path, self.text, name, order, controller, sources, tuple(samples), on_failure, self.marks)
+        whole = tuple(samples)
+        return Recipe(self.path, self.text, name, order, controller, sources, whole, on_failure, limit, self.marks)
 
     def _name(self, root: Entries) -> str:
         name = self._word(root, "recipe") or self.path.stem
-        if not _ID.fullmatch(name):
+        if (wrong := wrong_id(name)) is not None:
             mark = root.values["recipe"].mark if "recipe" in root.values else root.mark
-            self.problems.add(mark, f"'{shorten(name)}' is no name for a recipe", _ID_ALLOWED)
+            what, allowed = wrong
+            what = "is no name for a recipe" if allowed == ID_ALLOWED else what
+            self.problems.add(mark, f"'{shorten(name)}' {what}", allowed)
         return name
 
     def _word(self, node: Entries, key: str) -> str | None:
@@ -234,8 +243,9 @@ class _Reader:
         if default_workflow is not None:
             self._workflow(default_workflow)
         samples: list[Sample] = []
-        seen: dict[str, Mark] = {}
-        expanded = (one for item in node.items for one in expand(item, self.path.parent, self.problems))
+        ids = Ids()
+        folder, lab = self.path.parent, self.lab.folder
+        expanded = (one for item in node.items for one in expand(item, folder, lab, self.problems))
         entries = list(islice(expanded, MAX_SAMPLES + 1))
         if len(entries) > MAX_SAMPLES:
             self.problems.add(
@@ -244,15 +254,11 @@ class _Reader:
             return []
         for entry in entries:
             sample = self._read_sample(entry, defaults, default_workflow, sources)
-            id_node = entry.get("id")
-            if isinstance(id_node, Scalar) and id_node.text:
-                if id_node.text in seen:
-                    first = seen[id_node.text]
-                    where = f"line {first.line}" if first.file == id_node.mark.file else str(first)
-                    self.problems.add(id_node.mark, f"the id '{shorten(id_node.text)}' is taken", f"first in {where}")
-                seen.setdefault(id_node.text, id_node.mark)
-            if sample is not None:
-                samples.append(sample)
+            if sample is None:
+                continue
+            samples.append(sample)
+            if sample.id and (clash := ids.add(sample.id, entry.values["id"].mark)) is not None:
+                self.problems.add(entry.values["id"].mark, *clash)
         inputs = {name for workflow in self.workflows.values() for name in workflow.inputs}
         for key, mark in defaults.keys.items():
             if self.workflows and key not in inputs:
@@ -325,8 +331,9 @@ class _Reader:
             self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own")
             return ""
         text = node.text if isinstance(node, Scalar) else None
-        if text is None or not _ID.fullmatch(text):
-            self.problems.add(node.mark, f"{describe(node)} is no id", _ID_ALLOWED)
+        what, allowed = ("is no id", ID_ALLOWED) if text is None else wrong_id(text) or ("", "")
+        if text is None or what:
+            self.problems.add(node.mark, f"{describe(node)} {what}", allowed)
             return ""
         return text
 
@@ -383,3 +390,13 @@ class _Reader:
             else:
                 policy[code] = action  # type: ignore[assignment]
         return policy
+
+    def _read_overshoot_limit(self, root: Entries) -> int:
+        text = self._word(root, "overshoot_limit")
+        if text is None:
+            return OVERSHOOT_LIMIT
+        if not (text.isascii() and text.isdigit() and len(text) <= 6):
+            what = f"'overshoot_limit': '{shorten(text)}' is no number of samples"
+            self.problems.add(root.values["overshoot_limit"].mark, what, "2, or 0 for no limit")
+            return OVERSHOOT_LIMIT
+        return int(text)

@@ -39,7 +39,7 @@ def plot_dose(points: Sequence[Point], target_mg: float, tolerance_mg: float, pa
     mass.set_ylabel("mass [mg]")
     near.set_ylabel("near the\ntarget [mg]")
     mass.legend(loc="lower right", frameon=False)
-    mass.set_title(title or f"dose of {target_mg:g} mg", loc="left")
+    mass.set_title(title or f"dose of {target_mg:g} mg", loc="left", parse_math=False)
     valve.step(times_s, [point[2] for point in points], where="post", color="#444444", label="opening")
     valve.set_ylabel("opening [mm]")
     valve.set_ylim(0.0, 1.1 * max(0.1, *(point[2] for point in points)))

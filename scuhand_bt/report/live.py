@@ -43,7 +43,7 @@ _STATUS = {
 
 
 class PlainLines(BatchObserver):
-    """The batch as plain lines, for a log: one for every sample that has ended."""
+    """The batch as plain lines, for a log: one for every sample that ends."""
 
     def __init__(self, write: Callable[[str], None], total: int) -> None:
         self._write = write
@@ -59,6 +59,9 @@ class PlainLines(BatchObserver):
             return
         self._ended.add(result.id)
         self._write(f"[{len(self._ended)}/{self._total}] {result.id}: {_in_words(result)}")
+
+    def sample_known(self, result: SampleResult) -> None:
+        self._ended.add(result.id)
 
 
 class LiveView(BatchObserver):
@@ -121,7 +124,7 @@ class LiveView(BatchObserver):
         name = self._job.name if self._job is not None else ""
         parts: list[RenderableType] = [
             progress,
-            Panel(tree, title=name, title_align="left"),
+            Panel(tree, title=Text(name), title_align="left"),
             status,
         ]
         if self._results:

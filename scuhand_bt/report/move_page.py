@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -102,7 +103,7 @@ def _draw_cell(figure: go.Figure, meshes: CellMeshes, move: ShownMove) -> None:
                 opacity=0.22,
                 flatshading=True,
                 hoverinfo="name",
-                name=mesh.name,
+                name=escape(mesh.name),
             )
         )
         ends_mm = np.full((len(mesh.edges), 3, 3), np.nan)

@@ -95,7 +95,7 @@ def _map(cell: CellSpec, heights_mm: dict[str, list[int]], offset_m: float) -> g
         sides = {"x0": y - wide / 2, "x1": y + wide / 2, "y0": x - deep / 2, "y1": x + deep / 2}
         figure.add_shape(type=kind, **sides, **solid)
         if min(deep, wide) > _WRITTEN_MM:
-            figure.add_annotation(x=y, y=x + deep / 2, text=obstacle.name, showarrow=False, yanchor="bottom")
+            figure.add_annotation(x=y, y=x + deep / 2, text=escape(obstacle.name), showarrow=False, yanchor="bottom")
     r = _BASE_RADIUS_MM
     figure.add_shape(type="circle", x0=-r, x1=r, y0=-r, y1=r, fillcolor="#555", line_width=0)
     figure.add_annotation(x=0, y=0, text="arm", showarrow=False, font_color="#fff")
@@ -105,7 +105,7 @@ def _map(cell: CellSpec, heights_mm: dict[str, list[int]], offset_m: float) -> g
             x=[station.position_mm[1] for station in stations],
             y=[station.position_mm[0] for station in stations],
             mode="markers+text",
-            text=[f"<b>{station.name}</b>" for station in stations],
+            text=[f"<b>{escape(station.name)}</b>" for station in stations],
             textposition="top center",
             marker={
                 "size": 13,

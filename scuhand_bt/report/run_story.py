@@ -84,7 +84,8 @@ def _event(kind: str, values: Mapping[str, Any]) -> str:
         case Asked():
             return f"asked: {event.question} [{'/'.join(event.choices)}]"
         case Answered():
-            return f"answered: {event.answer}"
+            by = f", by {event.by}" + (", with PIN" if event.signed else "") if event.by is not None else ""
+            return f"answered: {event.answer}{by}"
         case Resumed():
             changes = "".join(f"; accepted: {change}" for change in event.changes)
             return f"resumed by {event.operator}; the last entry before was of {event.last_at}{changes}"

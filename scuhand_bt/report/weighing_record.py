@@ -1,7 +1,7 @@
 """The weighing record of a run, for an audit: a table with one row for every weighing that something rests on.
 
-It is comma-separated, with a decimal point and CRLF (RFC 4180). A text that a spreadsheet would take for a
-formula gets an apostrophe in front.
+It is comma-separated, with a decimal point and CRLF (RFC 4180), every cell in quotes. What a spreadsheet would take for
+a formula, also where it splits at a semicolon, gets an apostrophe in front.
 
 A net mass is gross less tare less drift. A dose's tare is what the container weighed just before the valve opened,
 less what earlier doses had brought of the same powder. A `result` is what is said of a dose at the end, adjusted to the
@@ -10,6 +10,7 @@ bare pan behind its container where that confirms it (`bracket`). They stand las
 
 import csv
 import io
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -27,10 +28,11 @@ from scuhand_bt.events import (
     Weighing,
     WeightChecked,
 )
-from scuhand_bt.journal.events import JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
+from scuhand_bt.journal.events import ContainerReweighed, JobStarted, PanCompared, Resumed, RunBegun, SourceUsed
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.problems import harmless
 
 CONVENTION = (
     "absolute; in tolerance means |net - target| <= tolerance - 2 standard uncertainties of the net mass (guard band), "
@@ -44,13 +46,13 @@ COLUMNS = (
     "bracket", "true_mg", "failure_code", "source", "powder", "lot", "sheet",
     "sheet_powder", "controller", "software", "entry", "entry_hash",
 )  # fmt: skip
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+_FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
 
 
 def weighing_record(contents: Contents) -> str:
     """The record as CSV. Masses are in mg; the lines are the balance's own, as they came, in `lines_unit`."""
     text = io.StringIO()
-    table = csv.DictWriter(text, COLUMNS, restval="")
+    table = csv.DictWriter(text, COLUMNS, restval="", quoting=csv.QUOTE_ALL)
     table.writeheader()
     for row in _rows(contents):
         table.writerow({name: _cell(value) for name, value in row.items()})
@@ -65,8 +67,7 @@ def _cell(value: object) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.4f}"
-    text = str(value)
-    return f"'{text}" if text.lstrip(" ").startswith(_FORMULA) and not isinstance(value, int) else text
+    return str(value) if isinstance(value, int) else _FORMULA.sub(r"\1'", harmless(str(value)))
 
 
 def _rows(contents: Contents) -> Iterator[dict[str, object]]:
@@ -212,6 +213,9 @@ def _weighed(
             return row | {"standard_uncertainty_mg": bare.uncertainty_mg}
         case Reweighed():
             return _gross(event) | {"weighing": "after an interruption", "net_mg": event.arrived_mg}
+        case ContainerReweighed():
+            row = _between(event.bare, event.loaded, event.held_mg) | {"weighing": "after an outage"}
+            return row | {"container": event.container, "standard_uncertainty_mg": event.uncertainty_mg}
         case PanCompared():
             return _gross(event) | {"weighing": "zero after an interruption"}
         case WeightChecked():

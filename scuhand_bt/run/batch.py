@@ -2,12 +2,14 @@
 
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from py_trees.behaviour import Behaviour
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
+from scuhand_bt.devices.liveness import Hung
 from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
@@ -40,10 +42,14 @@ class BatchObserver:
         """The tree after a tick; must be quick."""
 
     def job_started(self, job: Job, number: int) -> None:
-        """A job of the plan begins, its number counted from 1."""
+        """A job of the plan begins, or a sample's is taken up; its number is counted from 0."""
 
     def sample_ended(self, result: SampleResult) -> None:
-        """A sample has its result, or is known from before a resumed run."""
+        """A sample has its result, or another one than it had."""
+
+    def sample_known(self, result: SampleResult) -> None:
+        """A sample has had its result since before the run was resumed: as if it came now, unless told otherwise."""
+        self.sample_ended(result)
 
 
 class Batch:
@@ -78,6 +84,12 @@ class Batch:
         self._after_job = after_job
         self._runner = Runner(cell, library, journal, control, Guards(cell), observer)
         self._results: dict[str, SampleResult] = {}
+        self._overshot: list[SampleResult] = []
+        """The last samples that were dosed, as long as they overshot."""
+        self._undoubted: list[str] = []
+        """The samples whose results have come or changed since all were doubted last."""
+        self._doubted_of_mg = 0.0
+        """How large a step of the balance's zero they were doubted of then."""
         self._owners = {
             value.id: sample.id
             for sample in plan.recipe.samples
@@ -91,7 +103,7 @@ class Batch:
         ending = _ended(ExitCode.CELL_FAULT, "broken")
         try:
             ending = self._run_jobs()
-        except (SkillBug, PlantError, RecordLost, SkillFailed) as error:
+        except (SkillBug, PlantError, RecordLost, SkillFailed, Hung) as error:
             ending = _ended(ExitCode.CELL_FAULT, str(error))
         except Exception as error:  # whatever it is, the cell ends safe and the journal says what it was
             ending = _ended(ExitCode.CELL_FAULT, f"{type(error).__name__}: {error}")
@@ -108,15 +120,26 @@ class Batch:
             code = ending.exit_code
             if code == ExitCode.OK and any(not result.is_good for result in in_order):
                 code = ExitCode.FLAGGED
-            self._journal.event(_ended(code, ending.reason, complete=ending.is_complete))
-        return BatchResult(in_order, code, ending.reason, self._cell.clock.now_s, ending.is_complete)
+            ending = self._said(_ended(code, ending.reason, complete=ending.is_complete))
+        return BatchResult(in_order, ending.exit_code, ending.reason, self._cell.clock.now_s, ending.is_complete)
+
+    def _said(self, ending: Ended) -> Ended:
+        """The run's end, as its journal has it: what is not in it did not end well."""
+        try:
+            self._journal.event(ending)
+            self._journal.settle()
+        except (RecordLost, Hung) as lost:
+            ending = _ended(ExitCode.CELL_FAULT, f"how the run ended is not written: {lost}")
+            with suppress(RecordLost):
+                self._journal.event(ending)  # where it goes on, if anywhere
+        return ending
 
     def _is_safe(self) -> bool:
         try:
             return self._runner.make_safe()
         except RecordLost:
             return self._runner.make_safe()
-        except Exception:  # a simulated world that breaks at every step cannot come to rest
+        except (Exception, Hung):  # a simulated world that breaks at every step cannot come to rest
             self._journal.event(Broken(traceback=traceback.format_exc()))
             return False
 
@@ -126,11 +149,20 @@ class Batch:
         for number, job in enumerate(self._plan.jobs):
             if self._control.is_stopping:
                 return _ended(ExitCode.INTERRUPTED, "interrupted" if self._control.halts else "stopped")
-            self._observer.job_started(job, number)
-            ending = self._run_service(job, 1) if job.sample is None else self._run_sample(job, job.sample)
+            if job.sample is not None or not self._was_over(job.name, 1):
+                self._observer.job_started(job, number)
+            if job.sample is None:
+                ending = self._run_service(job, 1)
+            else:
+                ending = self._run_sample(job, job.sample) or self._too_many_overshoots()
             if ending is not None:
                 return ending
         return _ended(ExitCode.OK, "", complete=True)
+
+    def _was_over(self, name: str, attempt: int) -> bool:
+        """Whether an attempt at a job had come to its end before the run was resumed."""
+        before = self._history.jobs.get((name, attempt))
+        return before is not None and before.is_over
 
     def _run_service(self, job: Job, attempt: int) -> Ended | None:
         outcome = self._run_job(job, job.inputs, None, attempt)
@@ -140,6 +172,10 @@ class Batch:
 
     def _run_sample(self, job: Job, sample: Sample) -> Ended | None:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
+        if (barren := self._barren_source(sample)) is not None and (job.name, 1) not in self._history.jobs:
+            what = f"'{barren}' has brought nothing before, and was not tried again for this sample"
+            self._note(self._result(sample, (), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1))
+            return None
         attempt = 1
         while True:
             before = self._history.jobs.get((job.name, attempt))
@@ -156,10 +192,16 @@ class Batch:
                 action = "flag"
             verdict: SampleVerdict | None = "skipped" if action == "skip_sample" else None
             recorded = self._history.samples.get((sample.id, attempt))
-            if recorded is not None and before is not None and before.is_over:
-                self._show(recorded)
+            if recorded is not None and self._was_over(job.name, attempt):
+                self._take(recorded)
+                self._observer.sample_known(recorded)
+                self._count_overshoots(recorded)
+                if self._too_many_overshoots() is not None:
+                    self._overshot = []  # a person has looked since
             else:
-                self._note(self._result(sample, self._journal.doses, verdict, failure, began_s, attempt))
+                result = self._result(sample, self._journal.doses, verdict, failure, began_s, attempt)
+                self._count_overshoots(result)
+                self._note(result)
             self._note_brackets()
             if failure is None:
                 return None
@@ -170,6 +212,25 @@ class Batch:
             if action != "redo":
                 return None
             attempt += 1
+
+    def _count_overshoots(self, result: SampleResult) -> None:
+        """Whichever the powder: samples share the balance and the valve. One that was not dosed tells nothing."""
+        if result.overshot_mg is not None:
+            self._overshot = [*(one for one in self._overshot if one.id != result.id), result]
+        elif result.doses:
+            self._overshot = []
+
+    def _too_many_overshoots(self) -> Ended | None:
+        """How the run ends where as many samples in a row have overshot as the recipe allows."""
+        if not 0 < self._plan.recipe.overshoot_limit <= len(self._overshot):
+            return None
+        by = ", ".join(f"{one.id} by {one.overshot_mg:.1f} mg" for one in self._overshot)
+        return _ended(ExitCode.CELL_FAULT, f"{Code.DOSE_OVERSHOOTS}: samples overshot in a row: {by}")
+
+    def _barren_source(self, sample: Sample) -> str | None:
+        """The first of its sources that was seen to give nothing."""
+        barren = self._cell.believed.barren_sources
+        return next((source.name for source in sample.sources if source.name in barren), None)
 
     def _action_for(self, sample: Sample, failure: SkillFailed, attempt: int) -> str:
         """What the recipe says, or the person it lets decide."""
@@ -188,6 +249,8 @@ class Batch:
                 return "stop"
             if answer != "stop":  # which is asked anew when the run is resumed
                 self._journal.event(Chosen(sample=sample.id, attempt=attempt, action=answer))
+            if answer == "redo":
+                self._cell.believed.sources_mended()
         return answer
 
     def _recover(self, sample: Sample, attempt: int) -> Ended | None:
@@ -226,6 +289,7 @@ class Batch:
                 return Outcome(fault, "tripped")
             if self._control.is_stopping:
                 return Outcome(interrupted="stopped")
+            self._runner.settle()
             history = read_history(journal.path)
             again = history.jobs[job.name, attempt]
             journal.job_resumed(again.seq, again.doses)
@@ -277,19 +341,26 @@ class Batch:
         One that has gone within the job of its own sample, which is still `waiting` for its result, waits too. What was
         dosed into a container by another job than its sample's is no sample's dose.
         """
-        believed, noted = self._cell.believed, dict(self._results)
+        believed = self._cell.believed
+        noted: dict[str, SampleResult] = {}
         for closed in believed.closed:
             owner = self._owners.get(closed.container.partition("#")[0])
             result = self._results.get(owner) if owner is not None else None
             if result is not None and any(dose.container == closed.container for dose in result.doses):
+                noted.setdefault(result.id, result)
                 self._results[result.id] = confirmed(result, closed)
             elif owner is not None and (owner == waiting or result is None):
                 continue
             believed.noted(closed)
-        for name, before in noted.items():
-            now = doubted(self._results[name], believed.zero_stepped_mg)
-            if now is not before:
+        stepped_mg = believed.zero_stepped_mg
+        # Not all each time: a run of many samples comes here after each.
+        fresh = (*noted, *self._undoubted) if stepped_mg == self._doubted_of_mg else self._results
+        for name in dict.fromkeys(fresh):
+            before = self._results[name]
+            now = doubted(before, stepped_mg)
+            if now is not noted.get(name, before):
                 self._note(now)
+        self._undoubted, self._doubted_of_mg = [], stepped_mg
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""
@@ -302,11 +373,12 @@ class Batch:
 
     def _note(self, result: SampleResult) -> None:
         self._journal.event(result)
-        self._show(result)
-
-    def _show(self, result: SampleResult) -> None:
-        self._results[result.id] = result
+        self._take(result)
         self._observer.sample_ended(result)
+
+    def _take(self, result: SampleResult) -> None:
+        self._results[result.id] = result
+        self._undoubted.append(result.id)
 
 
 def _ended(exit_code: int, reason: str, *, complete: bool = False) -> Ended:

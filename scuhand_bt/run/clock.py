@@ -24,15 +24,22 @@ class Process(Protocol):
 class VirtualClock:
     """Time of a dry run. It passes as fast as the simulated world can be computed.
 
-    With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time.
+    With `speed`, it also sleeps, so that virtual time goes at most `speed` times as fast as wall time. `beat` is called
+    all through each wait.
     """
 
-    def __init__(self, process: Process | None = None, speed: float | None = None) -> None:
+    def __init__(
+        self,
+        process: Process | None = None,
+        speed: float | None = None,
+        beat: Callable[[], None] = lambda: None,
+    ) -> None:
         self.now_s = 0.0
         self.process = process
         self.hurries: Callable[[], bool] = lambda: False
         """Whether time need not be kept any more: the cell is to be made safe."""
         self._speed = speed
+        self._beat = beat
         self._began = time.monotonic()
 
     def go_on_from(self, now_s: float) -> None:
@@ -53,8 +60,10 @@ class VirtualClock:
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
         if self.process is not None and not again:
             self.process.save()
+        self._beat()
         while self.now_s < limit_s and all(signal.count == seen for signal, seen in signals):
             self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
+            self._beat()
             if self._speed is not None:
                 self._keep_pace(self._speed)
 
@@ -63,6 +72,7 @@ class VirtualClock:
         held_at = time.monotonic()
         while not any(wake.has_fired for wake in wakes):
             time.sleep(0.02)
+            self._beat()
         self._began += time.monotonic() - held_at
 
     def _keep_pace(self, speed: float) -> None:

@@ -1,19 +1,27 @@
 """Pause, continue and stop: what a person wants of a run, from its terminal or from another process.
 
-The states and what each leaves the cell in are in docs/run-behaviour.md. Another process leaves its wish as a
-file beside the run's journal; the run's process looks for it ten times a second and takes it away.
+The states and what each leaves the cell in are in docs/run-behaviour.md. Another process says its wish to the run's
+own, over a socket that has a name and no file: no disk, folder or lab has to be sound for a run to be stopped, a wish
+reaches the process that has the run now or none, and that answers.
 """
 
-import json
+import hashlib
 import os
+import socket
+import struct
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal, get_args
 
 from scuhand_bt.clock import Signal
 
 Wish = Literal["pause", "pause_now", "continue", "stop", "stop_now"]
-LOOK_S = 0.1
+HEARD = "heard"
+ANSWER_S = 5.0
+"""A process that has a run answers within this time, or does not any more."""
+SPOKEN_S = 1.0
+"""And who is to say something has said it by then."""
 
 
 class Control:
@@ -51,42 +59,75 @@ class Control:
 
 
 class WishListener:
-    """Hears, in this process, the wishes that others leave for its run."""
+    """Hears, in this process, what others wish of its run. Raises OSError where another process listens for it."""
 
     def __init__(self, journal: Path, control: Control) -> None:
-        self._wish = journal.with_suffix(".wish")
-        self._wish.unlink(missing_ok=True)
         self._control = control
-        self._gone = threading.Event()
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.bind(_address(journal))
+            self._socket.listen()
+        except OSError:
+            self._socket.close()
+            raise
         self._thread = threading.Thread(target=self._listen, daemon=True, name="wishes")
         self._thread.start()
 
     def _listen(self) -> None:
-        while not self._gone.wait(LOOK_S):
-            if (wish := take_wish(self._wish)) is not None:
+        while True:
+            try:
+                caller, _ = self._socket.accept()
+            except OSError:  # it was shut down
+                return
+            with caller, suppress(OSError):
+                caller.settimeout(SPOKEN_S)
+                caller.sendall(self._answer(caller.recv(64).decode(errors="replace"), _user_of(caller)).encode())
+
+    def _answer(self, said: str, user: int) -> str:
+        for wish in get_args(Wish):
+            if said == wish:
+                if not may_wish(wish, user, os.getuid()):
+                    return "whose run it is has to let it go on"
                 self._control.wish(wish)
+                return HEARD
+        return "that is no wish"
 
     def end(self) -> None:
         """Hear no more."""
-        self._gone.set()
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
         self._thread.join()
+        self._socket.close()
 
 
-def leave_wish(journal: Path, wish: Wish) -> None:
-    """Leave a wish for the process that has this run."""
-    path = journal.with_suffix(".wish")
-    draft = path.with_name(f"{path.name}.{os.getpid()}")
-    draft.write_text(json.dumps(wish), encoding="utf-8")
-    draft.replace(path)
+def may_wish(wish: Wish, user: int, owner: int) -> bool:
+    """Anyone at this computer may stop a run; its owner (and root) may let it go on."""
+    return wish != "continue" or user in (owner, 0)
 
 
-def take_wish(path: Path) -> Wish | None:
-    """The wish that was left, if there is one; it is taken away. What is no wish is none, and goes away as well."""
-    try:
-        wish = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except ValueError:  # not ours: it must not end the listening
-        wish = None
-    path.unlink(missing_ok=True)
-    return wish if wish in get_args(Wish) else None
+def say_wish(journal: Path, wish: Wish) -> str | None:
+    """Say a wish to the process that has this run, and hear what it answers: `HEARD`; None where none listens.
+
+    Raises TimeoutError where it does not answer.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+        line.settimeout(ANSWER_S)
+        try:
+            line.connect(_address(journal))
+            line.sendall(wish.encode())
+            return line.recv(64).decode(errors="replace") or None
+        except TimeoutError:
+            raise
+        except OSError:
+            return None
+
+
+def _address(journal: Path) -> str:
+    """A name that belongs to one run; of Linux' own, which are no files and end with their process."""
+    return f"\0scuhand-bt/{hashlib.sha256(os.fsencode(os.path.realpath(journal))).hexdigest()[:40]}"
+
+
+def _user_of(line: socket.socket) -> int:
+    """Who is at the other end, as the kernel has it."""
+    _, user, _ = struct.unpack("3i", line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    return int(user)

@@ -20,14 +20,14 @@ from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-from scuhand_bt.problems import SourceError
+from scuhand_bt.problems import SourceError, harmless
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.run.operator import Nobody, OperatorChanger, SimulatedOperator, TerminalOperator
+from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, SimulatedOperator, TerminalOperator
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
-from scuhand_bt.sim.fault_rules import FaultFile
+from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.world import World
@@ -40,6 +40,7 @@ NOT_WITHOUT_A_RECIPE = {
     "vibration.dead": "no powder is behind twins alone that would feel it",
     "container.wrong": "nothing is put on the pan of twins alone",
     "operator.refuses": "nobody is asked by twins alone",
+    **dict.fromkeys(OUTAGES, "twins end with their program"),
 }
 """Faults that twins without a recipe cannot show, and why."""
 REHEARSED_ANSWER_S = 2.0
@@ -78,11 +79,12 @@ Simulation = DryRun | Rehearsal
 
 @dataclass(frozen=True)
 class Setup:
-    """A cell made ready: what judges its doses (None: nobody knows the true mass), and what closes it."""
+    """A cell made ready: what judges its doses (None: nobody knows the true mass), what closes it, its run's pulse."""
 
     cell: Cell
     world: World | None
     close: Callable[[], None]
+    liveness: Liveness
 
 
 def set_up(
@@ -92,12 +94,14 @@ def set_up(
     journal: Journal,
     motion: MotionPlanner | None = None,
     *,
+    person: Person,
     unattended: bool = False,
     world_path: Path | None = None,
     resumed_at_s: float | None = None,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
+    `person` is who answers, where one can be asked.
     `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at
     which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
     are needed, as they were all found possible before.
@@ -116,9 +120,9 @@ def set_up(
         case DryRun():
             setup = _dry_run(plan, lab, simulation, journal, motion, world_path, resumed_at_s is not None)
         case Rehearsal():
-            setup = _rehearsal(plan, lab, simulation, journal, motion)
+            setup = _rehearsal(plan, lab, simulation, journal, motion, person)
         case None:
-            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0)
+            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0, person)
     cell = setup.cell
     cell.places_mm = places_of(plan, lab)
     for name, source in plan.recipe.sources.items():
@@ -141,14 +145,15 @@ def _dry_run(
     restore: bool,
 ) -> Setup:
     _find_plants(lab)
-    clock = VirtualClock(speed=dry_run.speed)
+    liveness = Liveness()
+    clock = VirtualClock(speed=dry_run.speed, beat=liveness.beat)
     faults = _faults(plan, dry_run)
     operator = SimulatedOperator(clock, journal.event, faults=faults)
     cell, world = simulated_cell(
         lab.cell,
         plan.recipe.sources,
         clock=clock,
-        record=Record(journal.event),
+        record=Record(journal.event, journal.waits),
         motion=motion,
         operator=operator,
         seed=dry_run.seed,
@@ -160,6 +165,7 @@ def _dry_run(
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove, may_be_loaded=restore)
     _follow_hands(world, cell)
+    operator.sees = lambda: "another" if world.pan.is_exchanged else "same"
 
     def tell(why: str) -> None:
         journal.event(NotResumable(why=why))
@@ -168,10 +174,12 @@ def _dry_run(
         clock.go_on_from(world.restore(world_path, tell))
     elif world_path is not None:
         world.keep_in(world_path, tell)
-    return Setup(cell, world, world.close)
+    return Setup(cell, world, world.close, liveness)
 
 
-def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner) -> Setup:
+def _rehearsal(
+    plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner, person: Person
+) -> Setup:
     _find_plants(lab)
     liveness = Liveness()
 
@@ -183,6 +191,8 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
     firmware = lab.folder / "robot" / "firmware"
     faults = _faults(plan, rehearsal)
     has_person = sys.stdin.isatty()
+    if rehearsal.faults is not None:
+        rehearsal.faults.refuse(dict.fromkeys(OUTAGES, "a rehearsal cannot be resumed"))
     if rehearsal.faults is not None and has_person:
         rehearsal.faults.refuse({"operator.refuses": "a person at this terminal answers for the operator"})
     bench = WireBench(
@@ -195,7 +205,7 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
         opened.callback(devices.close)
         opened.callback(liveness.end)
         if has_person:
-            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, journal.event, _show)
+            operator: TerminalOperator | SimulatedOperator = TerminalOperator(clock, journal.event, _show, person)
         else:
             operator = SimulatedOperator(clock, journal.event, REHEARSED_ANSWER_S, faults)
         by_hand = lab.cell.changer.driver == "operator"
@@ -203,7 +213,7 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=True)
         cell.begin_sample = world.begin_sample
         _follow_hands(world, cell)
-        return Setup(cell, world, opened.pop_all().close)
+        return Setup(cell, world, opened.pop_all().close, liveness)
 
 
 def _faults(plan: Plan, simulation: Simulation) -> Faults:
@@ -213,17 +223,17 @@ def _faults(plan: Plan, simulation: Simulation) -> Faults:
     return Faults(simulation.faults.rules, simulation.seed)
 
 
-def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float) -> Setup:
+def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float, person: Person) -> Setup:
     liveness = Liveness()
     clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
         devices = connect_cell_devices(lab.cell, clock, liveness)
         opened.callback(devices.close)
         opened.callback(liveness.end)
-        operator = TerminalOperator(clock, journal.event, _show)
+        operator = TerminalOperator(clock, journal.event, _show, person)
         changer = OperatorChanger(operator, may_be_loaded=began_s > 0.0)
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=False)
-        return Setup(cell, None, opened.pop_all().close)
+        return Setup(cell, None, opened.pop_all().close, liveness)
 
 
 def _wired_cell(
@@ -242,7 +252,7 @@ def _wired_cell(
     return Cell(
         spec=lab.cell,
         clock=clock,
-        record=Record(journal.event),
+        record=Record(journal.event, journal.waits),
         arm=devices.arm,
         hand=devices.hand,
         balance=devices.balance,
@@ -285,7 +295,7 @@ def _find_plants(lab: Lab) -> None:
 
 
 def _show(question: str) -> None:
-    print(question, flush=True)
+    print(harmless(question), flush=True)
 
 
 def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:

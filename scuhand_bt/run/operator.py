@@ -4,18 +4,29 @@ import queue
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from getpass import getpass
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.journal.events import Answered, Asked
+from scuhand_bt.journal.events import Answered, Asked, Trouble
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.specs import Container
 
-Tell = Callable[[Asked | Answered], None]
-"""Writes a question or its answer into the journal."""
+Tell = Callable[[Asked | Answered | Trouble], None]
+"""Writes a question, its answer, or a wrong PIN into the journal."""
 ANSWER_S = 60.0
 """Run time that a simulated person takes to do what is asked."""
+
+
+@dataclass(frozen=True)
+class Person:
+    """Who runs the cell and answers."""
+
+    name: str
+    is_pin: Callable[[str], bool] | None = None
+    """Who has a PIN has proven by it who this is, and signs every answer with it."""
 
 
 class SimulatedOperator:
@@ -26,6 +37,8 @@ class SimulatedOperator:
         self._tell = tell
         self._answer_s = answer_s
         self._faults = faults or Faults()
+        self.sees: Callable[[], str] = lambda: ""
+        """What it answers where it is asked about what it can see."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         self._tell(Asked(question=question, choices=list(choices)))
@@ -33,7 +46,8 @@ class SimulatedOperator:
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
         refuses = self._faults.comes("operator.refuses", self._clock.now_s)
-        answer = choices[-1 if refuses else 0]
+        seen = self.sees()
+        answer = choices[-1] if refuses else seen if seen in choices else choices[0]
         self._tell(Answered(question=question, answer=answer))
         return answer
 
@@ -48,8 +62,9 @@ class Nobody:
 class TerminalOperator:
     """Asks on the terminal; the answer is read on a thread, so that the cell stays watched meanwhile."""
 
-    def __init__(self, clock: Clock, tell: Tell, show: Callable[[str], None]) -> None:
+    def __init__(self, clock: Clock, tell: Tell, show: Callable[[str], None], person: Person) -> None:
         self._clock = clock
+        self._person = person
         self._tell = tell
         self._show = show
 
@@ -57,24 +72,43 @@ class TerminalOperator:
         if not sys.stdin.isatty():
             raise SkillFailed(Code.OPERATOR_ABSENT, question)
         self._tell(Asked(question=question, choices=list(choices)))
-        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
-        answered = Signal()
+        person = self._person
         while True:
             self._show(f"{question} [{'/'.join(choices)}]")
-            threading.Thread(target=_read_line, args=(answers, answered), daemon=True).start()
-            while answers.empty():
-                yield Wake.on(answered, self._clock.now_s + 60.0)
-            answer = answers.get().strip().lower()
-            if answer in choices:
-                self._tell(Answered(question=question, answer=answer))
-                return answer
+            answer = (yield from self._read(question, sys.stdin.readline)).strip().lower()
+            if answer not in choices:
+                continue
+            if person.is_pin is not None:
+                pin = yield from self._read(question, lambda: getpass(f"PIN of {person.name}: ") + "\n")
+                if not person.is_pin(pin.removesuffix("\n")):
+                    what = f"a wrong PIN was given for {person.name}, to answer '{answer}': {question}"
+                    self._tell(Trouble(what=what))
+                    self._show("That is not the PIN.")
+                    continue
+            self._tell(Answered(question=question, answer=answer, by=person.name, signed=person.is_pin is not None))
+            return answer
+
+    def _read(self, question: str, read: Callable[[], str]) -> Steps[str]:
+        lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        is_read = Signal()
+
+        def put() -> None:
+            try:
+                lines.put(read())
+            except (EOFError, OSError, ValueError):
+                lines.put(GONE)
+            is_read.fire()
+
+        threading.Thread(target=put, daemon=True).start()
+        while lines.empty():
+            yield Wake.on(is_read, self._clock.now_s + 60.0)
+        if (line := lines.get()) == GONE:
+            raise SkillFailed(Code.OPERATOR_ABSENT, question)
+        return line
 
 
-def _read_line(answers: "queue.SimpleQueue[str]", answered: Signal) -> None:
-    answers.put(sys.stdin.readline() or "stop")
-    answered.fire()
-
-
+GONE = ""
+"""What is read where nobody can answer any more."""
 UNKNOWN = ""
 """Whatever an earlier run may have left on the pan."""
 
@@ -111,7 +145,7 @@ class OperatorChanger:
             return
         if self._on_pan not in (None, UNKNOWN):
             raise SkillFailed(Code.CONTAINER_MISSING, f"the pan is not free: '{self._on_pan}' stands on it")
-        yield from self._do(f"Put the empty {container.name} '{container.id}' on the pan.")
+        yield from self._do(f"Put the {container.name} '{container.id}' on the pan.")
         self._place(container)
         self._on_pan = container.id
         self.news.fire()

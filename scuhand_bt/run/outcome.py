@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
-from scuhand_bt.cell.believed import ClosedBracket
+from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import scuhand_bt
+from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.hash_chain import NO_ENTRY
 from scuhand_bt.journal.history import History, history_of
-from scuhand_bt.journal.reader import open_contents
-from scuhand_bt.journal.writer import SCHEMA_VERSION
-from scuhand_bt.lab import Lab
+from scuhand_bt.journal.presence import Presence
+from scuhand_bt.journal.reader import open_verified
+from scuhand_bt.journal.store import SCHEMA_VERSION
+from scuhand_bt.lab import Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, recoveries
 
@@ -24,6 +26,8 @@ class Resumable:
     path: Path
     history: History
     changes: tuple[str, ...]
+    presence: Presence | None = None
+    """The hold on it that whoever resumes it has had since before the history was read; None: yet to be taken."""
 
 
 def world_path(journal: Path) -> Path:
@@ -49,15 +53,15 @@ def find_run(folder: Path, name: str) -> Path:
 
 def checked_history(path: Path) -> History:
     """The history of a run whose chain is whole and that has something left to do. Raises SourceError if not."""
-    with open_contents(path) as contents:
-        if contents.version < SCHEMA_VERSION:
+    with open_verified(path) as (database, version, verified):
+        if version < SCHEMA_VERSION:
             what = "an older scuhand-bt wrote it, which noted less than resuming needs"
             raise _refused(path, f"{what}: start the run anew, with the samples that are left")
-        if contents.verified.problem == NO_ENTRY:
+        if verified.problem == NO_ENTRY:
             raise _refused(path, "the journal is empty: nothing had moved when the run ended; start it anew")
-        if contents.verified.problem is not None:
-            raise _refused(path, f"the journal is not as it was written: {contents.verified.problem}")
-        history = history_of(contents.database)
+        if verified.problem is not None:
+            raise _refused(path, f"the journal is not as it was written: {verified.problem}")
+        history = history_of(database)
     if history.begun is None:
         raise _refused(path, "nothing had moved when the run ended; start it anew")
     if history.is_complete:
@@ -67,7 +71,23 @@ def checked_history(path: Path) -> History:
     return history
 
 
-def resumable(path: Path, history: History, plan: Plan, lab: Lab, *, accept_changes: bool) -> Resumable:
+def its_places(path: Path, run: RunBegun) -> tuple[Path, Path]:
+    """Where a run's recipe and its lab are now: a lab may have been moved, with all that is in it."""
+    recipe, lab, here = Path(run.recipe_path), Path(run.lab), path.absolute().parent.parent.parent
+    if not is_lab(here):  # its runs are kept elsewhere
+        return recipe, lab
+    return (here / recipe.relative_to(lab) if recipe.is_relative_to(lab) else recipe), here
+
+
+def resumable(
+    path: Path,
+    history: History,
+    plan: Plan,
+    lab: Lab,
+    *,
+    accept_changes: bool,
+    presence: Presence | None = None,
+) -> Resumable:
     """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError.
 
     No acceptance lets another job come before what has begun: it would take the pan and the cone from under it.
@@ -78,14 +98,14 @@ def resumable(path: Path, history: History, plan: Plan, lab: Lab, *, accept_chan
     if changes and not accept_changes:
         hint = "--accept-changes resumes with what is there now, and notes it"
         raise SourceError([Problem(Mark(str(path)), f"since this run began, {change}; {hint}") for change in changes])
-    return Resumable(path, history, changes)
+    return Resumable(path, history, changes, presence)
 
 
 def lab_files(lab: Lab) -> dict[str, str]:
     """SHA-256 of everything in the lab that a run depends on, beside its recipe."""
     files: dict[str, str] = {}
     for folder in LAB_FOLDERS:
-        for path in sorted((lab.folder / folder).rglob("*")):
+        for path in files_of(lab.folder / folder, "**/*"):
             if path.is_file() and "__pycache__" not in path.parts:
                 name = path.relative_to(lab.folder).as_posix()
                 files[name] = hashlib.sha256(path.read_bytes()).hexdigest()

@@ -14,7 +14,7 @@ from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Continued, Decided, Paused
 from scuhand_bt.journal.plain import plain, plain_values, to_json
-from scuhand_bt.journal.writer import FLUSH_S, Journal
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
@@ -110,8 +110,8 @@ class Runner:
                 wish = self._wish()
                 if self._control.stops_now:
                     break
-                self._cell.clock.wait([next(steps), wish, *self._guards.wakes()])
-                if (fault := self._guards.look()) is not None:
+                self._cell.clock.wait([next(steps), wish, *self._watched()])
+                if (fault := self._look()) is not None:
                     raise fault
         except StopIteration as answer:
             return cast(T, answer.value)
@@ -125,11 +125,17 @@ class Runner:
             wish = self._wish()
             if not self._control.is_pausing or self._control.is_stopping:
                 break
-            self._cell.clock.hold([wish, *self._guards.wakes()])
-            if (fault := self._guards.look()) is not None:
+            self._cell.clock.hold([wish, *self._watched()])
+            if (fault := self._look()) is not None:
                 return fault
         self._journal.event(Continued())
         return None
+
+    def settle(self) -> None:
+        """Let time pass until all that has happened is on disk. Raises RecordLost where it will not be."""
+        while (writing := self._journal.waits()) is not None:
+            self._cell.clock.wait([writing])
+            self._journal.keep_up()
 
     def _wish(self) -> Wake:
         """The next wish; made before looking at what is wished, so that none falls between."""
@@ -171,21 +177,29 @@ class Runner:
 
     def _wait(self, root: Behaviour, shared: Ticking, wish: Wake) -> SkillFailed | None:
         """Wait for the next tick; what a guard found in the meantime, if one tripped."""
-        clock, control, guards = self._cell.clock, self._control, self._guards
+        clock, control = self._cell.clock, self._control
         wakes = [*shared.wakes(), wish]
         silence = Wake(clock.now_s + MAX_SILENCE_S)
         nothing_timed = all(math.isinf(wake.until_s) for wake in wakes)
         again = False
         while True:
-            clock.wait([*wakes, silence, *guards.wakes()], again=again)
+            clock.wait([*wakes, silence, *self._watched()], again=again)
             again = True
-            self._journal.flush(FLUSH_S)
-            if (fault := guards.look()) is not None:
+            if (fault := self._look()) is not None:
                 return fault
             if any(wake.has_fired or clock.now_s >= wake.until_s for wake in wakes):
                 return None
             if nothing_timed and clock.now_s >= silence.until_s and not control.halts:
                 raise SkillBug(f"{_running(root)} waits for something that never comes")
+
+    def _watched(self) -> list[Wake]:
+        """What is looked at whatever the tree waits for."""
+        return [*self._guards.wakes(), Wake.on(self._journal.news)]
+
+    def _look(self) -> SkillFailed | None:
+        """What a guard found. Raises RecordLost where the journal takes no more."""
+        self._journal.keep_up()
+        return self._guards.look()
 
     def _still_moving(self) -> str:
         """Wait for all devices to stop; the names of those that have not in time, "" if all have."""
@@ -209,6 +223,9 @@ class _Recorder:
         weighs = {"hand", "balance"} <= set(leaf.skill.devices)
         event = ActionStarted(path=leaf.path, visit=leaf.visits, skill=leaf.name, inputs=plain_values(inputs))
         self._actions[leaf] = self._journal.action_started(event, weighs=weighs)
+
+    def waits(self, leaf: SkillLeaf) -> Wake | None:
+        return self._journal.waits(self._actions[leaf])
 
     def acting(self, leaf: SkillLeaf) -> None:
         self._journal.action = self._actions[leaf]

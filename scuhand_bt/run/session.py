@@ -2,68 +2,51 @@
 
 import secrets
 import sqlite3
+import time
 from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.cell.cell import Cell
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.events import Event, Note
 from scuhand_bt.journal.events import (
     Asked,
     FaultRules,
     Matter,
-    OptionsGiven,
     Paused,
     Resumed,
     RuleAccount,
-    RunBegun,
-    SamplePlanned,
-    SourceUsed,
     Trouble,
 )
-from scuhand_bt.journal.history import History
-from scuhand_bt.journal.plain import plain_values
-from scuhand_bt.journal.presence import Held, Presence
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.lab_state.lab_db import user_name
+from scuhand_bt.lab_state.ledger import Ledger, Occasion
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, check_unattended
+from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
 from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
+from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
 from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, require_resolvable, resolve
-from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation, set_up
+from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
 from scuhand_bt.run.notify import Notice, NoticeState, Notifier
+from scuhand_bt.run.operator import Person
+from scuhand_bt.run.options import Options, check_controller, described
+from scuhand_bt.run.outage import settle_outage
 from scuhand_bt.run.outcome import BatchResult
-from scuhand_bt.run.resume import Resumable, lab_files, world_path
-from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.run.resume import Resumable, world_path
+from scuhand_bt.run.wall_clock import ClockWatch, disagreement
 from scuhand_bt.skill import SkillFailed
-
-LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
-
-
-@dataclass(frozen=True)
-class Options:
-    """How a plan is run: `simulation` is None on the real cell; `controller` overrides the recipe's."""
-
-    simulation: Simulation | None
-    controller: str | None = None
-    folder: Path | None = None
-    """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
-    unattended: bool = False
-    """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
 
 
 class Session:
@@ -87,7 +70,7 @@ class Session:
         control: Control | None = None,
         resumes: Resumable | None = None,
     ) -> None:
-        _check_controller(options.controller)
+        check_controller(options.controller)
         if options.unattended:
             check_unattended(plan)
         self.plan = plan
@@ -107,33 +90,49 @@ class Session:
         self.run_id = path.stem
         self._state = LabState(path.parent.parent)
         self._inventory = Inventory(path.parent.parent, lab.cell.cell)
+        self._ledger = Ledger(path.parent.parent)
+        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="inventory")
         self._notifier = Notifier(lab.cell.notify)
+        self._person = options.person or Person(user_name())
+        self._clock_watch = ClockWatch()
         self._stock = self._inventory.stock(simulated=False) if options.simulation is None else {}
         has_begun = self._history is not None and self._history.state
         self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
-        self.journal = _open_journal(path, durable=not isinstance(options.simulation, DryRun))
         with ExitStack() as opened:
+            self._holds = opened.enter_context(ExitStack())
+            presence = resumes.presence if resumes is not None else None
+            self._holds.callback((presence or take_run(path)).end)
+            if options.simulation is None:
+                self._holds.callback(take_cell(path.parent.parent).end)
+            self.journal = _open_journal(
+                path, is_new=resumes is None, durable=not isinstance(options.simulation, DryRun)
+            )
             opened.callback(self.journal.discard if resumes is None else self.journal.close)
+            if self._history is not None and self.journal.head != self._history.head:
+                problem = "another process went on with it meanwhile; resume it again, to hear where it stands now"
+                raise SourceError([Problem(Mark(str(path)), problem)])
             self._make_cell(motion, opened)
             if not self.cell.simulated:
                 self._meet_balance()
-                self._state.recall(self.cell)
                 recall(self.cell, self._stock)
-            self._begin(resumes)
-            for warning in self.warnings:
-                self.journal.event(Trouble(what=warning))
+            try:
+                self._look_at_the_clock()
+                self._begin(resumes)
+                self.journal.settle()  # before the ledger has it
+                if (untold := self._anchor("begun" if resumes is None else "resumed", *self.journal.last)) is not None:
+                    if not self.cell.simulated:
+                        raise SourceError([Problem(Mark(str(path)), untold)])
+                    self.warnings.append(untold)
+                for warning in self.warnings:
+                    self.journal.event(Trouble(what=warning))
+            except RecordLost as lost:
+                raise SourceError([Problem(Mark(str(path)), f"{lost}; nothing was moved")]) from None
             opened.pop_all()
 
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
-        try:
-            self._presence = Presence(journal.path)
-        except Held:
-            problem = f"the run is going on in another process; `scuhand-bt stop {self.run_id}` ends it"
-            raise SourceError([Problem(Mark(str(journal.path)), problem)]) from None
-        opened.callback(self._presence.end)
-        self._listener = WishListener(journal.path, self.control)
+        self._listener = _listen(journal.path, self.control)
         opened.callback(self._listener.end)
         setup = set_up(
             self.plan,
@@ -142,10 +141,12 @@ class Session:
             journal,
             motion,
             unattended=options.unattended,
+            person=self._person,
             world_path=world_path(journal.path),
             resumed_at_s=None if history is None else history.time_s,
         )
         self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
+        self.liveness = setup.liveness
         opened.callback(self._close_cell)
         if options.controller is not None:
             self.cell.controller = options.controller
@@ -153,6 +154,7 @@ class Session:
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         journal.heard = self._heard
+        journal.is_beside = not isinstance(self.cell.clock, VirtualClock)
         if isinstance(self.cell.clock, VirtualClock):
             self.cell.clock.hurries = lambda: self.control.halts
         if self.world is not None:
@@ -169,23 +171,39 @@ class Session:
             raise SourceError(beyond)
         self.warnings = [str(problem) for problem in [*beyond, *below_usp(self.plan, self._lab, figures)]]
 
+    def _look_at_the_clock(self) -> None:
+        """Before the first word: is it later than the last one of this lab, and of this run?"""
+        with suppress(SourceError):  # of a ledger that cannot be read
+            written = [self._ledger.last()[1], self._history.at if self._history is not None else None]
+            last_at = max(filter(None, written), key=datetime.fromisoformat, default=None)
+            if (odd := disagreement(last_at)) is not None:
+                self.warnings.append(odd)
+
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
         self.journal.weighed(reading)
 
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""
+        if resumes is not None:
+            take_up(self.cell, resumes.history.state)
+            self.cell.believed.sources_mended()
+        if not self.cell.simulated:  # what was forgotten since the run broke off stays so
+            self._state.recall(self.cell, datetime.now().astimezone())
         if resumes is None:
-            self.journal.event(_describe(self.plan, self._lab, self._options, self.cell, self.run_id))
+            begun = described(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
+            with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
+                begun = begun.model_copy(update={"ledger": self._ledger.last()[0]})
+            self.journal.event(begun)
             return
-        take_up(self.cell, resumes.history.state)
         recall(self.cell, corrections(self._stock, since=resumes.history.at))
         self.journal.event(
             Resumed(
                 last_at=resumes.history.at,
                 changes=list(resumes.changes),
                 version=scuhand_bt.__version__,
-                operator=user_name(),
+                operator=self._person.name,
+                signed=self._person.is_pin is not None,
             )
         )
 
@@ -208,7 +226,11 @@ class Session:
 
     def run(self, observer: BatchObserver) -> BatchResult:
         """Run the batch to its end; whatever happens, the cell ends safe."""
-        world = self.world
+        world, first = self.world, None
+        if self._conflicts:
+            first = resolve(self.cell, self._conflicts)
+        elif self._history is not None and self._history.state:
+            first = settle_outage(self.journal, self.cell)
         batch = Batch(
             self.plan,
             self.cell,
@@ -218,19 +240,23 @@ class Session:
             self.control,
             world.true_mass if world is not None else None,
             self._history,
-            first=resolve(self.cell, self._conflicts) if self._conflicts else None,
+            first=first,
             after_job=self._after_job,
         )
         try:
             result = batch.run()
         finally:
-            if world is not None:
-                self.journal.event(Matter(**world.masses_mg))
-                if world.faults.rules:
-                    self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
-            if (problem := self._state.keep(self.cell, self.run_id)) is not None:
-                self._trouble(problem)
-            self._keep_inventory()
+            try:
+                if world is not None:
+                    self.journal.event(Matter(**world.masses_mg))
+                    if world.faults.rules:
+                        self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
+                if (problem := self._state.keep(self.cell, self.run_id)) is not None:
+                    self._trouble(problem)
+                self._keep_inventory()
+                self._beside.shutdown()
+            except RecordLost as lost:  # its end was still written
+                self.notices.append(str(lost))
         self._notifier.tell(self._notice("ended" if result.is_complete else "stopped", result.reason, result))
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)
@@ -248,13 +274,43 @@ class Session:
     def _after_job(self) -> None:
         if not self.cell.simulated:
             self._keep_inventory()
+            self._beside.submit(self._anchor_job, *self.journal.last)
+
+    def _anchor_job(self, entries: int, head: str) -> None:
+        """On its own thread, and once it is on disk: the ledger never has what a power cut takes from the journal."""
+        while self.journal.waits(entries) is not None:
+            time.sleep(0.05)
+        if (problem := self._anchor("job", entries, head)) is not None:
+            with suppress(RecordLost):
+                self._trouble(problem)
+
+    def _anchor(self, occasion: Occasion, entries: int, head: str) -> str | None:
+        """Write the journal's head into the lab's ledger; what went wrong, or None.
+
+        What was rescued elsewhere is not the journal: who goes on with that has another entry of this number.
+        """
+        if self.journal.kept_in != self.journal.path:
+            return None
+        try:
+            self._ledger.add(self.run_id, occasion, entries, head, durable=not self.cell.simulated)
+        except SourceError as error:
+            return f"the run is not in the lab's ledger: {error}"
+        return None
 
     def _keep_inventory(self) -> None:
-        if (problem := self._inventory.keep(self.cell, self.run_id)) is not None:
-            self._trouble(problem)
+        """Written beside the tick, as the journal is."""
+        keeping = self._beside.submit(self._inventory.keeping(self.cell, self.run_id))
+        keeping.add_done_callback(self._kept_inventory)
+
+    def _kept_inventory(self, keeping: Future[str | None]) -> None:
+        if (problem := keeping.result()) is not None:
+            with suppress(RecordLost):
+                self._trouble(problem)
 
     def _heard(self, event: Event | Note) -> None:
         """What goes into the journal, and a person who is not here should know."""
+        if (jump := self._clock_watch.jump()) is not None:
+            self._trouble(jump)
         if isinstance(event, Paused):
             self._notifier.tell(self._notice("paused"))
         elif isinstance(event, Asked) and not isinstance(self._options.simulation, DryRun):
@@ -279,89 +335,36 @@ class Session:
     def close(self) -> None:
         """Close the devices, wait for what is being told of the run, and close the journal."""
         with ExitStack() as closing:
-            closing.callback(self._presence.end)
+            closing.callback(self._holds.close)
             closing.callback(self._listener.end)
+            closing.callback(self._anchor_end)
             closing.callback(self.journal.close)
             closing.callback(self._finish_telling)
             closing.callback(self._close_cell)
+
+    def _anchor_end(self) -> None:
+        """What the journal ends in, closed and on disk."""
+        if (problem := self._anchor("ended", *self.journal.last)) is not None:
+            self.notices.append(problem)
 
     def _finish_telling(self) -> None:
         for what in self._notifier.finish():
             self._trouble(what)
 
 
-def _open_journal(path: Path, *, durable: bool) -> Journal:
+def _listen(journal: Path, control: Control) -> WishListener:
     try:
+        return WishListener(journal, control)
+    except OSError:  # though it is not locked any more
+        raise SourceError([Problem(Mark(str(journal)), BEING_RUN.format(journal.stem))]) from None
+
+
+def _open_journal(path: Path, *, is_new: bool, durable: bool) -> Journal:
+    try:
+        if is_new:  # two runs of one second may draw one id: the second one ends here
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.touch(exist_ok=False)
         return Journal(path, durable=durable)
     except (OSError, sqlite3.Error) as error:
         problem = Problem(Mark(str(path)), f"the journal cannot be written: {error}; nothing was moved")
         raise SourceError([problem]) from None
-
-
-def _check_controller(name: str | None) -> None:
-    if name is not None and name not in CONTROLLERS:
-        problem = f"unknown controller '{name}'; known: {', '.join(CONTROLLERS)}"
-        raise SourceError([Problem(Mark("--controller", 0), problem)])
-
-
-def _describe(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str) -> RunBegun:
-    simulation = options.simulation
-    faults = simulation.faults if simulation is not None else None
-    return RunBegun(
-        run=run_id,
-        recipe=plan.recipe.name,
-        recipe_hash=plan.recipe.hash,
-        recipe_text=plan.recipe.text,
-        recipe_path=str(plan.recipe.path.absolute()),
-        lab=str(lab.folder.absolute()),
-        lab_files=lab_files(lab),
-        cell=lab.cell.cell,
-        simulated=simulation is not None,
-        unattended=options.unattended,
-        mode=simulation.mode if simulation is not None else "real devices",
-        seed=simulation.seed if simulation is not None else None,
-        plant=(simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
-        controller=cell.controller,
-        faults_hash=faults.hash if faults is not None else None,
-        faults_text=faults.text if faults is not None else None,
-        options=OptionsGiven(
-            controller=options.controller,
-            plant=simulation.plant if simulation is not None else None,
-            speed=simulation.speed if isinstance(simulation, DryRun) else None,
-            faults=faults.marks[0].file if faults is not None else None,
-        ),
-        sources={
-            name: SourceUsed(station=source.station, powder=source.powder.name, lot=source.lot)
-            for name, source in plan.recipe.sources.items()
-        },
-        samples=[
-            SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
-            for sample in plan.recipe.samples
-        ],
-        operator=user_name(),
-        devices={
-            name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
-            for name in ("arm", "hand", "balance", "changer")
-        },
-        version=scuhand_bt.__version__,
-        libraries={name: _version(name) for name in LIBRARIES},
-        started=datetime.now().astimezone().isoformat(timespec="seconds"),
-    )
-
-
-def options_of(history: History, folder: Path, path: Path) -> Options:
-    """The options that an interrupted run was begun with; SourceError for a rehearsal, whose twins ended with it."""
-    run, given = history.run, history.run.options
-    if run.mode == Rehearsal.mode:
-        problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
-        raise SourceError([Problem(Mark(str(path)), problem)])
-    faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
-    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults) if run.simulated else None
-    return Options(simulation, given.controller, folder, run.unattended)
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return "unknown"

@@ -124,6 +124,12 @@ class SimulatedArm:
         """Stand still there."""
         self._hold(np.array(joints))
 
+    def sink(self, by_rad: float) -> None:
+        """Be limp: the shoulder gives way by so much."""
+        joints = self._rest.copy()
+        joints[1] = max(joints[1] - by_rad, LIMITS_RAD[0, 1])
+        self._hold(joints)
+
     def pose(self, time_s: float) -> Pose:
         """The apex's pose at a time not before now."""
         if self._trajectory is not None:

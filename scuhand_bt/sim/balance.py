@@ -40,6 +40,9 @@ class SimulatedBalance:
         "_readings",
         "_overloaded",
         "_heard_s",
+        "_zero_mg",
+        "_span",
+        "_is_off",
     )
     """What the world's file keeps of it."""
 
@@ -54,6 +57,9 @@ class SimulatedBalance:
         """What is wrong with it, in a simulation of faults."""
         self._heard_s = 0.0  # when it last gave out something
         self._was_lost = False
+        self._zero_mg = 0.0  # what it shows as nothing
+        self._span = 1.0
+        self._is_off = False
         self.next_reading_s = spec.period_s
         self._clock = clock
         self._plant = plant
@@ -112,6 +118,19 @@ class SimulatedBalance:
         """Draw from this generator from now on."""
         self._rng = rng
 
+    def take_zero(self, on_pan_mg: float) -> None:
+        """Be switched on with so much on the pan: that is nothing from now on."""
+        self._zero_mg, self.latest = on_pan_mg * self._span, None
+        self._values.clear()
+
+    def change_span(self, by_share: float) -> None:
+        """Show so much more of whatever is weighed from now on."""
+        self._span *= 1.0 + by_share
+
+    def move_zero(self, by_mg: float) -> None:
+        """Show so much more from now on."""
+        self._zero_mg -= by_mg
+
     def advance(self, end_s: float, dt_s: float, on_pan_mg: float, landing_mg: float, vibration: float) -> None:
         """Go on by `dt_s`; at the end of a period a reading is given out."""
         value_mg = self._plant.reading(self._response.step(dt_s, on_pan_mg, landing_mg, vibration, self._rng))
@@ -119,11 +138,15 @@ class SimulatedBalance:
             return
         self._readings += 1
         self.next_reading_s = self._readings * self.spec.period_s
-        if self.faults.active or self._was_lost:
+        if self.faults.active or self._was_lost or self._is_off:
+            was_off, self._is_off = self._is_off, "balance.restarted" in self.faults.active
+            if was_off and not self._is_off:
+                self.take_zero(on_pan_mg + landing_mg)
             if self._is_silent(end_s):
                 return
             value_mg += self._error_mg(end_s)
         self._heard_s = end_s
+        value_mg = value_mg * self._span - self._zero_mg
         digit_mg = self.spec.readability_mg
         value_mg = round(value_mg / digit_mg) * digit_mg
         self._overloaded = value_mg > self.spec.maximum_mg or "balance.overload" in self.faults.active
@@ -150,7 +173,7 @@ class SimulatedBalance:
     def _is_silent(self, now_s: float) -> bool:
         """Whether it says nothing that is a reading; after a while that is news."""
         active = self.faults.active
-        is_silent = "balance.silent" in active or "balance.garbage" in active
+        is_silent = self._is_off or "balance.silent" in active or "balance.garbage" in active
         is_silent = is_silent or ("balance.bit_flips" in active and self._readings % FLIPPED == 0)  # not believed
         if self._was_lost != (is_silent and now_s - self._heard_s >= self.spec.lost_after_s):
             self._was_lost = not self._was_lost

@@ -8,6 +8,7 @@ fall later, on what stands below.
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping
+from dataclasses import astuple
 from typing import ClassVar
 
 from numpy.random import Generator
@@ -28,6 +29,7 @@ from scuhand_bt.sim.mass_ledger import (
     in_source,
 )
 from scuhand_bt.sim.pan import Pan
+from scuhand_bt.sim.plain_state import Misplaced
 from scuhand_bt.sim.plant import Plant, PowderFlow
 from scuhand_bt.sim.scoop import BowlStroke
 from scuhand_bt.sim.under_the_cone import Surroundings
@@ -48,10 +50,10 @@ class ConeLoad:
 
     STATE: ClassVar[tuple[str, ...]] = (
         "source",
-        "_flow",
+        "flow",
         "flying",
         "_was_open",
-        "_stroke",
+        "stroke",
         "_stroke_in",
         "_flow_rng",
         "_scoop_rng",
@@ -102,6 +104,28 @@ class ConeLoad:
     @flying.setter
     def flying(self, written: Iterable[tuple[float, float, str]]) -> None:
         self._flying = deque((time_s, mass_mg, Compartment.of_text(text)) for time_s, mass_mg, text in written)
+
+    @property
+    def flow(self) -> PowderFlow | None:
+        """The flow of the powder in the cone: a fresh one, for the kept one's state, in a world that is taken up."""
+        if self._flow is None and self.source is not None:
+            if self.source not in self._sources:
+                raise Misplaced(f"powder of '{self.source}', which the recipe no longer has, is in the cone")
+            self._flow = self._plant.flow(self._sources[self.source].powder)
+        return self._flow
+
+    @flow.setter
+    def flow(self, taken_up: PowderFlow | None) -> None:
+        self._flow = taken_up
+
+    @property
+    def stroke(self) -> tuple[float, ...] | None:
+        """The fields of the closing that is under way."""
+        return astuple(self._stroke) if self._stroke is not None else None
+
+    @stroke.setter
+    def stroke(self, fields: tuple[float, ...] | None) -> None:
+        self._stroke = BowlStroke(*fields) if fields is not None else None
 
     @property
     def is_in_the_air(self) -> bool:

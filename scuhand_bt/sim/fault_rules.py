@@ -22,13 +22,14 @@ from scuhand_bt.specs import Spec
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse, read_text
 
-Opportunity = Literal["opening", "motion", "scoop", "container", "question"]
+Opportunity = Literal["opening", "motion", "scoop", "container", "question", "outage"]
 OPPORTUNITIES: Mapping[Opportunity, str] = {
     "opening": "whenever the valve begins to open",
     "motion": "whenever the arm begins to move",
     "scoop": "at each scoop",
     "container": "at each new container",
     "question": "at each question to the operator",
+    "outage": "in each outage: from the end of the program until the run is resumed",
 }
 TO_THE_END = math.inf
 A_MOMENT = 0.0
@@ -57,6 +58,9 @@ KINDS: Mapping[str, FaultKind] = {
     "balance.bit_flips": FaultKind(
         "In every fifth line of the balance a bit is flipped on the way.", "opening", TO_THE_END, "balance"
     ),
+    "balance.restarted": FaultKind(
+        "The balance is off, and on again: its zero is what stands on the pan.", "opening", 2.0, "balance"
+    ),
     "balance.unstable": FaultKind("The balance calls no reading stable.", "opening", TO_THE_END, "balance"),
     "balance.overload": FaultKind(
         "The balance says it is loaded beyond its maximum.", "opening", TO_THE_END, "balance"
@@ -80,7 +84,23 @@ KINDS: Mapping[str, FaultKind] = {
     "scoop.nothing": FaultKind("A scoop collects nothing.", "scoop", A_MOMENT, "scoop"),
     "container.wrong": FaultKind("A container of another mass is put on the pan.", "container", A_MOMENT, "container"),
     "operator.refuses": FaultKind("The simulated person answers no.", "question", A_MOMENT, "person"),
+    "outage.zero_at_power_on": FaultKind(
+        "The balance goes off and on: its zero is what stands on the pan.", "outage", A_MOMENT, "balance"
+    ),
+    "outage.zero_moved": FaultKind("The balance's zero moves by up to 15 mg.", "outage", A_MOMENT, "balance"),
+    "outage.span_moved": FaultKind("The balance's span changes by some ppm.", "outage", A_MOMENT, "balance"),
+    "outage.valve_open": FaultKind("The hand is off: the valve stays as it is.", "outage", A_MOMENT, "hand"),
+    "outage.roller_lost": FaultKind("The roller forgets its turns.", "outage", A_MOMENT, "roller"),
+    "outage.arm_limp": FaultKind("The arm is off, and sinks.", "outage", A_MOMENT, "arm"),
+    "outage.changer_lost": FaultKind("The changer goes home, whatever it was bringing.", "outage", A_MOMENT, "changer"),
+    "outage.powder_fell": FaultKind("Powder falls from the cone.", "outage", A_MOMENT, "apex"),
+    "outage.container_taken": FaultKind("A hand takes the container off the pan.", "outage", A_MOMENT, "pan"),
+    "outage.container_exchanged": FaultKind(
+        "A hand exchanges the container for an empty one of its kind.", "outage", A_MOMENT, "pan"
+    ),
 }
+OUTAGES = {name: kind for name, kind in KINDS.items() if kind.opportunity == "outage"}
+"""What a power cut may do: it comes only to a run that ends without a word, or is stopped, and is resumed."""
 TRIGGERS = ("at_pulse", "at", "probability")
 
 

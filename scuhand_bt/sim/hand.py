@@ -55,6 +55,7 @@ class SimulatedHand:
         "_rng",
         "_blocked_s",
         "_seized_s",
+        "knows_its_roller",
     )
     """What the world's file keeps of it."""
 
@@ -64,6 +65,7 @@ class SimulatedHand:
         self.news = Signal()
         self.vibration = 0.0
         self.cone_diameter_mm = MOUNTED_DIAMETER_MM
+        self.knows_its_roller = True
         self.faults = Faults()
         """What is wrong with it, in a simulation of faults."""
         self._blocked_s = 0.0
@@ -106,6 +108,9 @@ class SimulatedHand:
         self.hold_sheet()
         if not self._is_lost:
             self.shut(self._clock.now_s)
+
+    def rolled_as_mounted(self) -> None:
+        self.cone_diameter_mm, self.knows_its_roller = MOUNTED_DIAMETER_MM, True
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         Cone(cone_diameter_mm, self.spec.sheet_radius_mm)  # refuses what the sheet cannot make
@@ -187,6 +192,12 @@ class SimulatedHand:
         """What the controller's dead-man does: the valve closes, whatever it was told, and vibration stops."""
         self._commands.clear()
         self._command(0.0, now_s)
+        self.vibration = 0.0
+
+    def freeze(self) -> None:
+        """What a power cut does: the valve stays as it is, and vibration stops."""
+        self._commands.clear()
+        self._target_mm = self._servo_mm
         self.vibration = 0.0
 
     def hold_sheet(self) -> None:

@@ -4,13 +4,13 @@ A container that stood there before comes back with what it holds, and with an e
 """
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from scuhand_bt.clock import Signal
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, MassLedger, in_container
+from scuhand_bt.sim.mass_ledger import FLIGHT, PAN, WASTE, MassLedger, in_container
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.specs import Container
 
@@ -19,14 +19,14 @@ EMPTY_SPREAD = 0.2
 WRONG_MASS = 0.2
 """How much heavier a wrong container is, as a share; at least three tolerances."""
 
-Known = tuple[Container, float, float]
-"""A container, its empty mass [mg] and what it holds [mg]."""
+Known = tuple[dict[str, Any], float, float]
+"""A container's fields, its empty mass [mg] and what it holds [mg]."""
 
 
 class Pan:
     """The pan, and every container that has stood on it or is about to."""
 
-    STATE: ClassVar[tuple[str, ...]] = ("container_id", "_swing")
+    STATE: ClassVar[tuple[str, ...]] = ("container_id", "_swing", "_gone", "_strangers")
     """What the world's file keeps of it, beside the masses, and the containers in the file's log."""
 
     def __init__(self, ledger: MassLedger, seed: int, faults: Faults) -> None:
@@ -38,14 +38,17 @@ class Pan:
         self._ledger, self._seed, self._faults = ledger, seed, faults
         self._containers: dict[str, tuple[Container, float]] = {}
         self._empty_mg = 0.0
+        self._gone: list[str] = []  # containers that a hand has carried off
+        self._strangers: list[str] = []  # containers that are not those they were
         self._swing: tuple[float, str | None] | None = None  # end of the carousel's swing [s], container it brings
 
     def place(self, container: Container, now_s: float) -> None:
-        """Put a container on the pan."""
+        """Put a container on the pan, unless a hand has carried it off."""
         if self.container_id is not None:
             raise ValueError(f"'{self.container_id}' stands on the pan")
         self._know(container, now_s)
-        self._put(container.id)
+        if container.id not in self._gone:
+            self._put(container.id)
 
     def remove(self) -> None:
         """Take the container, and what it holds, off the pan."""
@@ -78,6 +81,38 @@ class Pan:
         else:
             self.place(self._containers[container_id][0], end_s)
         self.news.fire()
+
+    # --- in an outage ---
+
+    def end_swing(self) -> None:
+        """The carousel goes home: what it was bringing is in its slot again."""
+        self._swing = None
+
+    def carry_off(self) -> None:
+        """A hand takes the container away, and what it holds."""
+        if self.container_id is not None:
+            self._gone.append(self.container_id)
+            self._exchange(*self._containers[self.container_id])
+            self._put(None)
+
+    def exchange(self, rng: np.random.Generator) -> None:
+        """A hand puts an empty container of the same kind in the place of the one on the pan."""
+        if self.container_id is not None:
+            container, _ = self._containers[self.container_id]
+            self._strangers.append(container.id)
+            self._exchange(container, _empty_mass_mg(container, rng))
+            self._put(self.container_id)
+
+    @property
+    def is_exchanged(self) -> bool:
+        """Whether the container that stands here is not the one that is thought to."""
+        return self.container_id in self._strangers
+
+    def _exchange(self, container: Container, empty_mg: float) -> None:
+        """What the container held is gone from now on, and its empty mass is this."""
+        self._ledger.transfer(in_container(container.id), WASTE, self._ledger.masses_mg[in_container(container.id)])
+        self._containers[container.id] = container, empty_mg
+        self.log(self._known(container.id))
 
     # --- what the balance and the falling powder meet ---
 
@@ -116,7 +151,8 @@ class Pan:
 
     def recall(self, containers: list[Known], held_mg: float) -> None:
         """Know these containers; the one on the pan by now holds `held_mg`."""
-        for container, empty_mg, mass_mg in containers:
+        for fields, empty_mg, mass_mg in containers:
+            container = Container.model_validate(fields)
             self._containers[container.id] = (container, empty_mg)
             self._ledger.masses_mg[in_container(container.id)] = mass_mg
         if self.container_id is not None:
@@ -124,7 +160,8 @@ class Pan:
         self._put(self.container_id)
 
     def _known(self, container_id: str) -> Known:
-        return (*self._containers[container_id], self._ledger.masses_mg[in_container(container_id)])
+        container, empty_mg = self._containers[container_id]
+        return container.model_dump(), empty_mg, self._ledger.masses_mg[in_container(container_id)]
 
     def _know(self, container: Container, now_s: float) -> None:
         if container.id in self._containers:
@@ -133,12 +170,16 @@ class Pan:
         wrong_mg = 0.0
         if self._faults.comes("container.wrong", now_s):
             wrong_mg = max(WRONG_MASS * container.empty_mass_mg, 3.0 * container.empty_mass_tolerance_mg)
-        spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
-        empty_mg = container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0))
-        self._containers[container.id] = (container, max(1.0, empty_mg) + wrong_mg)
+        self._containers[container.id] = (container, _empty_mass_mg(container, rng) + wrong_mg)
         self._ledger.masses_mg[in_container(container.id)] = 0.0
         self.log(self._known(container.id))
 
     def _put(self, container_id: str | None) -> None:
         self.container_id = container_id
         self._empty_mg = self._containers[container_id][1] if container_id is not None else 0.0
+
+
+def _empty_mass_mg(container: Container, rng: np.random.Generator) -> float:
+    """One container's own empty mass, drawn."""
+    spread_mg = EMPTY_SPREAD * container.empty_mass_tolerance_mg
+    return max(1.0, container.empty_mass_mg + spread_mg * float(np.clip(rng.standard_normal(), -3.0, 3.0)))

@@ -19,12 +19,12 @@ from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
 from scuhand_bt.sim.mass_ledger import CONE, Compartment, MassLedger, in_container, in_source
+from scuhand_bt.sim.outage import PowerCut
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
 from scuhand_bt.sim.snapshot import Memory
 from scuhand_bt.sim.under_the_cone import Surroundings
-from scuhand_bt.sim.world_file import broken
 from scuhand_bt.specs import Container, Source
 
 STEP_S = 0.020
@@ -56,7 +56,7 @@ class World:
         self.ledger = MassLedger(sources)
         self.pan = Pan(self.ledger, seed, self.faults)
         self.load = ConeLoad(self.ledger, self.pan, Surroundings(spec, sources), sources, plant, arm, hand, self.faults)
-        self._seed, self._sources = seed, sources
+        self._seed = seed
         self._arm, self._hand, self._balance = arm, hand, balance
         self._compartments = tuple((str(compartment), compartment) for compartment in self.ledger.masses_mg)
         self._memory = Memory(
@@ -150,9 +150,6 @@ class World:
         Raises SourceError for a file that is missing, damaged, or of a world that could not be saved.
         """
         (self.now_s, joints, masses_mg, held_mg), containers = self._memory.take_up(path, tell)
-        if self.load.source is not None and self.load.source not in self._sources:
-            self.close()
-            raise broken(path, f"powder of '{self.load.source}', which the recipe no longer has, is in the cone")
         self.pan.recall(containers, held_mg)
         self.ledger.masses_mg.update({Compartment.of_text(text): mass_mg for text, mass_mg in masses_mg.items()})
         self._arm.hold(joints)
@@ -173,15 +170,21 @@ class World:
         self._memory.close()
 
     def _sit_out(self) -> None:
-        """What happens while nobody speaks to the devices: the valve stays as it is until its dead-man closes it."""
+        """What happens while nobody speaks to the devices: the valve stays as it is until its dead-man closes it.
+
+        And what a power cut does to them (`outage.…` of the faults), whose end shuts the valve, too.
+        """
         hand, silent_s = self._hand, self.now_s
+        cut = PowerCut(self.faults, silent_s, substream(self._seed, f"{silent_s:.4f}", 0, "outage"))
         self._go_on_to(silent_s + SERVO_WATCHDOG_S)
         hand.hold_sheet()
         self._go_on_to(silent_s + DEAD_MAN_S)
-        hand.shut(self.now_s)
+        cut.begin(self.now_s, self._arm, hand, self.pan)
         self._go_on_to(silent_s + OUTAGE_S)
+        cut.go_on(self.now_s, hand, self.load, self.ledger.masses_mg[CONE])
         while self._is_at_work and self.now_s < silent_s + LONGEST_OUTAGE_S:
             self._go_on_to(self.now_s + STEP_S)
+        cut.end(self._balance, self.pan)
 
     @property
     def _is_at_work(self) -> bool:

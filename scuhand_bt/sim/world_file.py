@@ -19,7 +19,7 @@ from zlib import crc32
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 
-MAGIC = b"scuhand_bt world 1\n"
+MAGIC = b"scuhand_bt world 2\n"
 HEAD = struct.Struct("<19sII")
 SUM = struct.Struct("<I")
 FIELDS = struct.Struct("<QIQI")
@@ -51,7 +51,7 @@ class WorldFile:
         except OSError as error:
             raise broken(path, f"the simulated world cannot be read: {error.strerror}") from None
         if len(content) < HEAD.size or not content.startswith(MAGIC):
-            raise broken(path, "this is not the file of a simulated world")
+            raise broken(path, "this is not the file of a simulated world, or another version of the program wrote it")
         _, slot_bytes, head_sum = HEAD.unpack_from(content)
         if head_sum != _head_sum(slot_bytes):
             raise broken(path, "this file of a simulated world is damaged in its head")

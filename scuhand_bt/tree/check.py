@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from scuhand_bt.failures import CATALOGUE, Failure
@@ -56,12 +57,17 @@ class Library:
     def parameters(self, name: str) -> Mapping[str, Parameter]:
         """What the skill or workflow `name` takes."""
         if name in self.skills:
-            return {
-                info.alias or field_name: Parameter(of_field(info.annotation, info.metadata), info.is_required())
-                for field_name, info in self.skills[name].model_fields.items()
-            }
+            return _parameters_of(self.skills[name])
         inputs = self.workflows[name].inputs
         return {key: Parameter(declared.type, declared.default is None) for key, declared in inputs.items()}
+
+
+@cache
+def _parameters_of(skill: type[Skill[Any]]) -> Mapping[str, Parameter]:
+    return {
+        info.alias or field_name: Parameter(of_field(info.annotation, info.metadata), info.is_required())
+        for field_name, info in skill.model_fields.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from scuhand_bt.tree.replay import ENDED, Decision, Recorded, Replay
 from scuhand_bt.tree.wires import in_words
 
 LEASE_TIMEOUT_S = 10.0
+REST_S = 1.0
+"""After a skill's end its devices come to rest within this time (a wide open valve takes 0.7 s), or it left them on."""
 REJOINING = ("arm", "balance")
 """What `Rejoin` uses."""
 
@@ -34,6 +36,10 @@ class Listener(Protocol):
     """Who is told of every action before it starts and after it has ended: the journal."""
 
     def started(self, leaf: "SkillLeaf", inputs: Values) -> None: ...
+
+    def waits(self, leaf: "SkillLeaf") -> Wake | None:
+        """What the leaf has to wait for until it is on disk that it starts; None where it is."""
+        ...
 
     def acting(self, leaf: "SkillLeaf") -> None:
         """The leaf is about to do its next step; what is recorded now is its doing."""
@@ -119,14 +125,15 @@ class SkillLeaf(Behaviour):
         self._shared = shared
         self._steps: Steps[Any] | None = None
         self._wake: Wake | None = None
-        self._lease_deadline_s = 0.0
+        self._lease_deadline_s = self._rest_deadline_s = 0.0
+        self._ended: tuple[str, Any] | None = None
         self._is_recorded = False
         self._recorded: Recorded | None = None
 
     def initialise(self) -> None:
         self.visits += 1
         self.failure = None
-        self._steps = self._wake = None
+        self._steps = self._wake = self._ended = None
         self._is_recorded = False
         self._recorded = self._shared.replay.recorded(self.path, self.visits)
         self._lease_deadline_s = self._shared.cell.clock.now_s + LEASE_TIMEOUT_S
@@ -145,6 +152,11 @@ class SkillLeaf(Behaviour):
                 return Status.SUCCESS
             if self._steps is None and not self._begin():
                 return Status.RUNNING
+            if self._ended is not None:
+                return self._come_to_rest(*self._ended)
+            if self._wake is None and (writing := self._shared.listener.waits(self)) is not None:
+                self._shared.wait(self, writing)
+                return Status.RUNNING
             if self._wake is not None and not self._is_due(self._wake):
                 return Status.RUNNING
             assert self._steps is not None
@@ -153,23 +165,47 @@ class SkillLeaf(Behaviour):
             if not isinstance(self._wake, Wake):
                 raise TypeError(f"it yields {self._wake!r}; a skill yields `Wake`s")
         except StopIteration as stop:
-            self._keep(stop.value)
-            self._end("done", stop.value)
-            return Status.SUCCESS
+            return self._has_ended("done", stop.value)
         except SkillFailed as failure:
             if not is_explained(self.skill, failure):
                 self._end("broken", None)
                 raise unexplained(self.name, failure) from failure
-            self.failure = failure
-            self._end("failed", failure)
-            return Status.FAILURE
-        except RecordLost:
+            return self._has_ended("failed", failure)
+        except (RecordLost, SkillBug):
             raise
-        except Exception as error:
+        except BaseException as error:  # sys.exit() too: how a run ends is not a skill's to say
             self._end("broken", None)
             raise bug_of(self.name, error) from error
         self._shared.wait(self, self._wake)
         return Status.RUNNING
+
+    def _has_ended(self, outcome: str, result: Any) -> Status:
+        self._ended = outcome, result
+        self._rest_deadline_s = self._shared.cell.clock.now_s + REST_S
+        return self._come_to_rest(outcome, result)
+
+    def _come_to_rest(self, outcome: str, result: Any) -> Status:
+        """The skill has ended; its action is over once the devices that it commanded stand still.
+
+        SkillBug if they go on, and are sound: nothing may move beside them. What has failed trips a guard.
+        """
+        shared, cell = self._shared, self._shared.cell
+        devices = {name: cell.device(name) for name in (self.skill.devices if self._is_recorded else ())}
+        at_work = [name for name, device in devices.items() if not device.is_stopped and device.fault is None]
+        if at_work and cell.clock.now_s < self._rest_deadline_s:
+            shared.wait(self, *shared.leases.wakes(at_work, self._rest_deadline_s))
+            return Status.RUNNING
+        if at_work:
+            for name in at_work:
+                devices[name].stop()
+            self._end("broken", None)
+            raise SkillBug(f"the skill {self.name} broke: it has ended and left at work: {', '.join(at_work)}")
+        if outcome == "failed":
+            self.failure = result
+        else:
+            self._keep(result)
+        self._end(outcome, result)
+        return Status.FAILURE if outcome == "failed" else Status.SUCCESS
 
     def terminate(self, new_status: Status) -> None:
         """Halted while running: close the generator, whose `finally` sends the safe commands."""
@@ -179,7 +215,7 @@ class SkillLeaf(Behaviour):
         try:
             if self._steps is not None:
                 self._steps.close()
-        except Exception as error:
+        except BaseException as error:
             outcome = "broken"
             self._shared.bugs.append(bug_of(self.name, error))
         self._end(outcome, None)
@@ -249,7 +285,7 @@ class SkillLeaf(Behaviour):
             self._shared.listener.ended(self, outcome, result)
 
 
-def bug_of(name: str, error: Exception) -> SkillBug:
+def bug_of(name: str, error: BaseException) -> SkillBug:
     """What an exception of a skill's own code is."""
     return SkillBug(f"the skill {name} broke: {type(error).__name__}: {error}")
 

@@ -39,7 +39,7 @@ class Guard(Behaviour):
                 raise unexplained(self.name, failure) from failure
             self.failure = failure
             return Status.FAILURE
-        except Exception as error:
+        except BaseException as error:
             raise bug_of(self.name, error) from error
         return Status.SUCCESS
 

@@ -36,6 +36,7 @@ class WireFaults:
         valve, servo = hand.twin, bus.twin.servos[FAULTY_SERVO]
         self._switches: dict[str, Callable[[bool], None]] = {
             "balance.silent": lambda on: setattr(balance, "paused", on),
+            "balance.restarted": lambda on: setattr(balance, "paused", on),
             "balance.garbage": lambda on: setattr(balance.misbehaviour, "drop", MANY * on),
             "balance.bit_flips": lambda on: setattr(balance.misbehaviour, "flip_every", FLIPPED * on),
             "valve.stuck_open": lambda on: setattr(valve, "can_close", not on),

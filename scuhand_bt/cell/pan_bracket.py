@@ -1,0 +1,90 @@
+"""The weighings about one container, as they are made, and what came out when it had gone (`dosing/bracket.py`)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Annotated, TypeAlias
+
+from pydantic import AfterValidator, PlainSerializer
+
+from scuhand_bt.dosing.bracket import Drift, Gross, Net, total
+
+AS_WRITTEN = PlainSerializer(dict)
+READ_ONLY = AfterValidator(MappingProxyType)
+Nets: TypeAlias = Annotated[Mapping[str, Net], READ_ONLY, AS_WRITTEN]
+"""Doses by powder lot (`Source.sheet_key`); read-only, as the rest of what is believed."""
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """The weighings about what is dosed into one container. Every change makes a new one."""
+
+    container: str
+    bare: Gross
+    """The pan before the container came."""
+    loaded: Gross
+    """With the empty container, the hand away."""
+    last: Gross
+    """The last weighing of what stands there, whether with the hand in place or without."""
+    doses: Nets = field(default_factory=lambda: MappingProxyType({}))
+    drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
+    """What was seen about the last dose."""
+    lot: str = ""
+    """What is being dosed."""
+    lifted: Gross | None = None
+    """The filled container, the hand away, before it is taken off the pan."""
+    carried: Nets = field(default_factory=lambda: MappingProxyType({}))
+    """What it held before these weighings began: after an outage the balance has another zero, and all begin anew."""
+    empty: Net | None = None
+    """What it weighed empty, before such an outage; None where `bare` and `loaded` tell."""
+
+    def dosed_mg(self, lot: str) -> Net:
+        """What was dosed of a powder lot until now."""
+        return total(nets[lot] for nets in (self.carried, self.doses) if lot in nets)
+
+    @property
+    def holds(self) -> dict[str, Net]:
+        """All that was dosed, by powder lot."""
+        return {lot: self.dosed_mg(lot) for lot in {**self.carried, **self.doses}}
+
+    def tared(self, weighing: Gross) -> "Bracket":
+        """Weighed before a dose; before the first one that is the empty container, too."""
+        return replace(self, loaded=self.loaded if self.doses else weighing, last=weighing)
+
+    def gained(self, gained: Net, drift: Drift, now: Gross) -> "Bracket":
+        """So much more of the lot that is being dosed, and what the container weighs with it."""
+        doses = {**self.doses, self.lot: total([self.doses.get(self.lot, Net(0.0, 0.0)), gained])}
+        return replace(self, doses=MappingProxyType(doses), drift=drift, last=now)
+
+    def with_zero_moved(self, drift_mg: float, now: Gross) -> "Bracket":
+        """As if the balance had always had the zero that it has now."""
+        return replace(self, bare=_shifted(self.bare, drift_mg), loaded=_shifted(self.loaded, drift_mg), last=now)
+
+    def begun_anew(self, bare: Gross, loaded: Gross, empty: Net, carried: Mapping[str, Net]) -> "Bracket":
+        """After an outage: what it was found to hold is carried, and nothing weighed before counts."""
+        return Bracket(
+            self.container, bare, loaded, loaded, lot=self.lot, carried=MappingProxyType(dict(carried)), empty=empty
+        )
+
+    def carried_of(self, held: Net) -> dict[str, Net]:
+        """What it holds by lot, if it holds so much in all: what nobody knew of is of the lot that was dosed last."""
+        others = total(net for lot, net in self.holds.items() if lot != self.lot)
+        u_mg = math.hypot(held.uncertainty_mg, others.uncertainty_mg)
+        return {**self.holds, self.lot: Net(held.mass_mg - others.mass_mg, u_mg)}
+
+
+@dataclass(frozen=True)
+class ClosedBracket:
+    """What came out when a container had gone: its doses, and whether they may be believed."""
+
+    container: str
+    doses: Nets
+    closes: bool
+    difference_mg: float
+    """What the container has gained by the bare pan, less what was dosed."""
+    detail: str
+
+
+def _shifted(weighing: Gross, by_mg: float) -> Gross:
+    return replace(weighing, gross_mg=weighing.gross_mg + by_mg)

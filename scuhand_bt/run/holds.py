@@ -1,0 +1,35 @@
+"""Taking what one process at a time may have: a run, and the lab's real cell.
+
+What keeps two from going on with one run is not this lock, which a person may delete: it is that an entry is only ever
+added behind the one that its writer knows (`journal/writer.py`). The lock tells the second one so before it begins.
+"""
+
+from pathlib import Path
+
+from scuhand_bt.journal.presence import Held, Presence
+from scuhand_bt.problems import Mark, Problem, SourceError
+
+CELL = "cell"
+BEING_RUN = "the run is going on in another process; `scuhand-bt stop {}` ends it"
+
+
+def take_run(journal: Path) -> Presence:
+    """Have a run, from before its history is read until it ends. Raises SourceError where another process has it."""
+    return _take(journal, BEING_RUN.format(journal.stem))
+
+
+def take_cell(state_folder: Path) -> Presence:
+    """Have the real cell of the lab that keeps its state here. Raises SourceError where a run has it."""
+    what = "the cell is in use by a run, which knows best what is in it; `scuhand-bt runs` lists it: stop it first"
+    return _take(state_folder / CELL, what)
+
+
+def _take(path: Path, held: str) -> Presence:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return Presence(path)
+    except Held:
+        what = held
+    except OSError as error:
+        what = f"it cannot be locked: {error.strerror or error}; nothing was moved"
+    raise SourceError([Problem(Mark(str(path)), what)])

@@ -1,0 +1,108 @@
+"""How a plan is to be run: as it was asked for, as the journal's first entry keeps it, and as a resumed run has it."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import scuhand_bt
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.dosing import CONTROLLERS
+from scuhand_bt.journal.events import OptionsGiven, RunBegun, SamplePlanned, SourceUsed
+from scuhand_bt.journal.history import History
+from scuhand_bt.journal.plain import plain_values
+from scuhand_bt.lab import Lab
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
+from scuhand_bt.run.operator import Person
+from scuhand_bt.run.resume import lab_files
+from scuhand_bt.sim.fault_rules import parse_faults
+
+LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a plan is run: `simulation` is None on the real cell; `controller` overrides the recipe's."""
+
+    simulation: Simulation | None
+    controller: str | None = None
+    folder: Path | None = None
+    """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
+    unattended: bool = False
+    """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
+    person: Person | None = None
+    """Who runs it, and answers; the user of the computer if None."""
+
+
+def options_of(history: History, folder: Path, path: Path) -> Options:
+    """The options that an interrupted run was begun with; SourceError for a rehearsal, whose twins ended with it."""
+    run, given = history.run, history.run.options
+    if run.mode == Rehearsal.mode:
+        problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
+        raise SourceError([Problem(Mark(str(path)), problem)])
+    faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
+    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults) if run.simulated else None
+    return Options(simulation, given.controller, folder, run.unattended)
+
+
+def check_controller(name: str | None) -> None:
+    """Raises SourceError for a dosing controller that does not exist."""
+    if name is not None and name not in CONTROLLERS:
+        problem = f"unknown controller '{name}'; known: {', '.join(CONTROLLERS)}"
+        raise SourceError([Problem(Mark("--controller", 0), problem)])
+
+
+def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, person: Person) -> RunBegun:
+    """What a run is, as the first entry of its journal has it: all that another program needs to resume it."""
+    simulation = options.simulation
+    faults = simulation.faults if simulation is not None else None
+    return RunBegun(
+        run=run_id,
+        recipe=plan.recipe.name,
+        recipe_hash=plan.recipe.hash,
+        recipe_text=plan.recipe.text,
+        recipe_path=str(plan.recipe.path.absolute()),
+        lab=str(lab.folder.absolute()),
+        lab_files=lab_files(lab),
+        cell=lab.cell.cell,
+        simulated=simulation is not None,
+        unattended=options.unattended,
+        mode=simulation.mode if simulation is not None else "real devices",
+        seed=simulation.seed if simulation is not None else None,
+        plant=(simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
+        controller=cell.controller,
+        faults_hash=faults.hash if faults is not None else None,
+        faults_text=faults.text if faults is not None else None,
+        options=OptionsGiven(
+            controller=options.controller,
+            plant=simulation.plant if simulation is not None else None,
+            speed=simulation.speed if isinstance(simulation, DryRun) else None,
+            faults=faults.marks[0].file if faults is not None else None,
+        ),
+        sources={
+            name: SourceUsed(station=source.station, powder=source.powder.name, lot=source.lot)
+            for name, source in plan.recipe.sources.items()
+        },
+        samples=[
+            SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
+            for sample in plan.recipe.samples
+        ],
+        operator=person.name,
+        signed=person.is_pin is not None,
+        devices={
+            name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
+            for name in ("arm", "hand", "balance", "changer")
+        },
+        version=scuhand_bt.__version__,
+        libraries={name: _version(name) for name in LIBRARIES},
+        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+    )
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"

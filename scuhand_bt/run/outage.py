@@ -1,0 +1,134 @@
+"""What a resumed run settles before its first job: after an outage no device is sure to be as it was left.
+
+The program may have ended alone, or with all the power: nobody knows which. So the balance's zero is not believed, nor
+the roller's turns, nor that what stands on the pan is what stood there:
+
+    held = (l - a) - (l0 - a0)
+
+a0, l0 the bare pan and the empty container before the outage; a, l the bare pan and the container after it, each pair
+by a zero of its own. What is held is believed where physics allows it: nothing comes back, and no more comes than the
+cone can have lost. Otherwise a person says; without one the container is given up, and its sample fails. Another
+container of its kind may weigh as if it held a part of the dose: where one was under way, a person says so or not.
+"""
+
+from dataclasses import dataclass
+
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.pan_bracket import Bracket
+from scuhand_bt.cell.places import CLEAR_MM
+from scuhand_bt.cell.weighing import CHANGED_MG, possible_mg, weigh_changed, weighing_of
+from scuhand_bt.clock import Steps
+from scuhand_bt.devices.interfaces import StableMean
+from scuhand_bt.dosing.bracket import AGREEMENT, Net, held, standing, total
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.journal.events import ContainerReweighed
+from scuhand_bt.journal.writer import Journal
+
+
+def settle_outage(journal: Journal, cell: Cell) -> Steps[None]:
+    """The sheet as it is mounted, if the roller does not know; the container's weighings begun anew, if one was there.
+
+    SkillFailed operator.refused, operator.absent; and whatever moving the arm or weighing fails with.
+    """
+    if not cell.hand.knows_its_roller:
+        request = "The roller does not know how far the sheet is rolled. Roll it by hand as it is mounted."
+        if (yield from cell.operator.ask(request)) != "done":
+            raise SkillFailed(Code.OPERATOR_REFUSED, request)
+        cell.hand.rolled_as_mounted()
+    if (bracket := cell.believed.bracket) is not None:
+        yield from _settle_container(journal, cell, bracket)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a container was found to hold, and what can be."""
+
+    held: Net
+    expected: Net
+    least_mg: float
+    most_mg: float
+
+    @property
+    def is_possible(self) -> bool:
+        return self.least_mg <= self.held.mass_mg <= self.most_mg
+
+    def in_words(self, container: str) -> str:
+        return (
+            f"After the outage '{container}' weighs as if it held {self.held.mass_mg:.1f} mg, "
+            f"and {self.least_mg:.1f} to {self.most_mg:.1f} mg are possible"
+        )
+
+
+def _settle_container(journal: Journal, cell: Cell, bracket: Bracket) -> Steps[None]:
+    believed, digit_mg = cell.believed, cell.spec.balance.readability_mg
+    stood = cell.apex()
+    if is_in_the_way := cell.aside_of_pan_mm() < CLEAR_MM:
+        yield from cell.move_to(cell.spec.station_of_kind("park").name)
+    seen_mg, was_dosing = believed.seen_mg, believed.dosing.is_unweighed
+    before, bare, loaded = yield from _weigh_about_the_bare_pan(cell)
+    zero, after = weighing_of(bare), weighing_of(loaded)
+    full = [standing(zero, after, digit_mg)]
+    if before.value_mg - bare.value_mg > CHANGED_MG:  # it was not on its way already
+        full.append(standing(zero, weighing_of(before), digit_mg))
+    empty = bracket.empty or standing(bracket.bare, bracket.loaded, digit_mg)
+    found = _found(cell, held(empty, full), bracket)
+    is_same = found.is_possible
+    if was_dosing or not is_same:
+        is_same = yield from _is_the_same(cell, bracket, found)
+    if is_same:
+        believed.rebracketed(zero, after, empty, found.held, found.held.mass_mg - found.expected.mass_mg - seen_mg)
+    else:
+        believed.container_given_up(found.in_words(bracket.container))
+    journal.event(
+        ContainerReweighed(
+            container=bracket.container,
+            before=before.written(),
+            bare=bare.written(),
+            loaded=loaded.written(),
+            held_mg=found.held.mass_mg,
+            uncertainty_mg=found.held.uncertainty_mg,
+            least_mg=found.least_mg,
+            most_mg=found.most_mg,
+            counts=is_same,
+        )
+    )
+    if is_in_the_way:
+        yield from cell.move_to(stood)
+
+
+def _weigh_about_the_bare_pan(cell: Cell) -> Steps[tuple[StableMean, StableMean, StableMean]]:
+    """What the pan shows, the pan bare, and the container on it again."""
+    container = cell.believed.pan
+    assert container is not None
+    before = yield from cell.balance.stable_mean()
+    yield from cell.changer.take_away()
+    bare = yield from weigh_changed(cell, before.value_mg)
+    yield from cell.changer.bring(container)
+    loaded = yield from weigh_changed(cell, bare.value_mg)
+    return before, bare, loaded
+
+
+def _found(cell: Cell, now: Net, bracket: Bracket) -> _Found:
+    expected = total(bracket.holds.values())
+    least_mg, most_mg = possible_mg(cell, AGREEMENT * total((now, expected)).uncertainty_mg)
+    return _Found(now, expected, expected.mass_mg + least_mg, expected.mass_mg + most_mg)
+
+
+def _is_the_same(cell: Cell, bracket: Bracket, found: _Found) -> Steps[bool]:
+    """A person says; without one, physics. What no powder explains is another container, or none."""
+    choices = ["another", "stop"]
+    if found.is_possible:
+        choices.insert(0, "same")
+    elif bracket.lot and found.held.mass_mg > found.least_mg - found.expected.mass_mg:
+        choices.insert(1, "same")
+    asked = f"{found.in_words(bracket.container)}. Is it another container"
+    asked += ", or the same, and counts with what it weighs now?" if "same" in choices else "?"
+    try:
+        answer = yield from cell.operator.ask(asked, choices)
+    except SkillFailed as error:
+        if error.code != Code.OPERATOR_ABSENT:
+            raise
+        return found.is_possible
+    if answer == "stop":
+        raise SkillFailed(Code.OPERATOR_REFUSED, found.in_words(bracket.container))
+    return answer == "same"

@@ -1,0 +1,57 @@
+"""The computer's own clock, by which entries are dated: that it was set is noticed, and noted in the journal.
+
+Within a run it is held against the time since the computer was started (which counts a suspended computer's time too,
+and which nobody sets); between runs against the last line of the lab's ledger.
+"""
+
+import time
+from datetime import datetime, timedelta
+
+from scuhand_bt.quantity import format_duration
+
+JUMP_S = 60.0
+"""A clock that is corrected by less (NTP does it step by step) is a clock that is right."""
+LONGEST_REST = timedelta(days=366)
+"""A lab that has done nothing for longer is rarer than a clock that is wrong."""
+
+
+class ClockWatch:
+    """Looks at the clock now and then."""
+
+    def __init__(self) -> None:
+        self._wall_s, self._steady_s = _now()
+
+    def jump(self) -> str | None:
+        """How the clock was set since the last look, in words; None where it was not."""
+        wall_s, steady_s = _now()
+        should_be_s = self._wall_s + steady_s - self._steady_s
+        self._wall_s, self._steady_s = wall_s, steady_s
+        if abs(wall_s - should_be_s) < JUMP_S:
+            return None
+        way = "forward" if wall_s > should_be_s else "back"
+        return (
+            f"the computer's clock was set {way} by {format_duration(abs(wall_s - should_be_s))}, from "
+            f"{_at(should_be_s)} to {_at(wall_s)}; by which of the two the other entries are dated, their order says"
+        )
+
+
+def disagreement(last_at: str | None) -> str | None:
+    """What is odd about the clock after something was dated `last_at` (ISO 8601); None where nothing is."""
+    if last_at is None:
+        return None
+    now, last = datetime.now().astimezone(), datetime.fromisoformat(last_at)
+    odd = "earlier than" if now < last - timedelta(seconds=JUMP_S) else "more than a year after"
+    if odd == "more than a year after" and now - last < LONGEST_REST:
+        return None
+    return (
+        f"the computer's clock shows {now.isoformat(timespec='seconds')}, {odd} the last that this lab has written "
+        f"down ({last_at}): look whether it is right"
+    )
+
+
+def _now() -> tuple[float, float]:
+    return time.time(), time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+def _at(wall_s: float) -> str:
+    return datetime.fromtimestamp(wall_s).astimezone().isoformat(timespec="seconds")

@@ -1,0 +1,144 @@
+"""A simulated object's state as JSON, and back: reading it makes data, never an object of a class that a file names.
+
+    number, text, true, false, null, list      as they are
+    {KIND: …}                                  all else: `tuple`, `dict`, `set`, `deque`, `bytes`, numpy's `array` and
+                                               `generator`, the balance's `reading`, `object`, and `spec`
+
+An object is written as its class and its attributes. It is read onto one that the program has made itself, at the same
+place and of the same class: so a plant of somebody else's needs no method for it, as long as its attributes are data.
+What the lab says (a `Spec`) never changes, and is not written.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import is_dataclass
+from types import ModuleType
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.random import BitGenerator, Generator
+
+from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.specs import Spec
+
+Plain: TypeAlias = Any
+"""What `json` writes and reads."""
+
+
+class Misplaced(Exception):  # noqa: N818 - it says what was found
+    """State that has no place here."""
+
+
+def written(value: object) -> Plain:
+    """A value as JSON's. Raises TypeError for what is no data: a function, a file, an object of C."""
+    kind = type(value)
+    if kind in _AS_THEY_ARE:
+        return value
+    if kind is list:
+        return [written(one) for one in value]  # type: ignore[attr-defined]
+    if (write := _WRITERS.get(kind)) is not None:
+        return write(value)
+    if isinstance(value, np.generic):
+        return written(value.item())
+    if isinstance(value, Spec):
+        return {"spec": _class_of(value)}
+    return {"object": [_class_of(value), {name: written(one) for name, one in _attributes(value).items()}]}
+
+
+def read(plain: Plain, onto: Any = None) -> Any:
+    """The value that was written; objects are read onto what stands at their place, `onto`.
+
+    A dataclass is a value, which others may have too: its copy is changed. Raises Misplaced for an object that
+    `onto` is not, and LookupError, TypeError or ValueError for what was never written.
+    """
+    if isinstance(plain, list):
+        there = onto if isinstance(onto, list) and len(onto) == len(plain) else [None] * len(plain)
+        return [read(one, place) for one, place in zip(plain, there, strict=True)]
+    if not isinstance(plain, dict):
+        return plain
+    ((kind, content),) = plain.items()
+    return _READERS[kind](content, onto)
+
+
+def _class_of(value: object) -> str:
+    return f"{type(value).__module__}.{type(value).__qualname__}"
+
+
+def _attributes(value: object) -> dict[str, Any]:
+    slots = [name for of in type(value).__mro__ for name in vars(of).get("__slots__", ()) if not name.startswith("__")]
+    if callable(value) or isinstance(value, ModuleType) or not (slots or hasattr(value, "__dict__")):
+        raise TypeError(f"{_class_of(value)} is no data")
+    return {name: getattr(value, name) for name in slots if hasattr(value, name)} | getattr(value, "__dict__", {})
+
+
+def _read_object(content: Plain, onto: Any) -> Any:
+    name, attributes = content
+    _read_spec(name, onto)
+    if is_dataclass(onto):
+        onto = copy(onto)
+    for field, plain in attributes.items():
+        object.__setattr__(onto, field, read(plain, getattr(onto, field, None)))
+    return onto
+
+
+def _read_spec(name: str, onto: Any) -> Any:
+    if onto is None or _class_of(onto) != name:
+        raise Misplaced(f"there is no {name} where one was")
+    return onto
+
+
+def _read_dict(content: Plain, onto: Any) -> dict[Any, Any]:
+    there = onto if isinstance(onto, dict) else {}
+    pairs = [(read(key), plain) for key, plain in content]
+    return {key: read(plain, there.get(key)) for key, plain in pairs}
+
+
+def _read_generator(content: Plain, onto: Any) -> Generator:
+    state = content if content.keys() != {"dict"} else read(content)  # of other bit generators, which hold arrays
+    made = getattr(np.random, state["bit_generator"])
+    if not (isinstance(made, type) and issubclass(made, BitGenerator)):
+        raise ValueError(f"{made!r} draws no numbers")
+    bits = made()
+    bits.state = state
+    return Generator(bits)
+
+
+def _reading(value_mg: float, stable: bool, time_s: float, unit: str, raw: str) -> Reading:
+    return Reading(value_mg, stable, time_s, unit, raw.encode("latin-1"))
+
+
+def _written_generator(generator: Generator) -> Plain:
+    state = generator.bit_generator.state
+    return {"generator": state if state["bit_generator"] == "PCG64" else written(state)}
+
+
+def _plain_array(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    if array.dtype.hasobject:
+        raise TypeError("an array of objects is no data")
+    return array
+
+
+_AS_THEY_ARE = frozenset({float, int, str, bool, type(None)})
+_WRITERS: Mapping[type, Callable[[Any], Plain]] = {
+    tuple: lambda values: {"tuple": [written(one) for one in values]},
+    dict: lambda values: {"dict": [[written(key), written(one)] for key, one in values.items()]},
+    set: lambda values: {"set": [written(one) for one in values]},
+    deque: lambda values: {"deque": [[written(one) for one in values], values.maxlen]},
+    bytes: lambda value: {"bytes": value.decode("latin-1")},
+    np.ndarray: lambda array: {"array": [_plain_array(array).dtype.str, array.tolist()]},
+    Generator: _written_generator,
+    Reading: lambda r: {"reading": [r.value_mg, r.stable, r.time_s, r.unit, r.raw.decode("latin-1")]},
+}
+_READERS: Mapping[str, Callable[[Plain, Any], Any]] = {
+    "tuple": lambda content, onto: tuple(read(content, list(onto) if isinstance(onto, tuple) else None)),
+    "dict": _read_dict,
+    "set": lambda content, onto: set(read(content)),
+    "deque": lambda content, onto: deque(read(content[0]), content[1]),
+    "bytes": lambda content, onto: content.encode("latin-1"),
+    "array": lambda content, onto: _plain_array(np.array(content[1], dtype=content[0])),
+    "generator": _read_generator,
+    "reading": lambda content, onto: _reading(*content),
+    "object": _read_object,
+    "spec": _read_spec,
+}

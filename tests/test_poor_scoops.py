@@ -1,0 +1,210 @@
+"""Scoops that bring little or nothing, bridges, and a stuck valve: told apart, scooped again, and given up in time."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import read
+from numpy.random import Generator
+from running import Ran, dry_run, make_lab, shared_planner
+
+from scuhand_bt.clock import Steps
+from scuhand_bt.lab import load_lab
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.resume import checked_history, resumable
+from scuhand_bt.run.session import Session
+from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.sim.powder import OurPowderFlow
+from scuhand_bt.sim.scoop import BowlStroke, OurScoopYield
+from scuhand_bt.specs import Mortar, Powder
+
+RECIPE = """
+recipe: r
+workflow: scoop_and_dispense
+defaults: {container: alumina_crucible, tolerance: 5 mg}
+samples:
+  - {id: a, source: beads, mass: 2 g}
+  - {id: b, source: beads, mass: 500 mg}
+  - {id: c, source: msg, mass: 300 mg}
+  - {id: d, source: beads, mass: 500 mg}
+on_failure: {scoop.nothing: POLICY, otherwise: stop}
+"""
+NOTHING_TWICE = "faults: [{fault: scoop.nothing, times: 2, probability: 1}]"
+
+
+class PoorScoops:
+    """A plant whose scoops bring a third of what they should."""
+
+    share = 0.35
+
+    class Yield(OurScoopYield):
+        def __init__(self, powder: Powder, share: float) -> None:
+            super().__init__(powder)
+            self._share = share
+
+        def collect(self, stroke: BowlStroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
+            return self._share * super().collect(stroke, mortar, in_mortar_mg, rng)
+
+    def scoop(self, powder: Powder) -> OurScoopYield:
+        return self.Yield(powder, self.share)
+
+
+class NoScoops(PoorScoops):
+    """A plant whose scoops bring nothing."""
+
+    share = 0.0
+
+
+class Bridges:
+    """A plant whose first load bridges for good when 300 mg of it have come; more powder on top of it frees it."""
+
+    loads = 0
+
+    class Flow(OurPowderFlow):
+        def __init__(self, powder: Powder, until_mg: float) -> None:
+            super().__init__(powder)
+            self._until_mg, self._left_mg = until_mg, 0.0
+
+        def step(self, dt_s: float, opening_mm: float, vibration: float, in_cone_mg: float, rng: Generator) -> float:
+            if self._left_mg >= self._until_mg:
+                return 0.0
+            leaving_mg = super().step(dt_s, opening_mm, vibration, in_cone_mg, rng)
+            self._left_mg += leaving_mg
+            return leaving_mg
+
+    def flow(self, powder: Powder) -> OurPowderFlow:
+        self.loads += 1
+        return self.Flow(powder, 300.0 if self.loads <= 3 else 1e9)  # it is tried before a run
+
+
+def told(ran: Ran, kind: str) -> list[dict[str, Any]]:
+    return [event["payload"] for event in read(ran.journal, "event") if event["kind"] == kind]
+
+
+def failures(ran: Ran) -> Counter[str]:
+    return Counter(row["code"] for row in read(ran.journal, "action") if row["outcome"] == "failed")
+
+
+def ended(ran: Ran) -> dict[str, tuple[str, str | None]]:
+    return {sample.id: (sample.verdict, sample.code) for sample in ran.result.samples}
+
+
+def test_poor_scoops_lose_no_sample_and_what_the_next_ones_will_bring_is_learnt(tmp_path: Path) -> None:
+    recipe = RECIPE.replace("POLICY", "stop")
+    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:PoorScoops", controller="adaptive")
+    assert set(ended(ran).values()) == {("in tolerance", None)}
+    scoops_mg = [scoop["expected_mg"] for scoop in told(ran, "scoop") if scoop["source"] == "beads"]
+    assert scoops_mg[0] > 4000.0
+    assert all(mass_mg == pytest.approx(0.35 * 4750.0, rel=0.25) for mass_mg in scoops_mg[1:])
+    assert failures(ran)["hand.no_flow"] == 1, "once; then it is known what a scoop brings"
+    world, believed = ran.session.world, ran.session.cell.believed
+    assert world is not None
+    for source in ("beads", "msg"):
+        assert believed.sources_mg[source] == pytest.approx(world.masses_mg[f"source:{source}"], abs=400.0)
+
+
+def test_a_source_that_gives_nothing_costs_two_scoops_and_its_other_samples_are_not_begun(tmp_path: Path) -> None:
+    recipe = RECIPE.replace("POLICY", "skip_sample")
+    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller="adaptive")
+    assert ended(ran) == {
+        "a": ("skipped", "scoop.nothing"),
+        "b": ("not run", "scoop.nothing"),
+        "c": ("skipped", "scoop.nothing"),
+        "d": ("not run", "scoop.nothing"),
+    }
+    assert Counter(scoop["source"] for scoop in told(ran, "scoop")) == {"beads": 2, "msg": 2}
+    assert {placed["container"] for placed in told(ran, "container")} == {"a", "c"}
+    assert "'beads' has brought nothing before" in (ran.sample("d").detail or "")
+    assert ran.result.exit_code == 1
+
+
+@pytest.mark.parametrize("controller", ["paper", "direct_pid"])
+def test_every_controller_gives_up_on_a_source_that_gives_nothing(tmp_path: Path, controller: str) -> None:
+    recipe = RECIPE.replace("POLICY", "stop")
+    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller=controller)
+    assert (ran.result.exit_code, len(told(ran, "scoop"))) == (3, 2)
+    assert ran.result.reason.startswith("a: scoop.nothing: 2 loads in a row from 'beads' have brought nothing")
+
+
+def test_one_scoop_that_brought_nothing_is_made_again(tmp_path: Path) -> None:
+    recipe = RECIPE.replace("POLICY", "stop")
+    ran = dry_run(tmp_path, recipe, faults="faults: [{fault: scoop.nothing}]", controller="adaptive")
+    assert set(ended(ran).values()) == {("in tolerance", None)}
+    assert failures(ran)["hand.no_flow"] == 1
+    assert ran.session.cell.believed.barren_loads == {}
+    assert ran.session.cell.believed.yields == {}, "nothing is no share of anything"
+
+
+def test_a_load_that_bridges_is_let_out_into_its_mortar_and_scooped_again(tmp_path: Path) -> None:
+    recipe = RECIPE.replace("POLICY", "stop")
+    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:Bridges", controller="adaptive")
+    assert set(ended(ran).values()) == {("in tolerance", None)}
+    assert failures(ran)["hand.no_flow"] == 1
+    kinds = [event["kind"] for event in read(ran.journal, "event") if event["kind"] in ("scoop", "returned")]
+    assert kinds[:3] == ["scoop", "returned", "scoop"]
+
+
+def test_a_stuck_valve_is_no_empty_cone_and_nothing_is_scooped_again(tmp_path: Path) -> None:
+    faults = "faults: [{fault: valve.stuck_closed, at_pulse: 1}]"
+    ran = dry_run(tmp_path, RECIPE.replace("POLICY", "stop"), faults=faults, controller="adaptive")
+    assert (ran.sample("a").code, len(told(ran, "scoop"))) == ("hand.valve_stuck", 1)
+
+
+class Case:
+    """A recipe whose first two scoops bring nothing, on a lab of its own; answered by `answer`."""
+
+    def __init__(self, folder: Path, policy: str, answer: str = "") -> None:
+        self.lab = load_lab(make_lab(folder / "lab"))
+        path = folder / "recipe.yaml"
+        head = "sources:\n  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}\n"
+        head += "  msg: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: 8 g}\n"
+        path.write_text(RECIPE.replace("POLICY", policy) + head)
+        self.plan = make_plan(load_recipe(path, self.lab), self.lab)
+        self._folder, self._answer = folder / "runs", answer
+        self.session: Any = None
+
+    def go(self, journal: Path | None = None) -> BatchResult:
+        found = None
+        if journal is not None:
+            found = resumable(journal, checked_history(journal), self.plan, self.lab, accept_changes=False)
+        simulation = DryRun(faults=parse_faults(NOTHING_TWICE, "f.yaml"))
+        options = Options(simulation, "adaptive", self._folder)
+        self.session = Session(self.plan, self.lab, options, shared_planner(self.plan, self.lab), resumes=found)
+        if self._answer:
+            self.session.cell.operator = Answers(self._answer)
+        try:
+            return self.session.run(BatchObserver())
+        finally:
+            self.session.close()
+
+
+class Answers:
+    """A person who says one thing wherever it is among the answers, and does what else is asked."""
+
+    def __init__(self, answer: str) -> None:
+        self._answer = answer
+
+    def ask(self, question: str, choices: Sequence[str] = ("done",)) -> Steps[str]:
+        yield from ()
+        return self._answer if self._answer in choices else choices[0]
+
+
+def test_a_batch_that_stopped_for_an_empty_source_is_resumed_when_that_was_filled(tmp_path: Path) -> None:
+    case = Case(tmp_path, "stop")
+    stopped = case.go()
+    assert (stopped.exit_code, stopped.is_complete) == (3, False)
+    resumed = case.go(case.session.journal.path)
+    assert {sample.verdict for sample in resumed.samples} == {"in tolerance"}
+
+
+def test_a_person_who_says_redo_has_looked_after_the_source(tmp_path: Path) -> None:
+    case = Case(tmp_path, "ask", "redo")
+    assert {sample.verdict for sample in case.go().samples} == {"in tolerance"}
+    assert case.session.cell.believed.containers_used == {"alumina_crucible": 5}

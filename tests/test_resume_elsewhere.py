@@ -1,0 +1,61 @@
+"""Resuming in a lab that was moved, or that an editor has left files in."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from conftest import Call
+from running import dry_run, make_lab
+
+DOSES = """
+recipe: two
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, source: beads, mass: 30 mg}
+samples: [{id: a}, {id: b}]
+"""
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A lab with a run that was stopped."""
+    folder = make_lab(tmp_path / "lab")
+    (folder / ".scuhand").mkdir()
+    dry_run(folder / ".scuhand", DOSES, lab=folder, stop_at=30)
+    return folder
+
+
+def test_a_lab_that_was_moved_goes_on_with_its_runs(lab: Path, tmp_path: Path, command: Call) -> None:
+    moved = tmp_path / "bench 2" / "lab"
+    moved.parent.mkdir()
+    lab.rename(moved)
+    code, out, err = command("resume", "last", "--lab", moved)
+    assert (code, err) == (0, "")
+    assert "2 of 2 samples good" in out
+    assert not lab.exists()
+
+
+def test_a_copied_lab_goes_on_with_its_own_files_and_not_with_the_originals(
+    lab: Path, tmp_path: Path, command: Call
+) -> None:
+    copy = Path(shutil.copytree(lab, tmp_path / "copy"))
+    (copy / "skills" / "park.py").write_text((copy / "skills" / "park.py").read_text() + "# changed\n")
+    code, _, err = command("resume", "last", "--lab", copy)
+    assert code == 2
+    assert "the lab's skills/park.py has changed" in err
+
+
+@pytest.mark.parametrize("name", ["trees/park.yaml~", "skills/#park.py#", "robot/.cell.yaml.swp", "trees/.#park.yaml"])
+def test_what_an_editor_leaves_is_no_change_of_the_lab(lab: Path, command: Call, name: str) -> None:
+    if ".#" in name:
+        (lab / name).symlink_to("someone@computer.1234:1")
+    else:
+        (lab / name).write_text("tree: [\n")
+    code, _, err = command("resume", "last", "--lab", lab)
+    assert (code, err) == (0, "")
+
+
+def test_a_new_workflow_is_still_a_change(lab: Path, command: Call) -> None:
+    (lab / "trees" / "new.yaml").write_text("workflow: new\ntree: {park: }\n")
+    code, _, err = command("resume", "last", "--lab", lab)
+    assert code == 2
+    assert "trees/new.yaml was added" in err

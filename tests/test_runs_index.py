@@ -1,0 +1,134 @@
+"""The list of runs by its index: always what the journals say."""
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from conftest import Call
+from running import make_lab
+
+from scuhand_bt.journal import archive, runs_index
+from scuhand_bt.journal.archive import Summary, summaries
+from scuhand_bt.journal.events import Ended, Resumed
+from scuhand_bt.journal.presence import Presence
+from scuhand_bt.journal.writer import Journal
+from tests.test_journal import write_run
+
+
+@pytest.fixture
+def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Three runs that were listed before, and so are in the index."""
+    monkeypatch.setattr(runs_index, "SETTLED_S", 0.0)
+    folder = tmp_path / "runs"
+    for name in ("a", "b", "c"):
+        write_run(folder / f"{name}.sqlite").close()
+    assert len(summaries(folder)) == 3
+    return folder
+
+
+def states(folder: Path) -> dict[str, str]:
+    return {one.id: one.state for one in summaries(folder)}
+
+
+def read_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """The runs whose journals are opened to list all."""
+    opened: set[str] = set()
+    real = archive.summary
+
+    def watched(path: Path) -> Summary:
+        opened.add(path.stem)
+        return real(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(archive, "summary", watched)
+        summaries(folder)
+    return opened
+
+
+def test_what_has_not_changed_is_not_read_again_and_is_listed_the_same(
+    runs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    indexed = summaries(runs)
+    assert read_anew(runs, monkeypatch) == set()
+    runs.with_name("runs.index").unlink()
+    assert summaries(runs) == indexed
+
+
+def test_a_run_that_goes_on_is_read_again(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = Journal(runs / "b.sqlite", durable=False)  # its last entries are in its log beside it
+    journal.event(Resumed(last_at="", changes=[], version=""))
+    journal.event(Ended(exit_code=130, reason="stopped", complete=False))
+    assert states(runs) == {"a": "complete", "b": "stopped", "c": "complete"}
+    journal.event(Resumed(last_at="", changes=[], version=""))
+    assert states(runs)["b"] == "interrupted"
+    journal.close()
+    assert states(runs)["b"] == "interrupted"
+    assert read_anew(runs, monkeypatch) == set()
+
+
+def test_a_run_that_a_program_has_is_always_read(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    presence = Presence(runs / "c.sqlite")
+    assert states(runs) == {"a": "complete", "b": "complete", "c": "running"}
+    assert read_anew(runs, monkeypatch) == {"c"}
+    presence.end()
+    assert states(runs)["c"] == "complete"
+
+
+def test_a_journal_put_in_the_place_of_another_is_read(runs: Path) -> None:
+    a, b = runs / "a.sqlite", runs / "b.sqlite"
+    before = a.stat()
+    other = Journal(b, durable=False)
+    other.event(Ended(exit_code=3, reason="", complete=False))
+    other.close()
+    shutil.copyfile(b, a)
+    os.truncate(a, before.st_size)
+    os.utime(a, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert states(runs) == {"a": "fault", "b": "fault", "c": "complete"}
+
+
+def test_a_run_that_is_gone_is_not_listed_nor_kept(runs: Path) -> None:
+    (runs / "a.sqlite").unlink()
+    assert states(runs).keys() == {"b", "c"}
+    assert runs_index.read_index(runs).keys() == {"b.sqlite", "c.sqlite"}
+
+
+def test_a_journal_written_this_moment_is_not_kept(tmp_path: Path) -> None:
+    write_run(tmp_path / "runs" / "a.sqlite").close()
+    assert states(tmp_path / "runs") == {"a": "complete"}
+    assert runs_index.read_index(tmp_path / "runs") == {}
+
+
+@pytest.mark.parametrize("content", [b"no database", b"", None])
+def test_an_index_that_cannot_be_used_is_no_matter(runs: Path, content: bytes | None) -> None:
+    index = runs.with_name("runs.index")
+    index.unlink()
+    if content is None:
+        index.mkdir()
+    else:
+        index.write_bytes(content)
+    assert len(states(runs)) == 3
+
+
+def test_of_an_index_of_another_version_nothing_is_believed(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runs_index, "VERSION", 99)
+    assert read_anew(runs, monkeypatch) == {"a", "b", "c"}
+    assert read_anew(runs, monkeypatch) == set()
+
+
+def test_only_the_newest_runs_are_listed_unless_all_are_asked_for(
+    tmp_path: Path, command: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from scuhand_bt.cli import archive as commands
+
+    monkeypatch.setattr(commands, "NEWEST", 2)
+    lab = make_lab(tmp_path / "lab")
+    for name in ("a", "b", "c"):
+        write_run(lab / ".scuhand" / "runs" / f"{name}.sqlite").close()
+        time.sleep(0.01)
+    out = command("runs", "--lab", lab)[1]
+    assert "… and 1 older ones (--all)." in out
+    assert len([line for line in out.splitlines() if "complete" in line]) == 2
+    out = command("runs", "--lab", lab, "--all")[1]
+    assert len([line for line in out.splitlines() if "complete" in line]) == 3
