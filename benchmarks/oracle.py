@@ -38,7 +38,7 @@ def model_of(world: World, request: DoseRequest) -> Model:
     """What is known of this world's powder and valve."""
     load, hand = world.load, world._hand.spec
     assert load.source is not None
-    powder = world._sources[load.source].powder
+    powder = load._sources[load.source].powder
     key = f"{vars(load._plant.flow(powder))} {hand!r} {request.tolerance_mg}"
     if key not in MODELS:
         MODELS[key] = Model(lambda: load._plant.flow(powder), hand, request.tolerance_mg)
