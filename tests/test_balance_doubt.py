@@ -19,7 +19,7 @@ from scuhand_bt.record import Record
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.specs import BalanceBelief
 
-LEARNT = BalanceBelief(lag_s=0.5, poles=2, misfit=0.01, noise_mg=0.2, fits=1)
+LEARNT = BalanceBelief(lag_s=0.5, misfit=0.01, noise_mg=0.2, fits=1)
 TWICE = """
 workflow: twice
 summary: A dose that may fail, and another into the same container.

@@ -168,7 +168,7 @@ class Adaptive:
         quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
-        begin_s, (begins_mm, at_most_s) = known.time_s, known.begins_with(most_mg - bank.mass_mg)
+        begin_s, (begins_mm, at_most_s) = known.time_s, known.begins_with(most_mg - bank.mass_mg, flows=self._fruitless == 0)
         surprises, opening_mm = 0, known.widest_mm(most_mg)
         if known.aim_mg <= bank.mass_mg:
             return "reached"

@@ -12,7 +12,11 @@ is off by. w, z and d are the balance's: natural frequency, damping and pure del
 the valve let out since is added with its own uncertainty; between two readings phi is taken at its mean, for which
 the transition is exact. A model's weight is how likely it makes the readings.
 
-A balance is known by a step of its load (`balance_of`), and by an opening and its tail (`Bank.identified`).
+A balance is known without a model: by a step of its load (`balance_of`), and by an opening and its tail (`balance_by`),
+
+    T = 1 / m  integral of (M - r) dt,     M = m Phi(t) / Phi(end),     Phi the integral of phi,
+
+where m is what came of it and r the readings. How far the nearest shape of that T is off says how sure that is.
 """
 
 import math
@@ -43,8 +47,6 @@ NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
 """Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
 LEAST_DOUBT = 0.08
 """That standard deviation, at least."""
-FINER, FINER_STEPS = 0.06, range(-5, 6)
-"""How far apart, relative to each other, delays are that are told apart; and how many are tried about the likeliest."""
 SAME_SHAPE = 0.98
 """Probability that the kind of filter was identified rightly."""
 STEP_DOUBT = 0.12
@@ -54,6 +56,10 @@ ADAPTS, SLOWEST = 0.2, 6.0
 so many times slower when little changes."""
 LEAST_LAST = 0.3
 """Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
+LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
+"""Delays that an opening may show."""
+MASS_ERROR_MG, SETTLED = 0.1, 3.0
+"""What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
 CHANGED = 0.002
 """Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
 K_WALK_PER_S = 0.2
@@ -87,10 +93,6 @@ LEAST_WEIGHT = 1e-3
 """Models less likely than this are dropped until the valve has been shut."""
 UNKNOWN_SPREAD = 1.5
 """Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
-SEEN_SPREAD = 0.3
-"""Of the flow about its mean, once what an opening brought is known."""
-LEAST_SHARE = 0.02
-"""Shapes of balances that are this likely are looked at again, with delays about the likeliest."""
 READING, RATE, MASS, K, G = range(5)
 
 
@@ -154,6 +156,43 @@ def balance_of(step: Step) -> BalanceBelief:
         slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
     doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
     return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, fits=1)
+
+
+def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
+    """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
+
+    Powder that came otherwise than phi has it, and a mass that is off, make it doubtful: by the area between the
+    readings and what the nearest shape would show of that delay, and by the mass' error over the time looked at. The
+    belief's `fits`, `noise_mg` and `misfit` are left to who asks.
+    """
+    dt_s, phi_s, readings_mg, noise_mg = np.array([(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]).T
+    came_mg, shown_mg = np.cumsum(phi_s) / phi_s.sum() * gained_mg, readings_mg - begin_mg
+    unseen_mg = np.append(0.0, came_mg - shown_mg)
+    delay_s = float(np.sum((unseen_mg[1:] + unseen_mg[:-1]) / 2.0 * dt_s)) / gained_mg
+    if delay_s < LEAST_DELAY_S:
+        return None
+    off_mg = np.abs(shown_mg - _shown_mg(delay_s, dt_s, came_mg))
+    best = int(np.argmin(np.sum(off_mg**2, axis=1)))
+    area_s = float(np.sum(np.maximum(off_mg[best] - noise_mg, 0.0) * dt_s)) / gained_mg
+    looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delay_s
+    doubt_s = math.hypot(area_s, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
+    return BalanceBelief(lag_s=min(delay_s, LONGEST_S) / 2.0, doubt=doubt_s / delay_s, shape=list(SHAPES)[best])
+
+
+def _shown_mg(delay_s: float, dt_s: Array, came_mg: Array) -> Array:
+    """(S, N) what the shapes, of this delay, show of masses (N,) that come over times `dt_s` (N,)."""
+    pure, damping = np.array(list(SHAPES.values())).T
+    ends_s, shown_mg = np.cumsum(dt_s), np.zeros((len(pure), len(dt_s)))
+    late_mg = [np.interp(ends_s - share * delay_s, np.append(0.0, ends_s), np.append(0.0, came_mg)) for share in pure]
+    x, steps = np.zeros((len(pure), 5)), dict[float, tuple[Array, Array]]()
+    for number, now_mg in enumerate(np.transpose(late_mg)):
+        step_s = round(float(dt_s[number]), 3)
+        if step_s not in steps:
+            steps[step_s] = transitions(np.full(len(pure), delay_s), pure, damping, step_s)
+        still, adds = steps[step_s]
+        x = np.matmul(still, x[:, :, None])[:, :, 0] + adds * (now_mg - x[:, MASS])[:, None]
+        shown_mg[:, number] = x[:, READING]
+    return shown_mg
 
 
 class Bank:
@@ -344,39 +383,8 @@ class Bank:
         mean = float(self.weights @ behind)
         return abs(mean) + 2.0 * math.sqrt(float(self.weights @ ((behind - mean) ** 2)))
 
-    # --- what the balance is ---
-
-    def identified(self, rows: Sequence[Row], mass_mg: float, coefficient: float) -> BalanceBelief:
-        """The balance, as an opening and its whole tail show it, now that the flow's mean `coefficient` is known.
-
-        Every model looks at the `rows` again, from `mass_mg` on; then finer ones about the likeliest do. The belief's
-        `fits` and `noise_mg` are left to who asks.
-        """
-        every = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
-        bank = self._after(every, rows, mass_mg, coefficient)
-        finer: list[Model] = []
-        for shape in SHAPES:
-            ours = np.array([model.shape == shape for model in bank.models])
-            share = float(bank.weights[ours].sum())
-            if share > LEAST_SHARE:
-                centre_s = float(bank.weights[ours] @ bank.delays_s[ours]) / share
-                finer += [Model(centre_s * math.exp(FINER * step), shape) for step in FINER_STEPS]
-        bank = self._after(finer, rows, mass_mg, coefficient)
-        logs = np.log(bank.delays_s)
-        mean = float(bank.weights @ logs)
-        best = int(np.argmax(bank.weights))
-        return BalanceBelief(
-            lag_s=math.exp(mean) / 2.0,
-            doubt=math.sqrt(float(bank.weights @ (logs - mean) ** 2)),
-            shape=bank.models[best].shape,
-            misfit=min(math.sqrt(bank._excess[best] / max(bank._behind[best], 1e-6)), 1.0),
-        )
-
-    def _after(self, models: Sequence[Model], rows: Sequence[Row], mass_mg: float, coefficient: float) -> "Bank":
-        """A bank of these models that has seen the readings."""
-        bank = Bank(models, np.ones(len(models)), self.surge_mg, self.misfit)
-        bank.least_weight = 0.0
-        bank.restart(mass_mg, 0.2, coefficient, SEEN_SPREAD)
-        for row in rows:
-            bank.update(row._replace(changed=0.0), coefficient)
-        return bank
+    @property
+    def seen_misfit(self) -> float:
+        """The share of what it had not shown yet that the likeliest model was off by, since the valve was shut last."""
+        best = int(np.argmax(self.weights))
+        return min(math.sqrt(self._excess[best] / max(self._behind[best], 1e-6)), 1.0)

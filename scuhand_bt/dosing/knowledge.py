@@ -22,6 +22,7 @@ from scuhand_bt.dosing.estimation import (
     UNKNOWN_SPREAD,
     Bank,
     Row,
+    balance_by,
 )
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
@@ -41,6 +42,8 @@ STRONG = 0.5
 """How much more of the flow it is allowed for then."""
 BURST_S, SEEN_S = 0.3, 0.4
 """Openings are no shorter; and so long after the balance's delay it is seen whether the sheet has stuck."""
+WORTH = 0.1
+"""The least share of what is left that is worth an opening of its own, as each may stick."""
 AIM_UNDER_MG = 0.15
 """Too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
@@ -220,19 +223,20 @@ class Knowledge:
         strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
         return strong * (self.shape.value(wider_mm) * open_s + tail)
 
-    def begins_with(self, most_mg: float) -> tuple[float, float]:
+    def begins_with(self, most_mg: float, *, flows: bool = True) -> tuple[float, float]:
         """How wide an opening may be until it is seen whether the sheet has stuck, and for how long at most.
 
-        Either so narrow that it can wait for that, or so short that it need not: whichever brings more. `most_mg` is
-        what may still be let out. Returns the opening [mm] and the longest time [s].
+        So narrow that it can wait for that, where powder `flows` from such openings. Else so short that it need not wait,
+        where this brings a `WORTH` of what is left. Else, as each opening may stick and few should be made, as wide and
+        for as long as the constraint allows. `most_mg` is what may still be let out. Returns the opening [mm] and the
+        longest time [s].
         """
-        seen_s = self.bank.delay_s + SEEN_S
-        waiting_mm, short_mm = self._safe_mm(most_mg, seen_s), self._safe_mm(most_mg, BURST_S)
-        share = BURST_S / (BURST_S + 2.0 * seen_s)
-        brings_more = self.shape.value(short_mm) * share > self.shape.value(waiting_mm)
-        if brings_more or self.stuck_mg(waiting_mm, seen_s) > most_mg:
+        if flows:
+            return self._safe_mm(most_mg, self.bank.delay_s + SEEN_S), math.inf
+        short_mm = self._safe_mm(most_mg, BURST_S)
+        if self.reference * self.shape.value(short_mm) * BURST_S > WORTH * most_mg:
             return short_mm, BURST_S
-        return waiting_mm, math.inf
+        return self.request.max_opening_mm, math.inf
 
     def _safe_mm(self, most_mg: float, open_s: float) -> float:
         """The widest that lets out no more than `most_mg` if it sticks; the narrowest where there is none."""
@@ -278,17 +282,16 @@ class Knowledge:
         if phi_s <= 0.0 or max(gained_mg, self.reference * phi_s) < max(LEAST_MG, 20.0 * noise_mg):
             return
         if gained_mg > max(LEAST_MG, 20.0 * noise_mg):
-            self._learn_balance(gained_mg / phi_s)
-            self.seen = max(self.seen, self.surely)
+            self._learn_balance(gained_mg)
             self.gap_mm = self._mean_gap_mm(phi_s)
             self.error_mm = OPENING_ERROR_MM
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
-        ratio = math.log(max(gained_mg, noise_mg) / (phi_s * self.reference)) * self._told(phi_s)
-        found = self.reference * math.exp(ratio)
+        strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
+        found = self.reference * (strongest / self.reference) ** self._told(phi_s)
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
-        self.reference = max(found, self.surely, SLOWER * self.reference)
+        self.reference = max(found, SLOWER * self.reference)
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         self.spread = min(spread, UNKNOWN_SPREAD)
         self._ratios.append(math.log(self.reference / self.belief.coefficient))
@@ -309,14 +312,14 @@ class Knowledge:
         if self.stuck_mg(self.shape.threshold_mm + wider_mm, BURST_S) < self.most_mg - self.bank.mass_mg:
             self.narrowest_mm = wider_mm
 
-    def _learn_balance(self, coefficient: float) -> None:
+    def _learn_balance(self, gained_mg: float) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
-        known, found = self.balance, self.bank.identified(self.rows, self.begin_mg, coefficient)
-        doubt = max(found.doubt, LEAST_DOUBT)
-        if doubt > TELLS:
+        known, found = self.balance, balance_by(self.rows, self.begin_mg, gained_mg)
+        if found is None or found.doubt > TELLS:
             return
+        doubt, misfit = max(found.doubt, LEAST_DOUBT), self.bank.seen_misfit
         if known.fits == 0:
-            self.balance = found.model_copy(update={"fits": 1, "doubt": doubt})
+            self.balance = found.model_copy(update={"fits": 1, "doubt": doubt, "misfit": misfit})
             return
         # What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
         apart = math.log(found.lag_s / known.lag_s)
@@ -328,8 +331,8 @@ class Knowledge:
                 "fits": known.fits + 1,
                 "lag_s": known.lag_s * math.exp(share * apart),
                 "doubt": max(LEAST_DOUBT, math.hypot(agreed, contradicted)),
-                "shape": found.shape if found.doubt <= known.doubt else known.shape,
-                "misfit": known.misfit + (found.misfit - known.misfit) / min(known.fits + 1, MOST_FITS),
+                "shape": found.shape if contradicted > 0.0 else known.shape,
+                "misfit": known.misfit + (misfit - known.misfit) / min(known.fits + 1, MOST_FITS),
             }
         )
 
