@@ -2,7 +2,7 @@
 
 A dose is openings, each followed by a look with the valve shut, until a stable mean is in tolerance. An opening
 
-* begins so narrow that the sheet may stick and it is seen in time, or ends before that can matter (`begins_with`);
+* begins so narrow that the sheet may stick and it is seen in time (`begins_mm`);
 * is as wide as the chance constraint allows (`constraint`), narrower as the target comes near;
 * is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when for a
   while powder did not come as it should, so that either a bridge holds it back or the balance does; or when a lump's
@@ -21,7 +21,7 @@ import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
 from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
-from scuhand_bt.dosing.knowledge import FULL, GENTLE, SEEN_S, Knowledge
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
@@ -57,7 +57,7 @@ SURELY, SOON_S = 2.0, 1.0
 EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
 
-Ended = Literal["reached", "short", "surprise", "fear", "missing", "quiet", "lump", "dry"]
+Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry"]
 """Why an opening ended."""
 
 
@@ -168,7 +168,7 @@ class Adaptive:
         quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
-        begin_s, (begins_mm, at_most_s) = known.time_s, known.begins_with(most_mg - bank.mass_mg, flows=self._fruitless == 0)
+        stuck_seen_s, begins_mm = known.time_s + known.seen_s, known.begins_mm(most_mg - bank.mass_mg)
         surprises, opening_mm = 0, known.widest_mm(most_mg)
         if known.aim_mg <= bank.mass_mg:
             return "reached"
@@ -176,13 +176,10 @@ class Adaptive:
             wanted_mm = known.widest_mm(most_mg)
             # What does not come yet, or no more, may come at any moment: no reason to open wider.
             opening_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
-            if known.time_s - begin_s < bank.delay_s + SEEN_S:
-                opening_mm = min(opening_mm, begins_mm)
-            score = yield from known.act(opening_mm, self._vibration)
+            may_stick = known.time_s < stuck_seen_s
+            score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
-            if known.time_s - begin_s > at_most_s:
-                return "short"
             surprises = surprises + 1 if score > SURPRISE else 0
             if surprises >= SURPRISES:
                 return "surprise"
@@ -203,7 +200,7 @@ class Adaptive:
                     missing_mg += max(0.0, expected_mg - (mass_mg - sure_mg))
                 sure_s, sure_mg, read_mg, quiet_s = passed_s, mass_mg, reading_mg, 0.0
                 known.follow()
-            else:
+            elif not may_stick or opening_mm <= begins_mm:
                 quiet_s += dt_s
             if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
                 return "missing"

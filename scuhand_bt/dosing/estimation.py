@@ -58,6 +58,8 @@ LEAST_LAST = 0.3
 """Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
 LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
 """Delays that an opening may show."""
+BEGINS_S = 0.2
+"""Powder may begin to come so much later, or earlier, than phi has it: standard deviation."""
 MASS_ERROR_MG, SETTLED = 0.1, 3.0
 """What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
 CHANGED = 0.002
@@ -155,15 +157,16 @@ def balance_of(step: Step) -> BalanceBelief:
     if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
         slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
     doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
-    return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, fits=1)
+    misfit = min(far[shape] / math.hypot(*step.missing), 1.0)
+    return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, misfit=misfit, fits=1)
 
 
 def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
     """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
 
     Powder that came otherwise than phi has it, and a mass that is off, make it doubtful: by the area between the
-    readings and what the nearest shape would show of that delay, and by the mass' error over the time looked at. The
-    belief's `fits`, `noise_mg` and `misfit` are left to who asks.
+    readings and what the nearest shape would show of that delay, by when powder may have begun to come, and by the mass'
+    error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
     """
     dt_s, phi_s, readings_mg, noise_mg = np.array([(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]).T
     came_mg, shown_mg = np.cumsum(phi_s) / phi_s.sum() * gained_mg, readings_mg - begin_mg
@@ -172,11 +175,17 @@ def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> Balanc
     if delay_s < LEAST_DELAY_S:
         return None
     off_mg = np.abs(shown_mg - _shown_mg(delay_s, dt_s, came_mg))
-    best = int(np.argmin(np.sum(off_mg**2, axis=1)))
+    squares = np.sum(off_mg**2, axis=1)
+    best = int(np.argmin(squares))
     area_s = float(np.sum(np.maximum(off_mg[best] - noise_mg, 0.0) * dt_s)) / gained_mg
     looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delay_s
-    doubt_s = math.hypot(area_s, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
-    return BalanceBelief(lag_s=min(delay_s, LONGEST_S) / 2.0, doubt=doubt_s / delay_s, shape=list(SHAPES)[best])
+    doubt_s = math.hypot(area_s, BEGINS_S, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
+    return BalanceBelief(
+        lag_s=min(delay_s, LONGEST_S) / 2.0,
+        doubt=doubt_s / delay_s,
+        shape=list(SHAPES)[best],
+        misfit=min(math.sqrt(squares[best] / np.sum(unseen_mg**2)), 1.0),
+    )
 
 
 def _shown_mg(delay_s: float, dt_s: Array, came_mg: Array) -> Array:
@@ -238,7 +247,7 @@ class Bank:
         p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
         many = len(self.models)
         self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
-        self._phi, self._excess, self._behind = np.zeros(many), np.zeros(many), np.zeros(many)
+        self._phi = np.zeros(many)
         self._unseen = np.zeros((2, many))
         self._means, self._changing = [0.0, 0.0], 0.0
         self._passed, self._readings = np.zeros((2, 256)), 0
@@ -299,8 +308,6 @@ class Bank:
         self._x = x + gain * innovation_mg[:, None]
         self._x[:, K] = np.maximum(self._x[:, K], 0.0)
         self._p = p - gain[:, :, None] * p[:, None, READING, :]
-        self._excess += np.maximum(innovation_mg**2 - p[:, READING, READING] - row.noise_mg**2, 0.0)
-        self._behind += unseen_mg**2
         best = int(np.argmax(self.weights))
         score = float(innovation_mg[best] / math.sqrt(variance[best]))
         if k[best] * phi_s[best] > 0.01:
@@ -322,7 +329,7 @@ class Bank:
         if not kept.all():
             self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
             self._x, self._p, self._phi = self._x[kept], self._p[kept], self._phi[kept]
-            self._unseen, self._excess, self._behind = self._unseen[:, kept], self._excess[kept], self._behind[kept]
+            self._unseen = self._unseen[:, kept]
             self._look_up()
 
     # --- what is known ---
@@ -382,9 +389,3 @@ class Bank:
         behind = means - self._x[:, READING]
         mean = float(self.weights @ behind)
         return abs(mean) + 2.0 * math.sqrt(float(self.weights @ ((behind - mean) ** 2)))
-
-    @property
-    def seen_misfit(self) -> float:
-        """The share of what it had not shown yet that the likeliest model was off by, since the valve was shut last."""
-        best = int(np.argmax(self.weights))
-        return min(math.sqrt(self._excess[best] / max(self._behind[best], 1e-6)), 1.0)

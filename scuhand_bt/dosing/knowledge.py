@@ -28,7 +28,7 @@ from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
 from scuhand_bt.specs import PowderBelief, Verdict
 
-TELLS = 0.4
+TELLS = 0.8
 """An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
 SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
@@ -40,10 +40,8 @@ STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
 """How much more of the flow it is allowed for then."""
-BURST_S, SEEN_S = 0.3, 0.4
-"""Openings are no shorter; and so long after the balance's delay it is seen whether the sheet has stuck."""
-WORTH = 0.1
-"""The least share of what is left that is worth an opening of its own, as each may stick."""
+SEEN_S = 0.4
+"""So long after the balance's delay it is seen whether the sheet has stuck."""
 AIM_UNDER_MG = 0.15
 """Too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
@@ -66,8 +64,8 @@ NOISE_GAIN, OUTLIER = 0.05, 12.0
 """How fast the noise is learnt; a second difference of more standard deviations is no noise."""
 FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
 """How far the reference goes after the flow with each sight of it; where the flow is surely stronger."""
-LEAST_WEIGHT, MOST_FITS = 0.2, 5
-"""What a dose counts beside those before, at least; and of how many openings the balance's misfit is the mean."""
+LEAST_WEIGHT = 0.2
+"""What a dose counts beside those before, at least."""
 
 
 class Knowledge:
@@ -223,26 +221,16 @@ class Knowledge:
         strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
         return strong * (self.shape.value(wider_mm) * open_s + tail)
 
-    def begins_with(self, most_mg: float, *, flows: bool = True) -> tuple[float, float]:
-        """How wide an opening may be until it is seen whether the sheet has stuck, and for how long at most.
+    @property
+    def seen_s(self) -> float:
+        """So long after an opening began it is seen whether the sheet has stuck."""
+        return self.bank.delay_s + SEEN_S
 
-        So narrow that it can wait for that, where powder `flows` from such openings. Else so short that it need not wait,
-        where this brings a `WORTH` of what is left. Else, as each opening may stick and few should be made, as wide and
-        for as long as the constraint allows. `most_mg` is what may still be let out. Returns the opening [mm] and the
-        longest time [s].
-        """
-        if flows:
-            return self._safe_mm(most_mg, self.bank.delay_s + SEEN_S), math.inf
-        short_mm = self._safe_mm(most_mg, BURST_S)
-        if self.reference * self.shape.value(short_mm) * BURST_S > WORTH * most_mg:
-            return short_mm, BURST_S
-        return self.request.max_opening_mm, math.inf
-
-    def _safe_mm(self, most_mg: float, open_s: float) -> float:
-        """The widest that lets out no more than `most_mg` if it sticks; the narrowest where there is none."""
+    def begins_mm(self, most_mg: float) -> float:
+        """How wide an opening may be until that: so that `most_mg` are not exceeded if it has, or the narrowest."""
         opening_mm = self.request.max_opening_mm
         narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
-        while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, open_s) > most_mg:
+        while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, self.seen_s) > most_mg:
             opening_mm = max(narrowest_mm, 0.95 * opening_mm)
         return opening_mm
 
@@ -309,7 +297,7 @@ class Knowledge:
     def nothing_came(self) -> None:
         """From several openings in a row: the powder needs more than so narrow an opening."""
         wider_mm = min(WIDER * self.narrowest_mm, MOST_NARROWEST_MM)
-        if self.stuck_mg(self.shape.threshold_mm + wider_mm, BURST_S) < self.most_mg - self.bank.mass_mg:
+        if self.stuck_mg(self.shape.threshold_mm + wider_mm, SEEN_S) < self.most_mg - self.bank.mass_mg:
             self.narrowest_mm = wider_mm
 
     def _learn_balance(self, gained_mg: float) -> None:
@@ -317,22 +305,20 @@ class Knowledge:
         known, found = self.balance, balance_by(self.rows, self.begin_mg, gained_mg)
         if found is None or found.doubt > TELLS:
             return
-        doubt, misfit = max(found.doubt, LEAST_DOUBT), self.bank.seen_misfit
+        doubt = max(found.doubt, LEAST_DOUBT)
         if known.fits == 0:
-            self.balance = found.model_copy(update={"fits": 1, "doubt": doubt, "misfit": misfit})
+            self.balance = found.model_copy(update={"fits": 1, "doubt": doubt})
             return
         # What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
         apart = math.log(found.lag_s / known.lag_s)
         share = known.doubt**2 / (known.doubt**2 + doubt**2)
         agreed = doubt * math.sqrt(share)
         contradicted = max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0)
-        self.balance = found.model_copy(
+        self.balance = known.model_copy(
             update={
                 "fits": known.fits + 1,
                 "lag_s": known.lag_s * math.exp(share * apart),
                 "doubt": max(LEAST_DOUBT, math.hypot(agreed, contradicted)),
-                "shape": found.shape if contradicted > 0.0 else known.shape,
-                "misfit": known.misfit + (misfit - known.misfit) / min(known.fits + 1, MOST_FITS),
             }
         )
 
