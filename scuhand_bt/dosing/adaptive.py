@@ -32,7 +32,7 @@ PROBE_MG = 40.0
 """The most that is let out onto a balance that is not known yet."""
 EVIDENT_S = 0.3
 """What has come no later than this ago still comes."""
-FLOWS = 0.4
+FLOWS = 0.2
 """Of its reference: a flow that is at least this strong is what was expected."""
 ALARM = 1.3
 """A flow that is surely so many times the expected one, near the target, shuts the valve."""
@@ -48,6 +48,8 @@ may be too much."""
 REST_MG = 0.3
 """The balance has seen what there is to see but for this."""
 LONGEST_LOOK_S = 25.0
+DOUBTFUL_MG = 1.0
+"""A stable mean may differ from what the readings led to expect by this, besides chance: powder drips."""
 AGAIN_S = 3.0
 """A stable mean that surprised is taken again after this."""
 LEFT_MG = 1.0
@@ -133,7 +135,7 @@ class Adaptive:
         known = self._known
         expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
         seen = yield Weigh()
-        while abs(seen.net_mg - expected_mg) > SURPRISE * sd_mg + REST_MG:
+        while abs(seen.net_mg - expected_mg) > SURPRISE * sd_mg + DOUBTFUL_MG:
             known.doubt_balance()
             expected_mg, sd_mg = seen.net_mg, seen.uncertainty_mg
             seen = yield Weigh(AGAIN_S)

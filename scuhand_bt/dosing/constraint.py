@@ -10,6 +10,8 @@ that stays unseen for the balance's delay T, for its spread over T:
 
     (sigma_q^2 + walk^2 + off^2 + (UNSEEN_ERROR q)^2) T^2 + 2 m q T          [mg^2], with the lumps' mean mass m [mg]
 
+or, where that is less harmful, for its spread until it has reached the aim, at which it is shut by reckoning.
+
 When to shut: for the next reading's time.
 """
 
@@ -31,12 +33,17 @@ NARROWEST_MM = 0.05
 
 def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array:
     """(...) probability of a mass above `most_mg` [mg], from its mean [mg] and variance [mg^2] by model, (..., H)."""
-    return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)) @ bank.weights)
+    return np.asarray(_chances(mean_mg, variance, most_mg) @ bank.weights)
+
+
+def _chances(mean_mg: Array, variance: Array, most_mg: float) -> Array:
+    return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)))
 
 
 def widest_mm(
     bank: Bank,
     shape: FlowShape,
+    aim_mg: float,
     most_mg: float,
     late_s: float,
     dead_time_s: float,
@@ -60,9 +67,15 @@ def widest_mm(
     flow, flow_sd = bank.flow(phi, slope)
     off = (EXPONENT_ERROR * np.log(gaps_mm / known_gap_mm))[:, None] * flow
     variance = variance + (off * (late_s + closing_s)[:, None]) ** 2
-    unseen_s = bank.delays_s
-    walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
-    unseen = (flow_sd**2 + walk**2 + off**2 + (UNSEEN_ERROR * flow) ** 2) * unseen_s**2
-    variance = variance + bank.erratic * (unseen + 2.0 * bank.surge_mg * flow * unseen_s)
-    allowed = np.nonzero(chance(bank, mean_mg, variance, most_mg) <= RISK)[0]
+    others = variance + bank.erratic * 2.0 * bank.surge_mg * flow * bank.delays_s
+
+    def too_much(mean_mg: Array, unseen_s: Array) -> Array:
+        walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
+        unseen = (flow_sd**2 + walk**2 + off**2 + (UNSEEN_ERROR * flow) ** 2) * unseen_s**2
+        return _chances(mean_mg, others + bank.erratic * unseen, most_mg)
+
+    # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
+    left_s = np.maximum(aim_mg - mean_mg, 0.0) / np.maximum(flow, 1e-9)
+    chances = np.minimum(too_much(mean_mg, bank.delays_s), too_much(np.maximum(mean_mg, aim_mg), left_s))
+    allowed = np.nonzero(chances @ bank.weights <= RISK)[0]
     return shape.threshold_mm + float(gaps_mm[allowed[-1]] if len(allowed) else gaps_mm[0])

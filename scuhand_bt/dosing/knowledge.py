@@ -204,6 +204,7 @@ class Knowledge:
         return widest_mm(
             self.bank,
             self.shape,
+            min(self.aim_mg, most_mg),
             most_mg,
             self._late_s,
             request.valve_dead_time_s,
