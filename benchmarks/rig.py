@@ -190,8 +190,6 @@ class Bench:
         cell = self.cell
         (source,) = cell.sources.values()
         cell.powder_beliefs[source.sheet_key], cell.balance_belief = powder, balance
-        if self.step is not None:
-            require_known_delay(cell, self.step)
         self.drive(skills()["tare"]().run(cell))
         self.drive(pause(cell, WAY_S))
         begin_s = self.clock.now_s
@@ -200,6 +198,8 @@ class Bench:
         )
         reason: str = "reached"
         try:
+            if self.step is not None:
+                require_known_delay(cell, self.step)
             if name == "oracle":
                 reason = self._keep(name, self.drive(self._oracle(dispense)))
             elif name in PAPERS:

@@ -139,7 +139,7 @@ class Adaptive:
             known.doubt_balance()
             expected_mg, sd_mg = seen.net_mg, seen.uncertainty_mg
             seen = yield Weigh(AGAIN_S)
-        known.time_s = seen.time_s
+        known.time_s, known.uncertainty_mg = seen.time_s, max(known.uncertainty_mg, seen.uncertainty_mg)
         return seen
 
     def _is_dry(self, dispensed_mg: float) -> bool:

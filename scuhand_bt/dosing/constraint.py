@@ -67,12 +67,11 @@ def widest_mm(
     flow, flow_sd = bank.flow(phi, slope)
     off = (EXPONENT_ERROR * np.log(gaps_mm / known_gap_mm))[:, None] * flow
     variance = variance + (off * (late_s + closing_s)[:, None]) ** 2
-    others = variance + bank.erratic * 2.0 * bank.surge_mg * flow * bank.delays_s
 
     def too_much(mean_mg: Array, unseen_s: Array) -> Array:
         walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
         unseen = (flow_sd**2 + walk**2 + off**2 + (UNSEEN_ERROR * flow) ** 2) * unseen_s**2
-        return _chances(mean_mg, others + bank.erratic * unseen, most_mg)
+        return _chances(mean_mg, variance + bank.erratic * (unseen + 2.0 * bank.surge_mg * flow * unseen_s), most_mg)
 
     # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
     left_s = np.maximum(aim_mg - mean_mg, 0.0) / np.maximum(flow, 1e-9)

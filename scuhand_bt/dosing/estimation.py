@@ -58,7 +58,7 @@ LEAST_LAST = 0.3
 """Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
 LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
 """Delays that an opening may show."""
-BEGINS_S = 0.2
+BEGINS_S = 0.5
 """Powder may begin to come so much later, or earlier, than phi has it: standard deviation."""
 MASS_ERROR_MG, SETTLED = 0.1, 3.0
 """What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
@@ -182,7 +182,7 @@ def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> Balanc
     doubt_s = math.hypot(area_s, BEGINS_S, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
     return BalanceBelief(
         lag_s=min(delay_s, LONGEST_S) / 2.0,
-        doubt=doubt_s / delay_s,
+        doubt=math.log1p(doubt_s / delay_s),
         shape=list(SHAPES)[best],
         misfit=min(math.sqrt(squares[best] / np.sum(unseen_mg**2)), 1.0),
     )

@@ -28,7 +28,7 @@ from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
 from scuhand_bt.specs import PowderBelief, Verdict
 
-TELLS = 0.8
+TELLS = 1.0
 """An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
 SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
@@ -93,6 +93,8 @@ class Knowledge:
         """The opening above the threshold that the reference was seen at."""
         self.surge_mg = self.belief.surge_mg
         self.bank = Bank.believing(self.balance, self.surge_mg)
+        self.uncertainty_mg = request.uncertainty_mg
+        """The standard uncertainty of the mass that will be judged; it grows with the time that a dose takes."""
         self.time_s = 0.0
         self.rows: list[Row] = []
         self.narrowest_mm = NARROWEST_MM
@@ -178,13 +180,13 @@ class Knowledge:
     @property
     def most_mg(self) -> float:
         """No more may leave: a stable mean would call it too much."""
-        spare_mg = self.request.tolerance_mg - COVERAGE * self.request.uncertainty_mg
+        spare_mg = self.request.tolerance_mg - COVERAGE * self.uncertainty_mg
         return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
 
     @property
     def least_mg(self) -> float:
         """The mass that a stable mean would call in tolerance."""
-        return self.request.target_mg - self.request.tolerance_mg + COVERAGE * self.request.uncertainty_mg
+        return self.request.target_mg - self.request.tolerance_mg + COVERAGE * self.uncertainty_mg
 
     @property
     def aim_mg(self) -> float:
