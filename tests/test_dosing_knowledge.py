@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
-from scuhand_bt.dosing.knowledge import BURST_S, STUCK_MM, Knowledge
+from scuhand_bt.dosing.knowledge import SEEN_S, STUCK_MM, Knowledge
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 BEADS = shipped_powders()["glass_beads"].belief
@@ -135,18 +135,14 @@ def test_an_opening_begins_so_that_a_sheet_which_sticks_then_lets_out_no_more_th
     most_mg: float, lag_s: float
 ) -> None:
     known = Knowledge(request(balance=QUICK.model_copy(update={"lag_s": lag_s})))
-    opening_mm, at_most_s = known.begins_with(most_mg)
-    until_seen_s = min(at_most_s, 2.0 * lag_s)
-    assert known.stuck_mg(opening_mm, until_seen_s) <= most_mg or opening_mm <= known.shape.threshold_mm + 0.0501
-    assert at_most_s in {BURST_S, math.inf}
+    opening_mm = known.begins_mm(most_mg)
+    assert known.stuck_mg(opening_mm, known.seen_s) <= most_mg or opening_mm <= known.shape.threshold_mm + 0.0501
+    assert known.seen_s > 2.0 * lag_s
     assert known.stuck_mg(opening_mm, 1.0) > known.reference * known.shape.value(opening_mm + STUCK_MM)
 
 
-def test_an_opening_that_can_wait_is_not_cut_short() -> None:
-    known = Knowledge(request())
-    assert known.begins_with(3000.0) == (2.4, math.inf)
-    slow = Knowledge(request(balance=QUICK.model_copy(update={"lag_s": 1.5})))
-    assert slow.begins_with(10.0)[1] == BURST_S
+def test_far_from_the_target_a_sheet_that_sticks_limits_no_opening() -> None:
+    assert Knowledge(request()).begins_mm(3000.0) == 2.4
 
 
 def test_no_more_may_leave_than_a_stable_mean_would_call_in_tolerance() -> None:
@@ -190,7 +186,7 @@ def test_an_opening_that_brings_nothing_again_and_again_grows_no_wider_than_is_s
     near = Knowledge(request(target_mg=5.0))
     for _ in range(50):
         near.nothing_came()
-    assert near.stuck_mg(near.shape.threshold_mm + near.narrowest_mm, BURST_S) < near.most_mg
+    assert near.stuck_mg(near.shape.threshold_mm + near.narrowest_mm, SEEN_S) < near.most_mg
 
 
 # --- the policy
@@ -250,5 +246,7 @@ def test_a_powder_that_must_be_shaken_is_shaken_from_the_first_opening_on() -> N
 def test_an_opening_is_no_wider_than_a_sheet_that_sticks_allows_until_that_would_be_seen() -> None:
     settings: dict[str, object] = {"target_mg": 60.0, "balance": QUICK.model_copy(update={"lag_s": 0.3})}
     known = Knowledge(request(**settings))
-    begins_mm, _ = known.begins_with(known.most_mg)
-    assert next(iter(openings_of_nothing(**settings)))[0] <= begins_mm < known.widest_mm(known.most_mg)  # type: ignore[arg-type]
+    begins_mm, widest_mm = known.begins_mm(known.most_mg), known.widest_mm(known.most_mg)
+    told_mm = list(widths_of_nothing(**settings))
+    waits = round(known.seen_s / PERIOD_S)
+    assert max(told_mm[: waits - 1]) <= begins_mm < max(told_mm) <= widest_mm

@@ -49,8 +49,8 @@ LEAST_DOUBT = 0.08
 """That standard deviation, at least."""
 SAME_SHAPE = 0.98
 """Probability that the kind of filter was identified rightly."""
-STEP_DOUBT = 0.12
-"""Standard deviation of the delay's logarithm where a step has shown it."""
+STEP_DOUBT, OPENING_DOUBT = 0.12, 0.2
+"""Standard deviation of the delay's logarithm where a step has shown it; and an opening, at least: phi is a guess."""
 ADAPTS, SLOWEST = 0.2, 6.0
 """The last of a step that takes this share of the delay longer than it should shows a filter that adapts; it is at most
 so many times slower when little changes."""
@@ -58,12 +58,14 @@ LEAST_LAST = 0.3
 """Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
 LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
 """Delays that an opening may show."""
-BEGINS_S = 0.5
-"""Powder may begin to come so much later, or earlier, than phi has it: standard deviation."""
+BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
+"""Powder may begin to come so long after the valve was told to open."""
+INDEPENDENT = 10.0
+"""Of the differences between readings and a model, as many are independent of each other."""
 MASS_ERROR_MG, SETTLED = 0.1, 3.0
 """What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
-CHANGED = 0.002
-"""Probability that the balance is another one than it was in the opening before: a filter's setting, a draught."""
+CHANGED, SLOWER = 0.01, 1.5
+"""Probability that the balance has been set slower than in the opening before; by this factor at least."""
 K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
 BRIDGES_PER_S = 2.0
@@ -164,42 +166,52 @@ def balance_of(step: Step) -> BalanceBelief:
 def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
     """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
 
-    Powder that came otherwise than phi has it, and a mass that is off, make it doubtful: by the area between the
-    readings and what the nearest shape would show of that delay, by when powder may have begun to come, and by the mass'
-    error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
+    Each shape is tried, with powder that began to come as phi has it or later; the one that is nearest to the readings
+    counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between, and
+    the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
     """
     dt_s, phi_s, readings_mg, noise_mg = np.array([(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]).T
-    came_mg, shown_mg = np.cumsum(phi_s) / phi_s.sum() * gained_mg, readings_mg - begin_mg
-    unseen_mg = np.append(0.0, came_mg - shown_mg)
-    delay_s = float(np.sum((unseen_mg[1:] + unseen_mg[:-1]) / 2.0 * dt_s)) / gained_mg
-    if delay_s < LEAST_DELAY_S:
+    ends_s, shown_mg = np.cumsum(dt_s), readings_mg - begin_mg
+    came_s = np.cumsum([phi_s * (ends_s > late_s) for late_s in BEGINS_S], axis=1)
+    came_mg = (came_s / np.maximum(came_s[:, -1:], 1e-9) * gained_mg).repeat(len(SHAPES), axis=0)
+    delays_s = (came_mg - shown_mg) @ dt_s / gained_mg
+    possible = (delays_s > LEAST_DELAY_S) & (came_mg[:, -1] > 0.0)
+    if not possible.any():
         return None
-    off_mg = np.abs(shown_mg - _shown_mg(delay_s, dt_s, came_mg))
+    shapes = np.array(list(SHAPES) * len(BEGINS_S))[possible]
+    delays_s, came_mg = delays_s[possible], came_mg[possible]
+    off_mg = shown_mg - _shown_mg(delays_s, shapes, dt_s, came_mg)
     squares = np.sum(off_mg**2, axis=1)
     best = int(np.argmin(squares))
-    area_s = float(np.sum(np.maximum(off_mg[best] - noise_mg, 0.0) * dt_s)) / gained_mg
-    looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delay_s
-    doubt_s = math.hypot(area_s, BEGINS_S, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
+    weights = np.exp(-INDEPENDENT / 2.0 * (squares / squares[best] - 1.0))
+    spread_s = math.sqrt(weights @ (delays_s - delays_s[best]) ** 2 / weights.sum())
+    area_s = float(np.maximum(np.abs(off_mg[best]) - noise_mg, 0.0) @ dt_s) / gained_mg
+    looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delays_s[best]
+    doubt_s = math.hypot(spread_s, area_s, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
     return BalanceBelief(
-        lag_s=min(delay_s, LONGEST_S) / 2.0,
-        doubt=math.log1p(doubt_s / delay_s),
-        shape=list(SHAPES)[best],
-        misfit=min(math.sqrt(squares[best] / np.sum(unseen_mg**2)), 1.0),
+        lag_s=min(float(delays_s[best]), LONGEST_S) / 2.0,
+        doubt=math.hypot(OPENING_DOUBT, math.log1p(doubt_s / delays_s[best])),
+        shape=str(shapes[best]),
+        misfit=min(math.sqrt(squares[best] / np.sum((came_mg[best] - shown_mg) ** 2)), 1.0),
     )
 
 
-def _shown_mg(delay_s: float, dt_s: Array, came_mg: Array) -> Array:
-    """(S, N) what the shapes, of this delay, show of masses (N,) that come over times `dt_s` (N,)."""
-    pure, damping = np.array(list(SHAPES.values())).T
-    ends_s, shown_mg = np.cumsum(dt_s), np.zeros((len(pure), len(dt_s)))
-    late_mg = [np.interp(ends_s - share * delay_s, np.append(0.0, ends_s), np.append(0.0, came_mg)) for share in pure]
+def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: Array, came_mg: Array) -> Array:
+    """(H, N) what balances (H,) show of masses (H, N) that come over times `dt_s` (N,)."""
+    pure, damping = np.array([SHAPES[shape] for shape in shapes]).T
+    ends_s, shown_mg = np.append(0.0, np.cumsum(dt_s)), np.zeros_like(came_mg)
+    late_mg = np.array(
+        [
+            np.interp(ends_s[1:] - late_s, ends_s, np.append(0.0, came))
+            for late_s, came in zip(pure * delays_s, came_mg, strict=True)
+        ]
+    )
     x, steps = np.zeros((len(pure), 5)), dict[float, tuple[Array, Array]]()
-    for number, now_mg in enumerate(np.transpose(late_mg)):
-        step_s = round(float(dt_s[number]), 3)
+    for number, step_s in enumerate(np.round(dt_s, 3).tolist()):
         if step_s not in steps:
-            steps[step_s] = transitions(np.full(len(pure), delay_s), pure, damping, step_s)
+            steps[step_s] = transitions(delays_s, pure, damping, step_s)
         still, adds = steps[step_s]
-        x = np.matmul(still, x[:, :, None])[:, :, 0] + adds * (now_mg - x[:, MASS])[:, None]
+        x = np.matmul(still, x[:, :, None])[:, :, 0] + adds * (late_mg[:, number] - x[:, MASS])[:, None]
         shown_mg[:, number] = x[:, READING]
     return shown_mg
 
@@ -214,24 +226,25 @@ class Bank:
         self.models, self.weights = list(models), weights / weights.sum()
         self.erratic = 1.0
         """By what factor the variances of what is coming have turned out to be too small."""
-        self.least_weight = LEAST_WEIGHT
-        """Models less likely than this are dropped; with 0 none is."""
         self.restart(0.0, 1.0, 1.0, 1.0)
 
     @classmethod
     def believing(cls, balance: BalanceBelief, surge_mg: float) -> "Bank":
-        """Near what is believed of the balance; and, as it may have been changed, a little of everything."""
-        every = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
-        weights = np.full(len(every), 1.0 / len(every))
-        if balance.fits > 0:
-            far = np.array(NEAR) * max(balance.doubt, LEAST_DOUBT)
-            near = [Model(2.0 * balance.lag_s * math.exp(step), shape) for shape in SHAPES for step in far]
-            others = (1.0 - SAME_SHAPE) / (len(SHAPES) - 1)
-            shares = np.array([SAME_SHAPE if shape == balance.shape else others for shape in SHAPES])
-            ours = np.outer(shares, np.exp(-0.5 * np.square(NEAR))).ravel()
-            weights = np.append(CHANGED * weights, (1.0 - CHANGED) * ours / ours.sum())
-            every += near
-        return cls(every, weights, surge_mg, balance.misfit)
+        """Near what is believed of the balance; and, as it may have been set slower, a little of longer delays.
+
+        That it was set faster is never assumed: so it looks when a sheet that stuck lets out more than was expected.
+        """
+        if balance.fits == 0:
+            models = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
+            return cls(models, np.ones(len(models)), surge_mg, balance.misfit)
+        far = np.array(NEAR) * max(balance.doubt, LEAST_DOUBT)
+        near = [Model(2.0 * balance.lag_s * math.exp(step), shape) for shape in SHAPES for step in far]
+        others = (1.0 - SAME_SHAPE) / (len(SHAPES) - 1)
+        shares = np.array([SAME_SHAPE if shape == balance.shape else others for shape in SHAPES])
+        ours = np.outer(shares, np.exp(-0.5 * np.square(NEAR))).ravel()
+        slower = [Model(delay_s, balance.shape) for delay_s in DELAYS_S if delay_s > 2.0 * balance.lag_s * SLOWER]
+        weights = np.append((1.0 - CHANGED) * ours / ours.sum(), np.full(len(slower), CHANGED / max(len(slower), 1)))
+        return cls([*near, *slower], weights, surge_mg, balance.misfit)
 
     def restart(
         self, mass_mg: float, sd_mg: float, coefficient: float, spread: float, error_mm: float = OPENING_ERROR_MM
@@ -324,7 +337,7 @@ class Bank:
         told = 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
         logs = np.log(np.maximum(self.weights, 1e-300)) - told
         weights = np.exp(logs - logs.max())
-        kept = weights > self.least_weight
+        kept = weights > LEAST_WEIGHT
         self.weights = weights[kept] / weights[kept].sum()
         if not kept.all():
             self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
