@@ -218,14 +218,20 @@ def test_near_the_target_a_bridge_is_tried_five_times_before_it_is_shaken() -> N
     assert vibrations == [0.0] * 5 + [0.4] * 3 + [1.0]
 
 
-def test_within_an_opening_nothing_that_comes_is_no_reason_to_open_wider() -> None:
-    controller = new_controller("adaptive", request())
-    command, time_s, told_mm = controller.decide(None), 0.0, []
+def widths_of_nothing(**changes: object) -> list[float]:
+    """What the valve is told in the first opening, while the balance shows nothing."""
+    controller = new_controller("adaptive", request(**changes))
+    command, time_s, told_mm = controller.decide(None), 0.0, list[float]()
     while not told_mm or (isinstance(command, Stream) and command.opening_mm > 0.0):
         if isinstance(command, Stream) and command.opening_mm > 0.0:
             told_mm.append(command.opening_mm)
         time_s += PERIOD_S
         command = controller.decide(Observation(time_s, 0.0, 0.05, isinstance(command, Weigh)))
+    return told_mm
+
+
+def test_within_an_opening_nothing_that_comes_is_no_reason_to_open_wider() -> None:
+    told_mm = widths_of_nothing()
     assert len(told_mm) > 3
     assert all(after <= before for before, after in itertools.pairwise(told_mm))
 
@@ -247,6 +253,6 @@ def test_an_opening_is_no_wider_than_a_sheet_that_sticks_allows_until_that_would
     settings: dict[str, object] = {"target_mg": 60.0, "balance": QUICK.model_copy(update={"lag_s": 0.3})}
     known = Knowledge(request(**settings))
     begins_mm, widest_mm = known.begins_mm(known.most_mg), known.widest_mm(known.most_mg)
-    told_mm = list(widths_of_nothing(**settings))
+    told_mm = widths_of_nothing(**settings)
     waits = round(known.seen_s / PERIOD_S)
     assert max(told_mm[: waits - 1]) <= begins_mm < max(told_mm) <= widest_mm

@@ -287,6 +287,10 @@ class Knowledge:
         self.spread = min(spread, UNKNOWN_SPREAD)
         self._ratios.append(math.log(self.reference / self.belief.coefficient))
 
+    def learn_coefficient(self, coefficient: float) -> None:
+        """From pulses, each of which was weighed: what they have come to by now."""
+        self.reference, self._ratios = coefficient, [math.log(coefficient / self.belief.coefficient)]
+
     def _told(self, phi_s: float) -> float:
         """What an opening tells of the flow's coefficient, for all that its width may have been off."""
         off = self.shape.exponent * OPENING_ERROR_MM / self._mean_gap_mm(phi_s)

@@ -73,6 +73,7 @@ class _Sizing:
         trust = self.unsure**2 / (self.unsure**2 + 0.04 + 2.0 * self._known.bank.surge_mg / expected_mg)
         self.coefficient *= float((max(gained_mg, 0.1) / expected_mg) ** trust)
         self.unsure = max(0.15, self.unsure * float((1.0 - trust) ** 0.5))
+        self._known.learn_coefficient(self.coefficient)
 
     def _ramps(self, opening_mm: float) -> float:
         """Integral of phi [mm^n s] over the valve's way there and back."""
