@@ -269,6 +269,8 @@ class Dose(SkillEvent):
     """By a stable mean of the balance: gross now less gross before."""
     uncertainty_mg: float
     """Standard uncertainty of `dispensed_mg`."""
+    lasted_s: float = 0.0
+    """From the weighing before it to the one after it: what the balance's zero did meanwhile is in it."""
     pulses: int
     vibration_s: float
     duration_s: float

@@ -8,10 +8,10 @@ from pydantic import AfterValidator, Field
 
 from scuhand_bt.cell.believed import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
-from scuhand_bt.cell.doubt import doubt_balance
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import (
     SCOOP_DOUBT,
+    note_moved,
     possible_mg,
     require_unchanged,
     weigh_until_still,
@@ -26,10 +26,12 @@ from scuhand_bt.dosing.bracket import (
     dose_between,
     drift_between,
     significant,
+    watch_s,
 )
 from scuhand_bt.dosing.characteristic import held_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
+    BalanceDoubted,
     Cell,
     Code,
     Dose,
@@ -48,9 +50,6 @@ ASIDE_MM = 2.0
 """The apex is taken to be over the container where it is no farther than this from its place."""
 ALLOWED_SHARE = 0.1
 """Of the tolerance: two weighings of one thing that differ by less agree."""
-WATCHED_SHARE = 0.25
-"""Of the tolerance: the pan is watched after a dose until the drift in it is known to this."""
-SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
 FINE_S = 12.0
 """What a dose takes beside its full flow: its controller leaves room for the uncertainty that there is by then."""
 DIFFERENT_READINGS = 12
@@ -135,9 +134,12 @@ class Dispense(Skill[Dose]):
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
-        doubt_balance(cell, request.balance, run.curve)
-        after, mean = yield from weigh_until_still(cell, run.last, 0.0, self._watch_s(before, run.last), may_gain=True)
-        gained, drift = dose_between(earlier, before, after, weighing_of(mean), digit_mg)
+        for pair in run.watched:
+            note_moved(cell, *pair)
+        pause_s = watch_s(before, run.last, self.tolerance_mg)
+        after, mean = yield from weigh_until_still(cell, run.last, 0.0, pause_s, may_gain=True)
+        pairs = ((earlier, before), *run.watched, (after, weighing_of(mean)))
+        gained, drift = dose_between(pairs, digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
         cell.record.event(
             DoseWeighed(
@@ -183,12 +185,6 @@ class Dispense(Skill[Dose]):
         """By how much two weighings of one thing may differ."""
         return ALLOWED_SHARE * self.tolerance_mg
 
-    def _watch_s(self, before: Gross, after: Gross) -> float:
-        """So long that the drift seen in it tells the drift in the dose to a part of the tolerance."""
-        doubt_mg = math.hypot(before.uncertainty_mg, after.uncertainty_mg) * (after.time_s - before.time_s)
-        watch_s = doubt_mg / (WATCHED_SHARE * self.tolerance_mg) if after.time_s > before.time_s else 0.0
-        return min(max(watch_s, SHORTEST_WATCH_S), LONGEST_WATCH_S)
-
     def settle(self, cell: Cell) -> Steps[None]:
         """The apex over the container again; what has arrived since that was last weighed has left the cone.
 
@@ -205,7 +201,8 @@ class Dispense(Skill[Dose]):
         if not believed.dosing.is_unweighed:
             return
         mean = yield from cell.balance.stable_mean()
-        gained, _ = dose_between(bracket.last, bracket.last, weighing_of(mean), weighing_of(mean), digit_mg)
+        now = weighing_of(mean)
+        gained, _ = dose_between(((bracket.last, bracket.last), (now, now)), digit_mg)
         cell.record.event(Reweighed(**dict(mean.written()), arrived_mg=gained.mass_mg))
         least_mg, most_mg = possible_mg(cell, AGREEMENT * gained.uncertainty_mg)
         if not least_mg <= gained.mass_mg <= most_mg:
@@ -214,7 +211,7 @@ class Dispense(Skill[Dose]):
                 f"since it was last weighed '{bracket.container}' has gained {gained.mass_mg:.1f} mg, "
                 f"and {least_mg:.1f} to {most_mg:.1f} mg can have come",
             )
-        believed.reweighed(gained, weighing_of(mean), self._source(cell).sheet_key)
+        believed.reweighed(gained, now, self._source(cell).sheet_key)
 
     def request(self, cell: Cell) -> DoseRequest:
         """What its controller is asked for, by what is known of powder, balance and hand now."""
@@ -263,6 +260,11 @@ class Dispense(Skill[Dose]):
         source = self._source(cell)
         if run.finish.powder is not None:
             cell.powder_beliefs[source.sheet_key] = run.finish.powder
+        if (doubt := run.finish.doubt) is not None and cell.balance_belief.fits > 0:
+            lag_s = cell.balance_belief.lag_s
+            cell.record.event(
+                BalanceDoubted(difference_mg=doubt.difference_mg, allowed_mg=doubt.allowed_mg, lag_s=lag_s)
+            )
         if run.finish.balance is not None:
             cell.balance_belief = run.finish.balance
 
@@ -279,6 +281,7 @@ class Dispense(Skill[Dose]):
             tolerance_mg=self.tolerance_mg,
             dispensed_mg=net.mass_mg,
             uncertainty_mg=net.uncertainty_mg,
+            lasted_s=believed.bracket.lasted_s.get(lot, 0.0),
             pulses=so_far.pulses,
             vibration_s=so_far.vibration_s,
             duration_s=cell.clock.now_s - so_far.began_s,

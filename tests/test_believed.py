@@ -82,6 +82,7 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "dosed": st.builds(lambda n, g: lambda b: b.dosed(n, STILL, g, 1, 0.5), nets, weighings),
     "reweighed": st.builds(lambda n, g: lambda b: b.reweighed(n, g, BEADS.sheet_key), nets, weighings),
     "zero_stepped": st.builds(lambda m: lambda b: b.zero_stepped(m), masses_mg),
+    "drifted": st.builds(lambda m: lambda b: b.drifted(m), masses_mg),
     "zero_moved": st.builds(lambda d, g: lambda b: b.zero_moved(d, g), masses_mg, weighings),
     "lifted": st.builds(lambda g: lambda b: b.lifted(g), weighings),
     "bracket_closed": st.sampled_from([None, gone()]).map(lambda one: lambda b: b.bracket_closed(one)),
@@ -207,6 +208,8 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "loaded": as_gross(tare),
             "last": as_gross(weighed(20_031.0, 9.5)),
             "doses": {"glass_beads/L7": {"mass_mg": 20.0, "uncertainty_mg": 0.1}},
+            "drifted": {"glass_beads/L7": {"mass_mg": 0.0, "uncertainty_mg": 0.0}},
+            "lasted_s": {"glass_beads/L7": 7.0},
             "drift": {"rate": 0.0, "uncertainty": 0.005},
             "lot": SALT.sheet_key,
             "lifted": None,
@@ -217,6 +220,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "is_zero_doubted": False,
         "given_up": "",
         "zero_stepped_mg": 0.0,
+        "drift_mg_per_s": 0.0,
     }
     assert JSON.validate_python({**written, "pan": pan}, by_name=True, by_alias=False) == believed
 

@@ -11,7 +11,17 @@ from harness.random_physics import BalanceFigures, BalanceKind, DrawnBalance
 from scuhand_bt.dosing import constraint
 from scuhand_bt.dosing.characteristic import Step, step_of
 from scuhand_bt.dosing.constraint import RISK, chance, widest_mm
-from scuhand_bt.dosing.estimation import DELAYS_S, LEAST_DOUBT, SHAPES, Bank, Model, Row, balance_by, balance_of, transitions
+from scuhand_bt.dosing.estimation import (
+    DELAYS_S,
+    LEAST_DOUBT,
+    SHAPES,
+    Bank,
+    Model,
+    Row,
+    balance_by,
+    balance_of,
+    transitions,
+)
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.specs import BalanceBelief
 
@@ -41,9 +51,7 @@ def step_on(drawn: DrawnBalance) -> Step:
     return step
 
 
-def opening(
-    drawn: DrawnBalance, open_s: float, tail_s: float, late_s: float = 0.0
-) -> tuple[list[Row], list[float]]:
+def opening(drawn: DrawnBalance, open_s: float, tail_s: float, late_s: float = 0.0) -> tuple[list[Row], list[float]]:
     """Rows of an opening and its tail, phi being 1; and what has left by each, where powder comes `late_s` later."""
     many, tail, late = (round(each_s / STEP_S) for each_s in (open_s, tail_s, late_s))
     left_mg = [FLOW * STEP_S * max(min(number + 1, many) - late, 0) for number in range(many + tail)]
@@ -168,7 +176,9 @@ def test_the_less_an_opening_has_brought_the_less_it_tells() -> None:
     rows, left_mg = opening(balance("poles", 0.6), 4.0, 12.0)
     doubts = []
     for share in (1.0, 0.1, 0.02):
-        little = [row._replace(reading_mg=share * row.reading_mg + 0.1 * math.sin(7.0 * at)) for at, row in enumerate(rows)]
+        little = [
+            row._replace(reading_mg=share * row.reading_mg + 0.1 * math.sin(7.0 * at)) for at, row in enumerate(rows)
+        ]
         found = balance_by(little, 0.0, share * left_mg[-1])
         assert found is not None
         doubts.append(found.doubt)

@@ -1,7 +1,6 @@
 """What `adaptive` learns within a dose and keeps of it, and how it opens where nothing comes."""
 
 import itertools
-import math
 from collections.abc import Iterator
 
 import pytest
@@ -10,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
+from scuhand_bt.dosing.controller import Doubt
 from scuhand_bt.dosing.knowledge import SEEN_S, STUCK_MM, Knowledge
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
@@ -167,9 +167,12 @@ def test_what_contradicts_what_was_known_of_the_balance_makes_it_doubtful() -> N
 def test_a_balance_that_is_doubted_is_no_longer_known_and_the_next_dose_is_told() -> None:
     known = Knowledge(request())
     assert known.knows_balance
-    known.doubt_balance()
+    known.doubt_balance(Doubt(5.0, 1.0))
+    known.doubt_balance(Doubt(2.0, 1.0))
     assert not known.knows_balance
-    kept = known.finish("reached", Observation(9.0, 0.0, 0.05, True)).balance
+    finish = known.finish("reached", Observation(9.0, 0.0, 0.05, True))
+    kept = finish.balance
+    assert finish.doubt == Doubt(5.0, 1.0), "the first one"
     assert kept is not None
     assert kept.fits == 0
     assert kept.doubt == 1.0

@@ -215,29 +215,38 @@ def test_a_sample_flagged_while_its_brackets_were_open_stays_so_until_all_have_c
 
 def test_a_step_that_the_run_has_seen_is_in_the_uncertainty_of_a_dose_and_may_change_its_verdict() -> None:
     had = confirmed(result(dose(50.4)), gone(glass_beads=50.4))
-    small = doubted(had, 0.2)
+    small = doubted(had, 0.2, 0.0)
     assert (small.uncertainty_mg, small.verdict) == (pytest.approx(math.hypot(0.1, 0.43)), "in tolerance")
     assert (small.code, small.is_good, small.dispensed_mg) == (None, True, 50.4)
-    large = doubted(small, 0.5)
+    large = doubted(small, 0.5, 0.0)
     assert (large.uncertainty_mg, large.verdict) == (pytest.approx(math.hypot(0.1, 1.075)), "over")
     assert (large.code, large.doses[0].verdict, large.is_good) == ("balance.bracket_open", "over", False)
     assert large.detail == "the balance's zero was seen to step by 0.50 mg in this run, and may have in this dose"
     assert large.doses[0].uncertainty_mg == large.uncertainty_mg
-    assert doubted(large, 0.3) is large, "what was seen stays seen"
+    assert doubted(large, 0.3, 0.0) is large, "what was seen stays seen"
+
+
+def test_a_drift_that_the_run_has_seen_counts_by_how_long_a_dose_took() -> None:
+    had = confirmed(result(dose(50.4).model_copy(update={"lasted_s": 20.0})), gone(glass_beads=50.4))
+    slow = doubted(had, 0.0, 0.01)
+    assert (slow.uncertainty_mg, slow.verdict) == (pytest.approx(math.hypot(0.1, 0.43)), "in tolerance")
+    fast = doubted(slow, 0.0, 0.04)
+    assert (fast.verdict, fast.code) == ("over", "balance.bracket_open")
+    assert fast.detail == "the balance's zero was seen to drift by 0.040 mg/s in this run, and may have in this dose"
 
 
 def test_without_a_step_or_while_the_container_still_stands_a_result_is_as_it_was() -> None:
     had = result(dose(50.4))
-    assert doubted(had, 3.0) is had
+    assert doubted(had, 3.0, 0.0) is had
     closed = confirmed(had, gone(glass_beads=50.4))
-    assert doubted(closed, 0.0) is closed
+    assert doubted(closed, 0.0, 0.0) is closed
 
 
 def test_a_dose_that_a_step_makes_doubtful_keeps_the_code_that_it_had() -> None:
     had = confirmed(result(dose(50.0)), gone(closes=False, glass_beads=51.0))
-    assert (doubted(had, 3.0).code, doubted(had, 3.0).detail) == (had.code, had.detail)
+    assert (doubted(had, 3.0, 0.0).code, doubted(had, 3.0, 0.0).detail) == (had.code, had.detail)
     halted = confirmed(result(dose(50.0), verdict="interrupted"), gone(glass_beads=50.1))
-    assert (doubted(halted, 3.0).verdict, doubted(halted, 3.0).code) == ("interrupted", None)
+    assert (doubted(halted, 3.0, 0.0).verdict, doubted(halted, 3.0, 0.0).code) == ("interrupted", None)
 
 
 def test_what_failed_otherwise_keeps_its_own_code_and_verdict() -> None:

@@ -118,6 +118,13 @@ def test_what_the_container_loses_as_the_hand_leaves_is_the_zeros_and_what_it_ga
     assert rig.believed.zero_stepped_mg == pytest.approx(remembered_mg)
 
 
+@pytest.mark.parametrize(("by_mg", "lost_mg"), [(-1.0, 1.0), (-0.1, 0.0), (1.0, 0.0)])
+def test_what_the_container_loses_may_be_a_drift_that_other_doses_had(rig: Rig, by_mg: float, lost_mg: float) -> None:
+    rig.step(by_mg, 0.0, WEIGHING_S + SWING_S)
+    rig.remove()
+    assert rig.believed.drift_mg_per_s == pytest.approx(lost_mg / WEIGHING_S)
+
+
 @pytest.mark.parametrize(("by_mg", "least_mg", "most_mg"), [(0.1, 0.0, 0.3), (0.6, 0.6, 0.8), (-0.6, 0.0, 0.5)])
 def test_what_it_gains_may_be_a_creep_that_was_there_while_it_dosed_too(
     rig: Rig, by_mg: float, least_mg: float, most_mg: float

@@ -83,6 +83,8 @@ class Believed:
     """Why the container that was last on the pan counts no more; empty where it does."""
     zero_stepped_mg: float = 0.0
     """By how much the balance's zero was seen to step at most: so much may have hidden in any dose of the run."""
+    drift_mg_per_s: float = 0.0
+    """How fast a full container was seen to lose at most, with the valve shut: so fast any dose's may have drifted."""
 
     @property
     def seen_mg(self) -> float:
@@ -289,6 +291,10 @@ class Believed:
         if _mass(by_mg) > 0.0:
             self._set(is_zero_doubted=True, zero_stepped_mg=max(self.zero_stepped_mg, by_mg))
 
+    def drifted(self, rate_mg_per_s: float) -> None:
+        """With the valve shut a container was seen to weigh ever less, at this rate; 0: no less."""
+        self._set(drift_mg_per_s=max(self.drift_mg_per_s, _mass(rate_mg_per_s)))
+
     def dosing_towards(self, target_mg: float, lot: str, before: Gross) -> None:
         """The valve may open from now on, over what weighs so much; what leaves the cone is not weighed yet.
 
@@ -309,15 +315,16 @@ class Believed:
 
     def dosed(self, gained: Net, drift: Drift, now: Gross, pulses: int, vibration_s: float) -> None:
         """The container has gained so much by a dose that took this many pulses, and vibration; it weighs so much."""
-        so_far = self.dosing
-        self._gained(gained, drift, now)
+        so_far, bracket = self.dosing, self._open_bracket
+        self._weighed(now.gross_mg)
         self._set(
+            bracket=bracket.gained(gained, drift, now),
             dosing=replace(
                 so_far,
                 pulses=so_far.pulses + pulses,
                 vibration_s=so_far.vibration_s + vibration_s,
                 is_unweighed=False,
-            )
+            ),
         )
 
     def reweighed(self, gained: Net, now: Gross, lot: str) -> None:
@@ -327,10 +334,10 @@ class Believed:
         """
         if self.pan_gross_mg is None:
             raise ValueError("no container on the pan was weighed before")
-        drift = self._open_bracket.drift
+        bracket = replace(self._open_bracket, lot=lot)
         self._left_cone(now.gross_mg - self.pan_gross_mg)
-        self._set(bracket=replace(self._open_bracket, lot=lot))
-        self._gained(gained, drift, now)
+        self._weighed(now.gross_mg)
+        self._set(bracket=bracket.found(gained, now))
         self._set(dosing=replace(self.dosing, is_unweighed=False))
 
     def zero_moved(self, drift_mg: float, now: Gross) -> None:
@@ -348,11 +355,6 @@ class Believed:
         if self.bracket is None or self.weighed_container is None:
             raise ValueError("no container on the pan was weighed")
         return self.bracket
-
-    def _gained(self, gained: Net, drift: Drift, now: Gross) -> None:
-        bracket = self._open_bracket
-        self._weighed(now.gross_mg)
-        self._set(bracket=bracket.gained(gained, drift, now))
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""

@@ -11,8 +11,17 @@ from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
-from scuhand_bt.dosing.bracket import Gross, Reference
-from scuhand_bt.dosing.controller import Controller, DoseRequest, Finish, Observation, Pulse, Stream, Weigh
+from scuhand_bt.dosing.bracket import LONGEST_WATCH_S, Gross, Reference, moved_mg
+from scuhand_bt.dosing.controller import (
+    LONGEST_UNWEIGHED_S,
+    Controller,
+    DoseRequest,
+    Finish,
+    Observation,
+    Pulse,
+    Stream,
+    Weigh,
+)
 from scuhand_bt.events import Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
@@ -43,6 +52,8 @@ class DoseRun:
     finish: Finish
     last: Gross
     """The last weighing of it: what the finish goes by, where the controller verified it."""
+    watched: list[tuple[Gross, Gross]]
+    """Weighings of the same with the valve shut, whenever nobody had looked for long: they tell drifts."""
     pulses: int
     vibration_s: float
     duration_s: float
@@ -68,6 +79,8 @@ BARREN_S = 60.0
 and an arch stands for 40 s at the most before it is shaken."""
 GAIN_MG, AVERAGED = 1.0, 10
 """A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
+SETTLED = 3
+"""What still moves when it is watched for the third time is a drift, and no filter that creeps after the powder."""
 LONGEST_S = 1800.0
 """No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
 
@@ -113,6 +126,7 @@ def run_dose(
     pulses, vibration_s = 0, 0.0
     streaming = False
     last = reference.before
+    watched: list[tuple[Gross, Gross]] = []
     most_mg, below = -math.inf, 0
     flow = _Flow(reference.earlier.mass_mg)
 
@@ -129,6 +143,11 @@ def run_dose(
         if balance.latest is not None:
             net_mg = balance.latest.value_mg - reference.zero_mg
             curve.append(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
+
+    def pause(duration_s: float) -> Steps[None]:
+        end_s = clock.now_s + duration_s
+        while clock.now_s < end_s:
+            yield Wake(end_s)
 
     def weighed(mean: StableMean) -> Observation:
         nonlocal last
@@ -174,14 +193,22 @@ def run_dose(
                     vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
                 else:
                     hand.stop()
-                if command.wait_s > 0.0:
-                    end_s = clock.now_s + command.wait_s
-                    while clock.now_s < end_s:
-                        yield Wake(end_s)
+                yield from pause(command.wait_s)
                 mean = yield from balance.stable_mean()
                 seen = weighed(mean)
                 level = 0.0
                 record.event(_pulsed(command, seen, acted_s, mean))
+                unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
+                if mean.time_s - unwatched_since_s > LONGEST_UNWEIGHED_S:
+                    for _ in range(SETTLED):
+                        first = last
+                        yield from pause(LONGEST_WATCH_S)
+                        mean = yield from balance.stable_mean()
+                        seen = weighed(mean)
+                        record.event(_pulsed(Weigh(), seen, first.time_s, mean))
+                        if moved_mg(first, last, balance.spec.readability_mg) == 0.0:
+                            break
+                    watched.append((first, last))
             require_nothing_lost(seen)
             flow.note(seen)
             command = controller.decide(seen)
@@ -194,7 +221,7 @@ def run_dose(
             )
     finally:
         hand.stop()
-    return DoseRun(command, last, pulses, vibration_s, clock.now_s - begin_s, curve)
+    return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)
 
 
 def _pulsed(command: Pulse | Weigh, seen: Observation, acted_s: float, mean: StableMean) -> Pulsed:

@@ -28,6 +28,12 @@ class Bracket:
     last: Gross
     """The last weighing of what stands there, whether with the hand in place or without."""
     doses: Nets = field(default_factory=lambda: MappingProxyType({}))
+    drifted: Nets = field(default_factory=lambda: MappingProxyType({}))
+    """What was taken out of them as the drift's, by powder lot."""
+    lasted_s: Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+    """How long they took to come, by powder lot: what the zero did meanwhile is in them."""
     drift: Drift = field(default_factory=lambda: Drift(0.0, 0.0))
     """What was seen about the last dose."""
     lot: str = ""
@@ -54,8 +60,25 @@ class Bracket:
 
     def gained(self, gained: Net, drift: Drift, now: Gross) -> "Bracket":
         """So much more of the lot that is being dosed, and what the container weighs with it."""
-        doses = {**self.doses, self.lot: total([self.doses.get(self.lot, Net(0.0, 0.0)), gained])}
-        return replace(self, doses=MappingProxyType(doses), drift=drift, last=now)
+        lasted_s = now.time_s - self.last.time_s
+        is_drifting = drift.rate != 0.0
+        drifted = Net(drift.rate * lasted_s, drift.uncertainty * lasted_s * is_drifting)
+        return replace(
+            self,
+            doses=self._with(self.doses, gained),
+            drifted=self._with(self.drifted, drifted),
+            lasted_s=MappingProxyType({**self.lasted_s, self.lot: self.lasted_s.get(self.lot, 0.0) + lasted_s}),
+            drift=drift,
+            last=now,
+        )
+
+    def found(self, gained: Net, now: Gross) -> "Bracket":
+        """So much more by a dose that broke off: nobody has watched the zero meanwhile, and the bare pan is to tell."""
+        return replace(self, doses=self._with(self.doses, gained), last=now)
+
+    def _with(self, nets: Nets, more: Net) -> Nets:
+        so_far = nets.get(self.lot, Net(0.0, 0.0))
+        return MappingProxyType({**nets, self.lot: total([so_far, more])})
 
     def with_zero_moved(self, drift_mg: float, now: Gross) -> "Bracket":
         """As if the balance had always had the zero that it has now."""

@@ -69,6 +69,18 @@ def weigh_until_still(
         last, pause_s = now, PAUSE_S
 
 
+def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
+    """Remember by how much two weighings of a full container differ, the valve shut; what it has gained [mg].
+
+    What it gains may have dripped. What it loses is the zero's: a step, or a drift that any dose may have had.
+    """
+    moved = moved_mg(before, now, cell.spec.balance.readability_mg)
+    lost_mg = max(0.0, -moved)
+    cell.believed.zero_stepped(lost_mg)
+    cell.believed.drifted(lost_mg / (now.time_s - before.time_s))
+    return max(0.0, moved)
+
+
 def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
     """Let the changer change the load, and see whether the pan goes on showing what it has shown until that comes.
 
@@ -176,10 +188,8 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         believed.lifted(weighing_of(mean))
         cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
-        moved = moved_mg(bracket.last, weighing_of(mean), digit_mg)
-        believed.zero_stepped(max(0.0, -moved))
         # What has dripped, or a force that grows with the container, and did while it was dosed.
-        crept = Net(0.0, max(0.0, moved))
+        crept = Net(0.0, note_moved(cell, bracket.last, weighing_of(mean)))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
     believed.changing_container()
@@ -191,7 +201,9 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
         believed.bracket_closed(None)
         return bare
     doses = list(bracket.doses.values())
-    closed = close(doses, bracket.drift, bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare), digit_mg)
+    drifted = [bracket.drifted.get(lot, Net(0.0, 0.0)) for lot in bracket.doses]
+    weighings = (bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare))
+    closed = close(doses, drifted, bracket.drift, *weighings, digit_mg)
     believed.zero_stepped(max(0.0, -closed.stepped_mg))
     since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
     adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}

@@ -20,7 +20,17 @@ from typing import Literal
 import numpy as np
 
 from scuhand_bt.dosing.constraint import RISK, chance
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
+from scuhand_bt.dosing.controller import (
+    LONGEST_UNWEIGHED_S,
+    Command,
+    DoseRequest,
+    Doubt,
+    Finish,
+    Observation,
+    Reason,
+    Stream,
+    Weigh,
+)
 from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
@@ -59,7 +69,7 @@ SURELY, SOON_S = 2.0, 1.0
 EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
 
-Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry"]
+Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "long"]
 """Why an opening ended."""
 
 
@@ -72,6 +82,8 @@ class Adaptive:
         self._known = Knowledge(request)
         self._steps = self._stream() if request.streaming else pulses(self._known)
         self._started = False
+        self._start_mg = self._weighed_s = 0.0
+        """What was on the pan before; when there was a stable mean last."""
         self._vibration = request.powder.vibration
         self._barren_s = 0.0
         """Open and fully shaken, without powder."""
@@ -95,7 +107,8 @@ class Adaptive:
     def _stream(self) -> Generator[Command, Observation, Finish]:
         known = self._known
         seen = yield Stream(0.0)
-        known.time_s, start_mg = seen.time_s, seen.net_mg
+        self._weighed_s = known.time_s = seen.time_s
+        self._start_mg = seen.net_mg
         if not known.knows_balance:
             for _ in range(LISTENED):
                 yield from known.act(0.0, 0.0)
@@ -117,8 +130,8 @@ class Adaptive:
             if not came and self._fruitless > 1:
                 known.nothing_came()
             self._shake(came)
-            is_dry = self._is_dry(known.bank.mass_mg - start_mg)
-            if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended != "reached":
+            is_dry = self._is_dry()
+            if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
                 known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
                 continue
             seen = yield from self._weigh()
@@ -127,7 +140,7 @@ class Adaptive:
             if verdict is not None:
                 return known.finish(verdict, seen)
             if is_dry:
-                return known.finish(known.request.given_up(seen.net_mg - start_mg), seen)
+                return known.finish(self._given_up(seen.net_mg), seen)
         return known.finish("step_limit", seen)
 
     def _weigh(self) -> Generator[Command, Observation, Observation]:
@@ -135,16 +148,20 @@ class Adaptive:
         known = self._known
         expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
         seen = yield Weigh()
-        while abs(seen.net_mg - expected_mg) > SURPRISE * sd_mg + DOUBTFUL_MG:
-            known.doubt_balance()
+        while abs(seen.net_mg - expected_mg) > (allowed_mg := SURPRISE * sd_mg + DOUBTFUL_MG):
+            known.doubt_balance(Doubt(seen.net_mg - expected_mg, allowed_mg))
             expected_mg, sd_mg = seen.net_mg, seen.uncertainty_mg
             seen = yield Weigh(AGAIN_S)
-        known.time_s, known.uncertainty_mg = seen.time_s, max(known.uncertainty_mg, seen.uncertainty_mg)
+        self._weighed_s = known.time_s = seen.time_s
+        known.uncertainty_mg = max(known.uncertainty_mg, seen.uncertainty_mg)
         return seen
 
-    def _is_dry(self, dispensed_mg: float) -> bool:
-        empty = self._known.request.given_up(dispensed_mg) == "empty"
+    def _is_dry(self) -> bool:
+        empty = self._given_up(self._known.bank.mass_mg) == "empty"
         return self._barren_s > (EMPTY_S if empty else DRY_S)
+
+    def _given_up(self, mass_mg: float) -> Reason:
+        return self._known.request.given_up(mass_mg - self._start_mg)
 
     def _look(self) -> Generator[Command, Observation, None]:
         """Valve shut: until the balance has shown what there is."""
@@ -214,8 +231,10 @@ class Adaptive:
                 self._barren_s += dt_s
             if mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):
                 self._barren_s, barren_mg = 0.0, mass_mg
-            if self._is_dry(mass_mg):
+            if self._is_dry():
                 return "dry"
+            if known.time_s - self._weighed_s > LONGEST_UNWEIGHED_S:
+                return "long"
 
     def _unseen_mg(self) -> float:
         """What flows while it cannot be seen yet, and until the valve is shut."""

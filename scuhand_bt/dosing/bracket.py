@@ -4,15 +4,17 @@ A dose is the difference of two weighings with the hand in place and the valve s
 
     D = g1 - g0 - r T,      u(D)^2 = u0^2 + u1^2 + w^2 T + (T u(r))^2
 
-g gross [mg], T the time between them [s], r the drift's rate [mg/s] as it was before and after the dose, w the random
-walk of the zero [mg/s^0.5]. What the container has gained is told once more when it has gone, by the bare pan before
-and after it (A-B-A, as for mass standards: OIML R 111-1, C.5; NIST SOP 4):
+g gross [mg], T the time between them [s], r the drift's rate [mg/s] as it was before and after the dose and whenever it
+was interrupted, w the random walk of the zero [mg/s^0.5]. What the container has gained is told once more when it has
+gone, by the bare pan before and after it (A-B-A, as for mass standards: OIML R 111-1, C.5; NIST SOP 4):
 
     N = (l1 - a1) - (l0 - a0)
 
 a bare pan, l loaded pan, the hand away. D and N share no weighing: a zero that steps between g0 and g1 is in D alone;
 one that steps between a and l, and what drips after g1, is in N alone. They are adjusted to each other by least
-squares; where they are farther apart than chance, neither is believed.
+squares; where they are farther apart than chance, neither is believed. A force that grows with the container, and goes
+with it, is in N though the drift in D tells of it: N is no surer than what was taken out of D and the bare pan does not
+show, and nothing that is adjusted is surer than that drift.
 
 A zero that steps between g0 and g1 and back between l1 and a1 is in both alike, as is one that steps between a0 and l0
 and back in the dose: no weighing of that container tells. That there are such steps is told by those that are seen,
@@ -27,14 +29,20 @@ conventional ones, 0.03 % (2.5 g/cm3) to 0.06 % (1.6 g/cm3) less than mass (OIML
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 AGREEMENT = 4.0
 """Standard deviations of their difference by which two results of one thing may be apart: by chance 1 in 16 000 are."""
+HARDLY, SURELY = 2.0, 3.0
+"""Standard deviations of a drift: by chance 1 in 20, and 1 in 400, are farther from none."""
 SOUND_DIGITS_PER_S = 0.05
 """A sound balance that has warmed up drifts no faster (standard deviation), in digits: 3 in a minute. One that does is
 seen by A-B-A: the drift is in D and N with opposite signs."""
 SPAN_SHARE = 1e-5
 """By how much a balance's span may differ (standard deviation) before and after it was off: 2 ppm/K over 5 K."""
+WATCHED_SHARE = 0.25
+"""Of the tolerance: the pan is watched after a dose until the drift in it is known to this."""
+SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
 WALK_DIGITS = 1.0
 """Random walk of a sound balance's zero: standard deviation after a minute, in digits."""
 
@@ -81,13 +89,13 @@ def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
 
 
-def unseen_mg(stepped_mg: float) -> float:
-    """What the largest of a few steps that were seen adds to the standard uncertainty of a dose that hides another.
+def unseen_mg(stepped_mg: float, drift_mg_per_s: float, lasted_s: float) -> float:
+    """What the largest step and drift that a run has seen add to the standard uncertainty of a dose that hides others.
 
-    It is a standard deviation by few observations: as for two degrees of freedom, 4.30 of it cover what 2 of a known
+    Each is a standard deviation by few observations: as for two degrees of freedom, 4.30 of it cover what 2 of a known
     one do (JCGM 100:2008, G.3).
     """
-    return stepped_mg * 4.30 / 2.0
+    return math.hypot(stepped_mg, drift_mg_per_s * lasted_s) * 4.30 / 2.0
 
 
 def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
@@ -97,47 +105,66 @@ def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
 
 
 def significant(drift: Drift, readability_mg: float) -> Drift:
-    """A drift that is no more than chance (two standard deviations) is none, or no faster than a sound balance's."""
-    if abs(drift.rate) > 2.0 * drift.uncertainty:
+    """A drift that may be chance is none; where chance would hardly make it, the balance is not taken for sound."""
+    if abs(drift.rate) > SURELY * drift.uncertainty:
         return drift
+    if abs(drift.rate) > HARDLY * drift.uncertainty:
+        return Drift(0.0, drift.uncertainty)
     return Drift(0.0, min(drift.uncertainty, SOUND_DIGITS_PER_S * readability_mg))
 
 
-def drift_of_dose(before: Drift, after: Drift, readability_mg: float) -> Drift:
-    """During a dose, by the drift before it and after it.
+def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_mg: float) -> Drift:
+    """During a dose, by the drifts seen before it, at each time that it was interrupted, and after it.
 
-    Where they agree, their weighted mean, or none where that is no more than chance. Where they do not, it began or
-    ended in between, and may have been faster there than at either end: a creep that sets in when the valve opens is.
+    `parts_s` is how long each part between two of them was. In a part the drift is the weighted mean of those at its
+    ends, where these agree. Where they do not, it began or ended in between, and may have been faster there than at
+    either end: a creep that sets in when the valve opens is. A sum that is no more than chance is none.
     """
-    difference, chance = after.rate - before.rate, math.hypot(before.uncertainty, after.uncertainty)
-    if abs(difference) > AGREEMENT * chance:
-        return Drift((before.rate + after.rate) / 2.0, math.hypot(chance / 2.0, difference / math.sqrt(3.0)))
-    weight = after.uncertainty**2 / chance**2
-    rate = weight * before.rate + (1.0 - weight) * after.rate
-    return significant(Drift(rate, before.uncertainty * after.uncertainty / chance), readability_mg)
+    moved_mg, coefficients_s, spread_mg = 0.0, [0.0] * len(seen), 0.0
+    for part, duration_s in enumerate(parts_s):
+        before, after = seen[part : part + 2]
+        difference, chance = after.rate - before.rate, math.hypot(before.uncertainty, after.uncertainty)
+        weight = after.uncertainty**2 / chance**2
+        if abs(difference) > AGREEMENT * chance:
+            weight, spread_mg = 0.5, math.hypot(spread_mg, difference * duration_s / math.sqrt(3.0))
+        moved_mg += duration_s * (weight * before.rate + (1.0 - weight) * after.rate)
+        coefficients_s[part] += duration_s * weight
+        coefficients_s[part + 1] += duration_s * (1.0 - weight)
+    chances_mg = (by_s * drift.uncertainty for by_s, drift in zip(coefficients_s, seen, strict=True))
+    lasted_s = sum(parts_s)
+    drift = Drift(moved_mg / lasted_s, math.hypot(spread_mg, *chances_mg) / lasted_s)
+    return drift if spread_mg > 0.0 else significant(drift, readability_mg)
 
 
-def dose_between(earlier: Gross, before: Gross, after: Gross, later: Gross, readability_mg: float) -> tuple[Net, Drift]:
-    """What came between `before` and `after`, and the drift that was taken out.
+def watch_s(before: Gross, now: Gross, tolerance_mg: float) -> float:
+    """How long the pan is to be watched after a dose, so that the drift in it is told to a part of the tolerance."""
+    doubt_mg = math.hypot(before.uncertainty_mg, now.uncertainty_mg) * (now.time_s - before.time_s)
+    wanted_s = doubt_mg / (WATCHED_SHARE * tolerance_mg) if now.time_s > before.time_s else 0.0
+    return min(max(wanted_s, SHORTEST_WATCH_S), LONGEST_WATCH_S)
 
-    `earlier` and `before` weigh the same, and so do `after` and `later`; one given twice tells no drift. A drift that
-    is not significant is not taken out, as a zero that walks has none; its doubt stays.
+
+def dose_between(weighed: Sequence[tuple[Gross, Gross]], readability_mg: float) -> tuple[Net, Drift]:
+    """What came between the first pair of weighings and the last, and the drift that was taken out.
+
+    Each pair weighs the same twice: before the dose, at each time that it was interrupted, and after it. A pair of one
+    weighing tells no drift. A drift that is not significant is not taken out, as a zero that walks has none; its doubt
+    stays.
     """
-    seen = [drift_between(one, two, readability_mg) for one, two in ((earlier, before), (after, later)) if one != two]
-    unseen = Drift(0.0, SOUND_DIGITS_PER_S * readability_mg)
-    if len(seen) == 2:
-        drift = drift_of_dose(seen[0], seen[1], readability_mg)
+    pairs = [pair for pair in weighed if pair[0] != pair[1]]
+    seen = [drift_between(*pair, readability_mg) for pair in pairs]
+    if len(seen) > 1:
+        parts_s = [after[1].time_s - before[1].time_s for before, after in pairwise(pairs)]
+        drift = drift_of_dose(seen, parts_s, readability_mg)
     else:
-        drift = significant(seen[0], readability_mg) if seen else unseen
+        drift = significant(seen[0], readability_mg) if seen else Drift(0.0, SOUND_DIGITS_PER_S * readability_mg)
+    before, later = weighed[0][1], weighed[-1][1]
     duration_s = later.time_s - before.time_s
     mass_mg = later.gross_mg - before.gross_mg
     u_mg = math.hypot(apart_mg(before, later, readability_mg), drift.uncertainty * duration_s)
     if drift.rate == 0.0:
         return Net(mass_mg, u_mg), drift
     # A weighing that the dose rests on is in the drift too: its error counts for both.
-    shared, watched_s = (
-        (before, before.time_s - earlier.time_s) if earlier != before else (later, later.time_s - after.time_s)
-    )
+    shared, watched_s = (before if pairs[0] == weighed[0] else later), pairs[0][1].time_s - pairs[0][0].time_s
     twice_mg = shared.uncertainty_mg * math.sqrt(2.0 * duration_s / watched_s)
     return Net(mass_mg - drift.rate * duration_s, math.hypot(u_mg, twice_mg)), drift
 
@@ -214,6 +241,7 @@ class Closed:
 
 def close(
     doses: Sequence[Net],
+    drifted: Sequence[Net],
     drift: Drift,
     bare_before: Gross,
     loaded_before: Gross,
@@ -223,8 +251,9 @@ def close(
 ) -> Closed:
     """Hold the doses into a container against what it has gained by the bare pan.
 
-    `drift` is the one seen about the doses. Where results differ by more than one standard deviation, the adjusted
-    uncertainties grow by as much (the Birge ratio: Phys. Rev. 40, 207, 1932).
+    `drifted` is what was taken out of each dose as the drift's, `drift` the one seen about them. Where results differ
+    by more than one standard deviation, the adjusted uncertainties grow by as much (the Birge ratio: Phys. Rev. 40,
+    207, 1932).
     """
     weighings = (bare_before, loaded_before, loaded_after, bare_after)
     changing_s = (loaded_before.time_s - bare_before.time_s) + (bare_after.time_s - loaded_after.time_s)
@@ -235,6 +264,7 @@ def close(
             *(one.uncertainty_mg for one in weighings),
             walk_mg(readability_mg, changing_s),
             drift.uncertainty * changing_s,
+            _unshown_mg(sum(one.mass_mg for one in drifted), zero_mg),
         ),
     )
     difference_mg = net.mass_mg - sum(dose.mass_mg for dose in doses)
@@ -242,12 +272,20 @@ def close(
     chance_mg = math.sqrt(variance)
     birge = max(1.0, abs(difference_mg) / chance_mg)
     adjusted = []
-    for dose in doses:
+    for dose, taken_out in zip(doses, drifted, strict=True):
         share = dose.uncertainty_mg**2 / variance
-        u_mg = birge * dose.uncertainty_mg * math.sqrt(1.0 - share)
+        lasting_mg = min(taken_out.uncertainty_mg, dose.uncertainty_mg)
+        own_mg = math.sqrt(dose.uncertainty_mg**2 - lasting_mg**2)
+        u_mg = math.hypot(birge * own_mg * math.sqrt(1.0 - share), lasting_mg)
         adjusted.append(Net(dose.mass_mg + share * difference_mg, u_mg))
     lasted_s = bare_after.time_s - bare_before.time_s
     walked_mg = math.hypot(apart_mg(bare_before, bare_after, readability_mg), drift.uncertainty * lasted_s)
     steady_mg = zero_mg - drift.rate * lasted_s
     stepped_mg = steady_mg if abs(steady_mg) > AGREEMENT * walked_mg else 0.0
     return Closed(tuple(adjusted), net, zero_mg, difference_mg, AGREEMENT * chance_mg, stepped_mg)
+
+
+def _unshown_mg(drifted_mg: float, zero_mg: float) -> float:
+    """What was taken out of doses as a drift's and has not moved the bare pan: it came and went with the container."""
+    shown_mg = min(max(zero_mg, min(drifted_mg, 0.0)), max(drifted_mg, 0.0))
+    return drifted_mg - shown_mg

@@ -167,10 +167,12 @@ def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> Balanc
     """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
 
     Each shape is tried, with powder that began to come as phi has it or later; the one that is nearest to the readings
-    counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between, and
-    the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
+    counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between,
+    and the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
     """
-    dt_s, phi_s, readings_mg, noise_mg = np.array([(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]).T
+    dt_s, phi_s, readings_mg, noise_mg = np.array(
+        [(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]
+    ).T
     ends_s, shown_mg = np.cumsum(dt_s), readings_mg - begin_mg
     came_s = np.cumsum([phi_s * (ends_s > late_s) for late_s in BEGINS_S], axis=1)
     came_mg = (came_s / np.maximum(came_s[:, -1:], 1e-9) * gained_mg).repeat(len(SHAPES), axis=0)

@@ -13,7 +13,7 @@ from collections.abc import Generator
 import numpy as np
 
 from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Reason, Stream
+from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
 from scuhand_bt.dosing.estimation import (
     EXPONENT_ERROR,
     LEAST_DOUBT,
@@ -95,6 +95,7 @@ class Knowledge:
         self.bank = Bank.believing(self.balance, self.surge_mg)
         self.uncertainty_mg = request.uncertainty_mg
         """The standard uncertainty of the mass that will be judged; it grows with the time that a dose takes."""
+        self.doubt: Doubt | None = None
         self.time_s = 0.0
         self.rows: list[Row] = []
         self.narrowest_mm = NARROWEST_MM
@@ -334,8 +335,9 @@ class Knowledge:
         """Whether anything has been learnt of it."""
         return self.balance.fits > 0
 
-    def doubt_balance(self) -> None:
+    def doubt_balance(self, doubt: Doubt) -> None:
         """What a stable mean said is not what this balance was expected to say."""
+        self.doubt = self.doubt or doubt
         self.balance = self.balance.model_copy(update={"fits": 0, "doubt": 1.0})
 
     # --- what is kept ---
@@ -343,7 +345,7 @@ class Knowledge:
     def finish(self, reason: Reason, seen: Observation) -> Finish:
         """The dose's last word, with what was learnt."""
         balance = self.balance.model_copy(update={"noise_mg": self.noise_mg[False]})
-        return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance)
+        return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)
 
     def _powder(self) -> PowderBelief:
         """The belief with this dose in it; as it was where no opening has told anything."""

@@ -21,7 +21,9 @@ class DoseResult(Values):
     bracket: Literal["open", "closed", "does not close"] = "open"
     """Whether the bare pan after the container confirms what was dosed into it."""
     zero_uncertainty_mg: float = 0.0
-    """What of the uncertainty is for steps of the balance's zero, as the run has seen them elsewhere."""
+    """What of the uncertainty is for steps and drifts of the balance's zero, as the run has seen them elsewhere."""
+    lasted_s: float = 0.0
+    """How long it took to come, between two weighings."""
     true_mg: float | None = None
     """The simulation's, of all that the container holds, whichever lot; None on a real cell."""
 

@@ -88,8 +88,8 @@ class Batch:
         """The last samples that were dosed, as long as they overshot."""
         self._undoubted: list[str] = []
         """The samples whose results have come or changed since all were doubted last."""
-        self._doubted_of_mg = 0.0
-        """How large a step of the balance's zero they were doubted of then."""
+        self._doubted_of = (0.0, 0.0)
+        """How large a step, and how fast a drift, of the balance's zero they were doubted of then."""
         self._owners = {
             value.id: sample.id
             for sample in plan.recipe.samples
@@ -352,15 +352,15 @@ class Batch:
             elif owner is not None and (owner == waiting or result is None):
                 continue
             believed.noted(closed)
-        stepped_mg = believed.zero_stepped_mg
+        seen = believed.zero_stepped_mg, believed.drift_mg_per_s
         # Not all each time: a run of many samples comes here after each.
-        fresh = (*noted, *self._undoubted) if stepped_mg == self._doubted_of_mg else self._results
+        fresh = (*noted, *self._undoubted) if seen == self._doubted_of else self._results
         for name in dict.fromkeys(fresh):
             before = self._results[name]
-            now = doubted(before, stepped_mg)
+            now = doubted(before, *seen)
             if now is not noted.get(name, before):
                 self._note(now)
-        self._undoubted, self._doubted_of_mg = [], stepped_mg
+        self._undoubted, self._doubted_of = [], seen
 
     def _note_open_brackets(self) -> None:
         """Flag every dose whose container was not seen to go."""

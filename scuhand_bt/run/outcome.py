@@ -124,9 +124,9 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     return result.model_copy(update=changes)
 
 
-def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
-    """The result after the run has seen the balance's zero step by so much, before its doses or after."""
-    doses = tuple(_doubted(dose, stepped_mg) for dose in result.doses)
+def doubted(result: SampleResult, stepped_mg: float, drift_mg_per_s: float) -> SampleResult:
+    """The result after the run has seen the balance's zero step by so much, or drift so fast, in whichever dose."""
+    doses = tuple(_doubted(dose, unseen_mg(stepped_mg, drift_mg_per_s, dose.lasted_s)) for dose in result.doses)
     if doses == result.doses:
         return result
     changes: dict[str, Any] = {"doses": doses}
@@ -135,13 +135,13 @@ def doubted(result: SampleResult, stepped_mg: float) -> SampleResult:
     if result.verdict in get_args(Verdict):
         changes["verdict"] = _verdict(doses, is_asked=True)
         if result.code is None and changes["verdict"] != result.verdict:
-            seen = f"the balance's zero was seen to step by {stepped_mg:.2f} mg in this run, and may have in this dose"
-            changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": seen}
+            seen = f"step by {stepped_mg:.2f} mg" if stepped_mg > 0.0 else f"drift by {drift_mg_per_s:.3f} mg/s"
+            detail = f"the balance's zero was seen to {seen} in this run, and may have in this dose"
+            changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": detail}
     return result.model_copy(update=changes)
 
 
-def _doubted(dose: DoseResult, stepped_mg: float) -> DoseResult:
-    zero_mg = unseen_mg(stepped_mg)
+def _doubted(dose: DoseResult, zero_mg: float) -> DoseResult:
     if dose.bracket == "open" or zero_mg <= dose.zero_uncertainty_mg:
         return dose
     u_mg = math.sqrt(dose.uncertainty_mg**2 - dose.zero_uncertainty_mg**2 + zero_mg**2)
@@ -173,6 +173,7 @@ def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResul
         tolerance_mg=tolerance_mg,
         dispensed_mg=dose.dispensed_mg,
         uncertainty_mg=dose.uncertainty_mg,
+        lasted_s=dose.lasted_s,
         verdict=judge(dose.target_mg, tolerance_mg, dose.dispensed_mg, dose.uncertainty_mg),
         bracket="open",
         true_mg=true_mg,
