@@ -303,10 +303,21 @@ class Knowledge:
         return float((phi_s / open_s) ** (1.0 / self.shape.exponent))
 
     def nothing_came(self) -> None:
-        """From several openings in a row: the powder needs more than so narrow an opening."""
-        wider_mm = min(WIDER * self.narrowest_mm, MOST_NARROWEST_MM)
-        if self.stuck_mg(self.shape.threshold_mm + wider_mm, SEEN_S) < self.most_mg - self.bank.mass_mg:
-            self.narrowest_mm = wider_mm
+        """From several openings in a row: the powder needs more than so narrow an opening as the last one.
+
+        The next one may be wider than the constraint has it, and is shut by it at once if it flows: as wide as lets out
+        no more until then than may come.
+        """
+        tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
+        wider_mm = min(WIDER * max(tried_mm, self.narrowest_mm), MOST_NARROWEST_MM)
+        if self.strongest * self._answered(wider_mm) < self.most_mg - self.bank.mass_mg:
+            self.narrowest_mm = max(wider_mm, self.narrowest_mm)
+
+    def _answered(self, gap_mm: float) -> float:
+        """Integral of phi from an opening, so far above the threshold, until what is seen then has shut the valve."""
+        opening_mm = self.shape.threshold_mm + gap_mm
+        tail = self.shape.closing(opening_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
+        return self.shape.value(opening_mm) * self._late_s + tail
 
     def _learn_balance(self, gained_mg: float) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
