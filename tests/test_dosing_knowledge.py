@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
 from scuhand_bt.dosing.controller import Doubt
-from scuhand_bt.dosing.knowledge import SEEN_S, STUCK_MM, Knowledge
+from scuhand_bt.dosing.knowledge import SLACK_S, STUCK_MM, Knowledge
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 BEADS = shipped_powders()["glass_beads"].belief
@@ -178,18 +178,31 @@ def test_a_balance_that_is_doubted_is_no_longer_known_and_the_next_dose_is_told(
     assert kept.doubt == 1.0
 
 
-def test_an_opening_that_brings_nothing_again_and_again_grows_no_wider_than_is_safe() -> None:
-    known = Knowledge(request())
-    before_mm = known.narrowest_mm
-    known.nothing_came()
-    assert known.narrowest_mm > before_mm
+FAST = BEADS.model_copy(update={"coefficient": 500.0, "doses": 3})
+
+
+def narrowest_after_nothing(target_mg: float, opening_mm: float, powder: PowderBelief = BEADS) -> float:
+    """The narrowest opening, above the threshold, when such openings have brought nothing again and again."""
+    known = Knowledge(request(target_mg=target_mg, powder=powder))
+    scale = Scale(known, 0.0)
     for _ in range(50):
+        scale.act(max(opening_mm, known.shape.threshold_mm + known.narrowest_mm), 0.5)
         known.nothing_came()
-    assert known.narrowest_mm == pytest.approx(0.5)
-    near = Knowledge(request(target_mg=5.0))
-    for _ in range(50):
-        near.nothing_came()
-    assert near.stuck_mg(near.shape.threshold_mm + near.narrowest_mm, SEEN_S) < near.most_mg
+        known.begin(0.0, 0.1)
+    return known.narrowest_mm
+
+
+def test_narrow_openings_that_bring_nothing_again_and_again_grow_wider_but_not_for_ever() -> None:
+    assert 0.3 < narrowest_after_nothing(500.0, 0.15) <= 0.5
+    assert narrowest_after_nothing(500.0, 1.5) == Knowledge(request()).narrowest_mm, "it was not for being narrow"
+
+
+def test_the_nearer_the_target_is_the_less_they_grow() -> None:
+    near = Knowledge(request(target_mg=3.0, powder=FAST))
+    grown_mm = narrowest_after_nothing(3.0, 0.15, FAST)
+    assert grown_mm < narrowest_after_nothing(500.0, 0.15, FAST)
+    until_answered_s = PERIOD_S + SLACK_S + near.request.valve_dead_time_s
+    assert near.reference * grown_mm**near.shape.exponent * until_answered_s < near.most_mg
 
 
 # --- the policy

@@ -309,9 +309,10 @@ class Knowledge:
         no more until then than may come.
         """
         tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
-        wider_mm = min(WIDER * max(tried_mm, self.narrowest_mm), MOST_NARROWEST_MM)
-        if self.strongest * self._answered(wider_mm) < self.most_mg - self.bank.mass_mg:
-            self.narrowest_mm = max(wider_mm, self.narrowest_mm)
+        wider_mm = WIDER * max(tried_mm, self.narrowest_mm)
+        left_mg = self.most_mg - self.bank.mass_mg
+        if wider_mm <= MOST_NARROWEST_MM and self.strongest * self._answered(wider_mm) < left_mg:
+            self.narrowest_mm = wider_mm
 
     def _answered(self, gap_mm: float) -> float:
         """Integral of phi from an opening, so far above the threshold, until what is seen then has shut the valve."""
