@@ -42,7 +42,7 @@ STRONG = 0.5
 """How much more of the flow it is allowed for then."""
 SEEN_S = 0.4
 """So long after the balance's delay it is seen whether the sheet has stuck."""
-AIM_UNDER_MG = 0.15
+AIM_UNDER_MG = 0.25
 """Too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
 """Above the target, where the balance is too uncertain for any verdict."""
