@@ -50,8 +50,9 @@ SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 CAME_SHARE, CAME_MG = 0.2, 20.0
 """An opening that brought this share of what was expected, or of so much, was not in vain."""
-LUMPY_MG, LUMPS_LEFT, LUMP_SHARE = 0.7, 3.0, 0.12
-"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share."""
+LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.3
+"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share in
+such a time."""
 SPARED_MG = 20.0
 """So near to the target a bridge is broken by shutting and opening the valve, while that helps: what is shaken loose
 may be too much."""
@@ -188,14 +189,16 @@ class Adaptive:
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
         stuck_seen_s, begins_mm = known.time_s + known.seen_s, known.begins_mm(most_mg - bank.mass_mg)
-        surprises, opening_mm = 0, known.widest_mm(most_mg)
+        # A lump cannot be let out in part: where it is shaken for, it may come.
+        shaken_mm = min(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.request.max_opening_mm)
+        surprises, opening_mm = 0, shaken_mm if limit_mg else known.widest_mm(most_mg)
         if known.aim_mg <= bank.mass_mg:
             return "reached"
         while True:
-            wanted_mm = known.widest_mm(most_mg)
+            wanted_mm = shaken_mm if limit_mg else known.widest_mm(most_mg)
             # What does not come yet, or no more, may come at any moment: no reason to open wider.
             opening_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
-            may_stick = known.time_s < stuck_seen_s
+            may_stick = not limit_mg and known.time_s < stuck_seen_s
             score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
@@ -208,7 +211,7 @@ class Adaptive:
             if self._will_reach():
                 return "reached"
             fear = chance(bank, *bank.coming(*known.closing(period_s)), most_mg)
-            if fear > RISK:
+            if fear > RISK and not limit_mg:
                 return "fear"
             mass_mg = bank.mass_mg
             reading_mg = known.rows[-1].reading_mg
