@@ -21,6 +21,7 @@ from scuhand_bt.cell.dose_loop import DoseRun
 from scuhand_bt.cell.weighing import weigh_until_still, weighing_of
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.dosing import DoseRequest, Finish
+from scuhand_bt.dosing.bracket import watch_s
 from scuhand_bt.sim.hand import FADE_MM
 from scuhand_bt.sim.mass_ledger import CONE, FLIGHT
 from scuhand_bt.sim.plant import PowderFlow
@@ -156,6 +157,6 @@ def run_oracle(dispense: Any, cell: Cell, world: World, container: str) -> Steps
     reason: Any = yield from oracle.dose()
     last = weighing_of((yield from cell.balance.stable_mean()))
     duration_s = cell.clock.now_s - begin_s
-    _, mean = yield from weigh_until_still(cell, last, 0.0, dispense._watch_s(before, last))
+    _, mean = yield from weigh_until_still(cell, last, 0.0, watch_s(before, last, dispense.tolerance_mg))
     finish = Finish(reason, world.true_mass(container), math.sqrt(2.0) * mean.uncertainty_mg)
-    return DoseRun(finish, weighing_of(mean), oracle.openings, 0.0, duration_s)
+    return DoseRun(finish, weighing_of(mean), [], oracle.openings, 0.0, duration_s)

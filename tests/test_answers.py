@@ -4,9 +4,12 @@ import json
 import os
 import pwd
 import queue
+import socket
 import sys
 import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,15 +21,21 @@ from running import make_lab
 from test_resume import Run, Watch
 from test_stopping import as_nobody
 
-from scuhand_bt.journal.events import Answered, Asked, Trouble
+from scuhand_bt.journal.archive import summary
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Answered, Asked, JobStarted, RunBegun, Trouble
+from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab_state.persons import Persons
+from scuhand_bt.run import control as control_module
 from scuhand_bt.run.batch import ANSWERS
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.control import HEARD, Control, WishListener, say_answer, say_wish, waiting_question
 from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.operator import Person, PersonOperator
-from scuhand_bt.run.questions import MEANINGS, Questions, Who
+from scuhand_bt.run.questions import MEANINGS, Given, Questions, Who
+from tests.test_journal import HEADER
 
 USER = pwd.getpwuid(os.getuid()).pw_name
 RECIPE = """
@@ -145,6 +154,17 @@ def test_the_first_answer_counts_and_none_is_taken_for_the_next_questions(run: R
     assert [(one["answer"], one["by"]) for one in told(run, "answered")] == [("done", "Eve"), ("done", "Bob")]
 
 
+def test_a_question_takes_one_answer() -> None:
+    questions = Questions()
+    asked = questions.ask("Is it?", ("done", "stop"))
+    said = [
+        questions.give(asked.number, answer, Who(by))
+        for answer, by in (("yes", "Ada"), ("done", "Eve"), ("stop", "Bob"))
+    ]
+    assert said == ["it is answered with one of: done, stop", None, "it was answered already"]
+    assert questions.given() == Given("done", Who("Eve"))
+
+
 def test_who_has_a_pin_answers_with_it_and_a_wrong_one_is_noted(run: Run) -> None:
     Persons(run.lab_folder / ".scuhand").enrol("Eve", "271828")
     said = []
@@ -159,6 +179,19 @@ def test_who_has_a_pin_answers_with_it_and_a_wrong_one_is_noted(run: Run) -> Non
     assert (answered["by"], answered["signed"]) == ("Eve", True)
     (trouble,) = told(run, "trouble")
     assert trouble["what"] == "a wrong PIN was given for Eve, to answer 'done': Is the shield shut?"
+
+
+def test_what_is_no_name_and_no_answer_comes_into_no_journal(tmp_path: Path) -> None:
+    journal, control = tmp_path / "runs" / "r.sqlite", Control()
+    asked = control.questions.ask("Is it?", ("done", "stop"))
+    listener = WishListener(journal, control)
+    for answer, name in (("\ud800", "Eve"), ("done", "\ud800"), ("done", "Eve\x1b[2J"), ("x" * 3000, None)):
+        assert say_answer(journal, asked, answer, name, "271828") not in (HEARD, None)
+    assert control.questions.take_notes() == []
+    assert control.questions.waiting is not None
+    assert say_wish(journal, "pause", "\ud800") == HEARD
+    assert control.paused_by == Who(USER)
+    listener.end()
 
 
 def test_the_command_asks_for_the_pin_of_who_has_one(run: Run, command: Call, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,6 +278,22 @@ def test_what_is_wished_at_the_runs_terminal_is_its_operators(run: Run) -> None:
     assert told(run, "ended")[-1]["by"] == "Ada"
 
 
+def test_ten_thousand_callers_who_hang_up_keep_nobody_from_stopping_the_run(tmp_path: Path) -> None:
+    journal, control = tmp_path / "r.sqlite", Control()
+    listener = WishListener(journal, control)
+    said = [b"", b"{", b'{"wish": {}}', b'{"answer": "done", "to": "1", "by": null, "pin": null}', b"[" * 5000, b"\xff"]
+    for number in range(10_000):
+        with socket.socket(socket.AF_UNIX) as caller:
+            caller.connect(control_module._address(journal))
+            with suppress(OSError):  # it does not listen to the end
+                caller.sendall(said[number % len(said)])
+    began_s = time.monotonic()
+    assert say_wish(journal, "stop_now") == HEARD
+    assert time.monotonic() - began_s < 5.0
+    assert control.stops_now
+    listener.end()
+
+
 # --- the run's terminal
 
 
@@ -323,3 +372,33 @@ def test_every_answer_that_the_engine_offers_has_a_meaning() -> None:
 def test_a_person_is_asked_where_that_means_something(command: Call, options: list[str], why: str) -> None:
     code, _, error = command("run", "recipes/xrd_holders.yaml", *options)
     assert (code, why in " ".join(error.split())) == (2, True)
+
+
+# --- what is seen of it in the journal alone
+
+
+@pytest.mark.parametrize(
+    ("asks", "is_halted", "state"),
+    [(True, False, "waiting for a person"), (True, True, "running"), (False, False, "running")],
+)
+def test_a_run_waits_only_for_a_real_person_and_until_its_action_has_ended(
+    tmp_path: Path, asks: bool, is_halted: bool, state: str
+) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.event(RunBegun.model_validate({**HEADER, "mode": "SIMULATED", "options": {"asks": asks}}))
+    journal.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="ask"))
+    action = journal.action_started(ActionStarted(path="ask", visit=1, skill="ask", inputs={}), weighs=False)
+    journal.action = action
+    journal.event(Asked(question="Is it?", choices=["done", "stop"]))
+    if is_halted:
+        journal.action_ended(action, ActionEnded(outcome="halted", code=None, result=None))
+    with Presence(journal.path):
+        one = summary(journal.path)
+    assert (one.state, one.reason, bool(one.since)) == (
+        state,
+        *(("Is it?", True) if state != "running" else ("", False)),
+    )
+    followed = Follower(journal.path)
+    followed.look()
+    assert (followed.asked is None) == is_halted
+    journal.close()

@@ -11,7 +11,8 @@ import pytest
 from browser import browser_page, needs_browser, serious_faults
 from conftest import Call
 from page_text import Tables
-from running import Ran, dry_run
+from running import Ran, dry_run, make_lab
+from test_resume import Run, Watch
 
 from scuhand_bt.events import DoseCurve
 from scuhand_bt.journal.events import (
@@ -33,7 +34,7 @@ from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.report.powder_balance import powder_balance
 from scuhand_bt.report.run_report import comparison, run_report
 from scuhand_bt.report.time_spent import TimeSpent, time_spent
-from tests.test_journal import HEADER, tamper
+from tests.test_journal import HEADER, tamper, write_version_1
 
 EVIL = "<script>alert(1)</script>"
 BATCH = f"""
@@ -68,6 +69,11 @@ def time_of(journal: Path) -> TimeSpent:
         return time_spent(contents)
 
 
+def is_refused(err: str) -> bool:
+    """A file for its suffix."""
+    return "is to be a file of this kind" in " ".join(err.replace("│", " ").split())
+
+
 def test_the_page_fetches_nothing_and_no_text_of_a_recipe_becomes_markup(ran: Ran) -> None:
     text = page_of(ran.journal)
     page = Tables(text)
@@ -98,9 +104,9 @@ def test_the_runs_summary_and_every_dose_with_its_curve_are_in_it(ran: Ran) -> N
 def test_the_data_in_it_are_what_export_writes(ran: Ran, tmp_path: Path, command: Call) -> None:
     links = dict(re.findall(r'download="([^"]+)" href="data:application/gzip;base64,([^"]+)"', page_of(ran.journal)))
     for suffix in ("csv", "json"):
-        assert command("export", ran.journal, f"--{suffix}", "-o", tmp_path / suffix)[0] == 0
+        assert command("export", ran.journal, f"--{suffix}", "-o", tmp_path / f"r.{suffix}")[0] == 0
         packed = base64.b64decode(links[f"{ran.journal.stem}.{suffix}.gz"])
-        assert gzip.decompress(packed) == (tmp_path / suffix).read_bytes()
+        assert gzip.decompress(packed) == (tmp_path / f"r.{suffix}").read_bytes()
 
 
 def test_every_moment_of_a_run_and_of_its_jobs_was_spent_on_one_thing(ran: Ran) -> None:
@@ -206,12 +212,34 @@ def test_how_to_do_it_again_is_told(ran: Ran) -> None:
 def test_a_journal_that_was_altered_is_said_to_be_and_gives_no_data(ran: Ran, tmp_path: Path, command: Call) -> None:
     journal = tmp_path / "altered.sqlite"
     journal.write_bytes(ran.journal.read_bytes())
-    tamper(journal, "UPDATE entry SET payload = replace(payload, 'done', 'gone') WHERE seq = 60")
+    tamper(journal, "UPDATE entry SET at = '2020-01-01T00:00:00+00:00' WHERE seq = 60")
     code, _, err = command("report", journal, "-o", tmp_path / "r.html")
     assert (code, "not as it was written" in err) == (3, True)
     page = Tables((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "NOT AS IT WAS WRITTEN" in page.text
     assert "Inside this file" not in page.text
+
+
+def test_a_run_that_was_stopped_and_resumed_is_told_as_one(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    run = Run(tmp_path, lab, BATCH.partition("sources:")[0])
+    assert run.go(Watch("stop_now", 60)).exit_code == 130
+    page = Tables(page_of(run.journal))
+    assert "There is no dose to show." in page.text
+    assert page.found["job, attempt, outcome, why"][1][:3] == ["first", "1", "interrupted"]
+    assert run.go(Watch(), resumes=True).exit_code <= 1
+    page = Tables(page_of(run.journal))
+    assert page.elements.count("figure") == 4
+    assert any(row[2].startswith("resumed it with") for row in page.found["at, who, what, why"])
+    spent = time_of(run.journal)
+    assert all(sum(job.spent_s.values()) == pytest.approx(job.duration_s) for job in spent.jobs)
+
+
+def test_a_journal_of_version_1_has_a_report(tmp_path: Path) -> None:
+    write_version_1(tmp_path / "old.sqlite")
+    page = Tables(page_of(tmp_path / "old.sqlite"))
+    assert "none: an older scuhand-bt wrote it" in page.text
+    assert len(page.found["Doses"]) > 1
 
 
 def test_a_run_that_had_not_begun_has_no_report(tmp_path: Path, command: Call) -> None:
@@ -227,7 +255,22 @@ def test_a_suffix_that_it_does_not_write_is_refused(
     ran: Ran, tmp_path: Path, command: Call, name: str, options: list[str]
 ) -> None:
     code, _, err = command("report", ran.journal, "-o", tmp_path / name, *options)
-    assert (code, "is to be" in err, (tmp_path / name).exists()) == (2, True, False)
+    assert (code, is_refused(err), (tmp_path / name).exists()) == (2, True, False)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["reach", "-o", "x.png"],
+        ["show-move", "park", "mortar_bay", "-o", "x.svg"],
+        ["plot", "last", "a", "-o", "x.html"],
+        ["export", "last", "--csv", "-o", "x.json"],
+        ["export", "last", "--json", "-o", "x.csv"],
+    ],
+)
+def test_no_command_writes_another_kind_of_file_than_its_name_says(command: Call, arguments: list[str]) -> None:
+    code, _, err = command(*arguments)
+    assert (code, is_refused(err)) == (2, True)
 
 
 def test_two_runs_are_compared_sample_by_sample(ran: Ran, tmp_path: Path) -> None:

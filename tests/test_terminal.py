@@ -251,7 +251,7 @@ class Tmux:
 
     def shows(self, *texts: str) -> str:
         """The screen, once all of this is on it."""
-        until_s = time.monotonic() + 25
+        until_s = time.monotonic() + 90  # a computer may have much else to do
         while True:
             screen = self._tmux("capture-pane", "-p")
             if all(text in unwrapped(screen.splitlines()) for text in texts):

@@ -148,7 +148,7 @@ def test_every_dose_of_any_run_is_told_alike_everywhere(tmp_path: Path, seed: in
         }
         for row, dose in zip(rows, doses, strict=True):
             assert row_of(row) == {
-                k: pytest.approx(v, abs=1e-4) if isinstance(v, float) else v for k, v in dose.items()
+                k: pytest.approx(v, abs=1e-4) if isinstance(v, float) else v for k, v in dose.items() if k != "lasted_s"
             }
         main = next(table)
         verdict = sample["verdict"] + (f", {sample['code']}" if sample["code"] else "")

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.ongoing import runs_folder
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, print_json
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, of_kind, out, print_json
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -130,6 +130,8 @@ def export(
 
     if as_csv == as_json:
         raise typer.BadParameter("one of them says what to write", param_hint="--csv/--json")
+    if output is not None:
+        of_kind(output, ".csv" if as_csv else ".json")
     with open_contents(find_journal(run, lab)) as contents:
         problem = contents.verified.problem
         text = "" if problem is not None else _exported(contents, as_csv=as_csv)

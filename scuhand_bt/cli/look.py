@@ -8,7 +8,7 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.archive import JournalArgument, find_journal
-from scuhand_bt.cli.shared import LabOption, app, out, the_lab, unknown
+from scuhand_bt.cli.shared import PAGES, LabOption, app, of_kind, out, the_lab, unknown
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
@@ -16,15 +16,12 @@ if TYPE_CHECKING:
     from scuhand_bt.motion.kinematics import Floats
 
 OutputOption = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.", show_default=False)]
-_PAGES = (".html", ".htm")
 
 
 @app.command()
 def reach(output: OutputOption = None, lab: LabOption = None) -> None:
     """Draw where the upright cone can be put, over the cell and its stations (HTML; needs the extra `plot`)."""
-    path = output or Path("reach.html")
-    if path.suffix.lower() not in _PAGES:
-        raise typer.BadParameter(f"'{path}' is to be a page: .html")
+    path = of_kind(output or Path("reach.html"), *PAGES)
     loaded = the_lab(lab)
 
     def write() -> None:
@@ -52,9 +49,7 @@ def show_move(
     """
     from scuhand_bt.report.show_move import ShownMove
 
-    path = output or Path(f"{start}-{goal}.html")
-    if path.suffix.lower() not in (*_PAGES, ".png"):
-        raise typer.BadParameter(f"'{path}' is to be a page (.html) or a picture (.png)")
+    path = of_kind(output or Path(f"{start}-{goal}.html"), *PAGES, ".png")
     loaded = the_lab(lab)
     kinds = loaded.library.containers
     if container is not None and container not in kinds:
@@ -104,9 +99,7 @@ def plot(
     from scuhand_bt.report.dose_curves import dose_curves
     from scuhand_bt.report.dose_plot import plot_dose
 
-    path = output or Path(f"{sample}.png")
-    if path.suffix.lower() not in (".png", ".svg"):
-        raise typer.BadParameter(f"'{path}' is to be a picture: .png or .svg")
+    path = of_kind(output or Path(f"{sample}.png"), ".png", ".svg")
     with open_contents(find_journal(run, lab)) as contents:
         found = list(dose_curves(contents))
     of_sample = [one for one in found if one.sample == sample]

@@ -8,9 +8,7 @@ import typer
 from rich.text import Text
 
 from scuhand_bt.cli.archive import EXIT_ALTERED, JournalArgument, find_journal
-from scuhand_bt.cli.shared import LabOption, app, err, out
-
-_PAGES = (".html", ".htm")
+from scuhand_bt.cli.shared import PAGES, LabOption, app, err, of_kind, out
 
 
 @app.command()
@@ -28,12 +26,9 @@ def report(
     """Write a run's report as one page that needs no network, or compare two runs (needs the extra `report`)."""
     from scuhand_bt.journal.reader import open_contents
 
-    suffixes = (".pdf",) if pdf else _PAGES
+    suffixes = (".pdf",) if pdf else PAGES
     journals = [find_journal(name, lab) for name in (run, other) if name is not None]
-    path = output or Path("-and-".join(journal.stem for journal in journals) + suffixes[0])
-    if path.suffix.lower() not in suffixes:
-        what = "a PDF: .pdf" if pdf else "a page: .html (with --pdf a PDF: .pdf)"
-        raise typer.BadParameter(f"'{path}' is to be {what}", param_hint="--output")
+    path = of_kind(output or Path("-and-".join(journal.stem for journal in journals) + suffixes[0]), *suffixes)
     try:
         from scuhand_bt.report.run_report import comparison, run_report, write_pdf
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
     from scuhand_bt.lab_state.beliefs import LabState
 
+PAGES = (".html", ".htm")
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 app = typer.Typer(
@@ -143,3 +144,10 @@ def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
     meant = nearest(name, tuple(known))
     hint = f"; did you mean '{meant}'?" if meant else ""
     return typer.BadParameter(harmless(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}"))
+
+
+def of_kind(path: Path, *suffixes: str) -> Path:
+    """A file to write that says by its suffix what will be in it. Raises BadParameter for any other suffix."""
+    if path.suffix.lower() not in suffixes:
+        raise typer.BadParameter(f"'{path}' is to be a file of this kind: {', '.join(suffixes)}", param_hint="--output")
+    return path

@@ -76,8 +76,11 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
                     one.start_mg = mass_mg if one.start_mg is None else one.start_mg
     if (holding := found.get(believed.get("cone_source", ""))) is not None:
         holding.in_cone_mg = believed["cone_mg"]
-    for weighed in weighing_rows(contents):
-        if weighed["weighing"] == "result" and (source := found.get(str(weighed.get("source")))) is not None:
-            source.dosed_mg += cast(float, weighed["net_mg"])
-            source.dosed_variance_mg2 += cast(float, weighed["standard_uncertainty_mg"]) ** 2
+    weighings = list(weighing_rows(contents))
+    # An old journal has only what the skill said of a dose, and nothing that was adjusted to the bare pan.
+    said = "result" if any(row["weighing"] == "result" for row in weighings) else "dose"
+    for row in weighings:
+        if row["weighing"] == said and (source := found.get(str(row.get("source")))) is not None:
+            source.dosed_mg += cast(float, row["net_mg"])
+            source.dosed_variance_mg2 += cast(float, row["standard_uncertainty_mg"]) ** 2
     return list(found.values())

@@ -36,11 +36,13 @@ _SETS = (("o", "A"), ("s", "B"))
 def errors_figure(runs: Sequence[Sequence[SampleResult]]) -> str:
     """The error of every dose in tolerances, with twice its standard uncertainty, in the order of the first run.
 
-    A second run is drawn beside the first, with squares for circles.
+    A second run is drawn beside the first, with squares for circles. Empty without a dose.
     """
     order = {
         name: place for place, name in enumerate(dict.fromkeys(_name(*one) for run in runs for one in _doses(run)))
     }
+    if not order:
+        return ""
     with drawing():
         figure = new_figure(9.5, 3.2)
         axes = plain_axes(figure.subplots())
@@ -64,7 +66,9 @@ def errors_figure(runs: Sequence[Sequence[SampleResult]]) -> str:
 
 
 def times_figure(jobs: Sequence[JobTime]) -> str:
-    """For each job in its order, how long each activity took, one above the other."""
+    """For each job in its order, how long each activity took, one above the other; empty without a job."""
+    if not jobs:
+        return ""
     used = [one for one in ACTIVITIES if any(job.spent_s[one] > 0 for job in jobs)]
     with drawing():
         figure = new_figure(9.5, 3.4)
@@ -188,7 +192,7 @@ def _draw_errors(
 
 
 def _doses(run: Sequence[SampleResult]) -> list[tuple[SampleResult, DoseResult]]:
-    return [(result, dose) for result in run for dose in result.doses]
+    return [(result, dose) for result in run for dose in result.doses if dose.tolerance_mg > 0]
 
 
 def _name(result: SampleResult, dose: DoseResult) -> str:

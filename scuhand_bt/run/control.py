@@ -22,7 +22,7 @@ from scuhand_bt.clock import Signal
 from scuhand_bt.lab_state.persons import Persons, person_name
 from scuhand_bt.problems import SourceError
 from scuhand_bt.run.operator import Terminal
-from scuhand_bt.run.questions import UNKNOWN, Question, Questions, Who, wrong_pin
+from scuhand_bt.run.questions import ANSWERED, UNKNOWN, Question, Questions, Who, wrong_pin
 
 Wish = Literal["pause", "pause_now", "continue", "stop", "stop_now"]
 HEARD = "heard"
@@ -124,13 +124,18 @@ class WishListener:
     def _answered(self, answer: str, number: int, name: str | None, pin: str | None, user: int) -> str:
         """An answer is its giver's: who signs with a PIN gives it, and others have to be the run's owner."""
         questions, asked = self._control.questions, self._control.questions.waiting
+        if (why := questions.why_not(number, answer)) is not None or asked is None:
+            return why or ANSWERED
+        try:
+            name = person_name(name if name is not None else _name_of(user))
+        except ValueError as error:
+            return str(error)
         who = self._proven(name, pin, user)
         if who is None and pin is not None:
-            if asked is not None:
-                questions.note(wrong_pin(str(name), answer, asked))
+            questions.note(wrong_pin(name, answer, asked.text))
             return "that is not the PIN"
         if who is None:
-            return f"{name or _name_of(user)} signs with a PIN"
+            return f"{name} signs with a PIN"
         if not who.signed and not may_wish("continue", user, os.getuid()):
             return "whose run it is has to answer, or who signs with a PIN"
         return questions.give(number, answer, who) or HEARD
@@ -190,7 +195,7 @@ def _say(journal: Path, said: object) -> str | None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
         line.settimeout(ANSWER_S)
         try:
-            line.connect(_address(journal))
+            _connect(line, _address(journal))
             line.sendall(json.dumps(said).encode())
             line.shutdown(socket.SHUT_WR)
             return b"".join(iter(lambda: line.recv(LONGEST), b"")).decode(errors="replace") or None
@@ -198,6 +203,18 @@ def _say(journal: Path, said: object) -> str | None:
             raise
         except OSError:
             return None
+
+
+def _connect(line: socket.socket, address: str) -> None:
+    """Connect; where many do at once, in turn. Raises TimeoutError, or OSError where none listens."""
+    until_s = time.monotonic() + ANSWER_S
+    while True:
+        try:
+            return line.connect(address)
+        except BlockingIOError:  # so many wait there already
+            if time.monotonic() > until_s:
+                raise TimeoutError from None
+            time.sleep(0.01)
 
 
 def _said(caller: socket.socket) -> Any:
@@ -210,7 +227,7 @@ def _said(caller: socket.socket) -> Any:
         heard += part
     try:
         return json.loads(heard)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
 
 

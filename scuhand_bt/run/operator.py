@@ -168,7 +168,7 @@ class _Listener:
             except (EOFError, OSError):
                 return
             if not is_right:
-                self._questions.note(wrong_pin(person.name, answer, asked))
+                self._questions.note(wrong_pin(person.name, answer, asked.text))
                 self._terminal.say("That is not the PIN.")
                 return
         self._questions.give(asked.number, answer, Who(person.name, person.is_pin is not None))

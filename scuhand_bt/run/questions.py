@@ -6,9 +6,8 @@ A question has a number, so that an answer to one is never taken for an answer t
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 
-from scuhand_bt.clock import Signal
+from scuhand_bt.clock import Signal, wall_time
 
 MEANINGS: Mapping[str, str] = {
     "done": "it is done: the run goes on",
@@ -82,23 +81,25 @@ class Questions:
         """Let a question wait, in place of any before it."""
         with self._lock:
             self._number += 1
-            at = datetime.now().astimezone().isoformat(timespec="seconds")
-            self._given, self._asked = None, Question(self._number, text, tuple(choices), at)
+            self._given, self._asked = None, Question(self._number, text, tuple(choices), wall_time())
             return self._asked
 
     def give(self, number: int, answer: str, who: Who) -> str | None:
         """Answer the question of this number; why that does not count, or None where it does."""
         with self._lock:
-            asked = self._asked
-            if asked is None or asked.number != number:
-                return ANOTHER
-            if self._given is not None:
-                return ANSWERED
-            if answer not in asked.choices:
-                return f"it is answered with one of: {', '.join(asked.choices)}"
+            if (why := self.why_not(number, answer)) is not None:
+                return why
             self._given = Given(answer, who)
         self.news.fire()
         return None
+
+    def why_not(self, number: int, answer: str) -> str | None:
+        """Why this answer to the question of this number would not count now; None where it would."""
+        if (asked := self._asked) is None or asked.number != number:
+            return ANOTHER
+        if self._given is not None:
+            return ANSWERED
+        return None if answer in asked.choices else f"it is answered with one of: {', '.join(asked.choices)}"
 
     def given(self) -> Given | None:
         """The answer to the question that was asked last."""
@@ -122,6 +123,6 @@ class Questions:
             self._asked = None
 
 
-def wrong_pin(name: str, answer: str, asked: Question) -> str:
+def wrong_pin(name: str, answer: str, question: str) -> str:
     """What the journal has of a wrong PIN."""
-    return f"a wrong PIN was given for {name}, to answer '{answer}': {asked.text}"
+    return f"a wrong PIN was given for {name}, to answer '{answer}': {question}"
