@@ -83,6 +83,8 @@ class PowderBelief(Spec):
     exponent: Annotated[float, Field(gt=0, le=10)] = 2.5
     gap_mm: Annotated[Millimetres, Field(gt=0)] = 0.5
     """The opening above the threshold that the coefficient was seen at: at others the exponent counts, too."""
+    narrowest_mm: Annotated[Millimetres, Field(gt=0)] = 0.05
+    """Above the threshold: from less, little comes."""
     spread: Annotated[Ratio, Field(gt=0, le=3)] = 0.5
     """Relative standard deviation of the flow about that law, from one opening to the next."""
     surge_mg: Annotated[Milligrams, NotNegative] = 0.3

@@ -50,6 +50,8 @@ SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 CAME_SHARE, CAME_MG = 0.2, 20.0
 """An opening that brought this share of what was expected, or of so much, was not in vain."""
+SLOW_SHARE = 0.3
+"""An opening that brought less than this share of what was missing was too narrow."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.3
 """Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share in
 such a time."""
@@ -128,8 +130,8 @@ class Adaptive:
             came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise_mg[False])
             if came or self._vibration >= FULL:
                 known.learn(gained_mg)
-            if not came and self._fruitless > 1:
-                known.nothing_came()
+            if ended in ("quiet", "fear", "missing") and gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg):
+                known.little_came()
             self._shake(came)
             is_dry = self._is_dry()
             if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
@@ -170,7 +172,7 @@ class Adaptive:
         while True:
             yield from known.act(0.0, 0.0)
             shut = known.valve.opening_mm == 0.0
-            if shut and known.bank.unseen_mg < REST_MG + 2.0 * known.noise_mg[False]:
+            if shut and not known.is_rising and known.bank.unseen_mg < REST_MG + 2.0 * known.noise_mg[False]:
                 return
             if known.time_s - begin_s > LONGEST_LOOK_S:
                 return

@@ -32,6 +32,8 @@ TELLS = 1.0
 """An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
 SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
+RISES, RISEN = 3, 3.0
+"""Readings whose mean is above that of as many before, by so many standard deviations, still rise."""
 PEAK = 5
 """Readings that a flow's peak is taken over."""
 LEAST_MG = 2.0
@@ -98,8 +100,8 @@ class Knowledge:
         self.doubt: Doubt | None = None
         self.time_s = 0.0
         self.rows: list[Row] = []
-        self.narrowest_mm = NARROWEST_MM
-        """Above the threshold: nothing comes from less."""
+        self.narrowest_mm = max(self.belief.narrowest_mm / WIDER, NARROWEST_MM)
+        """Above the threshold: from less, little comes. Each dose tries less than the one before."""
         self._recent_mg: list[float] = []
         self._ratios: list[float] = []
         """Openings' coefficients against the belief's, as logarithms."""
@@ -166,6 +168,15 @@ class Knowledge:
             return
         variance = (1.0 - NOISE_GAIN) * before_mg**2 + NOISE_GAIN * second_mg**2 / 6.0
         self.noise_mg[shaking] = max(self._digit_mg, math.sqrt(variance))
+
+    @property
+    def is_rising(self) -> bool:
+        """Whether readings still go up, whatever the models of the balance say."""
+        if len(self.rows) < 2 * RISES:
+            return True
+        readings_mg = [row.reading_mg for row in self.rows[-2 * RISES :]]
+        rise_mg = sum(readings_mg[RISES:]) / RISES - sum(readings_mg[:RISES]) / RISES
+        return rise_mg > RISEN * math.sqrt(2.0 / RISES) * self.rows[-1].noise_mg
 
     def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
         """What was predicted when the valve was told to shut, against what is known after the look.
@@ -302,8 +313,8 @@ class Knowledge:
         open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
         return float((phi_s / open_s) ** (1.0 / self.shape.exponent))
 
-    def nothing_came(self) -> None:
-        """From several openings in a row: the powder needs more than so narrow an opening as the last one.
+    def little_came(self) -> None:
+        """From the last opening: the powder needs more than so narrow a one.
 
         The next one may be wider than the constraint has it, and is shut by it at once if it flows: as wide as lets out
         no more until then than may come.
@@ -376,6 +387,7 @@ class Knowledge:
             coefficient=belief.coefficient * math.exp(weight * ratio),
             threshold_mm=belief.threshold_mm,
             gap_mm=self.gap_mm,
+            narrowest_mm=self.narrowest_mm,
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
             erratic=self.erratic,
