@@ -143,7 +143,8 @@ class Knowledge:
         score = self.bank.update(row, self.reference)
         self.seen_now = max(self.seen_now, self.surely)
         peak = 0.0 if shaking else self._peak()
-        self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, peak)
+        if phi_s > 0.0:  # what rises in the tail is the balance's: one that adapts takes longer than its model
+            self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, peak)
         return score
 
     def _peak(self) -> float:
