@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
-from scuhand_bt.dosing.bracket import LONGEST_WATCH_S, Gross, Reference, moved_mg
+from scuhand_bt.dosing.bracket import LONGEST_WATCH_S, Gross, Reference, apart_mg
 from scuhand_bt.dosing.controller import (
     LONGEST_UNWEIGHED_S,
     Controller,
@@ -206,7 +206,8 @@ def run_dose(
                         mean = yield from balance.stable_mean()
                         seen = weighed(mean)
                         record.event(_pulsed(Weigh(), seen, first.time_s, mean))
-                        if moved_mg(first, last, balance.spec.readability_mg) == 0.0:
+                        digit_mg = balance.spec.readability_mg
+                        if abs(last.gross_mg - first.gross_mg) <= 2.0 * apart_mg(first, last, digit_mg):
                             break
                     watched.append((first, last))
             require_nothing_lost(seen)

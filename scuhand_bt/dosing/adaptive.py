@@ -50,7 +50,7 @@ SURPRISE, SURPRISES = 5.0, 3
 """So many readings in a row, so many standard deviations above prediction, shut the valve."""
 CAME_SHARE, CAME_MG = 0.2, 20.0
 """An opening that brought this share of what was expected, or of so much, was not in vain."""
-SLOW_SHARE = 0.3
+SLOW_SHARE = 0.5
 """An opening that brought less than this share of what was missing was too narrow."""
 LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.3
 """Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share in
@@ -122,7 +122,7 @@ class Adaptive:
             predicted_mg = float(known.bank.weights @ means)
             variances = variances / known.bank.erratic + (means - predicted_mg) ** 2
             sd_mg = math.sqrt(float(known.bank.weights @ variances))
-            yield from self._look()
+            yield from self._look(REST_MG)
             if predicted_mg - known.begin_mg > 1.0:
                 known.judge_prediction(predicted_mg, sd_mg)
             gained_mg = known.bank.mass_mg - known.begin_mg
@@ -149,6 +149,7 @@ class Adaptive:
     def _weigh(self) -> Generator[Command, Observation, Observation]:
         """A stable mean; again, and with doubts about the balance, while it is not what its readings led to expect."""
         known = self._known
+        yield from self._look(0.0)
         expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
         seen = yield Weigh()
         while abs(seen.net_mg - expected_mg) > (allowed_mg := SURPRISE * sd_mg + DOUBTFUL_MG):
@@ -166,13 +167,13 @@ class Adaptive:
     def _given_up(self, mass_mg: float) -> Reason:
         return self._known.request.given_up(mass_mg - self._start_mg)
 
-    def _look(self) -> Generator[Command, Observation, None]:
-        """Valve shut: until the balance has shown what there is."""
+    def _look(self, rest_mg: float) -> Generator[Command, Observation, None]:
+        """Valve shut: until the balance has shown what there is but for `rest_mg`."""
         known, begin_s = self._known, self._known.time_s
         while True:
             yield from known.act(0.0, 0.0)
             shut = known.valve.opening_mm == 0.0
-            if shut and not known.is_rising and known.bank.unseen_mg < REST_MG + 2.0 * known.noise_mg[False]:
+            if shut and not known.is_rising and known.bank.unseen_mg < rest_mg + 2.0 * known.noise_mg[False]:
                 return
             if known.time_s - begin_s > LONGEST_LOOK_S:
                 return

@@ -37,7 +37,8 @@ RISES, RISEN = 3, 3.0
 PEAK = 5
 """Readings that a flow's peak is taken over."""
 LEAST_MG = 2.0
-"""An opening that neither brought this nor should have teaches nothing."""
+"""Openings that neither brought this together nor should have teach nothing yet."""
+NOTHING_TOLD = (0.0, 0.0, 0.0)
 STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
@@ -103,8 +104,10 @@ class Knowledge:
         self.narrowest_mm = max(self.belief.narrowest_mm / WIDER, NARROWEST_MM)
         """Above the threshold: from less, little comes. Each dose tries less than the one before."""
         self._recent_mg: list[float] = []
-        self._ratios: list[float] = []
-        """Openings' coefficients against the belief's, as logarithms."""
+        self._ratios: list[tuple[float, float, float]] = []
+        """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
+        self._told_of = NOTHING_TOLD
+        """Of openings that nothing was learnt from yet: what came [mg], the integral of phi, and how long [s]."""
         self.begin(0.0, 1.0)
 
     @property
@@ -283,36 +286,46 @@ class Knowledge:
         phi_s = sum(row.phi_s for row in self.rows)
         noise_mg = self.noise_mg[False]
         self.surge_mg = self.bank.surge_mg
-        if phi_s <= 0.0 or max(gained_mg, self.reference * phi_s) < max(LEAST_MG, 20.0 * noise_mg):
+        if phi_s <= 0.0:
             return
-        if gained_mg > max(LEAST_MG, 20.0 * noise_mg):
+        least_mg = max(LEAST_MG, 20.0 * noise_mg)
+        if gained_mg > least_mg:
             self._learn_balance(gained_mg)
-            self.gap_mm = self._mean_gap_mm(phi_s)
             self.error_mm = OPENING_ERROR_MM
+        # Openings that bring little tell something together.
+        self._told_of = tuple(map(sum, zip(self._told_of, (gained_mg, phi_s, self._open_s), strict=True)))
+        gained_mg, phi_s, open_s = self._told_of
+        if max(gained_mg, self.reference * phi_s) < least_mg:
+            return
+        self._told_of = NOTHING_TOLD
+        gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
+        if gained_mg > least_mg:
+            self.gap_mm = gap_mm
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
-        found = self.reference * (strongest / self.reference) ** self._told(phi_s)
+        found = self.reference * (strongest / self.reference) ** self._told(gap_mm)
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
         self.reference = max(found, SLOWER * self.reference)
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         self.spread = min(spread, UNKNOWN_SPREAD)
-        self._ratios.append(math.log(self.reference / self.belief.coefficient))
+        self._ratios.append((max(gained_mg, noise_mg), math.log(self.reference / self.belief.coefficient), gap_mm))
 
     def learn_coefficient(self, coefficient: float) -> None:
         """From pulses, each of which was weighed: what they have come to by now."""
-        self.reference, self._ratios = coefficient, [math.log(coefficient / self.belief.coefficient)]
+        self.reference = coefficient
+        self._ratios = [(1.0, math.log(coefficient / self.belief.coefficient), self.gap_mm)]
 
-    def _told(self, phi_s: float) -> float:
-        """What an opening tells of the flow's coefficient, for all that its width may have been off."""
-        off = self.shape.exponent * OPENING_ERROR_MM / self._mean_gap_mm(phi_s)
+    def _told(self, gap_mm: float) -> float:
+        """What an opening so far above the threshold tells of the flow's coefficient, for all that it may be off."""
+        off = self.shape.exponent * OPENING_ERROR_MM / gap_mm
         return DIFFERS**2 / (DIFFERS**2 + off**2)
 
-    def _mean_gap_mm(self, phi_s: float) -> float:
-        """Above the threshold, for the mean flow, while the valve was open."""
-        open_s = sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
-        return float((phi_s / open_s) ** (1.0 / self.shape.exponent))
+    @property
+    def _open_s(self) -> float:
+        """How long powder could come since the valve was told to open."""
+        return sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
 
     def little_came(self) -> None:
         """From the last opening: the powder needs more than so narrow a one.
@@ -376,7 +389,8 @@ class Knowledge:
         belief = self.belief
         if not self._ratios:
             return belief
-        ratio = float(np.mean(self._ratios))
+        came_mg, ratios, gaps_mm = zip(*self._ratios, strict=True)
+        ratio, gap_mm = np.average((ratios, gaps_mm), axis=1, weights=came_mg).tolist()
         weight = max(LEAST_WEIGHT, 1.0 / (belief.doses + 1.0))
         # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
         if belief.doses == 0:
@@ -387,7 +401,7 @@ class Knowledge:
         return PowderBelief(
             coefficient=belief.coefficient * math.exp(weight * ratio),
             threshold_mm=belief.threshold_mm,
-            gap_mm=self.gap_mm,
+            gap_mm=gap_mm,
             narrowest_mm=self.narrowest_mm,
             exponent=belief.exponent,
             spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
