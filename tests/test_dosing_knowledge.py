@@ -151,7 +151,7 @@ def test_no_more_may_leave_than_a_stable_mean_would_call_in_tolerance() -> None:
     assert known.least_mg == pytest.approx(498.6)
     assert known.least_mg < known.aim_mg < 500.0
     assert Knowledge(request(uncertainty_mg=5.0)).most_mg == pytest.approx(500.5), "doubtful: as near as it can"
-    lumpy = Knowledge(request(powder=BEADS.model_copy(update={"surge_mg": 1.0})))
+    lumpy = Knowledge(request(uncertainty_mg=0.3, powder=BEADS.model_copy(update={"surge_mg": 1.0})))
     assert known.least_mg < lumpy.aim_mg < known.aim_mg, "a lump can be waited for"
 
 
@@ -187,7 +187,7 @@ def narrowest_after_nothing(target_mg: float, opening_mm: float, powder: PowderB
     scale = Scale(known, 0.0)
     for _ in range(50):
         scale.act(max(opening_mm, known.shape.threshold_mm + known.narrowest_mm), 0.5)
-        known.nothing_came()
+        known.little_came()
         known.begin(0.0, 0.1)
     return known.narrowest_mm
 
@@ -195,6 +195,27 @@ def narrowest_after_nothing(target_mg: float, opening_mm: float, powder: PowderB
 def test_narrow_openings_that_bring_nothing_again_and_again_grow_wider_but_not_for_ever() -> None:
     assert 0.3 < narrowest_after_nothing(500.0, 0.15) <= 0.5
     assert narrowest_after_nothing(500.0, 1.5) == Knowledge(request()).narrowest_mm, "it was not for being narrow"
+
+
+def test_what_was_too_narrow_for_a_powder_is_kept_and_tried_again_a_little_narrower() -> None:
+    known = Knowledge(request())
+    scale = Scale(known, BEADS.coefficient)
+    scale.act(known.shape.threshold_mm + 0.2, 0.5)
+    known.little_came()
+    scale.opening(1.0, 2.0)
+    kept = known.finish("reached", Observation(9.0, 0.0, 0.05, True)).powder
+    assert kept is not None
+    assert kept.narrowest_mm == pytest.approx(0.28, abs=0.01)
+    assert Knowledge(request(powder=kept)).narrowest_mm == pytest.approx(0.2, abs=0.01)
+
+
+def test_openings_that_bring_little_teach_together() -> None:
+    known = Knowledge(request())
+    scale = Scale(known, 0.25 * BEADS.coefficient)
+    references = [scale.opening(0.3, 0.5) for _ in range(40)]
+    assert references[0] == BEADS.coefficient, "one alone is too little"
+    assert references[-1] < 0.6 * BEADS.coefficient
+    assert len(set(references)) < 20
 
 
 def test_the_nearer_the_target_is_the_less_they_grow() -> None:
