@@ -211,10 +211,10 @@ class Adaptive:
             flows = bank.coefficient - 1.5 * bank.coefficient_sd
             if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
                 return "surprise"
-            if self._will_reach():
+            means, variances = bank.coming(*np.array((known.closing(period_s / 2.0), known.closing(period_s))).T)
+            if self._will_reach(float(bank.weights @ means[0])):
                 return "reached"
-            fear = chance(bank, *bank.coming(*known.closing(period_s)), most_mg)
-            if fear > RISK and not limit_mg:
+            if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:
                 return "fear"
             mass_mg = bank.mass_mg
             reading_mg = known.rows[-1].reading_mg
@@ -248,11 +248,9 @@ class Adaptive:
         tail, _ = known.closing(known.request.balance_period_s + bank.delay_s)
         return bank.coefficient * tail
 
-    def _will_reach(self) -> bool:
-        """Shut now, the mass ends where it should."""
+    def _will_reach(self, predicted_mg: float) -> bool:
+        """Shut now, with so much to be expected then, the mass ends where it should."""
         known, bank = self._known, self._known.bank
-        means, _ = bank.coming(*known.closing(known.request.balance_period_s / 2.0))
-        predicted_mg = float(bank.weights @ means)
         if predicted_mg >= known.aim_mg:
             return True
         flow = bank.coefficient * known.shape.value(known.valve.opening_mm)

@@ -15,6 +15,8 @@ or, where that is less harmful, for its spread until it has reached the aim, at 
 When to shut: for the next reading's time.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.special import erfc
 
@@ -40,6 +42,18 @@ def _chances(mean_mg: Array, variance: Array, most_mg: float) -> Array:
     return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)))
 
 
+@lru_cache(maxsize=64)
+def _choices(
+    shape: FlowShape, narrowest_mm: float, widest_mm: float, late_s: float, dead_time_s: float, speed_mm_per_s: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Openings above the threshold; phi and its slope at each, and their integrals until one is shut that is answered."""
+    gaps_mm = np.geomspace(narrowest_mm, widest_mm, CHOICES)
+    phi = gaps_mm**shape.exponent
+    slope = shape.exponent * phi / gaps_mm
+    closing_s = dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
+    return gaps_mm, phi, slope, phi * (late_s + closing_s), slope * (late_s + dead_time_s) + phi / speed_mm_per_s
+
+
 def widest_mm(
     bank: Bank,
     shape: FlowShape,
@@ -59,19 +73,19 @@ def widest_mm(
     powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what the powder's
     exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
     """
-    gaps_mm = np.geomspace(narrowest_mm, max(max_opening_mm - shape.threshold_mm, 1.01 * narrowest_mm), CHOICES)
-    phi = gaps_mm**shape.exponent
-    slope = shape.exponent * phi / gaps_mm
-    closing_s = dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
-    mean_mg, variance = bank.coming(phi * (late_s + closing_s), slope * (late_s + dead_time_s) + phi / speed_mm_per_s)
+    widest = max(max_opening_mm - shape.threshold_mm, 1.01 * narrowest_mm)
+    gaps_mm, phi, slope, phi_s, slope_s = _choices(shape, narrowest_mm, widest, late_s, dead_time_s, speed_mm_per_s)
+    mean_mg, variance = bank.coming(phi_s, slope_s)
     flow, flow_sd = bank.flow(phi, slope)
     off = (EXPONENT_ERROR * np.log(gaps_mm / known_gap_mm))[:, None] * flow
-    variance = variance + (off * (late_s + closing_s)[:, None]) ** 2
+    variance = variance + (off * (phi_s / phi)[:, None]) ** 2
+    lasting = flow_sd**2 + off**2 + (UNSEEN_ERROR * flow) ** 2
+    walk = (K_WALK_PER_S * reference * phi[:, None]) ** 2
+    lumps_mg = 2.0 * bank.surge_mg * flow
 
     def too_much(mean_mg: Array, unseen_s: Array) -> Array:
-        walk = K_WALK_PER_S * reference * phi[:, None] * np.sqrt(unseen_s)
-        unseen = (flow_sd**2 + walk**2 + off**2 + (UNSEEN_ERROR * flow) ** 2) * unseen_s**2
-        return _chances(mean_mg, variance + bank.erratic * (unseen + 2.0 * bank.surge_mg * flow * unseen_s), most_mg)
+        unseen = ((lasting + walk * unseen_s) * unseen_s + lumps_mg) * unseen_s
+        return _chances(mean_mg, variance + bank.erratic * unseen, most_mg)
 
     # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
     left_s = np.maximum(aim_mg - mean_mg, 0.0) / np.maximum(flow, 1e-9)

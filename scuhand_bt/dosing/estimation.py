@@ -266,6 +266,7 @@ class Bank:
         self._unseen = np.zeros((2, many))
         self._means, self._changing = [0.0, 0.0], 0.0
         self._passed, self._readings = np.zeros((2, 256)), 0
+        self._left: tuple[Array, Array] | None = None
         self._look_up()
 
     def _look_up(self) -> None:
@@ -298,7 +299,7 @@ class Bank:
 
         Returns the likeliest model's innovation in standard deviations.
         """
-        dt_s = row.dt_s
+        dt_s, self._left = row.dt_s, None
         self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
         phi_s, slope_s = self._late(dt_s, row.phi_s, row.slope_s)
         still, adds = self._transition(dt_s)
@@ -371,14 +372,21 @@ class Bank:
         return np.maximum(self._x[:, K] * phi + self._x[:, G] * slope, 0.0), np.sqrt(np.maximum(variance, 0.0))
 
     @property
+    def left(self) -> tuple[Array, Array]:
+        """Mean [mg] and variance [mg^2] of what has left the nozzle by now, by model, (H,)."""
+        if self._left is None:
+            self._left = self.coming()
+        return self._left
+
+    @property
     def mass_mg(self) -> float:
         """What has left the nozzle."""
-        return float(self.weights @ self.coming()[0])
+        return float(self.weights @ self.left[0])
 
     @property
     def mass_sd_mg(self) -> float:
         """Its standard deviation, with what the models differ by."""
-        means, variances = self.coming()
+        means, variances = self.left
         return math.sqrt(float(self.weights @ (variances + (means - self.weights @ means) ** 2)))
 
     @property
@@ -400,7 +408,7 @@ class Bank:
     @property
     def unseen_mg(self) -> float:
         """What has left and is not read yet, with twice what that may be off by."""
-        means, _ = self.coming()
+        means, _ = self.left
         behind = means - self._x[:, READING]
         mean = float(self.weights @ behind)
         return abs(mean) + 2.0 * math.sqrt(float(self.weights @ ((behind - mean) ** 2)))
