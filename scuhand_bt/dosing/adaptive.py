@@ -130,7 +130,11 @@ class Adaptive:
             came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise_mg[False])
             if came or self._vibration >= FULL:
                 known.learn(gained_mg)
-            if ended in ("quiet", "fear", "missing") and gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg):
+            # Lumps come when they will: several openings must have been in vain before they say something of a width.
+            is_lumpy = known.bank.surge_mg > LUMPY_MG
+            little = gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg)
+            in_vain = not came and self._fruitless > 1 if is_lumpy else little
+            if in_vain and ended in ("quiet", "fear", "missing"):
                 known.little_came()
             self._shake(came)
             is_dry = self._is_dry()
