@@ -304,7 +304,7 @@ class Knowledge:
         # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
         # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
         strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
-        found = self.reference * (strongest / self.reference) ** self._told(gap_mm)
+        found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
         self.reference = max(found, SLOWER * self.reference)
@@ -317,10 +317,11 @@ class Knowledge:
         self.reference = coefficient
         self._ratios = [(1.0, math.log(coefficient / self.belief.coefficient), self.gap_mm)]
 
-    def _told(self, gap_mm: float) -> float:
-        """What an opening so far above the threshold tells of the flow's coefficient, for all that it may be off."""
-        off = self.shape.exponent * OPENING_ERROR_MM / gap_mm
-        return DIFFERS**2 / (DIFFERS**2 + off**2)
+    def _told(self, gap_mm: float, phi_s: float) -> float:
+        """What an opening tells of the flow's coefficient, for all that its width may be off, and of lumps by chance."""
+        width = self.shape.exponent * OPENING_ERROR_MM / gap_mm
+        lumps = 2.0 * self.surge_mg / (self.reference * phi_s)
+        return DIFFERS**2 / (DIFFERS**2 + width**2 + lumps)
 
     @property
     def _open_s(self) -> float:
