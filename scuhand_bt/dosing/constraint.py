@@ -46,7 +46,7 @@ def _chances(mean_mg: Array, variance: Array, most_mg: float) -> Array:
 def _choices(
     shape: FlowShape, narrowest_mm: float, widest_mm: float, late_s: float, dead_time_s: float, speed_mm_per_s: float
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Openings above the threshold; phi and its slope at each, and their integrals until one is shut that is answered."""
+    """Openings above the threshold [mm]; phi and its slope at each, and the integrals of both until it is shut."""
     gaps_mm = np.geomspace(narrowest_mm, widest_mm, CHOICES)
     phi = gaps_mm**shape.exponent
     slope = shape.exponent * phi / gaps_mm

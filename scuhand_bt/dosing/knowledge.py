@@ -293,8 +293,9 @@ class Knowledge:
             self._learn_balance(gained_mg)
             self.error_mm = OPENING_ERROR_MM
         # Openings that bring little tell something together.
-        self._told_of = tuple(map(sum, zip(self._told_of, (gained_mg, phi_s, self._open_s), strict=True)))
-        gained_mg, phi_s, open_s = self._told_of
+        before_mg, before_phi_s, before_s = self._told_of
+        gained_mg, phi_s, open_s = before_mg + gained_mg, before_phi_s + phi_s, before_s + self._open_s
+        self._told_of = gained_mg, phi_s, open_s
         if max(gained_mg, self.reference * phi_s) < least_mg:
             return
         self._told_of = NOTHING_TOLD
@@ -318,7 +319,7 @@ class Knowledge:
         self._ratios = [(1.0, math.log(coefficient / self.belief.coefficient), self.gap_mm)]
 
     def _told(self, gap_mm: float, phi_s: float) -> float:
-        """What an opening tells of the flow's coefficient, for all that its width may be off, and of lumps by chance."""
+        """What an opening tells of the flow's coefficient, for what its width may be off, and for lumps by chance."""
         width = self.shape.exponent * OPENING_ERROR_MM / gap_mm
         lumps = 2.0 * self.surge_mg / (self.reference * phi_s)
         return DIFFERS**2 / (DIFFERS**2 + width**2 + lumps)
