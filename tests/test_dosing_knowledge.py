@@ -68,6 +68,19 @@ def test_a_stronger_flow_is_believed_at_once_and_a_weaker_one_little_by_little()
     )
 
 
+def test_what_a_balance_shows_when_the_valve_has_long_been_shut_is_no_stronger_flow() -> None:
+    known = Knowledge(request(powder=BEADS, balance=QUICK.model_copy(update={"lag_s": 0.5})))
+    scale = Scale(known, 0.0)
+    scale.act(1.0, 0.5)
+    scale.act(0.0, 0.5)
+    surely = known.surely
+    for _ in range(20):
+        scale.left_mg += 20.0
+        scale.act(0.0, 0.1)
+    assert known.bank.coefficient - known.bank.coefficient_sd > surely
+    assert known.surely == surely
+
+
 def test_an_opening_that_need_not_have_brought_anything_teaches_nothing() -> None:
     known = Knowledge(request())
     assert Scale(known, 0.25 * BEADS.coefficient).opening(0.15, 0.5) == BEADS.coefficient
@@ -82,6 +95,17 @@ def test_narrow_openings_tell_less_of_the_flow_than_wide_ones() -> None:
     assert kept is not None
     assert at_wide < 0.85 * BEADS.coefficient < at_narrow
     assert kept.gap_mm == pytest.approx(0.25 - BEADS.threshold_mm, abs=0.02)
+
+
+def test_lumps_that_did_not_come_tell_less_of_the_flow() -> None:
+    fine, lumpy = (
+        Knowledge(request()),
+        Knowledge(request(powder=BEADS.model_copy(update={"surge_mg": 5.0, "doses": 3}))),
+    )
+    weak = 0.8 * BEADS.coefficient
+    at_fine, at_lumpy = (Scale(known, weak).opening(0.7, 1.0) for known in (fine, lumpy))
+    assert at_fine < 0.85 * BEADS.coefficient
+    assert 0.9 * BEADS.coefficient < at_lumpy < BEADS.coefficient
 
 
 def test_what_a_dose_has_taught_is_kept_with_what_was_known_before() -> None:
@@ -253,6 +277,21 @@ def test_where_nothing_comes_it_is_tried_again_then_shaken_and_not_opened_wider(
 def test_near_the_target_a_bridge_is_tried_five_times_before_it_is_shaken() -> None:
     vibrations = [opening[1] for _, opening in zip(range(9), openings_of_nothing(15.0), strict=False)]
     assert vibrations == [0.0] * 5 + [0.4] * 3 + [1.0]
+
+
+def test_a_look_goes_on_while_readings_rise_whatever_is_believed_of_the_balance() -> None:
+    """It is believed to be quick, and creeps for three seconds."""
+    controller = new_controller("adaptive", request())
+    command, time_s, shown_mg, shut_s, looked = controller.decide(None), 0.0, 0.0, -1.0, list[object]()
+    while not 3.0 <= time_s - shut_s < 4.0 or shut_s < 0.0:
+        time_s += PERIOD_S
+        is_open = isinstance(command, Stream) and command.opening_mm > 0.0
+        shown_mg += 10.0 if is_open else 0.5 * (shown_mg > 0.0)
+        if shut_s < 0.0 < shown_mg and not is_open:
+            shut_s = time_s
+        looked += [command] * (shut_s > 0.0)
+        command = controller.decide(Observation(time_s, shown_mg, 0.05, isinstance(command, Weigh)))
+    assert set(looked) == {Stream(0.0)}
 
 
 def widths_of_nothing(**changes: object) -> list[float]:
