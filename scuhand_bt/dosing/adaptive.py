@@ -69,6 +69,8 @@ LEFT_MG = 1.0
 """With more than this to go the stable mean can wait."""
 SURELY, SOON_S = 2.0, 1.0
 """What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
+PRIMES_S = 10.0
+"""A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
 EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
 
@@ -92,6 +94,8 @@ class Adaptive:
         """Open and fully shaken, without powder."""
         self._fruitless = 0
         """Openings in a row that brought nothing."""
+        self._has_come = False
+        """Whether any opening has brought something."""
 
     @property
     def estimate_mg(self) -> float:
@@ -128,7 +132,8 @@ class Adaptive:
             gained_mg = known.bank.mass_mg - known.begin_mg
             expected_mg = known.reference * sum(row.phi_s for row in known.rows)
             came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise_mg[False])
-            if came or self._vibration >= FULL:
+            self._has_come |= came
+            if came or (self._vibration >= FULL and (self._has_come or self._barren_s > PRIMES_S)):
                 known.learn(gained_mg)
             # Lumps come when they will: several openings must have been in vain before they say something of a width.
             is_lumpy = known.bank.surge_mg > LUMPY_MG

@@ -43,6 +43,8 @@ STUCK_MM = 0.3
 """Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
 STRONG = 0.5
 """How much more of the flow it is allowed for then."""
+HARDLY_EVER = 2.6
+"""Standard deviations that a flow is above its reference once in 200 times."""
 SEEN_S = 0.4
 """So long after the balance's delay it is seen whether the sheet has stuck."""
 AIM_UNDER_MG = 0.25
@@ -235,10 +237,13 @@ class Knowledge:
 
     def stuck_mg(self, opening_mm: float, open_s: float) -> float:
         """What an opening lets out that is shut after so long, where the sheet has stuck."""
-        wider_mm = opening_mm + STUCK_MM
-        tail = self.shape.closing(wider_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
         strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
-        return strong * (self.shape.value(wider_mm) * open_s + tail)
+        return strong * self._passes(opening_mm + STUCK_MM, open_s)
+
+    def _passes(self, opening_mm: float, open_s: float) -> float:
+        """Integral of phi from an opening until it is shut, which it is told to be after so long."""
+        tail = self.shape.closing(opening_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
+        return self.shape.value(opening_mm) * open_s + tail
 
     @property
     def seen_s(self) -> float:
@@ -246,12 +251,20 @@ class Knowledge:
         return self.bank.delay_s + SEEN_S
 
     def begins_mm(self, most_mg: float) -> float:
-        """How wide an opening may be until that: so that `most_mg` are not exceeded if it has, or the narrowest."""
+        """How wide an opening may be until that: so that `most_mg` are not exceeded if it has, or the narrowest.
+
+        Nor if the sheet has not stuck, and the flow is as strong as it hardly ever is.
+        """
         opening_mm = self.request.max_opening_mm
         narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
-        while opening_mm > narrowest_mm and self.stuck_mg(opening_mm, self.seen_s) > most_mg:
+        while opening_mm > narrowest_mm and self._unseen_mg(opening_mm) > most_mg:
             opening_mm = max(narrowest_mm, 0.95 * opening_mm)
         return opening_mm
+
+    def _unseen_mg(self, opening_mm: float) -> float:
+        """What an opening may let out before it is seen."""
+        strong_mg = self.reference * (1.0 + HARDLY_EVER * self.spread) * self._passes(opening_mm, self.seen_s)
+        return max(self.stuck_mg(opening_mm, self.seen_s), strong_mg)
 
     @property
     def strongest(self) -> float:
@@ -338,14 +351,11 @@ class Knowledge:
         tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
         wider_mm = WIDER * max(tried_mm, self.narrowest_mm)
         left_mg = self.most_mg - self.bank.mass_mg
-        if wider_mm <= MOST_NARROWEST_MM and self.strongest * self._answered(wider_mm) < left_mg:
+        if (
+            wider_mm <= MOST_NARROWEST_MM
+            and self.strongest * self._passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg
+        ):
             self.narrowest_mm = wider_mm
-
-    def _answered(self, gap_mm: float) -> float:
-        """Integral of phi from an opening, so far above the threshold, until what is seen then has shut the valve."""
-        opening_mm = self.shape.threshold_mm + gap_mm
-        tail = self.shape.closing(opening_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
-        return self.shape.value(opening_mm) * self._late_s + tail
 
     def _learn_balance(self, gained_mg: float) -> None:
         """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
