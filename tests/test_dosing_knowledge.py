@@ -169,6 +169,17 @@ def test_far_from_the_target_a_sheet_that_sticks_limits_no_opening() -> None:
     assert Knowledge(request()).begins_mm(3000.0) == 2.4
 
 
+@given(most_mg=st.floats(5.0, 500.0), spread=st.floats(0.2, 1.5))
+def test_an_opening_begins_so_narrow_that_a_flow_which_is_much_stronger_is_seen_in_time(
+    most_mg: float, spread: float
+) -> None:
+    known = Knowledge(request(balance=QUICK.model_copy(update={"lag_s": 0.4})))
+    known.spread = spread
+    gap_mm = known.begins_mm(most_mg) - known.shape.threshold_mm
+    unseen_mg = known.reference * (1.0 + 2.6 * spread) * gap_mm**known.shape.exponent * known.seen_s
+    assert unseen_mg <= most_mg or gap_mm <= 0.0501
+
+
 def test_no_more_may_leave_than_a_stable_mean_would_call_in_tolerance() -> None:
     known = Knowledge(request(uncertainty_mg=0.3))
     assert known.most_mg == pytest.approx(501.4)
@@ -272,6 +283,14 @@ def test_where_nothing_comes_it_is_tried_again_then_shaken_and_not_opened_wider(
     widths_mm, vibrations = zip(*openings, strict=True)
     assert vibrations == (0.0, 0.0, 0.4, 1.0)
     assert max(widths_mm) <= 1.01 * widths_mm[0]
+
+
+def test_a_fresh_load_that_has_yet_to_prime_is_not_opened_wider() -> None:
+    """It may give nothing for ten seconds, open and fully shaken; after that its flow is weaker than believed."""
+    powder = BEADS.model_copy(update={"vibration": 1.0, "doses": 3, "coefficient": 20.0})
+    widths_mm = [opening[0] for _, opening in zip(range(30), openings_of_nothing(50.0, powder=powder), strict=False)]
+    assert max(widths_mm[:8]) <= 1.01 * widths_mm[0]
+    assert widths_mm[-1] > 1.3 * widths_mm[0]
 
 
 def test_near_the_target_a_bridge_is_tried_five_times_before_it_is_shaken() -> None:
