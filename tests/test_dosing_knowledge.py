@@ -244,6 +244,23 @@ def test_what_was_too_narrow_for_a_powder_is_kept_and_tried_again_a_little_narro
     assert Knowledge(request(powder=kept)).narrowest_mm == pytest.approx(0.2, abs=0.01)
 
 
+def test_a_cone_that_ran_empty_teaches_nothing_of_the_powder() -> None:
+    """Nothing came from several openings, however wide and narrow, and another load will flow as ever."""
+    known = Knowledge(request())
+    scale = Scale(known, 0.0)
+    for width_mm in (1.0, 0.2, 0.2):
+        scale.act(width_mm, 1.0)
+        known.little_came()
+        scale.opening(width_mm, 1.0)
+    assert known.reference < 0.8 * BEADS.coefficient
+    assert known.narrowest_mm > 0.2
+    assert known.finish("empty", Observation(9.0, 0.0, 0.05, True)).powder == known.belief
+    Scale(known, BEADS.coefficient).opening(1.0, 1.0)
+    kept = known.finish("empty", Observation(9.0, 0.0, 0.05, True)).powder
+    assert kept is not None
+    assert kept.narrowest_mm == BEADS.narrowest_mm
+
+
 def test_openings_that_bring_little_teach_together() -> None:
     known = Knowledge(request())
     scale = Scale(known, 0.25 * BEADS.coefficient)

@@ -324,7 +324,8 @@ class Knowledge:
         self.reference = max(found, SLOWER * self.reference)
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
         self.spread = min(spread, UNKNOWN_SPREAD)
-        self._ratios.append((max(gained_mg, noise_mg), math.log(self.reference / self.belief.coefficient), gap_mm))
+        if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
+            self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
 
     def learn_coefficient(self, coefficient: float) -> None:
         """From pulses, each of which was weighed: what they have come to by now."""
@@ -394,6 +395,8 @@ class Knowledge:
     def finish(self, reason: Reason, seen: Observation) -> Finish:
         """The dose's last word, with what was learnt."""
         balance = self.balance.model_copy(update={"noise_mg": self.noise_mg[False]})
+        if reason in ("empty", "no_flow"):  # an empty cone says nothing of a width
+            self.narrowest_mm = self.belief.narrowest_mm
         return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)
 
     def _powder(self) -> PowderBelief:
