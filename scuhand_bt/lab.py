@@ -134,24 +134,43 @@ def load_lab(folder: Path) -> Lab:
     What is wrong in a file breaks only what uses it, and stands in the lab's `problems`. Raises SourceError with
     everything that is wrong where the cell's own file is, as nothing can do without it.
     """
-    lab = read_lab(folder)
-    if not lab.has_cell:
-        raise SourceError([problem for problem in lab.problems if not problem.is_warning])
-    return lab
+    return _with_cell(read_lab(folder))
 
 
 def read_lab(folder: Path) -> Lab:
     """As `load_lab`; without a sound cell, one of what of it is sound, to check the rest against."""
     problems, broken = Problems(), Broken()
+    cell, library, has_cell = _read_bench(folder, problems, broken)
+    loaded = load_skills(folder, files_of(folder / "skills", "*.py"), problems, broken)
+    library.skills, library.facts = loaded.skills, loaded.facts
+    library.workflows = _load_workflows(folder / "trees", problems, broken)
+    _check_names(library, folder, problems)
+    return Lab(folder, cell, library, tuple(problems.found), has_cell)
+
+
+def load_bench(folder: Path) -> Lab:
+    """A lab's cell, powders and vessels alone: none of its skills is imported, and none of its workflows read.
+
+    Raises SourceError as `load_lab` does.
+    """
+    problems = Problems()
+    cell, library, has_cell = _read_bench(folder, problems, Broken())
+    return _with_cell(Lab(folder, cell, library, tuple(problems.found), has_cell))
+
+
+def _with_cell(lab: Lab) -> Lab:
+    if not lab.has_cell:
+        raise SourceError([problem for problem in lab.problems if not problem.is_warning])
+    return lab
+
+
+def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellSpec, Library, bool]:
+    """The cell, what stands in it and is used in it, and whether the cell's own file is sound."""
     cell = _load_cell(folder / CELL_FILE, problems, broken)
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
-    loaded = load_skills(folder, files_of(folder / "skills", "*.py"), problems, broken)
-    library = Library(loaded.skills, {}, powders, containers, mortars, loaded.facts, broken)
-    library.workflows = _load_workflows(folder / "trees", problems, broken)
-    _check_names(library, folder, problems)
-    return Lab(folder, cell, library, tuple(problems.found), has_cell)
+    return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:

@@ -88,7 +88,7 @@ for arguments in (["--help"], ["check", "--fast", "recipes/synthesis_batch.yaml"
         main()
     except SystemExit as end:
         assert not end.code
-heavy = ("pinocchio", "coal", "ruckig", "dynamixel_sdk", "plotly", "matplotlib")
+heavy = ("pinocchio", "coal", "ruckig", "dynamixel_sdk", "jinja2", "fastapi", "matplotlib")
 print("heavy:", [name for name in heavy if name in sys.modules])
 """
     command = [sys.executable, "-c", code]
@@ -335,13 +335,13 @@ def test_a_page_is_not_written_into_a_picture(command: Call, tmp_path: Path) -> 
 def test_a_page_without_its_library_says_what_to_install(
     command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "plotly", None)
-    for module in ("figure_page", "reach", "move_page"):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    for module in ("page", "reach", "move_page"):
         monkeypatch.delitem(sys.modules, f"scuhand_bt.report.{module}", raising=False)
     for arguments in (("reach",), ("show-move", "park", "balance")):
         ended = command(*arguments, "-o", tmp_path / "page.html")
         assert ended.returncode == 2
-        assert "needs plotly: pip install 'scuhand-bt[plot]'" in " ".join(ended.stderr.split())
+        assert "needs jinja2: pip install 'scuhand-bt[plot]'" in " ".join(ended.stderr.split())
 
 
 def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(command: Call) -> None:

@@ -31,7 +31,7 @@ def study(
     workers: WorkersOption = None,
     dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Run them on a Dask cluster.")] = None,
     controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
-    plant: Annotated[str | None, typer.Option(help="Simulated physics to use instead of ours: module:Class.")] = None,
+    plant: Annotated[str | None, typer.Option(help="The same simulated physics in each: module:Class.")] = None,
     store: Annotated[Path | None, typer.Option("--store", help="Keep trials here, not in the lab's own file.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Every sample of every trial, as CSV.")] = None,
     lab: LabOption = None,
@@ -107,14 +107,10 @@ def _range(found: "Range", told: Any) -> str:
 
 
 def odds_values(odds: "Odds") -> dict[str, Any]:
-    """The odds for JSON; what never came is null."""
+    """The odds for JSON."""
     from dataclasses import asdict
 
-    values = asdict(odds)
-    for name, began in values["began_s"].items():
-        if began["middle"] != began["middle"]:
-            values["began_s"][name] = None
-    return values
+    return asdict(odds)
 
 
 def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Trial]]") -> dict[str, dict[str, Any]]:

@@ -19,16 +19,21 @@ from scuhand_bt.run.make_cell import DryRun, prepared_motion
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.study.change import changed
+from scuhand_bt.study.some_cell import SomeCell
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial
+
+SOME_CELL = f"{SomeCell.__module__}:{SomeCell.__name__}"
 
 
 def dry_run(setup: Setup, seed: int) -> Trial:
     """One dry run. SourceError for a recipe, a lab or changes that are wrong."""
     plan, lab, motion = _made(setup)
     began = _Began()
+    plant = SOME_CELL if setup.plant is None else setup.plant
+    SomeCell.seed = seed
     with tempfile.TemporaryDirectory(prefix="scuhand-trial-") as folder:
         runs = Path(folder) / "runs"
-        session = Session(plan, lab, Options(DryRun(seed, setup.plant), setup.controller, runs), motion)
+        session = Session(plan, lab, Options(DryRun(seed, plant), setup.controller, runs), motion)
         assert session.world is not None
         session.world.close()  # in no file: no trial is resumed
         try:

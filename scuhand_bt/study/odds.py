@@ -1,8 +1,8 @@
 """What to expect of a run, by trials of it: how long it takes, how its samples come out, what it uses.
 
-Trials know the simulated powders and balance only; a cell differs from them. So the interval of a duration is that of
-Student's t for one more run like these, widened by `MODEL_SHARE`; `benchmarks.forecasts` holds it against runs on
-plants that no trial has had.
+Each trial has a cell of its own (`some_cell`). The interval of a duration is that of Student's t for the logarithm of
+one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by; `benchmarks.forecasts`
+holds it against runs on plants that no trial has had.
 """
 
 import math
@@ -19,8 +19,10 @@ from scuhand_bt.study.trial import SampleTrial, Trial
 
 COVERED = 0.9
 """Of the intervals."""
-MODEL_SHARE = 0.06
-"""Standard deviation by which a cell's times differ from a simulated one's, as a share of them."""
+MODEL_SHARE = 0.05
+"""Standard deviation of that, as a share of a time."""
+WIDE = 1.645
+"""Standard deviations that hold `COVERED` of a normal distribution."""
 PRIOR = 4.0
 """Trials that what came of the whole batch counts for, beside those of a sample's own kind."""
 LIKELY = 0.9
@@ -53,7 +55,7 @@ class Odds:
     trials: int
     duration_s: Range
     began_s: Mapping[str, Range]
-    """When each job begins, by its name."""
+    """When each job begins, by its name; of those that any trial has begun."""
     samples: Mapping[str, Chance]
     scoops: Mapping[str, Range]
     """By source."""
@@ -74,8 +76,9 @@ def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
         trials=len(found),
         duration_s=_of_times([trial.duration_s for trial in found]),
         began_s={
-            job.name: _of_times([trial.began_s[job.name] for trial in found if job.name in trial.began_s] or [math.nan])
+            job.name: _of_times(began_s)
             for job in plan.jobs
+            if (began_s := [trial.began_s[job.name] for trial in found if job.name in trial.began_s])
         },
         samples=_chances(plan, found),
         scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
@@ -85,13 +88,15 @@ def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
 
 
 def _of_times(times_s: Sequence[float]) -> Range:
-    """Of one more run like these, on a cell that is not quite what was simulated."""
-    mean_s, many = float(np.mean(times_s)), len(times_s)
-    chance_s = float(np.std(times_s, ddof=1)) * math.sqrt(1.0 + 1.0 / many) if many > 1 else 0.0
-    factor = float(t.ppf(0.5 + COVERED / 2.0, max(many - 1, 1))) if many > 1 else 0.0
-    model_s = float(t.ppf(0.5 + COVERED / 2.0, 30)) * MODEL_SHARE * mean_s
-    half_s = math.hypot(factor * chance_s, model_s)
-    return Range(max(0.0, mean_s - half_s), mean_s, mean_s + half_s)
+    """Of one more run like these: times differ by factors."""
+    many = len(times_s)
+    if min(times_s) <= 0.0:
+        return _seen(times_s)
+    logs = np.log(times_s)
+    chance = float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / many) if many > 1 else 0.0
+    half = math.hypot(float(t.ppf(0.5 + COVERED / 2.0, max(many - 1, 1))) * chance, WIDE * MODEL_SHARE)
+    middle = float(np.mean(logs))
+    return Range(*(math.exp(at) for at in (middle - half, middle, middle + half)))
 
 
 def _seen(values: Sequence[float]) -> Range:

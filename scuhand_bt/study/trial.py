@@ -20,6 +20,7 @@ class Setup:
     lab: Path
     controller: str | None = None
     plant: str | None = None
+    """Physics by `module:Class`; None: `some_cell`'s, another one for each seed."""
     changes: Changes = ()
 
 
