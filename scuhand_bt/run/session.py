@@ -2,6 +2,7 @@
 
 import secrets
 import sqlite3
+import threading
 from contextlib import ExitStack, suppress
 from datetime import datetime
 from pathlib import Path
@@ -66,7 +67,7 @@ class Session:
         """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
-        self._lab, self._options = lab, options
+        self._lab, self._options, self._thread = lab, options, threading.get_ident()
         self._substitutes = substitutes
         self._history = resumes.history if resumes is not None else None
         if resumes is None:
@@ -216,7 +217,12 @@ class Session:
         return f"{self.plan.recipe.name}: {again}{count} samples on the cell '{self._lab.cell.cell}', {mode}"
 
     def run(self, observer: BatchObserver) -> BatchResult:
-        """Run the batch to its end; whatever happens, the cell ends safe."""
+        """Run the batch to its end; whatever happens, the cell ends safe.
+
+        RuntimeError in another thread than it was made in, to which its journal belongs.
+        """
+        if threading.get_ident() != self._thread:
+            raise RuntimeError("a session is run in the thread in which it was made: make it there")
         world, first = self.world, None
         if self._conflicts:
             first = resolve(self.cell, self._conflicts)
