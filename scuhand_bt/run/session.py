@@ -174,6 +174,8 @@ class Session:
             self.cell.believed.sources_mended()
         if not self.cell.simulated:  # what was forgotten since the run broke off stays so
             self._records.learnt.recall(self.cell, datetime.now().astimezone())
+            for name in self._records.learnt.unreadable():
+                self.warnings.append(f"what another version has learnt of '{name}' cannot be read: it is learnt anew")
         if resumes is None:
             begun = described(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
             with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
