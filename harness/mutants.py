@@ -72,7 +72,10 @@ class Mutant:
 def originals() -> dict[str, str]:
     """The files that are mutated, and those that others need, by their place in the lab."""
     lab = starter_lab()
-    paths = [*sorted((lab / "robot").glob("*.yaml")), *sorted((lab / "trees").glob("*.yaml"))]
+    paths = [
+        *sorted((lab / "robot").glob("*.yaml")),
+        *sorted(path for path in (lab / "trees").glob("*.yaml") if ".test" not in path.name),
+    ]
     return {**{str(path.relative_to(lab)): path.read_text() for path in paths}, **RECIPES, **FAULTS}
 
 

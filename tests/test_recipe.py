@@ -204,7 +204,7 @@ def test_a_workflow_with_a_wrong_default_is_reported_and_breaks_nothing(lab_fold
     lab_folder.replace("trees/fill_xrd_holder.yaml", "default: 2 mg", "default: 2 mm")
     desk.lab = lab_folder.load()
     problems = desk.problems(HEAD + "  - {id: a, mass: 50}\n")
-    assert problems[0].startswith("3:93: 'tolerance' takes a Mass: 'mm' is a unit of length")
+    assert problems[0].startswith("4:93: 'tolerance' takes a Mass: 'mm' is a unit of length")
     assert problems[1].startswith("7:19: 'mass': '50' has no unit")
 
 

@@ -145,6 +145,6 @@ def test_any_mutated_workflow_is_read_or_has_located_problems(seed: int) -> None
 
 
 def test_the_shipped_workflows_have_no_problem() -> None:
-    for path in (REPOSITORY / "trees").glob("*.yaml"):
+    for path in (path for path in (REPOSITORY / "trees").glob("*.yaml") if ".test" not in path.name):
         assert problems_of(lambda path=path: parse(path.read_text(encoding="utf-8"), path.name, "a workflow")) == []
         assert read(path.read_text(encoding="utf-8"), path.stem)[1] == []
