@@ -168,7 +168,7 @@ class WiredHandBench(DeviceBench):
             roller = AxisGroup([roller_axis(self.spec)], watched=False)
             chain = ServoChain(DynamixelBus(self.bus.url, latency_ms=20.0), [roller])
             chain.open()
-            controller = HandController(self.board.url, chain.news)
+            controller = HandController(self.spec, chain.news)
             controller.open()
             self.device = ScuHand(self.spec, controller, chain, roller, self.clock, 90.0)
             yield self

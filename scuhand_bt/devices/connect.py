@@ -12,7 +12,6 @@ from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis
-from scuhand_bt.failures import Code, SkillFailed
 
 
 class Devices(NamedTuple):
@@ -44,15 +43,9 @@ def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None
         chain = ServoChain(bus_of(spec.arm), [arm_group, roller_group], news, liveness)
         chain.open()
         opened.callback(chain.close)
-        controller = HandController(spec.hand.port, news, liveness)
-        hello = controller.open()
+        controller = HandController(spec.hand, news, liveness)
+        controller.open()
         opened.callback(controller.close)
-        if hello.max_opening_mm < spec.hand.max_opening_mm:
-            raise SkillFailed(
-                Code.DEVICE_LOST,
-                f"the hand controller opens its valve up to {hello.max_opening_mm:g} mm, and robot/cell.yaml asks for "
-                f"{spec.hand.max_opening_mm:g} mm; correct `max_opening` of the hand, or its firmware's settings",
-            )
         hand = ScuHand(spec.hand, controller, chain, roller_group, clock, spec.hand.options.start_diameter_mm)
         opened.pop_all()
         return Devices(DynamixelArm(chain, arm_group), hand, balance, None)

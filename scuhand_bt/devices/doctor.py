@@ -24,6 +24,7 @@ from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.bus import BusError, DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import HOT_MARGIN_C
 from scuhand_bt.devices.hand_controller import HandController
+from scuhand_bt.devices.hand_protocol import VERSION
 from scuhand_bt.devices.scuhand import roller_axis
 from scuhand_bt.failures import CATALOGUE, Code, SkillFailed
 from scuhand_bt.motion.kinematics import LIMITS_RAD
@@ -171,22 +172,14 @@ def _window(name: str, axis: Axis, ends: tuple[int, int], limits_rad: tuple[floa
 
 def hand(spec: HandSpec, clock: Clock, *, self_test: bool) -> Iterator[Finding]:
     """The hand's controller: its greeting and status, and the valve and the motor if they may move."""
-    controller = HandController(spec.port)
+    controller = HandController(spec)
     try:
         hello = controller.open()
     except SkillFailed as error:
         yield _lost("hand", error)
         return
     with closing(controller):
-        yield Finding("hand", "firmware", hello.firmware, "protocol 1", "ok")
-        yield judged(
-            "hand",
-            "valve range",
-            f"up to {hello.max_opening_mm:g} mm",
-            f"{spec.max_opening_mm:g} mm or more",
-            hello.max_opening_mm >= spec.max_opening_mm,
-            "correct `max_opening` of the hand in robot/cell.yaml, or its firmware's settings",
-        )
+        yield Finding("hand", "firmware", hello.firmware, f"protocol {VERSION}", "ok")
         if not _now(until(clock, lambda: controller.report is not None, controller.news, ANSWER_S), clock):
             yield judged("hand", "status", "no report", "a report", False, "check its cable and supply")
             return
@@ -205,7 +198,7 @@ def _hand_status(controller: HandController) -> Iterator[Finding]:
     yield judged("hand", "faults", report.why or "none", "none", not report.faults, do)
     yield judged("hand", "valve", report.state, "closed", report.state == "closed", "free the valve")
     shut = abs(report.opening_mm) <= ZERO_MM
-    do = "look for powder in the valve; else calibrate `kClosedCount` in the firmware's hand_controller.ino"
+    do = "look for powder in the valve; else calibrate `valve_map` of the hand in robot/cell.yaml"
     yield judged("hand", "valve zero", f"{report.opening_mm:.3f} mm", f"0 ± {ZERO_MM:g} mm", shut, do)
     warm_c = report.temperature_c
     yield judged("hand", "temperature", f"{warm_c} °C", f"below {HOT_C} °C", warm_c < HOT_C, "let it cool")
@@ -225,7 +218,7 @@ def _hand_test(controller: HandController, clock: Clock) -> Iterator[Finding]:
         widest_mm, strongest = max(widest_mm, report.opening_mm), max(strongest, report.vibration)
         return controller.is_done and report.is_safe
 
-    controller.step(TEST_OPENING_MM / controller.mm_per_deg, TEST_DWELL_S, TEST_VIBRATION)
+    controller.step(TEST_OPENING_MM, TEST_DWELL_S, TEST_VIBRATION)
     over = _now(until(clock, is_over, controller.news, ANSWER_S), clock)
     trouble = controller.trouble or controller.refused
     if trouble is not None or not over:

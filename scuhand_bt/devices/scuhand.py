@@ -166,7 +166,7 @@ class ScuHand:
         opening_mm = possible_opening(opening_mm, self.spec)
         dwell_s, vibration = checked_dwell(dwell_s, self.longest_dwell_s), checked_vibration(vibration)
         self._raise_trouble()
-        self._controller.step(opening_mm / self._controller.mm_per_deg, dwell_s, vibration)
+        self._controller.step(opening_mm, dwell_s, vibration)
         deadline_s = self._clock.now_s + dwell_s + MOVE_TIMEOUT_S
         shut = False
         try:

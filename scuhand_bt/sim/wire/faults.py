@@ -33,21 +33,21 @@ class WireFaults:
         self._faults = faults
         self._bus, self._hand, self._balance = bus, hand, balance
         self._there: dict[str, float] = {}
-        valve, servo = hand.twin, bus.twin.servos[FAULTY_SERVO]
+        board, servo = hand.twin, bus.twin.servos[FAULTY_SERVO]
         self._switches: dict[str, Callable[[bool], None]] = {
             "balance.silent": lambda on: setattr(balance, "paused", on),
             "balance.restarted": lambda on: setattr(balance, "paused", on),
             "balance.garbage": lambda on: setattr(balance.misbehaviour, "drop", MANY * on),
             "balance.bit_flips": lambda on: setattr(balance.misbehaviour, "flip_every", FLIPPED * on),
-            "valve.stuck_open": lambda on: setattr(valve, "can_close", not on),
-            "valve.stuck_closed": lambda on: setattr(valve, "can_open", not on),
-            "valve.slow": lambda on: setattr(valve, "speed_ratio", SLOW if on else 1.0),
+            "valve.stuck_open": lambda on: board.valve.lets(close=not on),
+            "valve.stuck_closed": lambda on: board.valve.lets(open=not on),
+            "valve.slow": lambda on: setattr(board.valve.servo, "speed_ratio", SLOW if on else 1.0),
             "servo.overheat": lambda on: setattr(servo, "temperature_c", servo.table[31] + 1.0 if on else 40.0),
             "servo.overload": lambda on: servo.fail(OVERLOAD_BIT) if on else None,
             "servo.not_following": lambda on: setattr(servo, "blocked", on),
             "arm.lost": lambda on: bus.unplug() if on else bus.plug(),
             "hand.lost": lambda on: hand.unplug() if on else hand.plug(),
-            "hand.emergency_stop": lambda on: setattr(valve, "emergency_stop", on),
+            "hand.emergency_stop": lambda on: setattr(board, "emergency_stop", on),
         }
 
     def apply(self) -> None:
