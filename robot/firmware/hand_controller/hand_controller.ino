@@ -78,11 +78,14 @@ class Pins : public hand::Board {
     return stored.crc == stored.sum();
   }
 
-  // Up to 4 ms for each byte that changes, and so less than the watchdog allows. The valve is shut meanwhile.
+  // Up to 4 ms for each byte that changes. The valve is shut meanwhile.
   void store(const hand::ValveMap& map) override {
     Stored stored = {map, 0};
     stored.crc = stored.sum();
-    eeprom_update_block(&stored, &stored_map, sizeof(stored));
+    for (size_t i = 0; i < sizeof(stored); ++i) {
+      wdt_reset();
+      eeprom_update_byte(reinterpret_cast<uint8_t*>(&stored_map) + i, reinterpret_cast<const uint8_t*>(&stored)[i]);
+    }
   }
 };
 
@@ -95,7 +98,7 @@ hand::LineReader reader;
 
 void setup() {
   MCUSR = 0;  // a watchdog that has bitten stays on, at its shortest, until this is cleared
-  wdt_enable(WDTO_250MS);
+  wdt_enable(WDTO_120MS);
   pins.begin();
   Serial.begin(115200);
 }
