@@ -185,6 +185,49 @@ def test_what_the_servo_was_set_to_before_does_not_matter(register: int, size: i
     assert twin.valve.servo.get(register, size) != value
 
 
+def test_a_servo_whose_torque_somebody_has_switched_off_shuts_the_valve() -> None:
+    host = opened(Host())
+    host.twin.valve.servo.put(64, 1, 0)
+    host.until(lambda: is_shut(host), AFTER_POWER_S)
+    assert host.report().faults == "s"
+
+
+def test_garbled_answers_of_the_servo_are_not_believed_and_one_now_and_then_is_forgiven() -> None:
+    host = opened(Host())
+    say, asked = host.twin.valve.say, 0
+
+    def garbled(baud: int, data: bytes, now_s: float) -> bytes:
+        nonlocal asked
+        answer = bytearray(say(baud, data, now_s))
+        asked += bool(answer)
+        if answer and asked % 7 == 0:
+            answer[asked % len(answer)] ^= 1 << asked % 8
+        return bytes(answer)
+
+    host.twin.valve.say = garbled  # type: ignore[method-assign]
+    for _ in range(300):
+        report = host.wait(0.01).report()
+        assert (report.opening_mm, report.faults) == (pytest.approx(1.0, abs=0.03), "")
+
+
+def test_a_goal_that_the_servo_did_not_hear_is_told_again() -> None:
+    host = Host()
+    host.twin.healthy = False
+    host.report("open 1.000")
+    host.wait(0.01)
+    host.twin.healthy = True
+    host.until(lambda: host.twin.opening_mm > 0.97, 0.6)
+    assert host.report().faults == ""
+
+
+def test_an_answer_that_looks_like_a_header_is_read_without_its_stuffing() -> None:
+    host = opened(Host())
+    for address, byte in ((123, 0xFF), (124, 0xFF), (125, 0xFD)):
+        host.twin.valve.servo.put(address, 1, byte)
+    report = host.wait(0.1).report()
+    assert (report.opening_mm, report.faults) == (pytest.approx(1.0, abs=0.03), "")
+
+
 def test_the_servos_own_limits_are_the_ends_of_the_map() -> None:
     servo = Host().twin.valve.servo
     assert (servo.get(52, 4), servo.get(48, 4)) == (2048, 2308)

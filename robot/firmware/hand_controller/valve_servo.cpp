@@ -103,21 +103,18 @@ bool ValveServo::set(uint16_t address, int32_t value, uint8_t size) {
   return servo_.write(address, value, size) && servo_.read(address, data, size) && value_of(data, size) == value;
 }
 
-// False where the servo did not answer. One that was without power has forgotten torque and profile.
+// False where the servo did not answer, or is not as it was set up: one that was without power has no torque.
 bool ValveServo::look() {
   uint8_t state[kHardwareError - kTorqueEnable + 1];
-  uint8_t motion[kPresentTemperature - kProfileAcceleration + 1];
+  uint8_t motion[kPresentTemperature - kGoalPosition + 1];
   if (!servo_.read(kTorqueEnable, state, sizeof(state))) return false;
-  if (!servo_.read(kProfileAcceleration, motion, sizeof(motion))) return false;
-  opening_um_ = map_.um_of(value_of(motion + kPresentPosition - kProfileAcceleration, 4));
-  temperature_c_ = motion[kPresentTemperature - kProfileAcceleration];
-  const bool is_as_set_up = state[0] == 1 && state[kHardwareError - kTorqueEnable] == 0 &&
-                            value_of(motion, 4) == kAcceleration &&
-                            value_of(motion + kProfileVelocity - kProfileAcceleration, 4) == velocity_;
+  if (!servo_.read(kGoalPosition, motion, sizeof(motion))) return false;
+  opening_um_ = map_.um_of(value_of(motion + kPresentPosition - kGoalPosition, 4));
+  temperature_c_ = motion[kPresentTemperature - kGoalPosition];
+  const bool is_as_set_up = state[0] == 1 && state[kHardwareError - kTorqueEnable] == 0;
   if (!is_as_set_up) {
-    goal_count_ = map_.at[0].count;
     is_set_up_ = false;
-  } else if (value_of(motion + kGoalPosition - kProfileAcceleration, 4) != goal_count_) {
+  } else if (value_of(motion, 4) != goal_count_) {
     servo_.write(kGoalPosition, goal_count_, 4);
   }
   return is_as_set_up;
