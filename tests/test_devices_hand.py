@@ -191,7 +191,7 @@ def test_the_emergency_stop_ends_a_pulse_and_is_named_until_it_is_released(cell:
 def test_a_stuck_valve_and_a_dead_servo_are_named(cell: Cell, devices: Devices) -> None:
     cell.valve.healthy = False
     wait_for(lambda: (report := devices.hand._controller.report) is not None and report.faults)
-    with pytest.raises(SkillFailed, match=r"servo\.overload: .*does not answer or has shut down"):
+    with pytest.raises(SkillFailed, match=r"hand\.valve_lost: .*does not answer, was without power"):
         devices.hand.set_opening(1.0)
     devices.hand.set_opening(0.0)
     devices.hand.set_vibration(0.0)

@@ -198,7 +198,7 @@ class HandController:
             pause_ms = self._liveness.silent_s * 1000
             self.make_safe()
             self.refused = SkillFailed(
-                Code.DEVICE_LOST, f"the run's tick hung for {pause_ms:.0f} ms; the valve was closed"
+                Code.COMPUTER_BUSY, f"the run's tick hung for {pause_ms:.0f} ms; the valve was closed"
             )
 
     def _greet(self) -> None:

@@ -14,7 +14,7 @@ LONGEST_DWELL_S = 60.0
 FAULTS = {
     "e": "the emergency stop is (or was) pressed",
     "d": "the host was silent for too long and the controller closed the valve",
-    "s": "the valve's servo does not answer or has shut down",
+    "s": "the valve's servo does not answer, was without power, or has shut down",
     "t": "the valve is stuck",
 }
 

@@ -81,8 +81,8 @@ class DynamixelArm:
 
     def start(self, trajectory: Trajectory) -> None:
         """Begin a trajectory that starts where the arm is."""
-        if self._chain.lost is not None:
-            raise self._chain.lost
+        if self._chain.trouble is not None:
+            raise self._chain.trouble
         windows_rad = np.array([state.window_rad for state in self._group.states]).T
         check_trajectory(trajectory, self.positions, windows_rad, is_moving=self._group.is_streaming)
         self._group.move(trajectory)

@@ -12,7 +12,7 @@ SHORTEST_RETURN_DELAY = 0
 WATCHDOG_UNITS = 4
 """BUS_WATCHDOG, 80 ms: a dead host stops the arm in less than 100 ms."""
 
-BLOCK_START = r.BUS_WATCHDOG.address
+BLOCK_START = r.TORQUE_ENABLE.address
 BLOCK_LENGTH = r.PRESENT_TEMPERATURE.address + r.PRESENT_TEMPERATURE.size - BLOCK_START
 """One block of the table holds all that is read in every cycle."""
 
@@ -50,14 +50,14 @@ class AxisState:
     voltage_v: float = 0.0
     temperature_c: int = 0
     moving: bool = False
-    alert: bool = False
+    has_torque: bool = True
+    hardware_error: int = 0
+    """Bits of HARDWARE_ERROR; with any of the shutdown mask it has switched its torque off."""
     tripped: bool = False
     """Its watchdog has stopped it, and it takes no goals."""
     window_rad: tuple[float, float] = (-math.inf, math.inf)
     """The limits in the servo's own memory."""
     temperature_limit_c: int = 80
-    missed: int = 0
-    """Readings in a row that it did not answer."""
     far_since_s: float | None = field(default=None)
     """Since when it has been too far from its goal."""
 
@@ -74,6 +74,8 @@ class AxisState:
         self.voltage_v = value(r.PRESENT_VOLTAGE) / 10
         self.temperature_c = value(r.PRESENT_TEMPERATURE)
         self.moving = bool(value(r.MOVING))
+        self.has_torque = value(r.TORQUE_ENABLE) == 1
+        self.hardware_error = value(r.HARDWARE_ERROR)
         self.tripped = value(r.BUS_WATCHDOG) == r.WATCHDOG_TRIPPED
 
     @property
@@ -131,7 +133,7 @@ def shut_down(axis: Axis, bits: int) -> SkillFailed:
     return SkillFailed(
         Code.SERVO_OVERLOAD,
         f"servo {axis.servo} ({axis.name}) has shut down on {r.hardware_errors(bits)} and holds nothing; "
-        "support the arm, find the cause, and reboot the servo",
+        "support the arm, find the cause, and switch its supply off and on",
     )
 
 
