@@ -29,10 +29,13 @@ class Devices(NamedTuple):
         self.balance.close()
 
 
-def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None = None) -> Devices:
+def connect_cell_devices(
+    spec: CellSpec, clock: Clock, liveness: Liveness | None = None, *, may_torque: bool = True
+) -> Devices:
     """Open everything; SkillFailed device.lost names the port that cannot be, and what to do.
 
-    `liveness` is the pulse of the run's tick; without one, only a dead or stopped process is noticed.
+    `liveness` is the pulse of the run's tick; without one, only a dead or stopped process is noticed. Without
+    `may_torque` an arm that has no torque is refused, as arm.limp.
     The changer is the operator: whoever calls has refused a cell with another one.
     """
     news = Signal()
@@ -41,7 +44,7 @@ def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None
         opened.callback(balance.close)
         arm_group, roller_group = AxisGroup(arm_axes(spec.arm)), AxisGroup([roller_axis(spec.hand)], watched=False)
         chain = ServoChain(bus_of(spec.arm), [arm_group, roller_group], news, liveness)
-        chain.open()
+        chain.open(may_torque=may_torque)
         opened.callback(chain.close)
         controller = HandController(spec.hand, news, liveness)
         controller.open()

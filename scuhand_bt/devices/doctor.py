@@ -6,6 +6,7 @@ through the drivers' own classes; the arm's servos are asked one by one, with th
 
 import math
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from scuhand_bt.devices.dynamixel.bus import BusError, DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import HOT_MARGIN_C
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import VERSION
+from scuhand_bt.devices.liveness import LIMIT_S
 from scuhand_bt.devices.scuhand import roller_axis
 from scuhand_bt.failures import CATALOGUE, Code, SkillFailed
 from scuhand_bt.motion.kinematics import LIMITS_RAD
@@ -42,6 +44,11 @@ TEST_DWELL_S = 0.3
 TEST_VIBRATION = 0.5
 ANSWER_S = 5.0
 FIRST_READING_S = 10.0
+
+LATE_S = 0.02
+"""A thread that is woken later than this once in a hundred times: the goals' own period is 10 ms."""
+WAKINGS = 200
+WAKING_S = 0.005
 
 Health = Literal["ok", "FAIL", "not done"]
 T = TypeVar("T")
@@ -71,6 +78,7 @@ def examine(spec: CellSpec, clock: Clock, *, self_test: bool) -> Iterator[Findin
         ("hand", spec.hand.port, lambda: hand(spec.hand, clock, self_test=self_test)),
         ("balance", spec.balance.port, lambda: balance(spec.balance, clock)),
     )
+    yield computer()
     for device, port, checks in devices:
         there = port_of(device, port)
         yield there
@@ -92,6 +100,21 @@ def port_of(device: str, port: str) -> Finding:
     found = port if may_be_used else f"{port}, which you may not use"
     do = "add yourself to the group that owns it (`sudo usermod -aG dialout $USER`), and log in again"
     return judged(device, "port", found, "one that you may use", may_be_used, do)
+
+
+def computer(sleep: Callable[[float], None] = time.sleep, now: Callable[[], float] = time.monotonic) -> Finding:
+    """Whether this computer keeps time for a second: how late a sleeping thread is woken."""
+    late_s = []
+    for _ in range(WAKINGS):
+        due_s = now() + WAKING_S
+        sleep(WAKING_S)
+        late_s.append(now() - due_s)
+    late_s.sort()
+    usual_s, worst_s = late_s[int(0.99 * WAKINGS) - 1], late_s[-1]
+    found = f"99 of 100 within {1000 * usual_s:.1f} ms, the latest {1000 * worst_s:.1f} ms"
+    expected = f"99 of 100 within {1000 * LATE_S:g} ms, all within {1000 * LIMIT_S:g} ms"
+    do = f"close what else runs here ({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}), or run with `nice -n -5`"
+    return judged("computer", "wakes in time", found, expected, usual_s <= LATE_S and worst_s <= LIMIT_S, do)
 
 
 def servos(spec: CellSpec) -> Iterator[Finding]:

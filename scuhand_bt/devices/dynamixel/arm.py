@@ -67,6 +67,10 @@ class DynamixelArm:
         return self._group.positions_rad
 
     @property
+    def was_limp(self) -> bool:
+        return any(state.was_limp for state in self._group.states)
+
+    @property
     def fault(self) -> SkillFailed | None:
         """What is wrong with the bus now, or ended the last motion early, until the next one begins."""
         return fault_of(self._chain, self._group)

@@ -51,6 +51,8 @@ class AxisState:
     temperature_c: int = 0
     moving: bool = False
     has_torque: bool = True
+    was_limp: bool = False
+    """It had no torque before it was set up."""
     hardware_error: int = 0
     """Bits of HARDWARE_ERROR; with any of the shutdown mask it has switched its torque off."""
     tripped: bool = False
@@ -119,7 +121,7 @@ def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
     bus.write(axis.servo, r.GOAL_POSITION, present)
     bus.write(axis.servo, r.TORQUE_ENABLE, 1)
     bus.write(axis.servo, r.BUS_WATCHDOG, WATCHDOG_UNITS)
-    state = AxisState(axis, position_rad=axis.angle_rad(present))
+    state = AxisState(axis, position_rad=axis.angle_rad(present), was_limp=not held)
     state.temperature_limit_c = bus.read(axis.servo, r.TEMPERATURE_LIMIT)
     if axis.mode == r.POSITION_MODE:
         ends = (bus.read(axis.servo, r.MIN_POSITION_LIMIT), bus.read(axis.servo, r.MAX_POSITION_LIMIT))

@@ -164,13 +164,18 @@ class ServoChain:
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"servos {bus.url}", daemon=True)
 
-    def open(self) -> None:
-        """Open the bus, set up every servo and begin; raises SkillFailed."""
+    def open(self, *, may_torque: bool = True) -> None:
+        """Open the bus, set up every servo and begin; raises SkillFailed.
+
+        `may_torque`: a person has seen to an arm without torque; without that it is refused as arm.limp.
+        """
         try:
             self.bus.open()
         except BusLost as error:
             raise SkillFailed(Code.DEVICE_LOST, why_not_open(self.bus.url, error)) from error
         try:
+            if not may_torque:
+                self._require_torque()
             self._set_up()
         except BusError as error:
             self.bus.close()
@@ -181,6 +186,13 @@ class ServoChain:
             self.bus.close()
             raise
         self._thread.start()
+
+    def _require_torque(self) -> None:
+        with self.bus.patience():
+            without = [axis.name for axis in self._axes if not self.bus.read(axis.servo, r.TORQUE_ENABLE)]
+        if without:
+            what = f"{', '.join(without)} on {self.bus.url} have no torque: see to the arm, and say that it may be held"
+            raise SkillFailed(Code.ARM_LIMP, f"{what} where it is (`resume` at a terminal, or with --yes)")
 
     def close(self) -> None:
         """End the thread. The servos go on holding, with their watchdogs off."""
@@ -234,9 +246,9 @@ class ServoChain:
                 else:
                     self._cycle(dt_s, now_s, read_now)
             except BusError as error:
-                self._lose(f"{self.bus.url}: {error}; check the cable and the supply")
+                self._lose(SkillFailed(Code.DEVICE_LOST, f"{self.bus.url}: {error}; check the cable and the supply"))
             except Exception as error:
-                self._lose(f"the thread of {self.bus.url} has failed: {error!r}")
+                self._lose(SkillFailed(Code.DEVICE_LOST, f"the thread of {self.bus.url} has failed: {error!r}"))
                 raise
             read_now = not read_now
 
@@ -259,7 +271,7 @@ class ServoChain:
             self._write_goals(moving)
         if read_now:
             self._read()
-            if self._has_gone_limp():
+            if self.lost is not None or self._has_gone_limp():
                 return
             if any(state.tripped for state in self._states):
                 self._recover(dt_s)  # the line was silent, though this thread was not: a busy adapter or system
@@ -292,7 +304,8 @@ class ServoChain:
                 state.take(answer.data)
         silent = [state.axis for state in self._states if state.axis.servo not in answers]
         if silent and not answers:
-            self._go_limp(f"no servo on {self.bus.url} answers any more: they have no supply, or the line is broken")
+            what = f"no servo on {self.bus.url} answers any more: they have no supply, or the line is broken"
+            self._lose(SkillFailed(Code.ARM_LIMP, what))
         elif silent:
             raise NoAnswer(f"servo {silent[0].servo} ({silent[0].name}) does not answer")
 
@@ -315,13 +328,11 @@ class ServoChain:
             without = [state for state in self._states if not (state.has_torque or state.hardware_error)]
             if without:
                 names, volts = ", ".join(state.axis.name for state in without), without[0].voltage_v
-                self._go_limp(f"{names} lost torque: the supply was off, or is too weak; now it has {volts:.1f} V")
+                what = f"{names} lost torque: the supply was off, or is too weak; now it has {volts:.1f} V"
+                self.limp = SkillFailed(Code.ARM_LIMP, what)
+                self._freeze(self.limp)
+                self.news.fire()
         return self.limp is not None
-
-    def _go_limp(self, detail: str) -> None:
-        self.limp = SkillFailed(Code.ARM_LIMP, detail)
-        self._freeze(self.limp)
-        self.news.fire()
 
     def _listen(self) -> None:
         """Where limp servos are; nothing is told to them."""
@@ -372,9 +383,10 @@ class ServoChain:
             )
         return None
 
-    def _lose(self, detail: str) -> None:
-        self.lost = SkillFailed(Code.DEVICE_LOST, detail)
-        self._freeze(self.lost)
+    def _lose(self, why: SkillFailed) -> None:
+        """Nothing is heard any more; whether the arm is limp is seen when it is."""
+        self.lost = why
+        self._freeze(why)
         self.bus.close()
         self.news.fire()
 
@@ -409,4 +421,4 @@ def fault_of(chain: ServoChain, group: AxisGroup) -> SkillFailed | None:
     if chain.trouble is not None:
         return chain.trouble
     fault = group.fault
-    return fault if fault is not None and fault.code != Code.DEVICE_LOST else None
+    return fault if fault is not None and fault.code not in (Code.DEVICE_LOST, Code.ARM_LIMP) else None

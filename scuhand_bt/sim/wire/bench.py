@@ -42,6 +42,8 @@ SHUT_MM = 0.01
 SWITCH_S = 0.0005
 """How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
 usual 5 ms a servo would be kept waiting."""
+LATENCY_S = 0.04
+"""A twin on a busy computer answers later than a servo does, and is not to be taken for one without power."""
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
 
 
@@ -210,7 +212,12 @@ class WireBench:
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
         self.spec = spec.model_copy(
             update={
-                "arm": spec.arm.model_copy(update={"port": self.bus.url}),
+                "arm": spec.arm.model_copy(
+                    update={
+                        "port": self.bus.url,
+                        "options": spec.arm.options.model_copy(update={"latency_s": LATENCY_S}),
+                    }
+                ),
                 "hand": spec.hand.model_copy(update={"port": self.hand.url}),
                 # A pseudo-terminal cannot be set to seven bits or parity twice.
                 "balance": spec.balance.model_copy(

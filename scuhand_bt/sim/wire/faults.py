@@ -4,7 +4,8 @@ What happens to powder (a clog, a leak, an empty scoop, a wrong container, a dea
 (a wandering zero, a draught, no stability, overload) come from the world behind the twins; the rest is here.
 """
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 
 from scuhand_bt.sim.faults import FLIPPED, Faults
 from scuhand_bt.sim.hand import SLOW
@@ -12,7 +13,7 @@ from scuhand_bt.sim.wire.balances import BalanceTwin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.sim.wire.servo import OVERLOAD_BIT
+from scuhand_bt.sim.wire.servo import OVERLOAD_BIT, Servo
 
 FAULTY_SERVO = 4
 """The servo that is blocked, hot or overloaded: joint 3."""
@@ -47,8 +48,16 @@ class WireFaults:
             "servo.not_following": lambda on: setattr(servo, "blocked", on),
             "arm.lost": lambda on: bus.unplug() if on else bus.plug(),
             "hand.lost": lambda on: hand.unplug() if on else hand.plug(),
+            "arm.no_power": lambda on: self._supply(bus.twin.servos.values(), is_off=on),
+            "valve.no_power": lambda on: self._supply([board.valve.servo], is_off=on),
             "hand.emergency_stop": lambda on: setattr(board, "emergency_stop", on),
         }
+
+    @staticmethod
+    def _supply(servos: Iterable[Servo], *, is_off: bool) -> None:
+        """Switch the supply of servos off or on; adapters and boards have their own, by USB."""
+        for servo in servos:
+            (servo.cut_power if is_off else servo.restore_power)(time.monotonic())
 
     def apply(self) -> None:
         """Make the twins show what is wrong now."""
