@@ -158,16 +158,16 @@ def test_a_terminal_without_unicode_breaks_nothing(lab_folder: LabFolder) -> Non
 
 
 def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
-    shown = command("plan", "recipes/synthesis_batch.yaml")
+    shown = command("plan", "recipes/synthesis_batch.yaml", "--trials", 0)
     assert shown.returncode == 0
     assert "change powder to monosodium_glutamate" in shown.stdout
-    assert "Sheet swaps: 1. Estimated duration: " in shown.stdout
+    assert "Sheet swaps: 1." in shown.stdout
     change = "change powder to monosodium_glutamate for m-xrd-1"
     assert f"A person is needed at '{change}': swap the sheet (two screws)." in shown.stdout
 
 
 def test_plan_as_json_has_every_job(command: Call) -> None:
-    found = json.loads(command("plan", "recipes/synthesis_batch.yaml", "--json").stdout)
+    found = json.loads(command("plan", "recipes/synthesis_batch.yaml", "--trials", 0, "--json").stdout)
     assert len([job for job in found["jobs"] if job["sample"]]) == 24
     assert found["swaps"] == 1
     assert {source["name"] for source in found["sources"]} == {"beads", "msg"}
@@ -414,7 +414,7 @@ def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(command: Call
 
 
 def test_the_start_of_day_needs_no_powder_and_is_good_in_a_dry_run(command: Call) -> None:
-    assert "put a check weight on the pan" in command("plan", "recipes/start_of_day.yaml").stdout
+    assert "put a check weight on the pan" in command("plan", "recipes/start_of_day.yaml", "--trials", 1).stdout
     ended = command("run", "recipes/start_of_day.yaml", "--dry-run")
     assert ended.returncode == 0, ended.stdout
     assert "1 of 1 samples good" in ended.stdout

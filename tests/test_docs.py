@@ -18,6 +18,7 @@ from scuhand_bt import cli
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.study.vary import read_vary
 from scuhand_bt.tree.check import check_workflows
 
 PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted(REPOSITORY.glob("docs/**/*.md"))]
@@ -107,6 +108,9 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^balance: .*$", text, cell, flags=re.M))
         assert lab_folder.load().cell.balance.limits.usp_41
+    elif kind == "design":
+        vary = lab_folder.write("vary.yaml", text)
+        assert read_vary(vary).changes()
     else:
         assert kind == "notify", "an example of a new kind: say here how it is read"
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")

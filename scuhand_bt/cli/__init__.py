@@ -15,6 +15,7 @@ from scuhand_bt.cli import (
     persons,
     powders,
     report,
+    study,
     watch,
 )
 from scuhand_bt.cli.shared import app, main
@@ -36,5 +37,6 @@ __all__ = [
     "persons",
     "powders",
     "report",
+    "study",
     "watch",
 ]

@@ -28,6 +28,7 @@ from scuhand_bt.cli.shared import (
     the_lab,
 )
 from scuhand_bt.cli.streams import unwatched
+from scuhand_bt.cli.study import WorkersOption, odds_values, tell_odds
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
+    from scuhand_bt.study.odds import Odds
 
 
 HowMuch = Literal["quiet", "lines", "verbose", "picture"]
@@ -241,12 +243,19 @@ def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fal
 
 
 @app.command()
-def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
-    """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
+def plan(
+    recipe: RecipeArgument,
+    trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
+    workers: WorkersOption = None,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show the jobs in their order, what to expect of them by dry runs, and every moment that needs a person."""
     made, loaded = the_plan(recipe, lab)
     notes = _notes(made, loaded, quiet=as_json)
+    odds = _odds(made, loaded, trials, workers) if trials else None
     if as_json:
-        print_json({**_plan_values(made), "notes": notes})
+        print_json({**_plan_values(made), "odds": odds and odds_values(odds), "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):
@@ -271,12 +280,29 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
         powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
     out.print()
     out.print(powders)
-    out.print(f"\nSheet swaps: {made.swaps}. Estimated duration: {format_duration(made.duration_s)}.")
+    if odds is not None:
+        tell_odds(odds, made)
+    rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
+    out.print(f"\nSheet swaps: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
     if all(person.job is None for person in made.persons):
         out.print("After the start no person is needed.")
     for person in made.persons:
-        out.print(Text(f"A person is {person}."))
+        when = odds.began_s.get(person.job or "") if odds is not None else None
+        at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
+        out.print(Text(f"A person is {person}{at}."))
+
+
+def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
+    """By the first seeds, in the background; what fails there by itself says so."""
+    from scuhand_bt.study.odds import odds_of
+    from scuhand_bt.study.pool import all_trials, executor_of
+    from scuhand_bt.study.trial import Setup
+
+    setup = Setup(made.recipe.path.absolute(), loaded.folder.absolute())
+    with executor_of(workers, None) as executor:
+        found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
+    return odds_of(made, [found[setup, seed] for seed in range(trials)])
 
 
 def _plan_values(made: "Plan") -> dict[str, Any]:
