@@ -1,15 +1,18 @@
 """The cell of `robot/cell.yaml`: its stations and obstacles, and the devices on it."""
 
+import re
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     field_validator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from scuhand_bt.quantity import (
     Degrees,
@@ -200,10 +203,24 @@ class BalanceLimits(Spec):
     when_beyond: Literal["refuse", "warn"] = "refuse"
 
 
+BALANCES = ("and", "mt_sics", "sbi", "shimadzu")
+"""The dialects that the engine speaks itself."""
+PLUGGED = re.compile(r"[A-Za-z_]\w*(\.\w+)*:[A-Za-z_]\w*")
+"""`package.module:NAME`: what somebody else's package offers."""
+
+
+def _balance_driver(driver: str) -> str:
+    if driver in BALANCES or PLUGGED.fullmatch(driver):
+        return driver
+    expected = f"{', '.join(map(repr, BALANCES))} or package.module:NAME of a dialect of your own"
+    raise PydanticCustomError("literal_error", "no driver", {"expected": expected})
+
+
 class BalanceSpec(Spec):
     """The balance under the hand."""
 
-    driver: Literal["and", "mt_sics", "sbi", "shimadzu"] = "shimadzu"
+    driver: Annotated[str, AfterValidator(_balance_driver)] = "shimadzu"
+    """A dialect of the engine's by its name, or `package.module:NAME`, a `Dialect` of another package."""
     port: str = ""
     options: BalanceOptions = BalanceOptions()
     readability_mg: Annotated[Milligrams, Positive] = 0.1

@@ -149,6 +149,8 @@ def load_lab(folder: Path) -> Lab:
                 problems.add(vessels.mark, f"'{key}' is missing", "name: {…}, as in the starter lab")
         containers = _load_named(ContainerKind, vessels.get("containers"), problems)
         mortars = _load_named(Mortar, vessels.get("mortars"), problems)
+    if cell is not None:
+        _check_balance_driver(cell, folder, problems)
     library = Library(_load_skills(folder, problems), {}, powders, containers, mortars)
     is_sound = not problems.found
     library.workflows = _load_workflows(folder / "trees", problems)
@@ -159,6 +161,21 @@ def load_lab(folder: Path) -> Lab:
     problems.raise_any()
     assert cell is not None
     return Lab(folder, cell, library)
+
+
+def _check_balance_driver(cell: CellSpec, folder: Path, problems: Problems) -> None:
+    """A balance of somebody else's package is met before anything moves; its module may be the lab's."""
+    if ":" not in cell.balance.driver:
+        return
+    from scuhand_bt.devices.balances import dialect_of
+    from scuhand_bt.devices.plugged import NotPluggable
+
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))  # last, so that it hides nothing
+    try:
+        dialect_of(cell.balance.driver)
+    except NotPluggable as error:
+        problems.add(_mark_of(folder, "balance", "driver"), f"driver {error}")
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:
@@ -327,7 +344,11 @@ def _load_workflows(folder: Path, problems: Problems) -> dict[str, Workflow]:
 
 def cell_mark(lab: Lab, *keys: str) -> Mark:
     """Where a value of the cell's file stands; for one that it leaves out, what would hold it."""
-    node = load(lab.folder / CELL_FILE, "the lab's cell.yaml")
+    return _mark_of(lab.folder, *keys)
+
+
+def _mark_of(folder: Path, *keys: str) -> Mark:
+    node = load(folder / CELL_FILE, "the lab's cell.yaml")
     for key in keys:
         node = (node.get(key) if isinstance(node, Entries) else None) or node
     return node.mark

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, CellSpec
 from scuhand_bt.clock import Clock, Signal
-from scuhand_bt.devices.balances import DIALECTS, SerialBalance
+from scuhand_bt.devices.balances import DIALECTS, SerialBalance, dialect_of
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
@@ -61,6 +61,6 @@ def bus_of(spec: ArmSpec) -> DynamixelBus:
 
 def connect_balance(spec: BalanceSpec, clock: Clock) -> SerialBalance:
     """Open the balance alone; SkillFailed device.lost."""
-    balance = SerialBalance(spec, DIALECTS[spec.driver], clock, DIALECTS.values())
+    balance = SerialBalance(spec, dialect_of(spec.driver), clock, DIALECTS.values())
     balance.open()
     return balance

@@ -17,7 +17,7 @@ from serial.tools import list_ports
 
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec, ChangerSpec, HandSpec
 from scuhand_bt.clock import Clock, Steps, until
-from scuhand_bt.devices.balances import DIALECTS, SerialBalance
+from scuhand_bt.devices.balances import SerialBalance, dialect_of
 from scuhand_bt.devices.connect import bus_of, connect_balance
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import arm_axes
@@ -296,7 +296,7 @@ def _grams(mass_mg: float) -> str:
 
 
 def _identity(spec: BalanceSpec, device: SerialBalance) -> Finding:
-    if not DIALECTS[spec.driver].identify:
+    if not dialect_of(spec.driver).identify:
         return Finding("balance", "identity", "its dialect has none", "", "not done")
     do = "it reads all the same; if there are several balances, be sure that it is the right one"
     return Finding("balance", "identity", device.identity or "no answer", "a serial number", "ok", do)

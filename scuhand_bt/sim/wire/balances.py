@@ -8,6 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+from scuhand_bt.devices.balances import dialect_of
+from scuhand_bt.devices.plugged import NotPluggable, plugged
+
 CRLF = b"\r\n"
 STABLE_TIMEOUT_S = 30.0
 """How long a command that waits for stability does so before the balance gives up."""
@@ -359,3 +362,16 @@ TWINS: dict[str, type[BalanceTwin]] = {
     "shimadzu": ShimadzuTwin,
 }
 """The twins by the driver's name in robot/cell.yaml."""
+
+
+def balance_twin(driver: str) -> type[BalanceTwin]:
+    """The twin of a driver, the engine's or another package's (`Dialect.twin`). NotPluggable where it has none."""
+    if driver in TWINS:
+        return TWINS[driver]
+    name = dialect_of(driver).twin
+    if not name:
+        raise NotPluggable(f"'{driver}' names no twin: it cannot be rehearsed")
+    twin = plugged(name, type)
+    if not issubclass(twin, BalanceTwin):
+        raise NotPluggable(f"'{name}' is no BalanceTwin")
+    return twin

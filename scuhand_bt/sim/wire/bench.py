@@ -26,7 +26,7 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import Plant, load_plant
-from scuhand_bt.sim.wire.balances import TWINS
+from scuhand_bt.sim.wire.balances import balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.faults import WireFaults
 from scuhand_bt.sim.wire.hand import HandTwin
@@ -206,7 +206,7 @@ class WireBench:
         hand = WireHand(spec.hand, clock, board, roller)
         balance = SimulatedBalance(spec.balance, clock, physics)
         self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance, faults)
-        kind = TWINS[spec.balance.driver]
+        kind = balance_twin(spec.balance.driver)
         twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
