@@ -3,6 +3,7 @@
 Sources: `docs/protocols/`. They know nothing of the drivers; what they share is the pan.
 """
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -183,6 +184,10 @@ class AndTwin(BalanceTwin):
         return f"{'ST' if stable else 'US'},{sign}{text.lstrip('-'):0>8}{self.unit:>3}".encode() + CRLF
 
 
+_PRESET = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) g")
+"""What a tare may be set to by `TA`."""
+
+
 class MtSicsTwin(BalanceTwin):
     """MT-SICS levels 0 and 1."""
 
@@ -210,8 +215,9 @@ class MtSicsTwin(BalanceTwin):
         if word in ("ZI", "TI"):
             return self._range(word, now_s) or self._at_once(word, now_s)
         if word == "TA" and rest:
-            value, _, unit = rest.partition(" ")
-            self.tare_mg = float(value) * 1000 if unit == "g" else self.tare_mg
+            if (preset := _PRESET.fullmatch(rest)) is None:
+                return self._say("TA L")  # parameter wrong
+            self.tare_mg = float(preset[1]) * 1000
         answers = {
             "TA": f"TA A {self.displayed(self.tare_mg):>10} {self.unit}",
             "TAC": "TAC A",
