@@ -98,7 +98,7 @@ def test_a_module_of_the_lab_may_be_the_balances(lab_folder: LabFolder) -> None:
 def test_what_cannot_be_plugged_in_is_a_located_problem(lab_folder: LabFolder, driver: str, problem: str) -> None:
     lab_folder.replace("robot/cell.yaml", BALANCE, f'driver: "{driver}"')
     (found,) = lab_folder.problems()
-    assert found.startswith("robot/cell.yaml:5:")
+    assert found.startswith("robot/cell.yaml:6:19: ")
     assert problem in found
 
 
