@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.devices_wires import Figures, Swaying, comes
-from scuhand_bt.cell_spec import ArmSpec
+from scuhand_bt.cell_spec import ArmSpec, HandSpec
 from scuhand_bt.clock import Signal, Wake
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
@@ -197,7 +197,7 @@ def host(bus_url: str, hand_url: str) -> None:
     news, liveness = Signal(), Liveness()
     group = AxisGroup(arm_axes(ArmSpec()))
     ServoChain(DynamixelBus(bus_url), [group], news, liveness).open()
-    hand = HandController(hand_url, news, liveness)
+    hand = HandController(HandSpec(port=hand_url), news, liveness)
     hand.open()
     hand.set_opening(2.0)
     hand.set_vibration(1.0)

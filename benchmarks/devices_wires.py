@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from dynamixel_sdk import COMM_SUCCESS
 
-from scuhand_bt.cell_spec import ArmSpec, BalanceSpec
+from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, HandSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.dynamixel.arm import arm_axes
@@ -180,10 +180,10 @@ def _firmware() -> Figures:
     good = [
         encode(n, command)
         for n, command in enumerate(
-            ("hello 1", "open 1.25", "step 10.5 0.2 1", "vibrate 0.7", "reset", "close", "ping")
+            ("hello 2", "open 1.25", "step 1.05 0.2 1", "vibrate 0.7", "reset", "close", "ping")
         )
     ]
-    data = encode(1, "hello 1") + noise(good, any_byte)
+    data = encode(1, "hello 2") + noise(good, any_byte)
     with tempfile.TemporaryDirectory() as name:
         fuzz = str(Path(name) / "fuzz")
         sources = [*map(str, sorted((FIRMWARE / "hand_controller").glob("*.cpp"))), str(FIRMWARE / "host/fuzz.cpp")]
@@ -288,11 +288,11 @@ def _holds(twin: DynamixelTwin) -> bool:
 def _hand(count: int) -> Figures:
     valve, cycles = HandTwin(FIRMWARE), Cycles(2)
     with TwinServer(valve, PtyPort()) as server:
-        controller = HandController(server.url, reopen_s=0.01)
+        controller = HandController(HandSpec(port=server.url), reopen_s=0.01)
         controller.open()
         for _ in range(count):
             if cycles.rng.random() < 0.5:
-                controller.step(1.2 / controller.mm_per_deg, 5.0, 1.0)
+                controller.step(1.2, 5.0, 1.0)
             else:
                 controller.set_opening(1.2)
                 controller.set_vibration(1.0)

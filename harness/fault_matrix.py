@@ -58,6 +58,8 @@ CODES: Mapping[str, set[str]] = {
     "servo.overload": {"servo.overload"},
     "servo.not_following": {"arm.not_following"},
     "arm.lost": {"device.lost"},
+    "arm.no_power": {"arm.limp"},
+    "valve.no_power": {"hand.valve_lost"},
     "hand.emergency_stop": {"device.emergency_stop"},
     "hand.lost": {"device.lost"},
     "scoop.nothing": {RECOVERS},
@@ -65,7 +67,7 @@ CODES: Mapping[str, set[str]] = {
     "operator.refuses": {"operator.refused"},
 }
 """What a fault may come to: codes, or recovery."""
-CANNOT_CLOSE = "valve.stuck_open"
+CANNOT_CLOSE = ("valve.stuck_open", "valve.no_power")
 
 
 @dataclass(frozen=True)
@@ -148,7 +150,7 @@ def _unsafe(session: Session, fault: str) -> Iterator[str]:
     """What moves, is open or vibrates after the end."""
     hand, arm, world = session.cell.hand, session.cell.arm, session.world
     assert world is not None
-    if world.is_open and fault != CANNOT_CLOSE:
+    if world.is_open and fault not in CANNOT_CLOSE:
         yield "the valve is open"
     if hand.vibration:  # type: ignore[attr-defined]
         yield "the motor vibrates"

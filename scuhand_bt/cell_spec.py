@@ -1,14 +1,18 @@
 """The cell of `robot/cell.yaml`: its stations and obstacles, and the devices on it."""
 
+import re
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     field_validator,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from scuhand_bt.quantity import (
     Degrees,
@@ -97,13 +101,36 @@ MOUNTED_DIAMETER_MM = 90.0
 """Rim of the cone that a mounted sheet begins as, and that loads are carried in (paper, section V: 36° of overlap)."""
 
 
+class ValvePoint(Spec):
+    """Where the valve's servo stands for an opening."""
+
+    count: Annotated[int, Field(ge=0, le=4095)]
+    opening_mm: Annotated[Millimetres, Field(ge=0, le=20)]
+
+
 class HandOptions(Spec):
-    """The roller's servo on the arm's bus, and the sheet as it is mounted."""
+    """The roller's servo on the arm's bus, the valve's servo, and the sheet as it is mounted."""
 
     roller_id: Annotated[int, Field(ge=0, le=252)] = 9
     roller_direction: Direction = 1
     start_diameter_mm: Annotated[Millimetres, Positive] = MOUNTED_DIAMETER_MM
     """Of the cone when the driver connects: of a sheet that has just been mounted (paper, section V)."""
+    valve_map: Annotated[tuple[ValvePoint, ...], Field(min_length=2, max_length=8)] = (
+        ValvePoint(count=2048, opening_mm=0.0),
+        ValvePoint(count=2308, opening_mm=2.4),
+    )
+    """The outlet's opening by the position of the valve's servo, from shut to widest, straight in between; calibrated
+    (default: the rack's own travel, 0.105 mm a degree, as if the outlet opened by what the rack moves)."""
+
+    @model_validator(mode="after")
+    def _valve_map_is_one(self) -> Self:
+        openings = [point.opening_mm for point in self.valve_map]
+        counts = [point.count for point in self.valve_map]
+        if openings[0] != 0.0 or any(b <= a for a, b in pairwise(openings)):
+            raise ValueError("its 'valve_map' goes from an opening of 0 mm upwards")
+        if any((b - a) * (counts[1] - counts[0]) <= 0 for a, b in pairwise(counts)):
+            raise ValueError("the counts of its 'valve_map' all rise or all fall")
+        return self
 
 
 class HandSpec(Spec):
@@ -131,6 +158,13 @@ class HandSpec(Spec):
     def _sheet_makes_the_cone(self) -> Self:
         if self.options.start_diameter_mm >= 2 * self.sheet_radius_mm:
             raise ValueError(f"this sheet makes cones of less than {2 * self.sheet_radius_mm:g} mm")
+        return self
+
+    @model_validator(mode="after")
+    def _valve_map_reaches(self) -> Self:
+        widest_mm = self.options.valve_map[-1].opening_mm
+        if widest_mm < self.max_opening_mm:
+            raise ValueError(f"its 'valve_map' ends at {widest_mm:g} mm, below 'max_opening'")
         return self
 
 
@@ -169,10 +203,24 @@ class BalanceLimits(Spec):
     when_beyond: Literal["refuse", "warn"] = "refuse"
 
 
+BALANCES = ("and", "mt_sics", "sbi", "shimadzu")
+"""The dialects that the engine speaks itself."""
+PLUGGED = re.compile(r"[A-Za-z_]\w*(\.\w+)*:[A-Za-z_]\w*")
+"""`package.module:NAME`: what somebody else's package offers."""
+
+
+def _balance_driver(driver: str) -> str:
+    if driver in BALANCES or PLUGGED.fullmatch(driver):
+        return driver
+    expected = f"{', '.join(map(repr, BALANCES))} or package.module:NAME of a dialect of your own"
+    raise PydanticCustomError("literal_error", "no driver", {"expected": expected})
+
+
 class BalanceSpec(Spec):
     """The balance under the hand."""
 
-    driver: Literal["and", "mt_sics", "sbi", "shimadzu"] = "shimadzu"
+    driver: Annotated[str, AfterValidator(_balance_driver)] = "shimadzu"
+    """A dialect of the engine's by its name, or `package.module:NAME`, a `Dialect` of another package."""
     port: str = ""
     options: BalanceOptions = BalanceOptions()
     readability_mg: Annotated[Milligrams, Positive] = 0.1

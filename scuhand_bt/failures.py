@@ -18,6 +18,8 @@ class Code(StrEnum):
     ARM_JOINT_LIMIT = "arm.joint_limit"
     ARM_IN_THE_WAY = "arm.in_the_way"
     ARM_NOT_FOLLOWING = "arm.not_following"
+    ARM_LIMP = "arm.limp"
+    COMPUTER_BUSY = "computer.busy"
     SERVO_OVERLOAD = "servo.overload"
     DEVICE_LOST = "device.lost"
     DEVICE_BUSY = "device.busy"
@@ -37,6 +39,7 @@ class Code(StrEnum):
     HAND_WRONG_POWDER = "hand.wrong_powder"
     HAND_NO_FLOW = "hand.no_flow"
     HAND_VALVE_STUCK = "hand.valve_stuck"
+    HAND_VALVE_LOST = "hand.valve_lost"
     HAND_LEAK = "hand.leak"
     SCOOP_NOTHING = "scoop.nothing"
     SOURCE_EMPTY = "source.empty"
@@ -104,9 +107,19 @@ CATALOGUE: Mapping[str, Failure] = {
         "Look for what blocks it; check the servos' temperatures and supply.",
         ("devices",),
     ),
+    Code.ARM_LIMP: Failure(
+        "The arm, or the hand's roller, has no torque, or no servo answers any more: its supply is or was off.",
+        "Support the arm, look where the cone's load went, clear the way; switch the supply on, then resume.",
+        ("devices",),
+    ),
+    Code.COMPUTER_BUSY: Failure(
+        "This computer did not give the run its time, and what moved was stopped. Nothing was in the arm's way.",
+        "Close what else runs here, give the run more cores or `nice -n -5`; `scuhand-bt doctor` measures it.",
+        ("devices",),
+    ),
     Code.SERVO_OVERLOAD: Failure(
         "A servo has shut down on overload or heat.",
-        "Free the arm, let it cool, reboot the servo.",
+        "Support the arm, free it, let it cool; switch its supply off and on.",
         ("devices",),
     ),
     Code.DEVICE_LOST: Failure(
@@ -191,6 +204,11 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.HAND_VALVE_STUCK: Failure(
         "The valve does not move; powder may be running out of it.",
         "Hold a vessel under the cone, empty it by hand, and look for powder or a fold of the sheet in the valve.",
+        ("devices",),
+    ),
+    Code.HAND_VALVE_LOST: Failure(
+        "The valve's servo does not answer, was without power, or has shut down; powder may be running out of it.",
+        "Hold a vessel under the cone; check the hand's supply. The valve shuts as soon as its servo has power.",
         ("devices",),
     ),
     Code.HAND_LEAK: Failure(

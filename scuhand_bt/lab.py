@@ -2,6 +2,7 @@
 
 import math
 import os
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -167,10 +168,26 @@ def _with_cell(lab: Lab) -> Lab:
 def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellSpec, Library, bool]:
     """The cell, what stands in it and is used in it, and whether the cell's own file is sound."""
     cell = _load_cell(folder / CELL_FILE, problems, broken)
+    _check_balance_driver(cell, folder, problems)
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
     return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
+
+
+def _check_balance_driver(cell: CellSpec, folder: Path, problems: Problems) -> None:
+    """A balance of somebody else's package is met before anything moves; its module may be the lab's."""
+    if ":" not in cell.balance.driver:
+        return
+    from scuhand_bt.devices.balances import dialect_of
+    from scuhand_bt.devices.plugged import NotPluggable
+
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))  # last, so that it hides nothing
+    try:
+        dialect_of(cell.balance.driver)
+    except NotPluggable as error:
+        problems.add(_mark_of(folder, "balance", "driver"), f"driver {error}", code="bad-value")
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:
@@ -308,7 +325,11 @@ def _load_workflows(folder: Path, problems: Problems, broken: Broken) -> dict[st
 
 def cell_mark(lab: Lab, *keys: str) -> Mark:
     """Where a value of the cell's file stands; for one that it leaves out, what would hold it."""
-    node = load(lab.folder / CELL_FILE, "the lab's cell.yaml")
+    return _mark_of(lab.folder, *keys)
+
+
+def _mark_of(folder: Path, *keys: str) -> Mark:
+    node = load(folder / CELL_FILE, "the lab's cell.yaml")
     for key in keys:
         node = (node.get(key) if isinstance(node, Entries) else None) or node
     return node.mark

@@ -119,7 +119,7 @@ class WiredArmBench(DeviceBench):
         self.server = TwinServer(self.twin, PtyPort())
         self.clock = WallClock()
         self.group = AxisGroup(arm_axes(ArmSpec()))
-        self.chain = ServoChain(DynamixelBus(self.server.url, latency_ms=20.0), [self.group])
+        self.chain = ServoChain(DynamixelBus(self.server.url, latency_ms=40.0), [self.group])
         self.device = DynamixelArm(self.chain, self.group)
 
     @contextmanager
@@ -166,9 +166,9 @@ class WiredHandBench(DeviceBench):
     def open(self) -> "Iterator[WiredHandBench]":
         with self.bus, self.board:
             roller = AxisGroup([roller_axis(self.spec)], watched=False)
-            chain = ServoChain(DynamixelBus(self.bus.url, latency_ms=20.0), [roller])
+            chain = ServoChain(DynamixelBus(self.bus.url, latency_ms=40.0), [roller])
             chain.open()
-            controller = HandController(self.board.url, chain.news)
+            controller = HandController(self.spec, chain.news)
             controller.open()
             self.device = ScuHand(self.spec, controller, chain, roller, self.clock, 90.0)
             yield self

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from device_benches import FIRMWARE, SimulatedHandBench, WiredHandBench
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S, Hello, Report, encode
@@ -267,9 +268,9 @@ class Raced(HandController):
 
     def __init__(self, shut: Report, answer: bytes) -> None:
         self._answer = b""
-        super().__init__("/dev/null")
-        self.hello, self.report = Hello(0, "1.0", 2.4, 0.105), shut
-        self._sequence, self._in_flight, self._begun_s = 1, "step 12.000 30.000 0.000", time.monotonic()
+        super().__init__(HandSpec(port="/dev/null"))
+        self.hello, self.report = Hello(0, "2.0", 2.4), shut
+        self._sequence, self._in_flight, self._begun_s = 1, "step 1.200 30.000 0.000", time.monotonic()
         self._answer = answer
 
     @property

@@ -191,7 +191,7 @@ def test_the_emergency_stop_ends_a_pulse_and_is_named_until_it_is_released(cell:
 def test_a_stuck_valve_and_a_dead_servo_are_named(cell: Cell, devices: Devices) -> None:
     cell.valve.healthy = False
     wait_for(lambda: (report := devices.hand._controller.report) is not None and report.faults)
-    with pytest.raises(SkillFailed, match=r"servo\.overload: .*does not answer or has shut down"):
+    with pytest.raises(SkillFailed, match=r"hand\.valve_lost: .*does not answer, was without power"):
         devices.hand.set_opening(1.0)
     devices.hand.set_opening(0.0)
     devices.hand.set_vibration(0.0)
@@ -326,7 +326,7 @@ def test_an_answer_is_read_with_all_it_says() -> None:
     assert REPORT.why.startswith("the emergency stop")
     refused = decode(encode(18, "no fault closed -0.012 0.000 - 31"))
     assert refused == Report(18, "fault", "closed", -0.012, 0.0, "", 31)
-    assert decode(encode(0, "hello 1 1.0 2.400 0.105")) == Hello(0, "1.0", 2.4, 0.105)
+    assert decode(encode(0, "hello 2 2.0 2.400")) == Hello(0, "2.0", 2.4)
 
 
 @given(st.binary(max_size=80))
@@ -364,8 +364,9 @@ def test_a_killed_host_is_noticed_by_the_controller_and_the_valve_closes(cell: C
     """A process opens the valve through the twin's port and is stopped with SIGSTOP, then killed."""
     script = (
         "import sys, time\n"
+        "from scuhand_bt.cell_spec import HandSpec\n"
         "from scuhand_bt.devices.hand_controller import HandController\n"
-        "hand = HandController(sys.argv[1]); hand.open()\n"
+        "hand = HandController(HandSpec(port=sys.argv[1])); hand.open()\n"
         "hand.set_opening(2.0); hand.set_vibration(1.0)\n"
         "time.sleep(60)\n"
     )

@@ -119,6 +119,10 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^balance: .*$", text, cell, flags=re.M))
         assert lab_folder.load().cell.balance.limits.usp_41
+    elif kind == "hand":
+        cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+        lab_folder.write("robot/cell.yaml", re.sub(r"^hand: .*$", text, cell, flags=re.M))
+        assert [point.count for point in lab_folder.load().cell.hand.options.valve_map] == [2048, 2120, 2330]
     elif kind == "design":
         vary = lab_folder.write("vary.yaml", text)
         assert read_vary(vary).changes()

@@ -112,3 +112,20 @@ def test_a_carousel_has_no_driver() -> None:
     finding = doctor.changer(load_lab(starter_lab()).cell.changer)
     assert finding.verdict == "FAIL"
     assert "driver: operator" in finding.what_to_do
+
+
+@pytest.mark.parametrize(
+    ("late_s", "every", "verdict"),
+    [(0.001, 1, "ok"), (0.03, 200, "ok"), (0.03, 50, "FAIL"), (0.1, 200, "FAIL")],
+)
+def test_a_computer_that_does_not_keep_time_is_told_so(late_s: float, every: int, verdict: str) -> None:
+    now_s, slept = 0.0, 0
+
+    def sleep(duration_s: float) -> None:
+        nonlocal now_s, slept
+        slept += 1
+        now_s += duration_s + (late_s if slept % every == 0 else 0.0)
+
+    found = doctor.computer(sleep, lambda: now_s)
+    assert found.verdict == verdict
+    assert ("nice" in found.what_to_do) == (verdict == "FAIL")

@@ -219,6 +219,15 @@ def test_powder_runs_on_out_of_a_stuck_valve_and_the_arm_stays_where_it_is(tmp_p
     assert ran.session.cell.arm.is_stopped
 
 
+@pytest.mark.parametrize("fault", ["hand.lost", "valve.no_power", "arm.no_power"])
+def test_a_device_that_cannot_be_told_does_not_keep_a_run_that_ends_waiting(tmp_path: Path, fault: str) -> None:
+    ran = run_with(tmp_path, f"fault: {fault}, sample: b")
+    assert ran.result.exit_code == 3
+    assert ran.session.world is not None
+    (account,) = ran.session.world.faults.account()
+    assert ran.result.duration_s - account["came_s"][0] < 4.0
+
+
 def test_a_cone_that_leaks_loses_powder_through_its_shut_valve(tmp_path: Path) -> None:
     ran = run_with(tmp_path, "fault: cone.leak, at: 0 s, for: 30 s")
     sound = dry_run(tmp_path, BATCH, controller="adaptive")
@@ -288,8 +297,10 @@ CODES = {
     "servo.overload": "servo.overload",
     "servo.overheat": "servo.overload",
     "arm.lost": "device.lost",
+    "arm.no_power": "arm.limp",
+    "valve.no_power": "hand.valve_lost",
 }
-TELLING = ("balance.silent", "hand.emergency_stop", "servo.overload")
+TELLING = ("balance.silent", "hand.emergency_stop", "servo.overload", "arm.no_power", "valve.no_power")
 """One of each device; the others are met in CI."""
 
 

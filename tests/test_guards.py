@@ -74,6 +74,8 @@ def guarded(monkeypatch: pytest.MonkeyPatch) -> Guarded:
         ("hand.emergency_stop", "device.emergency_stop"),
         ("hand.lost", "device.lost"),
         ("arm.lost", "device.lost"),
+        ("arm.no_power", "arm.limp"),
+        ("valve.no_power", "hand.valve_lost"),
         ("servo.overheat", "servo.overload"),
         ("servo.overload", "servo.overload"),
     ],

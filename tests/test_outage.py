@@ -259,3 +259,14 @@ def test_a_balance_that_was_off_within_a_dose_stops_it_and_the_resumed_run_weigh
     assert made.resume() == 0
     assert good(made.sample())
     assert made.sample()["dispensed_mg"] == pytest.approx(made.sample()["true_mg"], abs=0.5)
+
+
+@pytest.mark.parametrize(("only", "counts_on"), [("outage.arm_limp", False), ("outage.zero_moved", True)])
+def test_what_was_in_the_cone_of_an_arm_that_was_limp_is_not_counted_on(
+    tmp_path: Path, only: str, counts_on: bool
+) -> None:
+    cut = CutRun(tmp_path, only)
+    cut.cut("dispense", 60)
+    assert cut.resume() == 0
+    assert good(cut.sample())
+    assert (cut.told("returned")[-1]["expected_mg"] > 0.0) == counts_on

@@ -252,3 +252,12 @@ def test_our_driver_reads_the_labmcp_simulators(name: str, module: str, simulato
                 assert carry_out(balance.stable_mean(), clock).value_mg == pytest.approx(10_000.0, abs=0.1)
         finally:
             balance.close()
+
+
+@pytest.mark.parametrize("preset", ["nan g", "inf g", "-1 g", "1e9 g", "1", "1 lb", "g"])
+def test_a_tare_that_is_no_mass_is_refused_and_poisons_nothing(preset: str) -> None:
+    twin = MtSicsTwin(StillPan(1_000.0))
+    assert twin.hear(f"TA {preset}\r\n".encode(), 0.0) == [b"TA L\r\n"]
+    assert twin.hear(b"SI\r\n", 0.1) == [b"S S     1.0000 g\r\n"]
+    assert twin.hear(b"TA 0.25 g\r\n", 0.2) == [b"TA A     0.2500 g\r\n"]
+    assert twin.hear(b"SI\r\n", 0.3) == [b"S S     0.7500 g\r\n"]

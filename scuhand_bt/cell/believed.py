@@ -144,6 +144,11 @@ class Believed:
         """Everything has been let out of the cone."""
         self._set(cone_mg=0.0, cone_source=None, load=Load(), is_load_doubted=False)
 
+    def cone_spilled(self) -> None:
+        """The arm was limp: nobody knows what is left in the cone. Nothing is counted on, and it is let out first."""
+        if self.cone_source is not None:
+            self._set(cone_mg=0.0, is_load_doubted=True)
+
     def returned(self, source: str, mass_mg: float) -> None:
         """So much has come back into a source."""
         self.source_holds(source, self.sources_mg.get(source, 0.0) + _mass(mass_mg))

@@ -73,9 +73,10 @@ def resume(
         for change in found.changes:
             out.print(Text(f"Accepted: {change}."))
         person = the_person(operator, journal.parent.parent, is_asked=options.simulation is None)
-        options = replace(options, person=person)
+        options = replace(options, person=person, may_torque=yes or out.is_terminal)
         if out.is_terminal and options.simulation is None and not yes:
-            typer.confirm("Is the cell as described, and may the run go on?", abort=True)
+            asked = "Is the cell as described, may the arm be held where it is, and may the run go on?"
+            typer.confirm(asked, abort=True)
 
         def make(control: "Control") -> "Session":
             return Session(plan, its_lab, options, control=control, resumes=found)

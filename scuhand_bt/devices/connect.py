@@ -5,14 +5,13 @@ from typing import NamedTuple
 
 from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, CellSpec
 from scuhand_bt.clock import Clock, Signal
-from scuhand_bt.devices.balances import DIALECTS, SerialBalance
+from scuhand_bt.devices.balances import DIALECTS, SerialBalance, dialect_of
 from scuhand_bt.devices.dynamixel.arm import DynamixelArm, arm_axes
 from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis
-from scuhand_bt.failures import Code, SkillFailed
 
 
 class Devices(NamedTuple):
@@ -30,10 +29,13 @@ class Devices(NamedTuple):
         self.balance.close()
 
 
-def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None = None) -> Devices:
+def connect_cell_devices(
+    spec: CellSpec, clock: Clock, liveness: Liveness | None = None, *, may_torque: bool = True
+) -> Devices:
     """Open everything; SkillFailed device.lost names the port that cannot be, and what to do.
 
-    `liveness` is the pulse of the run's tick; without one, only a dead or stopped process is noticed.
+    `liveness` is the pulse of the run's tick; without one, only a dead or stopped process is noticed. Without
+    `may_torque` an arm that has no torque is refused, as arm.limp.
     The changer is the operator: whoever calls has refused a cell with another one.
     """
     news = Signal()
@@ -42,17 +44,11 @@ def connect_cell_devices(spec: CellSpec, clock: Clock, liveness: Liveness | None
         opened.callback(balance.close)
         arm_group, roller_group = AxisGroup(arm_axes(spec.arm)), AxisGroup([roller_axis(spec.hand)], watched=False)
         chain = ServoChain(bus_of(spec.arm), [arm_group, roller_group], news, liveness)
-        chain.open()
+        chain.open(may_torque=may_torque)
         opened.callback(chain.close)
-        controller = HandController(spec.hand.port, news, liveness)
-        hello = controller.open()
+        controller = HandController(spec.hand, news, liveness)
+        controller.open()
         opened.callback(controller.close)
-        if hello.max_opening_mm < spec.hand.max_opening_mm:
-            raise SkillFailed(
-                Code.DEVICE_LOST,
-                f"the hand controller opens its valve up to {hello.max_opening_mm:g} mm, and robot/cell.yaml asks for "
-                f"{spec.hand.max_opening_mm:g} mm; correct `max_opening` of the hand, or its firmware's settings",
-            )
         hand = ScuHand(spec.hand, controller, chain, roller_group, clock, spec.hand.options.start_diameter_mm)
         opened.pop_all()
         return Devices(DynamixelArm(chain, arm_group), hand, balance, None)
@@ -65,6 +61,6 @@ def bus_of(spec: ArmSpec) -> DynamixelBus:
 
 def connect_balance(spec: BalanceSpec, clock: Clock) -> SerialBalance:
     """Open the balance alone; SkillFailed device.lost."""
-    balance = SerialBalance(spec, DIALECTS[spec.driver], clock, DIALECTS.values())
+    balance = SerialBalance(spec, dialect_of(spec.driver), clock, DIALECTS.values())
     balance.open()
     return balance

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Signal
 from scuhand_bt.devices.hand_protocol import SEQUENCES, VERSION, Hello, Report, decode, encode
 from scuhand_bt.devices.liveness import Liveness
@@ -25,26 +26,35 @@ LOST_S = 0.5
 """After this long without any answer the controller is taken for lost."""
 
 
+def map_commands(spec: HandSpec) -> list[str]:
+    """What tells a controller its valve's map, and how fast the valve is to go."""
+    points = spec.options.valve_map
+    told = [f"point {index} {point.count} {point.opening_mm:.3f}" for index, point in enumerate(points)]
+    return [*told, f"map {len(points)} {spec.valve_speed_mm_per_s:.3f}"]
+
+
 class HandController:
-    """The microcontroller at one port. Commands start and return at once; `report` tells how it stands."""
+    """The microcontroller at a hand's port. Commands start and return at once; `report` tells how it stands.
+
+    It is told the valve's map whenever it is greeted: `robot/cell.yaml` is what counts, not what it has kept.
+    """
 
     def __init__(
-        self, url: str, news: Signal | None = None, liveness: Liveness | None = None, reopen_s: float = REOPEN_S
+        self, spec: HandSpec, news: Signal | None = None, liveness: Liveness | None = None, reopen_s: float = REOPEN_S
     ) -> None:
         self.news = news or Signal()
         self.report: Report | None = None
         """The last one; None while the controller is lost."""
         self.hello: Hello | None = None
         """Its greeting; None until it has come, and again after a restart."""
-        self.mm_per_deg = 1.0
-        """Of the valve: its travel for each degree of its servo, as the controller told it."""
         self.trouble: SkillFailed | None = None
         """Why the controller cannot be used now."""
         self.refused: SkillFailed | None = None
         """Why the last step, opening or vibration was not carried out, or not to its end."""
-        self._url = url
+        self._url = spec.port
+        self._map = map_commands(spec)
         self._liveness = liveness or Liveness()
-        self._link = SerialLink(url, FRAMING, self, reopen_s)
+        self._link = SerialLink(spec.port, FRAMING, self, reopen_s)
         self._lock = threading.RLock()
         self._sequence = 0
         self._queue: list[str] = []
@@ -89,11 +99,11 @@ class HandController:
                 self._link.write(encode(self._next_number(), "close"))
         self._link.close()
 
-    def step(self, angle_deg: float, dwell_s: float, vibration: float) -> None:
-        """The paper's step command: open by a valve angle, hold once there, close."""
+    def step(self, opening_mm: float, dwell_s: float, vibration: float) -> None:
+        """The paper's step command: go to an opening, hold once there, close."""
         with self._lock:
             self.refused = None
-            self._queue.append(f"step {angle_deg:.3f} {dwell_s:.3f} {vibration:.3f}")
+            self._queue.append(f"step {opening_mm:.3f} {dwell_s:.3f} {vibration:.3f}")
             self._speak()
 
     def set_opening(self, opening_mm: float) -> None:
@@ -151,7 +161,8 @@ class HandController:
                 return  # noise, or the answer to a command that was given up
             said, self._in_flight = self._in_flight, ""
             if isinstance(answer, Hello):
-                self.hello, self.mm_per_deg, self.trouble = answer, answer.mm_per_deg, None
+                self.hello, self.trouble = answer, None
+                self._queue = [*self._map, *self._queue]
             elif answer.refusal == "hello":
                 self.refused = SkillFailed(Code.DEVICE_LOST, f"the hand controller on {self._url} has restarted")
                 self._greet()
@@ -187,7 +198,7 @@ class HandController:
             pause_ms = self._liveness.silent_s * 1000
             self.make_safe()
             self.refused = SkillFailed(
-                Code.DEVICE_LOST, f"the run's tick hung for {pause_ms:.0f} ms; the valve was closed"
+                Code.COMPUTER_BUSY, f"the run's tick hung for {pause_ms:.0f} ms; the valve was closed"
             )
 
     def _greet(self) -> None:

@@ -1,20 +1,20 @@
-"""The hand controller's line protocol, version 1, as the host speaks it: `docs/protocols/hand_controller.md`.
+"""The hand controller's line protocol, version 2, as the host speaks it: `docs/protocols/hand_controller.md`.
 
 17 open 1.250*3ECE                17 ok open 1.248 0.000 - 31*CD5E
-18 step 12.000 0.350 0.000*5E64   18 no fault closed 0.000 0.000 e 30*5FFC
+18 step 1.200 0.350 0.000*5E64   18 no fault closed 0.000 0.000 e 30*5FFC
 """
 
 import re
 from dataclasses import dataclass
 
-VERSION = 1
+VERSION = 2
 SEQUENCES = 0x10000
 LONGEST_DWELL_S = 60.0
 """Of one step: `kLongestDwellMs` in the firmware, which refuses a longer one."""
 FAULTS = {
     "e": "the emergency stop is (or was) pressed",
     "d": "the host was silent for too long and the controller closed the valve",
-    "s": "the valve's servo does not answer or has shut down",
+    "s": "the valve's servo does not answer, was without power, or has shut down",
     "t": "the valve is stuck",
 }
 
@@ -42,7 +42,7 @@ class Hello:
     sequence: int
     firmware: str
     max_opening_mm: float
-    mm_per_deg: float
+    """By the valve's map that it has kept; 0 where it has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class Report:
 
 
 _NUMBER = rb"(-?\d{1,7}\.\d{3})"
-_HELLO = re.compile(rb"(\d{1,5}) hello 1 ([!-~]{1,12}) " + _NUMBER + rb" " + _NUMBER)
+_HELLO = re.compile(rb"(\d{1,5}) hello %d ([!-~]{1,12}) " % VERSION + _NUMBER)
 _REPORT = re.compile(
     rb"(\d{1,5}) (?:ok|no ([a-z]{1,12})) (closed|closing|moving|open|opening|dwelling) "
     + _NUMBER
@@ -88,7 +88,7 @@ def decode(line: bytes) -> Hello | Report | None:
     if outer is None or int(outer[2], 16) != crc16(outer[1]):
         return None
     if hello := _HELLO.fullmatch(outer[1]):
-        return Hello(int(hello[1]), hello[2].decode(), float(hello[3]), float(hello[4]))
+        return Hello(int(hello[1]), hello[2].decode(), float(hello[3]))
     if report := _REPORT.fullmatch(outer[1]):
         return Report(
             sequence=int(report[1]),

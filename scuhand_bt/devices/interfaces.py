@@ -82,6 +82,11 @@ class Arm(Device, Protocol):
         """Where the joints are now [rad], shape (7,)."""
         ...
 
+    @property
+    def was_limp(self) -> bool:
+        """Whether it had no torque before this program gave it some: what was in the cone may have fallen out."""
+        ...
+
     def start(self, trajectory: Trajectory) -> None:
         """Begin a trajectory that starts where the arm is.
 

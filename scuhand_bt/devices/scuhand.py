@@ -136,8 +136,8 @@ class ScuHand:
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         """Begin to change the cone's size, no faster than the hand's speed and than the roller's servo can."""
         cone, duration_s = self._cone(cone_diameter_mm), checked_duration(duration_s)
-        if self._chain.lost is not None:
-            raise self._chain.lost
+        if self._chain.trouble is not None:
+            raise self._chain.trouble
         begin_rad = float(self._roller.goals_rad[0])
         end_rad = math.radians(cone.roller_deg(self.spec) - self._at_zero_deg)
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
@@ -166,7 +166,7 @@ class ScuHand:
         opening_mm = possible_opening(opening_mm, self.spec)
         dwell_s, vibration = checked_dwell(dwell_s, self.longest_dwell_s), checked_vibration(vibration)
         self._raise_trouble()
-        self._controller.step(opening_mm / self._controller.mm_per_deg, dwell_s, vibration)
+        self._controller.step(opening_mm, dwell_s, vibration)
         deadline_s = self._clock.now_s + dwell_s + MOVE_TIMEOUT_S
         shut = False
         try:
@@ -219,7 +219,7 @@ class ScuHand:
 
 FAULT_CODES = {
     "e": Code.DEVICE_EMERGENCY_STOP,
-    "s": Code.SERVO_OVERLOAD,
+    "s": Code.HAND_VALVE_LOST,
     "t": Code.HAND_VALVE_STUCK,
     "d": Code.DEVICE_LOST,
 }

@@ -107,13 +107,14 @@ def set_up(
     unattended: bool = False,
     world_path: Path | None = None,
     resumed_at_s: float | None = None,
+    may_torque: bool = True,
 ) -> Setup:
     """The cell for a plan, all motions between its places planned (in `motion`, if given); real if no simulation.
 
     `person` is who answers at the run's `terminal`, where one can be asked; `questions` is where others do.
     `world_path` is the file in which a dry run's world outlives the program. `resumed_at_s` is the run time at
     which an interrupted run goes on: a dry run's world is then taken up from its file, and plans are made as they
-    are needed, as they were all found possible before.
+    are needed, as they were all found possible before. Without `may_torque` a real arm that has none is refused.
 
     Raises SourceError for a real run on a cell whose changer has no driver, for a world's file that cannot be taken
     up and for faults that cannot come in this run; SkillFailed arm.* for a way that cannot be planned, device.lost
@@ -135,7 +136,7 @@ def set_up(
         case Rehearsal():
             setup = _rehearsal(plan, lab, simulation, journal, motion, ask)
         case None:
-            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0, ask)
+            setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0, ask, may_torque=may_torque)
     cell = setup.cell
     cell.places_mm = places_of(plan, lab)
     for name, source in plan.recipe.sources.items():
@@ -243,11 +244,13 @@ def _faults(plan: Plan, simulation: Simulation) -> Faults:
     return Faults(simulation.faults.rules, simulation.seed)
 
 
-def _real(plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float, ask: Ask) -> Setup:
+def _real(
+    plan: Plan, lab: Lab, journal: Journal, motion: MotionPlanner, began_s: float, ask: Ask, *, may_torque: bool
+) -> Setup:
     liveness = Liveness()
     clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
-        devices = connect_cell_devices(lab.cell, clock, liveness)
+        devices = connect_cell_devices(lab.cell, clock, liveness, may_torque=may_torque)
         opened.callback(devices.close)
         opened.callback(liveness.end)
         operator = ask(clock)

@@ -32,6 +32,8 @@ class Options:
     """Where the journal goes; the lab's own `.scuhand/runs` if None. What is learnt goes beside it."""
     unattended: bool = False
     """Nobody is at the cell: a plan that needs a person is refused, and no question waits."""
+    may_torque: bool = True
+    """Whoever began or resumed it has seen the arm: if it has no torque, it may be held where it is."""
     person: Person | None = None
     """Who runs it, and answers; the user of the computer if None."""
 

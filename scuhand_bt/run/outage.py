@@ -37,6 +37,8 @@ def settle_outage(journal: Journal, cell: Cell) -> Steps[None]:
         cell.hand.rolled_as_mounted()
     if (bracket := cell.believed.bracket) is not None:
         yield from _settle_container(journal, cell, bracket)
+    if cell.arm.was_limp:
+        cell.believed.cone_spilled()
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,9 @@ from scuhand_bt.tree.substitutes import Substitutes
 
 SAFE_TIMEOUT_S = 20.0
 """How long the cell may take to stand still once it is told to: a carousel's swing takes 6 s, an arm's stop 1 s."""
+UNREACHED_S = 2.0
+"""The same for a device that cannot be told, nor tell that it stands: its own watchdog has long done it by then."""
+UNREACHED = frozenset({Code.DEVICE_LOST, Code.ARM_LIMP, Code.HAND_VALVE_LOST})
 FALL_S = 0.5
 """After everything stands still, what was falling has landed."""
 MAX_SILENCE_S = 3600.0
@@ -214,11 +217,13 @@ class Runner:
     def _still_moving(self) -> str:
         """Wait for all devices to stop; the names of those that have not in time, "" if all have."""
         clock, devices = self._cell.clock, {name: self._cell.device(name) for name in DEVICES}
-        deadline_s = clock.now_s + SAFE_TIMEOUT_S
-        while moving := [name for name, device in devices.items() if not device.is_stopped]:
+        began_s = clock.now_s
+        while moving := {name: device for name, device in devices.items() if not device.is_stopped}:
+            is_reached = any(device.fault is None or device.fault.code not in UNREACHED for device in moving.values())
+            deadline_s = began_s + (SAFE_TIMEOUT_S if is_reached else UNREACHED_S)
             if clock.now_s >= deadline_s:
                 return ", ".join(moving)
-            clock.wait([Wake.on(devices[name].news, min(deadline_s, clock.now_s + 0.1)) for name in moving])
+            clock.wait([Wake.on(device.news, min(deadline_s, clock.now_s + 0.1)) for device in moving.values()])
         return ""
 
 

@@ -132,6 +132,7 @@ class Session:
             terminal=self.control.terminal,
             world_path=world_path(journal.path),
             resumed_at_s=None if history is None else history.time_s,
+            may_torque=options.may_torque,
         )
         self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
         self.liveness = setup.liveness

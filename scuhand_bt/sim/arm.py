@@ -16,6 +16,7 @@ SHUT_DOWN = {
     "servo.overheat": (Code.SERVO_OVERLOAD, "servo 4 (joint 3) has shut down: it is too hot"),
     "servo.overload": (Code.SERVO_OVERLOAD, "servo 4 (joint 3) has shut down on overload"),
     "arm.lost": (Code.DEVICE_LOST, "the servo bus does not answer; check its cable and supply"),
+    "arm.no_power": (Code.ARM_LIMP, "no servo answers any more: they have no supply, or the line is broken"),
 }
 """The faults that stop the arm, and how they show."""
 BLOCKED = "servo.not_following"
@@ -41,6 +42,7 @@ class SimulatedArm:
         self.on_start: Callable[[Trajectory], None] = lambda trajectory: None
         self.faults = Faults()
         """What is wrong with it, in a simulation of faults."""
+        self.was_limp = False
         self._is_blocked = self._was_faulty = False
         self._clock = clock
         self._apex_of = apex_of or (lambda q: apex(q, apex_offset_m))
@@ -128,6 +130,7 @@ class SimulatedArm:
 
     def sink(self, by_rad: float) -> None:
         """Be limp: the shoulder gives way by so much."""
+        self.was_limp = True
         joints = self._rest.copy()
         joints[1] = max(joints[1] - by_rad, LIMITS_RAD[0, 1])
         self._hold(joints)

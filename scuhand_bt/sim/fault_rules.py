@@ -79,6 +79,10 @@ KINDS: Mapping[str, FaultKind] = {
     "servo.overload": FaultKind("A servo of the arm shuts down on overload.", "motion", TO_THE_END, "arm"),
     "servo.not_following": FaultKind("A joint is blocked: the arm does not follow.", "motion", TO_THE_END, "arm"),
     "arm.lost": FaultKind("The servo bus (the arm and the hand's roller) is unplugged.", "motion", TO_THE_END, "arm"),
+    "arm.no_power": FaultKind("The servos' supply is off: arm and roller are limp.", "motion", TO_THE_END, "arm"),
+    "valve.no_power": FaultKind(
+        "The valve's servo has no power: the valve stays as it is.", "opening", TO_THE_END, "valve"
+    ),
     "hand.emergency_stop": FaultKind("The emergency stop is pressed.", "opening", 5.0, "hand"),
     "hand.lost": FaultKind("The hand's controller is unplugged.", "opening", TO_THE_END, "hand"),
     "scoop.nothing": FaultKind("A scoop collects nothing.", "scoop", A_MOMENT, "scoop"),

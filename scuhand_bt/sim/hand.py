@@ -32,6 +32,8 @@ SHUT_MM = 0.01
 """A valve that is this near to shut is shut."""
 SLOW = 0.4
 """Share of its speed that a slow valve has left."""
+NO_ROLLER = frozenset({"arm.lost", "arm.no_power"})
+"""The roller is on the arm's bus, and has its supply."""
 STUCK_S = 2.5
 """A valve that was told to move for this long, in all, and has not, is stuck."""
 DEAD_MAN_S = 0.3
@@ -99,6 +101,8 @@ class SimulatedHand:
             return SkillFailed(Code.DEVICE_EMERGENCY_STOP, "the hand controller: the emergency stop is pressed")
         if "hand.lost" in active:
             return SkillFailed(Code.DEVICE_LOST, "the hand controller does not answer; check its cable and supply")
+        if "valve.no_power" in active:
+            return SkillFailed(Code.HAND_VALVE_LOST, "the hand controller: the valve's servo does not answer")
         if self._blocked_s >= STUCK_S:
             stands = f"it stands at {self._servo_mm:.2f} mm and was told to go to {self._target_mm:.2f} mm"
             return SkillFailed(Code.HAND_VALVE_STUCK, f"the valve does not move: {stands}")
@@ -248,6 +252,8 @@ class SimulatedHand:
         active = self.faults.active
         if not active or way_mm == 0.0:
             return step_mm
+        if "valve.no_power" in active:
+            return 0.0
         if ("valve.stuck_open" if way_mm < 0.0 else "valve.stuck_closed") in active:
             self._blocked_s += dt_s
             return 0.0
@@ -256,14 +262,15 @@ class SimulatedHand:
     def _apply_faults(self, now_s: float) -> None:
         """What the controller does by itself in a fault; and tell of faults that come and go."""
         active = self.faults.active
-        since_s = active.get("hand.emergency_stop", active.get("hand.lost", -math.inf) + DEAD_MAN_S)
+        seizing = [active[name] for name in ("hand.emergency_stop", "valve.no_power") if name in active]
+        since_s = min(seizing, default=active.get("hand.lost", -math.inf) + DEAD_MAN_S)
         if self._seized_s < since_s <= now_s:
             self._seized_s = now_s
             self.shut(now_s)
         if self._was_lost and not self._is_lost:
             self.shut(now_s)  # as a controller does that is greeted anew
         self._was_lost = self._is_lost
-        if "arm.lost" in active:
+        if NO_ROLLER & active.keys():
             self.hold_sheet()
         if not ("valve.stuck_open" in active or "valve.stuck_closed" in active):
             self._blocked_s = 0.0
@@ -281,7 +288,7 @@ class SimulatedHand:
             raise fault
 
     def _require_roller(self) -> None:
-        if "arm.lost" in self.faults.active:
+        if NO_ROLLER & self.faults.active.keys():
             raise SkillFailed(Code.DEVICE_LOST, "the servo bus, which the roller is on, does not answer")
 
     def _turn_to(self, target_mm: float, now_s: float) -> None:

@@ -3,42 +3,37 @@
 #pragma once
 
 #include "protocol.h"
+#include "valve_servo.h"
 
 namespace hand {
 
-constexpr const char* kFirmware = "1.0";
+constexpr const char* kFirmware = "2.0";
 // Silence after which the valve closes and vibration stops. It must begin to move within 300 ms, and takes
 // 60 ms to begin; the host is heard every 30 ms.
 constexpr uint32_t kDeadManMs = 220;
 constexpr uint32_t kStuckMs = 2500;        // a valve that stands still so long before it arrives is stuck
 constexpr int32_t kArrivedUm = 30;         // the valve counts as arrived this near
 constexpr int32_t kLongestDwellMs = 60000;
+constexpr uint32_t kServoPeriodMs = 10;
 
-// What a board is built with; calibrated, and told to the host in the answer to hello.
-struct Settings {
-  int32_t max_opening_um = 2400;
-  int32_t um_per_degree = 105;  // rack and pinion: valve travel for each degree of its servo
-};
-
-// The hardware below.
-class Hardware {
+// The board below.
+class Board {
  public:
-  virtual void move_valve(int32_t opening_um) = 0;
-  virtual int32_t valve_um() = 0;
-  virtual bool valve_is_healthy() = 0;  // its servo answers and has no hardware error
-  virtual int32_t valve_temperature_c() = 0;
   virtual void vibrate(int32_t permille) = 0;
   virtual bool emergency_stop_is_pressed() = 0;
+  // The valve's map, in memory that outlives the power: a board that starts must know where the valve is shut.
+  virtual bool load(ValveMap* map) = 0;  // false if none was stored
+  virtual void store(const ValveMap& map) = 0;
 
  protected:
-  ~Hardware() = default;
+  ~Board() = default;
 };
 
 enum Fault : uint8_t { kEmergencyStop = 1, kDeadMan = 2, kServo = 4, kStuck = 8 };
 
 class Controller {
  public:
-  Controller(Hardware& hardware, const Settings& settings) : hardware_(hardware), settings_(settings) {}
+  Controller(Board& board, Wire& wire) : board_(board), valve_(wire) {}
 
   // Take one line of the host (without its end). True if `reply` now holds the answer.
   bool take(const char* line, size_t length, uint32_t now_ms, LineWriter* reply);
@@ -51,15 +46,20 @@ class Controller {
 
   const char* obey(const Command& command, uint32_t now_ms);
   const char* reset();
+  const char* draft(const int32_t* argument);
+  const char* adopt(const int32_t* argument, uint32_t now_ms);
+  void start(uint32_t now_ms);
   void go_to(int32_t opening_um, uint32_t now_ms);
   void set_vibration(int32_t permille);
   void make_safe(uint32_t now_ms);
+  bool is_told_to_be_safe() const { return target_um_ == 0 && vibration_ == 0; }
   bool has_arrived();
   const char* state();
   void report(uint16_t sequence, const char* refusal, LineWriter* reply);
 
-  Hardware& hardware_;
-  const Settings settings_;
+  Board& board_;
+  ValveServo valve_;
+  ValveMap draft_ = {};  // of the host, until it says that it is whole
   bool started_ = false;
   bool greeted_ = false;
   bool has_last_ = false;
@@ -75,6 +75,7 @@ class Controller {
   uint32_t still_since_ms_ = 0;
   uint32_t dwelling_since_ms_ = 0;
   uint32_t heard_ms_ = 0;
+  uint32_t polled_ms_ = 0;
 };
 
 }  // namespace hand

@@ -17,7 +17,7 @@ uint16_t crc16(const char* text, size_t length) {
 
 namespace {
 
-constexpr int32_t kLargest = 1000000;  // no argument is as large as 1000
+constexpr int32_t kLargest = 10000000;  // no argument is as large as 10000
 
 struct Scanner {
   const char* at;
@@ -45,8 +45,10 @@ struct Scanner {
       }
     }
     if (digits == 0 || places == 0) return false;
-    for (int place = places < 0 ? 0 : places; place < 3; ++place) number *= 10;
-    if (number >= kLargest) return false;
+    for (int place = places < 0 ? 0 : places; place < 3; ++place) {
+      number *= 10;
+      if (number >= kLargest) return false;
+    }
     *value = number;
     return true;
   }
@@ -86,7 +88,7 @@ struct Form {
 constexpr Form kForms[] = {
     {"hello", Verb::kHello, 1}, {"ping", Verb::kPing, 0}, {"open", Verb::kOpen, 1},
     {"vibrate", Verb::kVibrate, 1}, {"close", Verb::kClose, 0}, {"step", Verb::kStep, 3},
-    {"reset", Verb::kReset, 0},
+    {"reset", Verb::kReset, 0}, {"point", Verb::kPoint, 3}, {"map", Verb::kMap, 2},
 };
 
 int hex(char digit) {

@@ -1,4 +1,4 @@
-// The hand controller's line protocol, version 1: see docs/protocols/hand_controller.md.
+// The hand controller's line protocol, version 2: see docs/protocols/hand_controller.md.
 // Plain C++11 without Arduino, heap or floating point: compiled for the board and for the host.
 #pragma once
 
@@ -7,13 +7,13 @@
 
 namespace hand {
 
-constexpr int kProtocolVersion = 1;
+constexpr int kProtocolVersion = 2;
 constexpr size_t kLineLimit = 64;  // the longest line, without its end
 
 // CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, most significant bit first.
 uint16_t crc16(const char* text, size_t length);
 
-enum class Verb : uint8_t { kHello, kPing, kOpen, kVibrate, kClose, kStep, kReset, kUnknown };
+enum class Verb : uint8_t { kHello, kPing, kOpen, kVibrate, kClose, kStep, kReset, kPoint, kMap, kUnknown };
 
 // One command. Numbers are thousandths of what was written: "1.25" mm is 1250, "0.3" s is 300.
 struct Command {

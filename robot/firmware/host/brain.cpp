@@ -1,47 +1,79 @@
-// The controller as a library of the host, with hardware that the caller provides: the twin's brain.
+// The controller as a library of the host, with a line and pins that the caller provides: the twin's brain.
 #include <string.h>
+
+#include <new>
 
 #include "../hand_controller/controller.h"
 
 namespace {
 
-struct Bench : hand::Hardware {
-  int32_t goal_um = 0, opening_um = 0, temperature_c = 25, vibration = 0;
-  bool healthy = true, pressed = false;
+// Sends a packet at a baud rate; returns the length of what came back, at most 128 bytes.
+typedef size_t (*Exchange)(uint32_t baud, const uint8_t* packet, size_t length, uint8_t* answer);
 
-  void move_valve(int32_t um) override { goal_um = um; }
-  int32_t valve_um() override { return opening_um; }
-  bool valve_is_healthy() override { return healthy; }
-  int32_t valve_temperature_c() override { return temperature_c; }
+struct Line : hand::Wire {
+  Exchange exchange;
+  uint32_t baud = 0;
+  uint8_t answer[128];
+  size_t at = 0, end = 0;
+
+  explicit Line(Exchange servo) : exchange(servo) {}
+  void begin(uint32_t rate) override { baud = rate; }
+  void send(const uint8_t* packet, size_t length, size_t) override {
+    at = 0;
+    end = exchange(baud, packet, length, answer);
+  }
+  bool receive(uint8_t* byte) override {
+    if (at == end) return false;
+    *byte = answer[at++];
+    return true;
+  }
+};
+
+struct Pins : hand::Board {
+  int32_t vibration = 0;
+  bool pressed = false;
+  bool has_map = false;
+  hand::ValveMap stored = {};
+
   void vibrate(int32_t permille) override { vibration = permille; }
   bool emergency_stop_is_pressed() override { return pressed; }
+  bool load(hand::ValveMap* map) override {
+    *map = stored;
+    return has_map;
+  }
+  void store(const hand::ValveMap& map) override {
+    stored = map;
+    has_map = true;
+  }
 };
 
 struct Brain {
-  Bench bench;
-  hand::Controller controller{bench, hand::Settings()};
+  Line line;
+  Pins pins;
+  hand::Controller controller{pins, line};
   hand::LineReader reader;
+
+  explicit Brain(Exchange servo) : line(servo) {}
 };
 
 }  // namespace
 
 extern "C" {
 
-void* hand_new() { return new Brain; }
+void* hand_new(Exchange servo) { return new Brain(servo); }
 void hand_delete(void* brain) { delete static_cast<Brain*>(brain); }
 
-// What the hardware tells.
-void hand_sense(void* brain, int32_t opening_um, int32_t temperature_c, bool healthy, bool pressed) {
-  Bench& bench = static_cast<Brain*>(brain)->bench;
-  bench.opening_um = opening_um;
-  bench.temperature_c = temperature_c;
-  bench.healthy = healthy;
-  bench.pressed = pressed;
+// The board's reset: everything is forgotten but what is in its lasting memory.
+void hand_reset(void* brain) {
+  Brain* self = static_cast<Brain*>(brain);
+  self->pins.vibration = 0;
+  self->controller.~Controller();
+  new (&self->controller) hand::Controller(self->pins, self->line);
+  self->reader = hand::LineReader();
 }
 
-// What the hardware is told.
-int32_t hand_goal_um(void* brain) { return static_cast<Brain*>(brain)->bench.goal_um; }
-int32_t hand_vibration(void* brain) { return static_cast<Brain*>(brain)->bench.vibration; }
+void hand_press(void* brain, bool pressed) { static_cast<Brain*>(brain)->pins.pressed = pressed; }
+int32_t hand_vibration(void* brain) { return static_cast<Brain*>(brain)->pins.vibration; }
 
 void hand_tick(void* brain, uint32_t now_ms) { static_cast<Brain*>(brain)->controller.tick(now_ms); }
 

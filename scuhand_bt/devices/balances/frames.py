@@ -77,6 +77,8 @@ class Dialect:
     """Asks for one reading, stable or not; used without, or instead of a refused `stream`."""
     identify: bytes = b""
     """Asks for the serial number; sent first."""
+    twin: str = ""
+    """`package.module:Class` of its twin, a `sim.wire.balances.BalanceTwin`: for rehearsals and conformance."""
 
 
 _NUMBER = re.compile(rb" *([+-]?) *(\d+(?:\.\d*)?|\.\d+)")

@@ -69,6 +69,10 @@ class DynamixelArm:
         return self._group.positions_rad
 
     @property
+    def was_limp(self) -> bool:
+        return any(state.was_limp for state in self._group.states)
+
+    @property
     def fault(self) -> SkillFailed | None:
         """What is wrong with the bus now, or ended the last motion early, until the next one begins."""
         return fault_of(self._chain, self._group)
@@ -83,8 +87,8 @@ class DynamixelArm:
 
     def start(self, trajectory: Trajectory) -> None:
         """Begin a trajectory that starts where the arm is."""
-        if self._chain.lost is not None:
-            raise self._chain.lost
+        if self._chain.trouble is not None:
+            raise self._chain.trouble
         windows_rad = np.array([state.window_rad for state in self._group.states]).T
         check_trajectory(trajectory, self.positions, windows_rad, is_moving=self._group.is_streaming)
         self.on_start(trajectory)

@@ -12,7 +12,7 @@ SHORTEST_RETURN_DELAY = 0
 WATCHDOG_UNITS = 4
 """BUS_WATCHDOG, 80 ms: a dead host stops the arm in less than 100 ms."""
 
-BLOCK_START = r.BUS_WATCHDOG.address
+BLOCK_START = r.TORQUE_ENABLE.address
 BLOCK_LENGTH = r.PRESENT_TEMPERATURE.address + r.PRESENT_TEMPERATURE.size - BLOCK_START
 """One block of the table holds all that is read in every cycle."""
 
@@ -50,14 +50,16 @@ class AxisState:
     voltage_v: float = 0.0
     temperature_c: int = 0
     moving: bool = False
-    alert: bool = False
+    has_torque: bool = True
+    was_limp: bool = False
+    """It had no torque before it was set up."""
+    hardware_error: int = 0
+    """Bits of HARDWARE_ERROR; with any of the shutdown mask it has switched its torque off."""
     tripped: bool = False
     """Its watchdog has stopped it, and it takes no goals."""
     window_rad: tuple[float, float] = (-math.inf, math.inf)
     """The limits in the servo's own memory."""
     temperature_limit_c: int = 80
-    missed: int = 0
-    """Readings in a row that it did not answer."""
     far_since_s: float | None = field(default=None)
     """Since when it has been too far from its goal."""
 
@@ -74,6 +76,8 @@ class AxisState:
         self.voltage_v = value(r.PRESENT_VOLTAGE) / 10
         self.temperature_c = value(r.PRESENT_TEMPERATURE)
         self.moving = bool(value(r.MOVING))
+        self.has_torque = value(r.TORQUE_ENABLE) == 1
+        self.hardware_error = value(r.HARDWARE_ERROR)
         self.tripped = value(r.BUS_WATCHDOG) == r.WATCHDOG_TRIPPED
 
     @property
@@ -117,7 +121,7 @@ def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
     bus.write(axis.servo, r.GOAL_POSITION, present)
     bus.write(axis.servo, r.TORQUE_ENABLE, 1)
     bus.write(axis.servo, r.BUS_WATCHDOG, WATCHDOG_UNITS)
-    state = AxisState(axis, position_rad=axis.angle_rad(present))
+    state = AxisState(axis, position_rad=axis.angle_rad(present), was_limp=not held)
     state.temperature_limit_c = bus.read(axis.servo, r.TEMPERATURE_LIMIT)
     if axis.mode == r.POSITION_MODE:
         ends = (bus.read(axis.servo, r.MIN_POSITION_LIMIT), bus.read(axis.servo, r.MAX_POSITION_LIMIT))
@@ -131,7 +135,7 @@ def shut_down(axis: Axis, bits: int) -> SkillFailed:
     return SkillFailed(
         Code.SERVO_OVERLOAD,
         f"servo {axis.servo} ({axis.name}) has shut down on {r.hardware_errors(bits)} and holds nothing; "
-        "support the arm, find the cause, and reboot the servo",
+        "support the arm, find the cause, and switch its supply off and on",
     )
 
 

@@ -206,8 +206,13 @@ class DynamixelBus:
         head = register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
         self._tell(INST_SYNC_WRITE, head + b"".join(bytes([i]) + register.encode(v) for i, v in values.items()))
 
-    def sync_read(self, servos: Sequence[int], start: int, length: int) -> dict[int, Status]:
-        """A block of the table from several servos, each answering; those that do not are missing."""
+    def sync_read(self, servos: Sequence[int], start: int, length: int, *, again: bool = False) -> dict[int, Status]:
+        """A block of the table from several servos, each answering; those that do not are missing.
+
+        `again`: this was just asked. An answer that comes late to that is as good: no time is spent to throw it away.
+        """
+        if again:
+            self._suspect = None
         answers: dict[int, Status] = {}
         question = start.to_bytes(2, "little") + length.to_bytes(2, "little") + bytes(servos)
         with self._exchange() as port:

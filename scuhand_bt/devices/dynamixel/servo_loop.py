@@ -3,8 +3,10 @@
 Everything moves by streaming: a motion is a function from time to joint angles, sampled in every cycle.
 A stop is a motion too: the one under way tells how it comes to rest along its path (`motion/stopping.py`), and is
 replaced by that. A fault freezes the goals where the servos are. Torque is never dropped: the arm has no brakes.
+An arm that has lost it is limp, and so it stays for this program: it is listened to, and nothing is written any more.
 """
 
+import contextlib
 import threading
 import time
 from collections.abc import Sequence
@@ -40,8 +42,8 @@ RESUME_LIMIT_S = 0.5
 """A motion goes on by itself after a pause of this computer that was shorter."""
 LONGEST_STEP_S = 0.02
 """Of a motion's time in one cycle: after a late one the arm falls behind its time, not off its path."""
-MISSED_LIMIT = 5
-"""Readings in a row (100 ms) that a servo may leave unanswered."""
+LOOKS = 3
+"""Times that a servo is asked, one after the other, before it is taken for silent: known within 100 ms."""
 FAR_LIMIT_S = 0.15
 """How long a servo may be too far from its goal."""
 HOT_MARGIN_C = 5
@@ -154,19 +156,26 @@ class ServoChain:
         self.news = news or Signal()
         self.lost: SkillFailed | None = None
         """Why the bus cannot be used now."""
+        self.limp: SkillFailed | None = None
+        """How the servos were found without torque. Only a person gives it back, by a new run or a resumed one."""
         self._liveness = liveness or Liveness()
         self._reopen_s = reopen_s
         self._fast = True
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"servos {bus.url}", daemon=True)
 
-    def open(self) -> None:
-        """Open the bus, set up every servo and begin; raises SkillFailed."""
+    def open(self, *, may_torque: bool = True) -> None:
+        """Open the bus, set up every servo and begin; raises SkillFailed.
+
+        `may_torque`: a person has seen to an arm without torque; without that it is refused as arm.limp.
+        """
         try:
             self.bus.open()
         except BusLost as error:
             raise SkillFailed(Code.DEVICE_LOST, why_not_open(self.bus.url, error)) from error
         try:
+            if not may_torque:
+                self._require_torque()
             self._set_up()
         except BusError as error:
             self.bus.close()
@@ -177,6 +186,13 @@ class ServoChain:
             self.bus.close()
             raise
         self._thread.start()
+
+    def _require_torque(self) -> None:
+        with self.bus.patience():
+            without = [axis.name for axis in self._axes if not self.bus.read(axis.servo, r.TORQUE_ENABLE)]
+        if without:
+            what = f"{', '.join(without)} on {self.bus.url} have no torque: see to the arm, and say that it may be held"
+            raise SkillFailed(Code.ARM_LIMP, f"{what} where it is (`resume` at a terminal, or with --yes)")
 
     def close(self) -> None:
         """End the thread. The servos go on holding, with their watchdogs off."""
@@ -194,8 +210,17 @@ class ServoChain:
             return  # then the watchdogs stop what they guard, which stands still anyway
 
     @property
+    def trouble(self) -> SkillFailed | None:
+        """Why nothing can be moved now."""
+        return self.limp or self.lost
+
+    @property
     def _axes(self) -> list[Axis]:
         return [axis for group in self.groups for axis in group.axes]
+
+    @property
+    def _states(self) -> list[AxisState]:
+        return [state for group in self.groups for state in group.states]
 
     def _set_up(self) -> None:
         for group in self.groups:
@@ -214,14 +239,16 @@ class ServoChain:
             dt_s, last_s = now_s - last_s, now_s
             due_s = max(due_s + PERIOD_S, now_s)
             try:
-                if self.lost is not None:
+                if self.limp is not None:
+                    self._listen()
+                elif self.lost is not None:
                     self._come_back()
                 else:
                     self._cycle(dt_s, now_s, read_now)
             except BusError as error:
-                self._lose(f"{self.bus.url}: {error}; check the cable and the supply")
+                self._lose(SkillFailed(Code.DEVICE_LOST, f"{self.bus.url}: {error}; check the cable and the supply"))
             except Exception as error:
-                self._lose(f"the thread of {self.bus.url} has failed: {error!r}")
+                self._lose(SkillFailed(Code.DEVICE_LOST, f"the thread of {self.bus.url} has failed: {error!r}"))
                 raise
             read_now = not read_now
 
@@ -234,7 +261,7 @@ class ServoChain:
             pause_ms = self._liveness.silent_s * 1000
             for group in watched:
                 detail = f"the run's tick hung for {pause_ms:.0f} ms; the arm was stopped"
-                group.freeze(SkillFailed(Code.ARM_NOT_FOLLOWING, detail))
+                group.freeze(SkillFailed(Code.COMPUTER_BUSY, detail))
             self._hold()
         for group in moving:
             group.advance(min(dt_s, LONGEST_STEP_S))
@@ -244,7 +271,9 @@ class ServoChain:
             self._write_goals(moving)
         if read_now:
             self._read()
-            if any(state.tripped for group in self.groups for state in group.states):
+            if self.lost is not None or self._has_gone_limp():
+                return
+            if any(state.tripped for state in self._states):
                 self._recover(dt_s)  # the line was silent, though this thread was not: a busy adapter or system
             self._guard(now_s)
             self.news.fire()
@@ -256,7 +285,7 @@ class ServoChain:
                 group.rest()
             elif group.is_streaming:
                 detail = f"this computer paused for {pause_s * 1000:.0f} ms; the servos have stopped"
-                group.freeze(SkillFailed(Code.ARM_NOT_FOLLOWING, detail))
+                group.freeze(SkillFailed(Code.COMPUTER_BUSY, detail))
         self._hold()
 
     def _write_goals(self, groups: Sequence[AxisGroup]) -> None:
@@ -269,32 +298,62 @@ class ServoChain:
 
     def _read(self) -> None:
         answers = self._ask_all([axis.servo for axis in self._axes])
-        for group in self.groups:
-            for state in group.states:
-                answer = answers.get(state.axis.servo)
-                state.missed = 0 if answer else state.missed + 1
-                if answer is not None:
-                    state.take(answer.data)
-                    state.alert = answer.alert
+        for state in self._states:
+            answer = answers.get(state.axis.servo)
+            if answer is not None:
+                state.take(answer.data)
+        silent = [state.axis for state in self._states if state.axis.servo not in answers]
+        if silent and not answers:
+            what = f"no servo on {self.bus.url} answers any more: they have no supply, or the line is broken"
+            self._lose(SkillFailed(Code.ARM_LIMP, what))
+        elif silent:
+            raise NoAnswer(f"servo {silent[0].servo} ({silent[0].name}) does not answer")
 
     def _ask_all(self, servos: list[int]) -> dict[int, Status]:
+        """What the servos answer, asked up to `LOOKS` times."""
         if self._fast:
-            try:
+            with contextlib.suppress(NoAnswer):
                 return self.bus.fast_sync_read(servos, BLOCK_START, BLOCK_LENGTH)
-            except NoAnswer:
-                # One of them is missing, or its firmware is too old for it: ask so that each answers.
-                answers = self.bus.sync_read(servos, BLOCK_START, BLOCK_LENGTH)
-                self._fast = len(answers) < len(servos)
-                return answers
-        return self.bus.sync_read(servos, BLOCK_START, BLOCK_LENGTH)
+        # One of them is missing, or its firmware is too old to answer so: ask so that each answers.
+        answers = self.bus.sync_read(servos, BLOCK_START, BLOCK_LENGTH, again=self._fast)
+        self._fast = self._fast and len(answers) < len(servos)
+        for _ in range(LOOKS - 2):
+            if missing := [servo for servo in servos if servo not in answers]:
+                answers |= self.bus.sync_read(missing, BLOCK_START, BLOCK_LENGTH, again=True)
+        return answers
+
+    def _has_gone_limp(self) -> bool:
+        """One that has shut itself down is no matter of power: it says so."""
+        if self.limp is None:
+            without = [state for state in self._states if not (state.has_torque or state.hardware_error)]
+            if without:
+                names, volts = ", ".join(state.axis.name for state in without), without[0].voltage_v
+                what = f"{names} lost torque: the supply was off, or is too weak; now it has {volts:.1f} V"
+                self.limp = SkillFailed(Code.ARM_LIMP, what)
+                self._freeze(self.limp)
+                self.news.fire()
+        return self.limp is not None
+
+    def _listen(self) -> None:
+        """Where limp servos are; nothing is told to them."""
+        try:
+            if not self.bus.is_open:
+                self.bus.open()
+            answers = self.bus.sync_read([axis.servo for axis in self._axes], BLOCK_START, BLOCK_LENGTH)
+        except BusError:
+            self.bus.close()
+            self._closing.wait(self._reopen_s)
+            return
+        for state in self._states:
+            if (answer := answers.get(state.axis.servo)) is not None:
+                state.take(answer.data)
+        self.news.fire()
 
     def _guard(self, now_s: float) -> None:
         for group in self.groups:
             for state in group.states:
-                if state.missed >= MISSED_LIMIT:
-                    raise NoAnswer(f"servo {state.axis.servo} ({state.axis.name}) does not answer")
                 if fault := self._fault_of(group, state, now_s):
-                    if group.is_streaming or state.alert:
+                    if group.is_streaming or state.hardware_error:
                         group.freeze(fault)
                     else:
                         group.fault = fault  # it stays told to be where it should be
@@ -302,10 +361,10 @@ class ServoChain:
 
     def _fault_of(self, group: AxisGroup, state: AxisState, now_s: float) -> SkillFailed | None:
         axis = state.axis
-        if state.alert:
+        if state.hardware_error:
             if group.fault is not None and group.fault.code == Code.SERVO_OVERLOAD:
                 return None  # said already
-            return shut_down(axis, self.bus.read(axis.servo, r.HARDWARE_ERROR))
+            return shut_down(axis, state.hardware_error)
         off_rad = abs(group.goal_of(axis) - state.position_rad)
         if off_rad <= axis.following_limit_rad:
             state.far_since_s = None
@@ -324,21 +383,31 @@ class ServoChain:
             )
         return None
 
-    def _lose(self, detail: str) -> None:
-        self.lost = SkillFailed(Code.DEVICE_LOST, detail)
-        for group in self.groups:
-            group.freeze(self.lost)
-            for state in group.states:  # nothing more is heard of them: their watchdogs stop them now
-                state.moving, state.velocity_rad_per_s = False, 0.0
+    def _lose(self, why: SkillFailed) -> None:
+        """Nothing is heard any more; whether the arm is limp is seen when it is."""
+        self.lost = why
+        self._freeze(why)
         self.bus.close()
         self.news.fire()
 
+    def _freeze(self, fault: SkillFailed) -> None:
+        for group in self.groups:
+            group.freeze(fault)
+            for state in group.states:  # nothing more may be heard of them: their watchdogs stop them now
+                state.moving, state.velocity_rad_per_s = False, 0.0
+
     def _come_back(self) -> None:
-        """Open the port again and hold, if it is back and all servos are there."""
+        """Open the port again and hold, if it is back and all servos are there, and have held meanwhile."""
         if self._closing.wait(self._reopen_s):
             return
         try:
             self.bus.open()
+            with self.bus.patience():
+                for state in self._states:
+                    state.has_torque = self.bus.read(state.axis.servo, r.TORQUE_ENABLE) == 1
+                    state.hardware_error = self.bus.read(state.axis.servo, r.HARDWARE_ERROR)
+            if self._has_gone_limp():
+                return
             self._set_up()
         except (BusError, SkillFailed):
             self.bus.close()
@@ -348,8 +417,8 @@ class ServoChain:
 
 
 def fault_of(chain: ServoChain, group: AxisGroup) -> SkillFailed | None:
-    """What is wrong with a group now; a bus that has come back is sound again."""
-    if chain.lost is not None:
-        return chain.lost
+    """What is wrong with a group now; a bus that has come back is sound again, one that is limp is not."""
+    if chain.trouble is not None:
+        return chain.trouble
     fault = group.fault
-    return fault if fault is not None and fault.code != Code.DEVICE_LOST else None
+    return fault if fault is not None and fault.code not in (Code.DEVICE_LOST, Code.ARM_LIMP) else None

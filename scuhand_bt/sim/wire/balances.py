@@ -3,10 +3,14 @@
 Sources: `docs/protocols/`. They know nothing of the drivers; what they share is the pan.
 """
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
+
+from scuhand_bt.devices.balances import dialect_of
+from scuhand_bt.devices.plugged import NotPluggable, plugged
 
 CRLF = b"\r\n"
 STABLE_TIMEOUT_S = 30.0
@@ -180,6 +184,10 @@ class AndTwin(BalanceTwin):
         return f"{'ST' if stable else 'US'},{sign}{text.lstrip('-'):0>8}{self.unit:>3}".encode() + CRLF
 
 
+_PRESET = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) g")
+"""What a tare may be set to by `TA`."""
+
+
 class MtSicsTwin(BalanceTwin):
     """MT-SICS levels 0 and 1."""
 
@@ -207,8 +215,9 @@ class MtSicsTwin(BalanceTwin):
         if word in ("ZI", "TI"):
             return self._range(word, now_s) or self._at_once(word, now_s)
         if word == "TA" and rest:
-            value, _, unit = rest.partition(" ")
-            self.tare_mg = float(value) * 1000 if unit == "g" else self.tare_mg
+            if (preset := _PRESET.fullmatch(rest)) is None:
+                return self._say("TA L")  # parameter wrong
+            self.tare_mg = float(preset[1]) * 1000
         answers = {
             "TA": f"TA A {self.displayed(self.tare_mg):>10} {self.unit}",
             "TAC": "TAC A",
@@ -359,3 +368,16 @@ TWINS: dict[str, type[BalanceTwin]] = {
     "shimadzu": ShimadzuTwin,
 }
 """The twins by the driver's name in robot/cell.yaml."""
+
+
+def balance_twin(driver: str) -> type[BalanceTwin]:
+    """The twin of a driver, the engine's or another package's (`Dialect.twin`). NotPluggable where it has none."""
+    if driver in TWINS:
+        return TWINS[driver]
+    name = dialect_of(driver).twin
+    if not name:
+        raise NotPluggable(f"'{driver}' names no twin: it cannot be rehearsed")
+    twin = plugged(name, type)
+    if not issubclass(twin, BalanceTwin):
+        raise NotPluggable(f"'{name}' is no BalanceTwin")
+    return twin

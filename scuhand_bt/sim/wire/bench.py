@@ -26,7 +26,7 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import Plant, load_plant
-from scuhand_bt.sim.wire.balances import TWINS
+from scuhand_bt.sim.wire.balances import balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.faults import WireFaults
 from scuhand_bt.sim.wire.hand import HandTwin
@@ -42,6 +42,8 @@ SHUT_MM = 0.01
 SWITCH_S = 0.0005
 """How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
 usual 5 ms a servo would be kept waiting."""
+LATENCY_S = 0.04
+"""A twin on a busy computer answers later than a servo does, and is not to be taken for one without power."""
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
 
 
@@ -74,9 +76,9 @@ class WireArm(SimulatedArm):
 class WireHand(SimulatedHand):
     """The world's hand: its valve is where the twin's is, its cone what the roller's servo has made of it."""
 
-    def __init__(self, spec: HandSpec, clock: Clock, valve: HandTwin, roller: Servo) -> None:
+    def __init__(self, spec: HandSpec, clock: Clock, board: HandTwin, roller: Servo) -> None:
         super().__init__(spec, clock)
-        self._valve = valve
+        self._board = board
         self._roller = roller
         self._at_zero_deg = Cone(MOUNTED_DIAMETER_MM, spec.sheet_radius_mm).roller_deg(spec) - self._roller_deg
         self._morphed_s = self._closed_s = float("-inf")
@@ -98,8 +100,8 @@ class WireHand(SimulatedHand):
     def advance(self, end_s: float, dt_s: float) -> float:
         """See where the valve and the roller are; the mean real opening [mm] since the last look."""
         self._now_s = end_s
-        self.vibration = self._valve.vibration
-        opening_mm = self._valve.opening_mm if self._valve.opening_mm > SHUT_MM else 0.0
+        self.vibration = self._board.vibration
+        opening_mm = self._board.opening_mm if self._board.opening_mm > SHUT_MM else 0.0
         self._turn_to(opening_mm, end_s)
         self._servo_mm = opening_mm
         before_mm, self._real_mm = self._real_mm, self._gap_mm()
@@ -196,21 +198,26 @@ class WireBench:
         physics = load_plant(plant or spec.plant)
         for source in sources.values():
             physics.probe(source.powder, spec.balance, source.mortar)
-        valve = HandTwin(firmware, spec.hand.valve_speed_mm_per_s, spec.hand.valve_dead_time_s)
+        board = HandTwin(firmware, spec.hand.valve_dead_time_s, spec.hand.options.valve_map)
         *arm_servos, roller = servos = crane_x7()
         self.bus = TwinServer(DynamixelTwin(servos), PtyPort(ports and ports / "arm"))
-        self.hand = TwinServer(valve, PtyPort(ports and ports / "hand"))
+        self.hand = TwinServer(board, PtyPort(ports and ports / "hand"))
         arm = WireArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, arm_servos)
-        hand = WireHand(spec.hand, clock, valve, roller)
+        hand = WireHand(spec.hand, clock, board, roller)
         balance = SimulatedBalance(spec.balance, clock, physics)
         self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance, faults)
-        kind = TWINS[spec.balance.driver]
+        kind = balance_twin(spec.balance.driver)
         twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
         self.spec = spec.model_copy(
             update={
-                "arm": spec.arm.model_copy(update={"port": self.bus.url}),
+                "arm": spec.arm.model_copy(
+                    update={
+                        "port": self.bus.url,
+                        "options": spec.arm.options.model_copy(update={"latency_s": LATENCY_S}),
+                    }
+                ),
                 "hand": spec.hand.model_copy(update={"port": self.hand.url}),
                 # A pseudo-terminal cannot be set to seven bits or parity twice.
                 "balance": spec.balance.model_copy(

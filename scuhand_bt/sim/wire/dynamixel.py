@@ -102,7 +102,7 @@ class DynamixelTwin:
         self, servo_id: int, instruction: int, parameters: bytes, intact: bool, now_s: float
     ) -> Iterator[tuple[float, bytes]]:
         if not intact:
-            if servo_id in self.servos:
+            if self._is_there(servo_id, now_s):
                 yield self._status(self.servos[servo_id], now_s, CRC_ERROR)
             return
         if instruction in (SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ):
@@ -110,15 +110,19 @@ class DynamixelTwin:
         elif instruction in (SYNC_WRITE, BULK_WRITE):
             self._write_many(instruction, parameters, now_s)
         else:
-            for servo in self._addressed(servo_id):
+            for servo in self._addressed(servo_id, now_s):
                 servo.spoken_to(now_s)
                 error, data = self._one(servo, instruction, parameters, now_s)
                 if servo_id != BROADCAST or instruction == PING:
                     yield self._status(servo, now_s, error, data)
 
-    def _addressed(self, servo_id: int) -> list[Servo]:
+    def _addressed(self, servo_id: int, now_s: float) -> list[Servo]:
         ids = self.servos if servo_id == BROADCAST else [servo_id]
-        return [self.servos[i] for i in ids if i in self.servos and i not in self.missing]
+        return [self.servos[i] for i in ids if self._is_there(i, now_s)]
+
+    def _is_there(self, servo_id: int, now_s: float) -> bool:
+        servo = self.servos.get(servo_id)
+        return servo is not None and servo_id not in self.missing and not servo.is_silent(now_s)
 
     def _one(self, servo: Servo, instruction: int, parameters: bytes, now_s: float) -> tuple[int, bytes]:
         """Carry out an instruction to one servo: error number and parameters of its status."""
@@ -162,7 +166,7 @@ class DynamixelTwin:
             ]
         answers = []
         for servo_id, address, size in wanted:
-            if servo_id not in self.servos or servo_id in self.missing:
+            if not self._is_there(servo_id, now_s):
                 break  # each one waits for the one before it
             servo = self.servos[servo_id]
             servo.spoken_to(now_s)
@@ -187,7 +191,7 @@ class DynamixelTwin:
                 items.append((rest[0], int.from_bytes(rest[1:3], "little"), rest[5 : 5 + size]))
                 rest = rest[5 + size :]
         for servo_id, address, data in items:
-            for servo in self._addressed(servo_id):
+            for servo in self._addressed(servo_id, now_s):
                 servo.spoken_to(now_s)
                 servo.write(address, data, now_s)  # an error is not reported: nobody answers a sync write
 

@@ -4,7 +4,8 @@ What happens to powder (a clog, a leak, an empty scoop, a wrong container, a dea
 (a wandering zero, a draught, no stability, overload) come from the world behind the twins; the rest is here.
 """
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 
 from scuhand_bt.sim.faults import FLIPPED, Faults
 from scuhand_bt.sim.hand import SLOW
@@ -12,7 +13,7 @@ from scuhand_bt.sim.wire.balances import BalanceTwin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.sim.wire.servo import OVERLOAD_BIT
+from scuhand_bt.sim.wire.servo import OVERLOAD_BIT, Servo
 
 FAULTY_SERVO = 4
 """The servo that is blocked, hot or overloaded: joint 3."""
@@ -33,22 +34,30 @@ class WireFaults:
         self._faults = faults
         self._bus, self._hand, self._balance = bus, hand, balance
         self._there: dict[str, float] = {}
-        valve, servo = hand.twin, bus.twin.servos[FAULTY_SERVO]
+        board, servo = hand.twin, bus.twin.servos[FAULTY_SERVO]
         self._switches: dict[str, Callable[[bool], None]] = {
             "balance.silent": lambda on: setattr(balance, "paused", on),
             "balance.restarted": lambda on: setattr(balance, "paused", on),
             "balance.garbage": lambda on: setattr(balance.misbehaviour, "drop", MANY * on),
             "balance.bit_flips": lambda on: setattr(balance.misbehaviour, "flip_every", FLIPPED * on),
-            "valve.stuck_open": lambda on: setattr(valve, "can_close", not on),
-            "valve.stuck_closed": lambda on: setattr(valve, "can_open", not on),
-            "valve.slow": lambda on: setattr(valve, "speed_ratio", SLOW if on else 1.0),
+            "valve.stuck_open": lambda on: board.valve.lets(close=not on),
+            "valve.stuck_closed": lambda on: board.valve.lets(open=not on),
+            "valve.slow": lambda on: setattr(board.valve.servo, "speed_ratio", SLOW if on else 1.0),
             "servo.overheat": lambda on: setattr(servo, "temperature_c", servo.table[31] + 1.0 if on else 40.0),
             "servo.overload": lambda on: servo.fail(OVERLOAD_BIT) if on else None,
             "servo.not_following": lambda on: setattr(servo, "blocked", on),
             "arm.lost": lambda on: bus.unplug() if on else bus.plug(),
             "hand.lost": lambda on: hand.unplug() if on else hand.plug(),
-            "hand.emergency_stop": lambda on: setattr(valve, "emergency_stop", on),
+            "arm.no_power": lambda on: self._supply(bus.twin.servos.values(), is_off=on),
+            "valve.no_power": lambda on: self._supply([board.valve.servo], is_off=on),
+            "hand.emergency_stop": lambda on: setattr(board, "emergency_stop", on),
         }
+
+    @staticmethod
+    def _supply(servos: Iterable[Servo], *, is_off: bool) -> None:
+        """Switch the supply of servos off or on; adapters and boards have their own, by USB."""
+        for servo in servos:
+            (servo.cut_power if is_off else servo.restore_power)(time.monotonic())
 
     def apply(self) -> None:
         """Make the twins show what is wrong now."""

@@ -1,4 +1,4 @@
-"""The hand's twin: the real firmware, compiled for this computer, with a valve and a motor that are computed.
+"""The hand's twin: the real firmware, compiled for this computer, on a valve's servo and a motor that are computed.
 
 The brain is `robot/firmware/host/brain.cpp`, built with the C++ compiler that is found (g++, clang++).
 """
@@ -8,10 +8,30 @@ import shutil
 import subprocess
 import tempfile
 import threading
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from scuhand_bt.cell_spec import HandOptions, ValvePoint
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
+from scuhand_bt.sim.wire.servo import XC330, Servo
 
 REPLY_SIZE = 96
+BAUD_RATES = {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+"""Of a servo, by its register 8 (ROBOTIS e-manual)."""
+BAUD_OF_VALVE = 3
+ANSWER_WITHIN_S = 0.002
+"""The longest return delay, and some: the firmware here waits in no time of its own."""
+NOMINAL_MAP = HandOptions().valve_map
+
+Bytes: TypeAlias = "ctypes._Pointer[ctypes.c_uint8]"
+Exchange = ctypes.CFUNCTYPE(
+    ctypes.c_size_t, ctypes.c_uint32, ctypes.POINTER(ctypes.c_uint8), ctypes.c_size_t, ctypes.POINTER(ctypes.c_uint8)
+)
+"""A packet for the valve's servo at a baud rate: what it answers, and how long that is."""
 
 
 class NoCompiler(Exception):  # noqa: N818 - it reads as the sentence it is raised in
@@ -32,15 +52,16 @@ def build_brain(firmware: Path) -> ctypes.CDLL:
         if built.returncode != 0:
             raise NoCompiler(built.stderr)
         brain = ctypes.CDLL(str(library))
-    handle, byte, number = ctypes.c_void_p, ctypes.c_char, ctypes.c_int32
+    handle, byte = ctypes.c_void_p, ctypes.c_char
+    brain.hand_new.argtypes = [Exchange]
     brain.hand_new.restype = handle
-    brain.hand_delete.argtypes = [handle]
-    brain.hand_delete.restype = None
-    brain.hand_sense.argtypes = [handle, number, number, ctypes.c_bool, ctypes.c_bool]
-    brain.hand_sense.restype = None
-    for name in ("hand_goal_um", "hand_vibration"):
+    for name in ("hand_delete", "hand_reset"):
         getattr(brain, name).argtypes = [handle]
-        getattr(brain, name).restype = number
+        getattr(brain, name).restype = None
+    brain.hand_press.argtypes = [handle, ctypes.c_bool]
+    brain.hand_press.restype = None
+    brain.hand_vibration.argtypes = [handle]
+    brain.hand_vibration.restype = ctypes.c_int32
     brain.hand_tick.argtypes = [handle, ctypes.c_uint32]
     brain.hand_tick.restype = None
     brain.hand_feed.argtypes = [handle, byte, ctypes.c_uint32, ctypes.c_char_p]
@@ -48,33 +69,47 @@ def build_brain(firmware: Path) -> ctypes.CDLL:
     return brain
 
 
+class Valve:
+    """The valve's servo on its line, and what the outlet really is at each of its positions."""
+
+    def __init__(self, dead_time_s: float = 0.06, true_map: Sequence[ValvePoint] = NOMINAL_MAP) -> None:
+        points = sorted((point.count, point.opening_mm) for point in true_map)
+        self._counts, self._openings_mm = zip(*points, strict=True)
+        self._rises = true_map[1].count > true_map[0].count
+        self.servo = Servo(1, XC330, float(true_map[0].count), dead_time_s=dead_time_s)
+        self.servo.put(8, 1, BAUD_OF_VALVE)
+        self.line = DynamixelTwin([self.servo])
+
+    @property
+    def opening_mm(self) -> float:
+        return float(np.interp(self.servo.position, self._counts, self._openings_mm))
+
+    def lets(self, *, open: bool | None = None, close: bool | None = None) -> None:
+        """Whether nothing is in the valve's way, as it opens or closes; None leaves that as it is."""
+        up, down = (open, close) if self._rises else (close, open)
+        self.servo.can_rise = self.servo.can_rise if up is None else up
+        self.servo.can_fall = self.servo.can_fall if down is None else down
+
+    def say(self, baud: int, data: bytes, now_s: float) -> bytes:
+        """Tell the servo something; what it answers by now. Nothing, if it listens at another baud rate."""
+        is_understood = BAUD_RATES[self.servo.table[8]] == baud
+        return b"".join(self.line.hear(data if is_understood else b"", now_s))
+
+
 class HandTwin:
     """The controller's board: its firmware, the valve's servo and the vibration motor."""
 
     def __init__(
-        self,
-        firmware: Path,
-        valve_speed_mm_per_s: float = 4.0,
-        valve_dead_time_s: float = 0.06,
+        self, firmware: Path, valve_dead_time_s: float = 0.06, true_map: Sequence[ValvePoint] = NOMINAL_MAP
     ) -> None:
-        self.opening_mm = 0.0
-        self.can_open = self.can_close = True
-        """Whether nothing is in the valve's way."""
-        self.speed_ratio = 1.0
-        """What its speed is of what it should be."""
-        self.healthy = True
+        self.valve = Valve(valve_dead_time_s, true_map)
         self.emergency_stop = False
-        self.temperature_c = 30
         self._brain = build_brain(firmware)
         self._awake = threading.Lock()
         """Held while the firmware runs: it is not taken away under itself."""
-        self._self = self._brain.hand_new()
-        self._speed_mm_per_s = valve_speed_mm_per_s
-        self._dead_time_s = valve_dead_time_s
-        self._goals: list[tuple[float, float]] = []
-        """Goals that the valve has not begun to follow yet, and from when it will."""
-        self._goal_mm = 0.0
-        self._now_s: float | None = None
+        self._exchange = Exchange(self._ask_servo)  # kept: the brain calls it for as long as it lives
+        self._self = self._brain.hand_new(self._exchange)
+        self._now_s = 0.0
 
     def __del__(self) -> None:
         if hasattr(self, "_self"):
@@ -83,45 +118,43 @@ class HandTwin:
     def reboot(self) -> None:
         """The board's reset button: the firmware begins anew, the valve stays where it is."""
         with self._awake:
-            self._brain.hand_delete(self._self)
-            self._self = self._brain.hand_new()
+            self._brain.hand_reset(self._self)
+
+    @property
+    def opening_mm(self) -> float:
+        """What the outlet really is."""
+        return self.valve.opening_mm
 
     @property
     def vibration(self) -> float:
         return int(self._brain.hand_vibration(self._self)) / 1000
 
+    @property
+    def healthy(self) -> bool:
+        """Whether the valve's servo is connected."""
+        return self.valve.servo.id not in self.valve.line.missing
+
+    @healthy.setter
+    def healthy(self, is_connected: bool) -> None:
+        self.valve.line.missing = set() if is_connected else {self.valve.servo.id}
+
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
         """Let the valve move, and the firmware hear and act."""
         with self._awake:
-            return self._hear(data, now_s)
+            self._now_s = now_s
+            self.valve.servo.step(now_s)
+            self._brain.hand_press(self._self, self.emergency_stop)
+            now_ms = int(now_s * 1000) & 0xFFFFFFFF
+            self._brain.hand_tick(self._self, now_ms)
+            buffer = ctypes.create_string_buffer(REPLY_SIZE)
+            replies = []
+            for byte in data:
+                if self._brain.hand_feed(self._self, bytes([byte]), now_ms, buffer):
+                    replies.append(buffer.value)
+            return replies
 
-    def _hear(self, data: bytes, now_s: float) -> list[bytes]:
-        self._move_valve(now_s)
-        self._brain.hand_sense(
-            self._self, round(self.opening_mm * 1000), self.temperature_c, self.healthy, self.emergency_stop
-        )
-        now_ms = int(now_s * 1000) & 0xFFFFFFFF
-        replies = []
-        buffer = ctypes.create_string_buffer(REPLY_SIZE)
-        for byte in data:
-            if self._brain.hand_feed(self._self, bytes([byte]), now_ms, buffer):
-                replies.append(buffer.value)
-        self._brain.hand_tick(self._self, now_ms)
-        self._take_goal(now_s)
-        return replies
-
-    def _take_goal(self, now_s: float) -> None:
-        goal_mm = int(self._brain.hand_goal_um(self._self)) / 1000
-        if goal_mm != (self._goals[-1][1] if self._goals else self._goal_mm):
-            self._goals.append((now_s + self._dead_time_s, goal_mm))
-
-    def _move_valve(self, now_s: float) -> None:
-        dt_s = 0.0 if self._now_s is None else now_s - self._now_s
-        self._now_s = now_s
-        while self._goals and self._goals[0][0] <= now_s:
-            self._goal_mm = self._goals.pop(0)[1]
-        if self.healthy:
-            most_mm = self._speed_mm_per_s * self.speed_ratio * dt_s
-            way_mm = max(-most_mm, min(most_mm, self._goal_mm - self.opening_mm))
-            if self.can_open if way_mm > 0.0 else self.can_close:
-                self.opening_mm += way_mm
+    def _ask_servo(self, baud: int, packet: Bytes, length: int, answer: Bytes) -> int:
+        answered = self.valve.say(baud, bytes(packet[:length]), self._now_s)
+        answered += self.valve.say(baud, b"", self._now_s + ANSWER_WITHIN_S)
+        ctypes.memmove(answer, answered, len(answered))
+        return len(answered)

@@ -22,6 +22,11 @@ LAG_S = 0.015
 """How far the shaft is behind its reference: the position controller's time constant."""
 OVERLOAD_S = 1.0
 AMBIENT_C = 25.0
+BOOT_S = 0.15
+"""From power to the first answer; ours, no source names it."""
+FULL_PWM = 885
+STRAINING_PWM = 0.75 * FULL_PWM
+"""A blocked servo that may use less power than this is not overloaded by it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +40,25 @@ class ServoModel:
     min_voltage: int
     max_voltage: int
     firmware: int = 46
+    friction: int = 0
+    """What its gears hold against, as P gain times counts: so far off its goal it stands without an I gain."""
 
 
 XM430 = ServoModel(1020, 200, 1193, 80, 95, 160)
 XM540 = ServoModel(1120, 128, 2047, 80, 95, 160)
-XC330 = ServoModel(1220, 320, 910, 70, 55, 140)
+XC330 = ServoModel(1220, 320, 910, 70, 55, 140, friction=4000)
 
 
 class Servo:
     """A servo with a shaft that turns in time. Positions are counts, 4096 a turn."""
 
     def __init__(
-        self, servo_id: int, kind: ServoModel = XM430, position: float = 2048.0, window: tuple[int, int] = (0, 4095)
+        self,
+        servo_id: int,
+        kind: ServoModel = XM430,
+        position: float = 2048.0,
+        window: tuple[int, int] = (0, 4095),
+        dead_time_s: float = 0.0,
     ):
         self.id = servo_id
         self.kind = kind
@@ -54,8 +66,11 @@ class Servo:
         self.velocity = 0.0
         """Counts per second."""
         self.temperature_c = AMBIENT_C
-        self.blocked = False
-        """Something holds the shaft."""
+        self.can_rise = self.can_fall = True
+        """Whether nothing holds the shaft, as its count rises and falls."""
+        self.speed_ratio = 1.0
+        """What its speed is of what it should be."""
+        self.is_powered = True
         self.table = bytearray(TABLE_SIZE)
         self.registered: tuple[int, bytes] | None = None
         self._reference = position
@@ -63,6 +78,12 @@ class Servo:
         self._stepped_s: float | None = None
         self._spoken_to_s = 0.0
         self._loaded_s = 0.0
+        self._boots_until_s = float("-inf")
+        self._dead_time_s = dead_time_s
+        """From a goal to the first motion after it."""
+        self._goal = position
+        self._goals: list[tuple[float, float]] = []
+        """Goals that it has not begun to follow yet, and from when it will."""
         self._factory_settings(window)
 
     def _factory_settings(self, window: tuple[int, int]) -> None:
@@ -70,7 +91,7 @@ class Servo:
         for address, size, value in (
             (0, 2, kind.number), (6, 1, kind.firmware), (7, 1, self.id), (8, 1, 5), (9, 1, 250), (11, 1, 3),
             (13, 1, 2), (31, 1, kind.temperature_limit), (32, 2, kind.max_voltage), (34, 2, kind.min_voltage),
-            (36, 2, 885), (38, 2, kind.current_limit), (44, 4, kind.velocity_limit), (48, 4, window[1]),
+            (36, 2, FULL_PWM), (38, 2, kind.current_limit), (44, 4, kind.velocity_limit), (48, 4, window[1]),
             (52, 4, window[0]), (63, 1, 52), (68, 1, 2), (144, 2, 120),
         ):  # fmt: skip
             self.put(address, size, value)
@@ -80,7 +101,13 @@ class Servo:
         self.table[EEPROM_END : PRESENT[0]] = bytes(PRESENT[0] - EEPROM_END)
         self.put(68, 1, 2)
         self.put(84, 2, 800)
+        self.put(100, 2, self.get(36, 2))
         self.put(116, 4, round(self.position))
+        self._stand()
+
+    def _stand(self) -> None:
+        """Be where it is, whatever it was told."""
+        self._goals, self._goal = [], self.position
         self._reference, self._reference_velocity = self.position, 0.0
 
     def get(self, address: int, size: int, signed: bool = False) -> int:
@@ -115,7 +142,10 @@ class Servo:
         if self.table[11] != mode_before:
             self._mode_changed()
         if self.table[64] and not torque_before:
-            self._torque_on()
+            self._reference, self._reference_velocity = self.position, 0.0
+            self._goals = [(now_s, float(self.get(116, 4, signed=True)))]
+        elif address <= 116 < address + len(data):
+            self._goals.append((now_s + self._dead_time_s, float(self.get(116, 4, signed=True))))
         return NO_ERROR
 
     def _refusal(self, address: int, data: bytes) -> int:
@@ -150,8 +180,14 @@ class Servo:
         self.put(108, 4, 0)
         self.put(112, 4, 0)
 
-    def _torque_on(self) -> None:
-        self._reference, self._reference_velocity = self.position, 0.0
+    @property
+    def blocked(self) -> bool:
+        """Something holds the shaft."""
+        return not (self.can_rise or self.can_fall)
+
+    @blocked.setter
+    def blocked(self, is_held: bool) -> None:
+        self.can_rise = self.can_fall = not is_held
 
     def spoken_to(self, now_s: float) -> None:
         """A valid instruction has come for this servo: feeds its watchdog."""
@@ -164,6 +200,21 @@ class Servo:
         self._loaded_s = 0.0
         self._volatile_settings()
         self._stepped_s = now_s
+        self._boots_until_s = now_s + BOOT_S
+
+    def cut_power(self, now_s: float) -> None:
+        """The supply is gone: the shaft stays where it is, as far as the gears hold it."""
+        self.step(now_s, force=True)
+        self.is_powered, self.velocity = False, 0.0
+
+    def restore_power(self, now_s: float) -> None:
+        """The supply is there again."""
+        self.is_powered = True
+        self.reboot(now_s)
+
+    def is_silent(self, now_s: float) -> bool:
+        """It has no power, or has not begun yet."""
+        return not self.is_powered or now_s < self._boots_until_s
 
     def fail(self, bit: int) -> None:
         """A hardware error; those that the shutdown mask names take the torque away."""
@@ -186,8 +237,8 @@ class Servo:
         self._stepped_s = now_s
         self._watch(now_s)
         before = self.position
-        if self.has_torque and not self.blocked:
-            self._follow(dt_s)
+        if self.has_torque and self.is_powered:
+            self._follow(now_s, dt_s)
         self.velocity = (self.position - before) / dt_s
         self._heat(dt_s)
 
@@ -195,13 +246,15 @@ class Servo:
         units = self.get(98, 1, signed=True)
         if units > 0 and self.has_torque and now_s - self._spoken_to_s > units * 0.02:
             self.put(98, 1, -1)
-            self._reference, self._reference_velocity = self.position, 0.0
+            self._stand()
             self.put(116, 4, round(self.position))
 
-    def _follow(self, dt_s: float) -> None:
+    def _follow(self, now_s: float, dt_s: float) -> None:
         """The reference goes to the goal within the profile, and the shaft after the reference."""
-        goal = float(self.get(116, 4, signed=True))
-        top = self._counts_per_s(self.get(112, 4) or self.kind.velocity_limit)
+        while self._goals and self._goals[0][0] <= now_s:
+            self._goal = self._goals.pop(0)[1]
+        goal = self._goal
+        top = self.speed_ratio * self._counts_per_s(self.get(112, 4) or self.kind.velocity_limit)
         acceleration = self.get(108, 4) * 214.577 / 3600 * 4096
         if not self.get(112, 4):
             self._reference = goal  # no profile: the controller sees the step
@@ -215,7 +268,10 @@ class Servo:
             move = self._reference_velocity * dt_s
             self._reference = goal if abs(move) >= abs(left) and move * left >= 0 else self._reference + move
         error = self._reference - self.position
-        most = self._counts_per_s(self.kind.velocity_limit) * dt_s
+        most = self.speed_ratio * self._counts_per_s(self.kind.velocity_limit) * dt_s
+        holds = not self.get(82, 2) and abs(error) * self.get(84, 2) < self.kind.friction
+        if holds or not (self.can_rise if error > 0 else self.can_fall):
+            return
         self.position += max(-most, min(most, error * (1.0 - math.exp(-dt_s / LAG_S))))
 
     @staticmethod
@@ -223,8 +279,9 @@ class Servo:
         return velocity_register * 0.229 / 60 * 4096
 
     def _heat(self, dt_s: float) -> None:
-        error = self.get(116, 4, signed=True) - self.position
-        strained = self.has_torque and self.blocked and abs(error) > 20
+        error = self._goal - self.position
+        held = abs(error) > 20 and not (self.can_rise if error > 0 else self.can_fall)
+        strained = self.has_torque and held and self.get(100, 2) > STRAINING_PWM
         self.put(126, 2, round(math.copysign(self.kind.current_limit if strained else 40, error)) * self.has_torque)
         self._loaded_s = self._loaded_s + dt_s if strained else 0.0
         self.temperature_c += ((40.0 if strained else 0.0) - (self.temperature_c - AMBIENT_C) / 60) * dt_s / 10

@@ -1,0 +1,1 @@
+"""What a device of your own has to pass: `scuhand_bt.testing.conformance`."""
