@@ -40,40 +40,29 @@ class SkillFacts:
     """It moves the arm to a station of the kind `park`."""
     asks: bool
     """It asks a person (`cell.operator`)."""
-    places: bool = False
+    places: bool
     """It puts a container on the pan (`cell.believed.placed`)."""
-    hovers: bool = False
+    hovers: bool
     """It goes to the place over a container (`over_balance`)."""
 
 
 def facts_of(skill: type[Skill[Any]], tree: ast.Module, shared: Iterable[str]) -> SkillFacts:
     """The facts of a skill by its file; `shared` are the codes of the files that skills of this lab share."""
-    uses_shared = any(isinstance(node, ast.ImportFrom) and node.level for node in ast.walk(tree))
-    raised = {*raised_codes(tree, ""), *skill.raises, *skill.failures, *(shared if uses_shared else ())}
-    called = {node.func.attr for node in ast.walk(tree) if _is_method(node)}  # type: ignore[attr-defined]
-    hovers = "arm" in skill.devices and any(isinstance(n, ast.Name) and n.id == OVER for n in ast.walk(tree))
-    parks = any(
-        _is_method(node) and any(isinstance(a, ast.Constant) and a.value == PARK for a in node.args)  # type: ignore[attr-defined]
-        for node in ast.walk(tree)
-    )
+    nodes = list(ast.walk(tree))
+    calls = [node for node in nodes if isinstance(node, ast.Call)]
+    methods = {node.func.attr for node in calls if isinstance(node.func, ast.Attribute)}
+    uses_shared = any(isinstance(node, ast.ImportFrom) and node.level for node in nodes)
+    # `station_of_kind("park")`, or kinds of stations in turn, and it is the last of them.
+    asked = [node.args for node in calls if isinstance(node.func, ast.Attribute)]
+    in_turn = [node.elts[-1:] for node in nodes if isinstance(node, ast.Tuple)]
     return SkillFacts(
-        frozenset(raised),
-        "tared" in called,
-        parks or _compares_to_park(tree),
-        "ask" in called,
-        "placed" in called,
-        hovers,
+        raised=frozenset({*raised_codes(tree, ""), *skill.raises, *skill.failures, *(shared if uses_shared else ())}),
+        tares="tared" in methods,
+        parks=any(isinstance(one, ast.Constant) and one.value == PARK for each in (*asked, *in_turn) for one in each),
+        asks="ask" in methods,
+        places="placed" in methods,
+        hovers="arm" in skill.devices and any(isinstance(node, ast.Name) and node.id == OVER for node in nodes),
     )
-
-
-def _is_method(node: ast.AST) -> bool:
-    return isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
-
-
-def _compares_to_park(tree: ast.Module) -> bool:
-    """It goes through kinds of stations, and `park` is the last of them."""
-    kinds = (n.elts[-1] for n in ast.walk(tree) if isinstance(n, ast.Tuple) and n.elts)
-    return any(isinstance(last, ast.Constant) and last.value == PARK for last in kinds)
 
 
 def codes_of(skill: type[Skill[Any]], facts: SkillFacts | None) -> frozenset[str]:
