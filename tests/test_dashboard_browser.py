@@ -1,6 +1,7 @@
 """The dashboard in a real browser: a run watched from its start to its end, answered, paused and played again."""
 
 import math
+import queue
 import re
 import threading
 from collections.abc import Iterator
@@ -51,9 +52,11 @@ def going_on(folder: Path, speed: float | None) -> Iterator[tuple[Client, Sessio
     recipe.write_text(RECIPE.replace("workflow: fill", "workflow: asking") + HEAD, encoding="utf-8")
     lab = load_lab(lab_folder)
     plan = make_plan(load_recipe(recipe, lab), lab)
-    session = Session(plan, lab, Options(DryRun(speed=speed, asks=True), None, lab_folder / ".scuhand" / "runs"))
+    made: queue.SimpleQueue[Session] = queue.SimpleQueue()
 
-    def run() -> None:
+    def run() -> None:  # all in one thread, to which its journal belongs
+        session = Session(plan, lab, Options(DryRun(speed=speed, asks=True), None, lab_folder / ".scuhand" / "runs"))
+        made.put(session)
         try:
             session.run(BatchObserver())
         finally:
@@ -62,6 +65,7 @@ def going_on(folder: Path, speed: float | None) -> Iterator[tuple[Client, Sessio
     thread = threading.Thread(target=run)
     with serving(lab_folder / ".scuhand") as client:
         thread.start()
+        session = made.get(timeout=60)
         try:
             yield client, session, thread
         finally:
