@@ -18,7 +18,7 @@ from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
+from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
@@ -94,7 +94,7 @@ class Cell:
 
     def apex(self) -> ApexPose:
         """The pose of the cone's apex now."""
-        return apex(self.arm.positions, self.spec.hand.apex_offset_mm / 1000)
+        return apex(self.arm.positions, Mount.of(self.spec.hand, self.hand.cone_diameter_mm))
 
     def aside_of_pan_mm(self) -> float:
         """How far the cone's apex is from the middle of the pan, seen from above."""

@@ -26,7 +26,7 @@ from scuhand_bt.motion import explain, transfer
 from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
-from scuhand_bt.motion.kinematics import ApexPose, Floats, checked_joints
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, checked_joints
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
@@ -71,11 +71,10 @@ class MotionPlanner:
         self.urdf = urdf
         arm = Arm(urdf)
         self._cell = cell
-        self._offset_m = cell.hand.apex_offset_mm / 1e3
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
-        self._places = Places(self._scenes, self.rates, self._offset_m)
+        self._places = Places(self._scenes, self.rates, cell.hand)
         self._plans: dict[Request, StoppableTrajectory] = {}
         self._carries: dict[Request, StoppableTrajectory] = {}
 
@@ -139,7 +138,7 @@ class MotionPlanner:
     ) -> JointTrajectory:
         """The empty cone's motion, slowed until it keeps the load; or one of the load's own, if that is quicker."""
         empty = self._kept(begin, goals, name, None, effort)
-        factor = spill_stretch(empty, self._offset_m, spill_limit_deg) or math.inf
+        factor = spill_stretch(empty, self._mount, spill_limit_deg) or math.inf
         if factor > EMPTY_WILL_DO:
             steps_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
             try:
@@ -208,23 +207,27 @@ class MotionPlanner:
         scene = self.scene(CLOSE_MARGIN_M, touching)
         if not waypoints:
             return self._stoppable(standing(begin))
-        motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._offset_m, spill_limit_deg)
+        motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(motion)
+
+    @property
+    def _mount(self) -> Mount:
+        """How the hand holds the cone of the present geometry."""
+        return Mount.of(self._cell.hand, 1e3 * self._geometry.cone_diameter_m)
 
     # Within -----------------------------------------------------------------------------------------
 
     def _stoppable(self, motion: JointTrajectory) -> StoppableTrajectory:
-        return StoppableTrajectory(motion, self.rates, self._offset_m)
+        return StoppableTrajectory(motion, self.rates, self._mount)
 
     def _resolved(self, start: Floats, goal: str | ApexPose) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
         begin = self._places.settled(checked_joints(start), self._geometry)
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
-        goals = solutions(goal, self._offset_m)
+        goals = solutions(goal, self._mount)
         if not len(goals):
-            explain.require_reachable(goal, "the pose", self._offset_m)
-        goals[:, 6] = begin[6]
+            explain.require_reachable(goal, "the pose", self._mount)
         return begin, goals, f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
 
     def _posture(self, place: str) -> Floats:
@@ -245,7 +248,7 @@ class MotionPlanner:
             raise explain.goal_blocked(scene, name, goals)
         if np.abs(ranked.free[0] - begin).max() < 1e-9:
             return standing(begin)
-        task = transfer.Task(begin, ranked, scene, self.rates, self._offset_m, spill_limit_deg)
+        task = transfer.Task(begin, ranked, scene, self.rates, self._mount, spill_limit_deg)
         motion = transfer.plan(task, effort, _seed(_request(begin, goals, self._geometry, spill_limit_deg)))
         if motion is None:
             raise SkillFailed(Code.ARM_NO_PATH, f"no way to {name} was found that is free and keeps its limits")

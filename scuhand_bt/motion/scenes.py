@@ -47,8 +47,7 @@ class Scenes:
         return self._scenes[key]
 
     def _made(self, geometry: Geometry, margin_m: float, touching: str | None) -> Scene:
-        hand = self._cell.hand
-        shapes = self._arm.with_sheet(hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3, geometry.cone_diameter_m)
+        shapes = self._arm.with_sheet(self._cell.hand, [1e3 * geometry.cone_diameter_m])
         solids, touchable = self._solids(geometry, touching)
         return Scene(self._arm, shapes, solids, margin_m, touchable)
 

@@ -24,6 +24,7 @@ from scuhand_bt.devices.arguments import (
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.sim.faults import Faults
 
 FADE_MM = 0.2
@@ -77,6 +78,7 @@ class SimulatedHand:
         self._commands: deque[tuple[float, float]] = deque()  # (run time it takes effect, servo target)
         self._morph: tuple[float, float, float, float] | None = None  # start, end [s], from, to [mm]
         self._moved = False
+        self._mount: tuple[float, Mount] | None = None
         self.use_randomness(np.random.default_rng(0))
 
     # --- what skills and drivers see ---
@@ -167,6 +169,13 @@ class SimulatedHand:
             self.vibration = level
 
     # --- what the world does with it ---
+
+    def mount(self) -> Mount:
+        """How it holds its cone now."""
+        diameter_mm = self.cone_diameter_mm
+        if self._mount is None or self._mount[0] != diameter_mm:
+            self._mount = diameter_mm, Mount.of(self.spec, diameter_mm)
+        return self._mount[1]
 
     @property
     def is_active(self) -> bool:
