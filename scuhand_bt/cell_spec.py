@@ -127,6 +127,7 @@ class HandSpec(Spec):
     options: HandOptions = HandOptions()
     sheet_radius_mm: Annotated[Millimetres, Field(gt=45, le=500)] = 50.0
     """More than half of the cone that a mounted sheet begins as, 90 mm (paper, section V)."""
+    sheet_thickness_mm: Annotated[Millimetres, Positive] = 0.2
     roller_deg_per_mm: Annotated[float, Field(gt=0)] = 11.46
     """Roller angle per millimetre of sheet along the rim; calibrated (default: a 10 mm roller)."""
     morph_speed_mm_per_s: Annotated[MillimetresPerSecond, Positive] = 20.0

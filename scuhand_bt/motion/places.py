@@ -11,7 +11,7 @@ from scuhand_bt.motion.explain import goal_blocked, require_reachable
 from scuhand_bt.motion.inverse import finest, solutions
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount
 from scuhand_bt.motion.scenes import Geometry, Scenes
-from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
+from scuhand_bt.motion.timelaw import RateLimits
 
 RELAXED_RAD = (-0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
 """j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""

@@ -31,6 +31,7 @@ from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
+from scuhand_bt.motion.stroke import StrokePoses, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
@@ -119,9 +120,14 @@ class MotionPlanner:
         self._geometry = present
 
     def move(
-        self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None, effort: Effort = LIVE
+        self,
+        start: Floats,
+        goal: str | ApexPose | Floats,
+        *,
+        spill_limit_deg: float | None = None,
+        effort: Effort = LIVE,
     ) -> StoppableTrajectory:
-        """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
+        """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
         if spill_limit_deg is None:
             return self._kept(begin, goals, name, None, effort)
@@ -210,6 +216,17 @@ class MotionPlanner:
         motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(motion)
 
+    def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
+        """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
+
+        Eight columns: the joints, and the roller. `rims_mm` are the first, some in between, and the last. SkillFailed
+        arm.unreachable, arm.no_path.
+        """
+        scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
+        mount = Mount.of(self._cell.hand, rims_mm[0])
+        rates = with_roller(self.rates, self._cell.hand)
+        return StoppableTrajectory(stroke_motion(checked_joints(near), poses, scene, rates, mount), rates, mount)
+
     @property
     def _mount(self) -> Mount:
         """How the hand holds the cone of the present geometry."""
@@ -220,9 +237,11 @@ class MotionPlanner:
     def _stoppable(self, motion: JointTrajectory) -> StoppableTrajectory:
         return StoppableTrajectory(motion, self.rates, self._mount)
 
-    def _resolved(self, start: Floats, goal: str | ApexPose) -> tuple[Floats, Floats, str]:
+    def _resolved(self, start: Floats, goal: str | ApexPose | Floats) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
         begin = self._places.settled(checked_joints(start), self._geometry)
+        if isinstance(goal, np.ndarray):
+            return begin, checked_joints(goal)[None, :], "the stroke's beginning"
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
         goals = solutions(goal, self._mount)
