@@ -76,6 +76,9 @@ class Scoop(Skill[Milligrams]):
             yield from cell.move_to(loaded.station)
             yield from empty_into(cell, loaded)
         self._require_clean(cell)
+        if believed.cone_mg > 0.0:  # it would fall out of a cone that swings
+            yield from cell.move_to(source.station)
+            yield from empty_into(cell, source)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
@@ -85,7 +88,10 @@ class Scoop(Skill[Milligrams]):
         yield from cell.hand.morph(stroke.open_mm)
         yield from cell.make_stroke(motion)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
-        return self._believe(cell, stroke, motion.duration_s, in_mortar_mg)
+        held_mg = self._believe(cell, stroke, motion.duration_s, in_mortar_mg)
+        yield from cell.move_to(source.station)
+        yield from cell.form_upright(MOUNTED_DIAMETER_MM)
+        return held_mg
 
     def settle(self, cell: Cell) -> Steps[None]:
         """Out of the mortar, straight up; what the cone may hold goes back into it, so that nothing is unknown."""
@@ -127,7 +133,6 @@ class Scoop(Skill[Milligrams]):
             open_mm=_on_grid(stroke.open_mm),
             closed_mm=_on_grid(stroke.closed_mm),
             begin_mm=_on_grid(stroke.begin_mm),
-            carried_mm=MOUNTED_DIAMETER_MM,
             over_travel_mm=over_travel_mm if in_mortar_mg < PRESSED_BELOW_MG else 0.0,
             lip_speed_mm_per_s=self.speed_mm_per_s,
         )

@@ -161,6 +161,10 @@ class Cell:
         """To where a stroke begins, and along it: arm and roller in one motion, and if either fails both rest."""
         trajectory = self._planner().move(self.arm.positions, motion.start[:JOINTS])
         yield from self._follow(trajectory)
+        yield from self._together(motion)
+
+    def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
+        """Arm and roller along a motion of both."""
         arm = self.arm.follow(of_arm(motion))
         self.hand.start_rolling(of_roller(motion))
         is_over = False
@@ -174,6 +178,11 @@ class Cell:
             arm.close()
             if not is_over:
                 self.hand.stop()
+
+    def form_upright(self, diameter_mm: float) -> Steps[None]:
+        """Give the cone another size where it stands upright: the arm turns the handle, so that it stays upright."""
+        motion = self._planner().reform(self.arm.positions, diameter_mm)
+        yield from self._together(motion)
 
     def _planner(self) -> "MotionPlanner":
         """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""

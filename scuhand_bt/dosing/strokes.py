@@ -24,8 +24,9 @@ WIDEST_SHARE = 0.92
 """Of the bore, or of the flat sheet: the widest rim that a stroke begins with."""
 CLOSING_MM = 12.0
 """How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
-NARROWEST_MM = 46.0
-WIDTHS, BEGINS = 5, 6
+NARROWEST_SHARE = 0.75
+"""Of the widest rim, the narrowest that a stroke begins with."""
+WIDTHS, BEGINS = 4, 8
 """How many rims, and how many places to begin, are looked at."""
 
 
@@ -34,10 +35,10 @@ def strokes(mortar: Mortar, sheet_radius_mm: float, bed_mm: float) -> Iterator[S
     widest_mm = WIDEST_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
     behind_mm = _along_wall_mm(mortar, bed_mm / 2) + BED_GAP_MM
     for k in range(WIDTHS):
-        open_mm = widest_mm + (NARROWEST_MM - widest_mm) * k / (WIDTHS - 1)
+        open_mm = widest_mm * (1 - (1 - NARROWEST_SHARE) * k / (WIDTHS - 1))
         for n in range(BEGINS):
             begin_mm = -behind_mm + 1.6 * behind_mm * n / (BEGINS - 1)
-            yield Stroke(open_mm, max(NARROWEST_MM - CLOSING_MM, open_mm - CLOSING_MM), begin_mm)
+            yield Stroke(open_mm, open_mm - CLOSING_MM, begin_mm)
 
 
 def expected_mg(stroke: Stroke, mortar: Mortar, in_mortar_mg: float, bulk_density_mg_per_mm3: float) -> float:

@@ -16,7 +16,7 @@ of 48.75 mm. A flatter attack is possible only as long as the apex is still abov
 the one that is asked for, or as much more as keeps the apex and the rest of the sheet clear of the vessel.
 
 A stroke enters along its first generator, swings its lip along the wall to the edge, turns upright about its apex,
-rising where the handle meets the edge, and rises out, opening to the rim that loads are carried in. The seam, the
+rising where the handle meets the edge, and rises out. The seam, the
 slit's generator, lies opposite the lip, and the handle continues it. docs/scoop.md has the drawings.
 
 Frame: origin at the vessel's lowest point, z up; lengths in mm, angles in deg where a name says so.
@@ -35,6 +35,8 @@ from scuhand_bt.dosing.vessel import Vessel
 
 Floats = NDArray[np.float64]
 
+TURN_RAD_PER_S = 1.2
+"""Of axis and handle: slower than powder is thrown."""
 APEX_CLEAR_MM = 3.0
 """The apex is never nearer to the vessel than this."""
 LIP_GAP_MM = 0.1
@@ -80,8 +82,6 @@ class Stroke:
     open_mm: float
     closed_mm: float
     begin_mm: float
-    carried_mm: float | None = None
-    """What the rim opens to again, the cone upright, while it rises out of the vessel."""
     attack_deg: float = 22.0
     heading_deg: float = 0.0
     over_travel_mm: float = 0.0
@@ -166,7 +166,7 @@ def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
 
     ValueError for rims that the sheet cannot make.
     """
-    rims_mm = (stroke.open_mm, stroke.closed_mm, stroke.carried_mm or stroke.closed_mm)
+    rims_mm = (stroke.open_mm, stroke.closed_mm)
     if not 0 < min(rims_mm) <= max(rims_mm) < 2 * ladle.slant_mm:
         raise ValueError(
             f"a sheet of {ladle.slant_mm:g} mm makes no rims of {', '.join(f'{rim_mm:g}' for rim_mm in rims_mm)}"
@@ -318,12 +318,8 @@ class _Flat:
                 pose = _Pose((along_mm, up_mm), float(tilt), last.rim_mm)
             poses.append(pose)
         top_mm = max(self._vessel.depth_mm + OVER_EDGE_MM, up_mm)
-        carried_mm = last.rim_mm if self._stroke.carried_mm is None else self._stroke.carried_mm
         for share in np.linspace(0.0, 1.0, RISING)[1:].tolist():
-            rim_mm = last.rim_mm + (carried_mm - last.rim_mm) * share
-            poses.append(_Pose((along_mm, up_mm + (top_mm - up_mm) * share), 0.0, rim_mm))
-        if not all(self._clear(pose, with_handle=True) for pose in poses[-RISING:]):
-            raise NoStrokeError(f"a rim of {carried_mm:g} mm cannot be opened over the vessel's edge")
+            poses.append(_Pose((along_mm, up_mm + (top_mm - up_mm) * share), 0.0, last.rim_mm))
         return poses
 
     # What is clear ----------------------------------------------------------------------------------
@@ -378,14 +374,18 @@ def _in_space(poses: list[_Pose], stroke: Stroke, ladle: Ladle) -> StrokePath:
 
 
 def _times_s(poses: list[_Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladle) -> Floats:
-    """Each step as quick as the slowest of lip, apex, and the sheet's edge."""
+    """Each step as quick as the slowest of lip, apex, axis, and the sheet's edge."""
     apex_mm = np.array([pose.apex_mm for pose in poses])
     rims_mm = np.array([pose.rim_mm for pose in poses])
+    half_rad = np.arcsin(rims_mm / (2 * ladle.slant_mm))
+    tilts_rad = np.array([pose.tilt_rad for pose in poses])
     ways_mm = np.maximum(
         np.linalg.norm(np.diff(lip_mm, axis=0), axis=1), np.linalg.norm(np.diff(apex_mm, axis=0), axis=1)
     )
-    steps_s = np.maximum(
-        ways_mm / stroke.lip_speed_mm_per_s, math.pi * np.abs(np.diff(rims_mm)) / ladle.edge_speed_mm_per_s
+    turns_rad = np.maximum(np.abs(np.diff(tilts_rad)), np.abs(np.diff(tilts_rad - half_rad)))
+    edge_mm = math.pi * np.abs(np.diff(rims_mm))
+    steps_s = np.maximum.reduce(
+        [ways_mm / stroke.lip_speed_mm_per_s, turns_rad / TURN_RAD_PER_S, edge_mm / ladle.edge_speed_mm_per_s]
     )
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps_s, 1e-3))])
 

@@ -46,8 +46,8 @@ class Scenes:
             self._scenes[key] = self._made(geometry, margin_m, None)
         return self._scenes[key]
 
-    def of_stroke(self, geometry: Geometry, rims_mm: Sequence[float], station: str, margin_m: float) -> Scene:
-        """The scene of a stroke at a station, in which the cone has each of these rims."""
+    def of_stroke(self, geometry: Geometry, rims_mm: Sequence[float], station: str | None, margin_m: float) -> Scene:
+        """The scene of a stroke at a station, or of none, in which the cone has each of these rims."""
         return self._made(geometry, margin_m, station, rims_mm)
 
     def _made(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: Sequence[float] = ()) -> Scene:
