@@ -287,9 +287,7 @@ def carrying(bench: Bench, tasks: list[Task], limit_deg: float, effort: transfer
             plan_ms.append((time.process_time() - begin_s) * 1e3)
         ratios.append(motion.duration_s / bench.planner.move(task.start, task.goal, effort=effort).duration_s)
         times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / 0.001))
-        angles = spill_angles_deg(
-            *apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), MOUNT)
-        )
+        angles = spill_angles_deg(*apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), MOUNT))
         worst_deg = max(worst_deg, float(angles.max()))
     return {
         "limit_deg": round(limit_deg, 2),

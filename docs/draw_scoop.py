@@ -11,14 +11,17 @@ from scuhand_bt.dosing.vessel import Vessel
 DOCS = Path(__file__).parent
 SCALE = 4.0
 STYLE = """
-text { font: 13px system-ui, 'DejaVu Sans', sans-serif; fill: #1f2328 } .it { font-style: italic } .large { font-size: 30px }
-.paper { fill: #ffffff } .vessel { fill: #d5d9df } .powder { fill: #e8cf9a } .cone { stroke: #2f6fb2; stroke-width: 2.2 }
+text { font: 13px system-ui, 'DejaVu Sans', sans-serif; fill: #1f2328 }
+.it { font-style: italic } .large { font-size: 30px }
+.paper { fill: #ffffff } .vessel { fill: #d5d9df } .powder { fill: #e8cf9a }
+.cone { stroke: #2f6fb2; stroke-width: 2.2 }
 .handle { stroke: #59636e; stroke-width: 5; stroke-linecap: round } .thin { stroke: #8b949e; stroke-width: 1 }
 .axis { stroke: #c2410c; stroke-width: 1.3; stroke-dasharray: 5 3 } .lip { fill: #2f6fb2 } .apex { fill: #c2410c }
 .cone, .handle, .thin, .axis { fill: none }
 @media (prefers-color-scheme: dark) {
 text { fill: #e6edf3 } .paper { fill: #0d1117 } .vessel { fill: #30363d } .powder { fill: #7d6a3c }
-.cone { stroke: #6cb6ff } .lip { fill: #6cb6ff } .handle { stroke: #9aa4af } .axis { stroke: #f0883e } .apex { fill: #f0883e }
+.cone { stroke: #6cb6ff } .lip { fill: #6cb6ff } .handle { stroke: #9aa4af }
+.axis { stroke: #f0883e } .apex { fill: #f0883e }
 }
 """
 MORTAR = Vessel.bowl(90.0, 30.0, 115.0)
@@ -66,6 +69,7 @@ class Drawing:
 
 
 def vessel(drawing: Drawing, one: Vessel, shift_mm: float = 0.0) -> None:
+    """Cut through the middle."""
     out, high, _ = one.wall(np.linspace(-one.to_edge_mm, one.to_edge_mm, 160))
     inside = [(x + shift_mm, z) for x, z in zip(out.tolist(), high.tolist(), strict=True)]
     half = one.outer_mm / 2
@@ -74,24 +78,26 @@ def vessel(drawing: Drawing, one: Vessel, shift_mm: float = 0.0) -> None:
 
 
 def bed(drawing: Drawing, one: Vessel, height_mm: float, shift_mm: float = 0.0) -> None:
+    """Levelled powder so high."""
     half = math.sqrt(height_mm * (2 * one.corner_mm - height_mm)) if one.floor_mm == 0 else one.bore_mm / 2
     out, high, _ = one.wall(np.linspace(-one.to_edge_mm, one.to_edge_mm, 400))
     below = [(x + shift_mm, z) for x, z in zip(out.tolist(), high.tolist(), strict=True) if z <= height_mm]
     drawing.area("powder", [(-half + shift_mm, height_mm), *below, (half + shift_mm, height_mm)])
 
 
-def hand(drawing: Drawing, path: StrokePath, k: int, shift_mm: float = 0.0, with_handle: bool = True) -> None:
+def hand(drawing: Drawing, path: StrokePath, k: int, shift_mm: float = 0.0) -> None:
+    """Cone and handle at the k-th pose."""
     (ax, _, az), (sx, _, sz), (lx, _, lz) = path.apex_mm[k], path.seam[k], path.lip_mm[k]
     ax, lx = ax + shift_mm, lx + shift_mm
     top = (ax + LADLE.slant_mm * sx, az + LADLE.slant_mm * sz)
-    if with_handle:
-        drawing.line("handle", top, (ax + HANDLE_MM * sx, az + HANDLE_MM * sz))
+    drawing.line("handle", top, (ax + HANDLE_MM * sx, az + HANDLE_MM * sz))
     drawing.line("cone", (lx, lz), (ax, az), top)
     drawing.dot("lip", lx, lz)
     drawing.dot("apex", ax, az)
 
 
 def along(path: StrokePath, shares: tuple[float, ...]) -> list[int]:
+    """The poses at these shares of the way along the wall."""
     on_wall = np.flatnonzero(path.on_wall)
     return [int(on_wall[round(share * (len(on_wall) - 1))]) for share in shares]
 
@@ -153,6 +159,7 @@ def swing(one: Vessel, stroke: Stroke, bed_mm: float, shares: tuple[float, ...],
 
 
 def main() -> None:
+    """All drawings."""
     drawings = {
         "scoop_angles": angles(),
         "scoop_swing": swing(MORTAR, Stroke(82.0, 70.0, -28.0), 7.4, (0.0, 0.35, 0.7, 1.0), 78.0),

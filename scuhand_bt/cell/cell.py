@@ -13,6 +13,7 @@ import numpy as np
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.places import Position
+from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
@@ -143,19 +144,7 @@ class Cell:
 
         SkillFailed arm.no_path, arm.unreachable.
         """
-        station = self.spec.stations[source.station]
-        x_mm, y_mm, z_mm = station.position_mm
-        bottom_mm = np.array([x_mm, y_mm, z_mm + source.mortar.height_mm - source.mortar.depth_mm])
-        hand = self.spec.hand
-        roller_deg = [Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand) for rim_mm in path.rim_mm.tolist()]
-        from scuhand_bt.motion.stroke import StrokePoses  # and with it what planning needs
-
-        poses = StrokePoses(
-            path.times_s, (bottom_mm + path.apex_mm) / 1000, path.axis, path.seam, np.radians(roller_deg), path.rests
-        )
-        least_mm, most_mm = float(path.rim_mm.min()), float(path.rim_mm.max())
-        rims_mm = [float(path.rim_mm[0]), (least_mm + most_mm) / 2, least_mm, most_mm]
-        return self.motion.stroke(self.arm.positions, poses, rims_mm, source.station)
+        return planned_stroke(self.motion, self.arm.positions, path, self.spec, source.station, source.mortar)
 
     def make_stroke(self, motion: "StoppableTrajectory") -> Steps[None]:
         """To where a stroke begins, and along it: arm and roller in one motion, and if either fails both rest."""

@@ -24,7 +24,7 @@ Frame: origin at the vessel's lowest point, z up; lengths in mm, angles in deg w
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -88,6 +88,10 @@ class Stroke:
     max_tilt_deg: float = 110.0
     lip_speed_mm_per_s: float = 60.0
 
+    def turned(self, heading_deg: float, max_tilt_deg: float) -> "Stroke":
+        """The same in another direction, with another limit of the tilt."""
+        return replace(self, heading_deg=heading_deg, max_tilt_deg=max_tilt_deg)
+
 
 @dataclass(frozen=True, slots=True)
 class Ladle:
@@ -133,6 +137,11 @@ class StrokePath:
     """(n,): between the lip's generator and the wall; only where the lip is on the wall."""
     on_wall: NDArray[np.bool_]
     """(n,): where the lip follows the wall."""
+
+    @property
+    def most_tilt_deg(self) -> float:
+        """The most that the axis is tilted from upright."""
+        return math.degrees(math.acos(float(self.axis[:, 2].min())))
 
     @property
     def rests(self) -> NDArray[np.bool_]:

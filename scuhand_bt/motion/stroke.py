@@ -115,7 +115,7 @@ def _sampled(poses: StrokePoses) -> tuple[Floats, ...]:
     begins_s = poses.times_s + np.cumsum(waits_s) - waits_s
     knots_s = np.stack([begins_s, begins_s + waits_s], axis=1).ravel()
     count = KEPT * int(np.ceil(knots_s[-1] / (KEPT * STEP_S))) + 1
-    times_s = np.arange(count) * STEP_S
+    times_s: Floats = np.arange(count, dtype=float) * STEP_S
     values = np.column_stack([poses.positions_m, poses.axes, poses.seams, poses.roller_rad])
     raw: Floats = np.column_stack([np.interp(times_s, knots_s, np.repeat(column, 2)) for column in values.T])
     for _ in range(2):
