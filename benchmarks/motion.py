@@ -32,7 +32,7 @@ from scuhand_bt.motion.coordinates import JointCoordinates
 from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.inverse import solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Floats, apex
-from scuhand_bt.motion.places import RELAXED_RAD
+from scuhand_bt.motion.places import RELAXED_RAD, reaching_out
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -130,9 +130,9 @@ class Bench:
             mortar = self.over(str(rng.choice(["mortar_bay", "mortar_bay_2"])), rng.uniform(75, 110), rng)
             pan = self.over("balance", rng.uniform(78, 95), rng)
             first, second = (mortar, pan) if k % 2 else (pan, mortar)
-            starts = self.free(first)
+            starts = self.free(reaching_out(first, MOUNT))
             relaxed = np.array([np.arctan2(first.position_m[1], first.position_m[0]), *RELAXED_RAD])
-            tasks.append(Task("carry", starts[np.argmin(rest_to_rest_s(starts - relaxed, self.rates))], second))
+            tasks.append(Task("carry", starts[np.argmin(np.linalg.norm(starts - relaxed, axis=1))], second))
         return tasks
 
     def run(self, task: Task, effort: transfer.Effort) -> Outcome:

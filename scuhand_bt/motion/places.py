@@ -66,7 +66,7 @@ class Places:
     def _canonical(self, name: str, geometry: Geometry) -> Floats:
         pose, scene = self._poses[name], self._scenes.of(geometry)
         mount = Mount.of(self._hand, 1e3 * geometry.cone_diameter_m)
-        for looked_at in (_reaching_out(pose, mount), pose):
+        for looked_at in (reaching_out(pose, mount), pose):
             q = solutions(looked_at, mount)
             free = q[~scene.hits(q)]
             if len(free):
@@ -80,7 +80,7 @@ class Places:
         return chosen if scene.hits(exact[None, :])[0] else exact
 
 
-def _reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
+def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
     """The pose with the handle straight out from the arm's base.
 
     Between postures of that kind joint 1 turns, and the others move in one upright plane: the cone stays level.

@@ -40,6 +40,8 @@ _STRIDE = 4
 """Neighbours on the elbow's circle are much alike: of the goal's configurations every fourth is looked at first."""
 _GOALS_AT_ONCE = 16
 """So many of them at once, from the nearest on."""
+_MOST_GOALS = 64
+"""So many free ones are enough: a pose whose yaw is free has hundreds."""
 _ROOTS = 32
 """So many of the nearest goals are looked for by via points and trees."""
 _NEAREST = 24
@@ -104,9 +106,14 @@ class Task:
         """The goals that are free, a few at a time; looked at when they are asked for."""
         yield self.goals.free
         near = self.goals.more[self.bounds_s(self.goals.more) <= upto_s]
+        count = len(self.goals.free)
         for k in range(0, len(near), _GOALS_AT_ONCE):
+            if count >= _MOST_GOALS:
+                return
             some = near[k : k + _GOALS_AT_ONCE]
-            yield some[~self.scene.hits(some)]
+            free = some[~self.scene.hits(some)]
+            count += len(free)
+            yield free
 
     def spaces(self) -> list[Space]:
         """The spaces to plan in, each in its coordinates; the one whose motions are quicker first."""
