@@ -4,6 +4,8 @@ A map from above: for each point of a grid the heights [mm] at which the closed 
 Needs plotly, of the extra `plot`.
 """
 
+import math
+from functools import cache
 from html import escape
 from typing import Any
 
@@ -12,6 +14,7 @@ from plotly import graph_objects as go
 
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.motion import ApexPose, Mount, solutions
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
 from scuhand_bt.report.figure_page import figure_page
 
 STEP_MM = 20
@@ -64,7 +67,19 @@ def _reaches(station: Station, z_mm: float, mount: Mount) -> bool:
 
 
 def _solvable(x_mm: float, y_mm: float, z_mm: float, mount: Mount) -> bool:
-    return len(solutions(ApexPose(np.array([x_mm, y_mm, z_mm]) / 1e3), mount)) > 0
+    low, high = LIMITS_RAD[:, 0]
+    turned = math.atan2(y_mm, x_mm) + _first_joints(round(math.hypot(x_mm, y_mm)), round(z_mm), mount)
+    turned = (turned + math.pi) % (2 * math.pi) - math.pi
+    return bool(((turned >= low) & (turned <= high)).any())
+
+
+@cache
+def _first_joints(out_mm: int, z_mm: int, mount: Mount) -> Floats:
+    """Joint 1 of all solutions straight ahead, as if it had no limits: elsewhere they are the same, turned by it."""
+    limits = LIMITS_RAD.copy()
+    limits[:, 0] = -math.pi, math.pi
+    joints: Floats = solutions(ApexPose(np.array([out_mm, 0.0, z_mm]) / 1e3), mount, limits)[:, 0]
+    return joints
 
 
 def _map(cell: CellSpec, heights_mm: dict[str, list[int]], mount: Mount) -> go.Figure:
