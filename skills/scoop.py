@@ -58,7 +58,7 @@ class Scoop(Skill[Milligrams]):
     A load that gave out too early is let out into its mortar before: as a poor scoop, or a bridge, it is in the way.
     """
 
-    raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY)
+    raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH)
     devices = ("arm", "hand")
     typical_s = 18.0
     interrupted = "repeat"

@@ -128,7 +128,7 @@ def test_the_picture_is_a_png(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_station_out_of_reach_is_marked_on_the_map() -> None:
-    far = LAB.cell.stations["waste"].model_copy(update={"position_mm": (0.0, 590.0, 100.0)})
+    far = LAB.cell.stations["waste"].model_copy(update={"position_mm": (0.0, 750.0, 100.0)})
     cell = LAB.cell.model_copy(update={"stations": {**LAB.cell.stations, "waste": far}})
     assert Page(reach_page(cell)).text.count("cannot be reached") == 1
     assert Page(reach_page(LAB.cell)).text.count("cannot be reached") == 0
