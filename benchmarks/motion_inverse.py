@@ -24,7 +24,7 @@ def inverse_kinematics() -> dict[str, Any]:
     found = 0
     while found < 500:
         pose = ApexPose(rng.uniform([0.15, -0.28, 0.03], [0.42, 0.28, 0.35]))
-        if not _dense_search_reaches(pose):
+        if not any(_dense_search_reaches(ApexPose(pose.position_m, pose.axis, s)) for s in seams_of(pose, MOUNT, 12)):
             continue
         found += 1
         begin_s = time.process_time()

@@ -41,7 +41,7 @@ LOAD_AIM = 0.95
 """Share of the powder's load limit that a scoop aims at: what it collects varies."""
 SPARE = 1.5
 """Times what is wanted that a scoop is to bring: some of it stays on the sheet, and it may be less than expected."""
-SPARE_MG = 300.0
+SPARE_MG = 800.0
 NOTHING_LEFT_MG = 30.0
 """Less than this, believed to be in a mortar, is not worth a scoop."""
 PRESSED_BELOW_MG = 1500.0
@@ -64,8 +64,8 @@ class Scoop(Skill[Milligrams]):
     interrupted = "repeat"
 
     source: Source
-    mass_mg: Milligrams | None = None
-    """What is wanted of it; None for as much as the cone may carry."""
+    wanted_mg: Milligrams | None = None
+    """What is to be dosed of it; None for as much as the cone may carry."""
     over_travel_mm: Annotated[Millimetres, Field(gt=0, le=3)] = 1.0
     speed_mm_per_s: Annotated[MillimetresPerSecond, Field(gt=0, le=200)] = 60.0
 
@@ -124,7 +124,7 @@ class Scoop(Skill[Milligrams]):
     def _chosen(self, cell: Cell, in_mortar_mg: float) -> Stroke:
         source, powder = self.source, self.source.powder
         most_mg = max(0.0, LOAD_AIM * powder.load_limit_mg - cell.believed.cone_mg)
-        wanted_mg = most_mg if self.mass_mg is None else min(most_mg, SPARE * self.mass_mg + SPARE_MG)
+        wanted_mg = most_mg if self.wanted_mg is None else min(most_mg, SPARE * self.wanted_mg + SPARE_MG)
         sheet_mm, density = cell.spec.hand.sheet_radius_mm, powder.bulk_density_mg_per_mm3
         stroke = chosen(source.mortar, sheet_mm, in_mortar_mg, density, wanted_mg, most_mg)
         over_travel_mm = min(self.over_travel_mm, LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand))
