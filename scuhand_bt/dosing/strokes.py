@@ -6,8 +6,8 @@ A is the part of the levelled bed's disc, of diameter d_bed, in the way of the r
 rim, and ahead of where the lip comes to the wall. The soft sheet catches most of that. The form and CAUGHT are ours;
 what a source really yields is learnt from weighing (`cell/believed.py`).
 
-Where all of the bed would be too much for the cone or for the dose, the rim is narrower, and the lip comes to the wall
-further on. Masses in mg, lengths in mm.
+Where all of the bed would be too much for the cone or for the dose, the lip comes to the wall further on. The rim is
+always as wide as the mortar lets it be. Masses in mg, lengths in mm.
 """
 
 import math
@@ -24,21 +24,17 @@ WIDEST_SHARE = 0.92
 """Of the bore, or of the flat sheet: the widest rim that a stroke begins with."""
 CLOSING_MM = 12.0
 """How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
-NARROWEST_SHARE = 0.75
-"""Of the widest rim, the narrowest that a stroke begins with."""
-WIDTHS, BEGINS = 3, 24
-"""How many rims, and how many places to begin, are looked at."""
+BEGINS = 24
+"""How many places to begin are looked at."""
 
 
 def strokes(mortar: Mortar, sheet_radius_mm: float, bed_mm: float) -> Iterator[Stroke]:
     """The strokes that there are in a mortar whose bed has this diameter, without a heading."""
     widest_mm = WIDEST_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
     behind_mm = _along_wall_mm(mortar, bed_mm / 2) + BED_GAP_MM
-    for k in range(WIDTHS):
-        open_mm = widest_mm * (1 - (1 - NARROWEST_SHARE) * k / (WIDTHS - 1))
-        for n in range(BEGINS):
-            begin_mm = -behind_mm + 1.6 * behind_mm * n / (BEGINS - 1)
-            yield Stroke(open_mm, open_mm - CLOSING_MM, begin_mm)
+    for n in range(BEGINS):
+        begin_mm = -behind_mm + 1.6 * behind_mm * n / (BEGINS - 1)
+        yield Stroke(widest_mm, widest_mm - CLOSING_MM, begin_mm)
 
 
 def expected_mg(stroke: Stroke, mortar: Mortar, in_mortar_mg: float, bulk_density_mg_per_mm3: float) -> float:
