@@ -23,7 +23,7 @@ from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, through
 
-TURNS_OF_SWIVEL_RAD = (0.0, 0.4, -0.4)
+TURNS_OF_SWIVEL_RAD = (0.0, 0.4, -0.4, 0.15, -0.15, 0.8, -0.8)
 """By how much the elbow may swing over the stroke, in the order tried."""
 ROLLER_SPEED_RAD_PER_S = 0.9 * 46 * 2 * math.pi / 60
 """Nine tenths of what an XM430-W350 turns without a load, at 12 V (data sheet)."""
