@@ -30,6 +30,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.dosing.vessel import Vessel
 
 Floats = NDArray[np.float64]
@@ -48,6 +49,7 @@ OVER_EDGE_MM = 10.0
 """How far above the vessel's edge a stroke begins and ends."""
 ATTACK_GRID_DEG = 0.25
 STEEPEST_DEG = 88.0
+WRIST_TO_FLANGE_MM = 19.0
 WRIST_RADIUS_MM = 45.0
 HANDLE_GAP_MM = 3.0
 CLAMP_MM = 10.0
@@ -103,6 +105,16 @@ class Ladle:
     """From the apex along the seam to the wrist's middle."""
     edge_speed_mm_per_s: float = 20.0
     """Of the sheet's edge along the rim: how fast the cone closes."""
+
+    @classmethod
+    def of(cls, hand: HandSpec) -> "Ladle":
+        """A cell's hand."""
+        return cls(
+            hand.sheet_radius_mm,
+            hand.mount.clamp_radius_mm,
+            hand.apex_offset_mm + WRIST_TO_FLANGE_MM,
+            hand.morph_speed_mm_per_s,
+        )
 
 
 @dataclass(frozen=True, slots=True)

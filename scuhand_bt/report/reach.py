@@ -4,6 +4,8 @@ A map from above: for each point of a grid the heights [mm] at which the closed 
 Needs plotly, of the extra `plot`.
 """
 
+import math
+from functools import cache
 from html import escape
 from typing import Any
 
@@ -11,7 +13,8 @@ import numpy as np
 from plotly import graph_objects as go
 
 from scuhand_bt.cell_spec import CellSpec, Station
-from scuhand_bt.motion import ApexPose, unreachable_reason
+from scuhand_bt.motion import ApexPose, Mount, solutions
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
 from scuhand_bt.report.figure_page import figure_page
 
 STEP_MM = 20
@@ -26,9 +29,9 @@ _REACHED, _OUT_OF_REACH = "#1a7f37", "#c62828"
 
 def reach_page(cell: CellSpec) -> str:
     """A self-contained HTML page with the map, the bench's geometry and the stations marked."""
-    offset_m = cell.hand.apex_offset_mm / 1e3
+    mount = Mount.of(cell.hand)
     heights_mm = {
-        station.name: [z for z in range(round(station.position_mm[2]), 500, 5) if _reaches(station, z, offset_m)]
+        station.name: [z for z in range(round(station.position_mm[2]), 500, 5) if _reaches(station, z, mount)]
         for station in cell.stations.values()
     }
     rows = [_row(station, heights_mm[station.name]) for station in cell.stations.values()]
@@ -41,7 +44,7 @@ def reach_page(cell: CellSpec) -> str:
         f"<th>vertical cone, from the station up</th></tr>{''.join(rows)}</table>"
         "<p>Kinematics only: what stands in the way is looked at when a motion is planned.</p>"
     )
-    return figure_page(f"What the vertical cone can reach: {cell.cell}", _map(cell, heights_mm, offset_m), intro, below)
+    return figure_page(f"What the vertical cone can reach: {cell.cell}", _map(cell, heights_mm, mount), intro, below)
 
 
 def _row(station: Station, heights_mm: list[int]) -> str:
@@ -59,18 +62,30 @@ def _span(heights_mm: list[int]) -> str:
     return f"apex {heights_mm[0]} to {heights_mm[-1]} mm above the table"
 
 
-def _reaches(station: Station, z_mm: float, offset_m: float) -> bool:
-    return _solvable(station.position_mm[0], station.position_mm[1], z_mm, offset_m)
+def _reaches(station: Station, z_mm: float, mount: Mount) -> bool:
+    return _solvable(station.position_mm[0], station.position_mm[1], z_mm, mount)
 
 
-def _solvable(x_mm: float, y_mm: float, z_mm: float, offset_m: float) -> bool:
-    return unreachable_reason(ApexPose(np.array([x_mm, y_mm, z_mm]) / 1e3), offset_m) is None
+def _solvable(x_mm: float, y_mm: float, z_mm: float, mount: Mount) -> bool:
+    low, high = LIMITS_RAD[:, 0]
+    turned = math.atan2(y_mm, x_mm) + _first_joints(round(math.hypot(x_mm, y_mm)), round(z_mm), mount)
+    turned = (turned + math.pi) % (2 * math.pi) - math.pi
+    return bool(((turned >= low) & (turned <= high)).any())
 
 
-def _map(cell: CellSpec, heights_mm: dict[str, list[int]], offset_m: float) -> go.Figure:
+@cache
+def _first_joints(out_mm: int, z_mm: int, mount: Mount) -> Floats:
+    """Joint 1 of all solutions straight ahead, as if it had no limits: elsewhere they are the same, turned by it."""
+    limits = LIMITS_RAD.copy()
+    limits[:, 0] = -math.pi, math.pi
+    joints: Floats = solutions(ApexPose(np.array([out_mm, 0.0, z_mm]) / 1e3), mount, limits)[:, 0]
+    return joints
+
+
+def _map(cell: CellSpec, heights_mm: dict[str, list[int]], mount: Mount) -> go.Figure:
     """x points up the page and y to the left, as they do when one stands behind the arm."""
     x_mm, y_mm = (np.arange(low + STEP_MM / 2, high, STEP_MM) for low, high in (_X_MM, _Y_MM))
-    reached = [[[z for z in HEIGHTS_MM if _solvable(x, y, z, offset_m)] for y in y_mm] for x in x_mm]
+    reached = [[[z for z in HEIGHTS_MM if _solvable(x, y, z, mount)] for y in y_mm] for x in x_mm]
     count = len(HEIGHTS_MM) + 1
     figure = go.Figure(
         go.Heatmap(
