@@ -45,7 +45,9 @@ OVER_EDGE_MM = 10.0
 """How far above the vessel's edge a stroke begins and ends."""
 ATTACK_GRID_DEG = 0.25
 STEEPEST_DEG = 88.0
-HANDLE_GAP_MM = 2.0
+HANDLE_GAP_MM = 3.0
+CLAMP_MM = 10.0
+"""The clamp reaches so far from the rim towards the apex."""
 ENTRIES = 5
 """Ways in that are tried, from the first generator's to straight down."""
 LEVEL_ENTRY = 0.2
@@ -85,9 +87,9 @@ class Ladle:
 
     slant_mm: float = 50.0
     """The sheet's radius."""
-    handle_radius_mm: float = 12.0
-    """Of what continues the seam beyond the rim."""
-    handle_mm: float = 120.0
+    handle_radius_mm: float = 18.0
+    """Of the clamp at the rim, and of what continues the seam from there."""
+    handle_mm: float = 139.0
     """From the apex along the seam to the wrist's middle."""
     wrist_radius_mm: float = 45.0
     edge_speed_mm_per_s: float = 20.0
@@ -310,7 +312,7 @@ class _Flat:
         points = [apex_mm[None, :], sheet_mm]
         kept = [np.array([APEX_CLEAR_MM]), np.full(len(sheet_mm), min(self._gap_mm, 0.0) - SLACK_MM)]
         if with_handle:
-            along_mm = np.linspace(slant_mm, self._ladle.handle_mm, 8)
+            along_mm = np.linspace(slant_mm - CLAMP_MM, self._ladle.handle_mm, 10)
             points.append(apex_mm + along_mm[:, None] * (math.cos(alpha) * axis - math.sin(alpha) * down))
             handle_mm = np.full(len(along_mm), self._ladle.handle_radius_mm)
             handle_mm[-1] = self._ladle.wrist_radius_mm
