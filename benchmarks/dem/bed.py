@@ -36,7 +36,7 @@ def material(case: Case) -> Powder:
 
 def collected_mg(case: Case, fill_mg: float) -> Collected:
     """Every stroke of a case through one bed."""
-    bed = HeightField(case.mortar, material(case), SLANT_MM)
+    bed = HeightField(case.mortar, material(case), SLANT_MM, gives_mm=0.0)
     in_mortar_mg, collected, spilled_mg = fill_mg, [], 0.0
     for stroke in case.strokes:
         in_cone_mg = 0.0

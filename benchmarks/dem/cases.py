@@ -31,8 +31,14 @@ NARROW_MM = {"agate_mortar": (60.0, 50.0), "small_agate_mortar": (46.0, 40.0)}
 WIDE_MM = {"agate_mortar": (84.0, 76.0), "small_agate_mortar": (62.0, 54.0)}
 """That fit the mortar."""
 BEGIN_MM = -45.0
+DECIMALS = 4
+"""Of poses, as they are run and as they are kept beside what they came to."""
 
 Floats = NDArray[np.float64]
+
+
+Way = dict[str, Any]
+"""Poses of a cone: times_s (n,), apex_mm (n, 3), axis (n, 3), rim_mm (n,), on_wall (n,), as lists."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,7 @@ class Case:
     fill_mg: float
     friction_deg: float
     wall_friction_deg: float
-    strokes: tuple[dict[str, Any], ...]
+    strokes: tuple[Way, ...]
     picture_times_s: tuple[float, ...] = ()
 
     def written(self) -> dict[str, Any]:
@@ -77,7 +83,7 @@ def cases() -> Iterator[Case]:
                 yield Case(name, mortar, fill_mg, *friction, strokes, pictures)
 
 
-def lip_led(mortar: Mortar, rims_mm: dict[str, tuple[float, float]], count: int) -> tuple[dict[str, Any], ...]:
+def lip_led(mortar: Mortar, rims_mm: dict[str, tuple[float, float]], count: int) -> tuple[Way, ...]:
     """Planned strokes, turned about the vertical."""
     vessel, (open_mm, closed_mm) = Vessel.of(mortar), rims_mm[mortar.name]
     strokes = []
@@ -89,7 +95,7 @@ def lip_led(mortar: Mortar, rims_mm: dict[str, tuple[float, float]], count: int)
     return tuple(strokes)
 
 
-def upright(mortar: Mortar, open_mm: float = 66.0, closed_mm: float = 42.0) -> dict[str, Any]:
+def upright(mortar: Mortar, open_mm: float = 66.0, closed_mm: float = 42.0) -> Way:
     """The stroke of the first version: down until the apex is at the bottom, closed upright, and up."""
     count = 40
     clear_mm, still = 0.6, np.full(count, 0.6)
@@ -104,7 +110,7 @@ def upright(mortar: Mortar, open_mm: float = 66.0, closed_mm: float = 42.0) -> d
     return _written(np.linspace(0.0, 3.0, 3 * count), apex_mm, axis, rims, on_wall)
 
 
-def moments(stroke: dict[str, Any]) -> tuple[float, ...]:
+def moments(stroke: Way) -> tuple[float, ...]:
     """Of the pictures: four along the wall, and the end."""
     times_s = np.array(stroke["times_s"])[stroke["on_wall"]]
     along = times_s[0] + (times_s[-1] - times_s[0]) * np.array([0.1, 0.35, 0.6, 0.9])
@@ -123,6 +129,6 @@ def _from_rest(times_s: Floats) -> Floats:
     return times_s + late(times_s) + float(late(end_s)[0]) - late(end_s)
 
 
-def _written(times_s: Floats, apex_mm: Floats, axis: Floats, rim_mm: Floats, on_wall: Any) -> dict[str, Any]:
+def _written(times_s: Floats, apex_mm: Floats, axis: Floats, rim_mm: Floats, on_wall: Any) -> Way:
     fields = {"times_s": times_s, "apex_mm": apex_mm, "axis": axis, "rim_mm": rim_mm, "on_wall": on_wall}
-    return {name: value.tolist() for name, value in fields.items()}
+    return {name: (value if value.dtype == bool else np.round(value, DECIMALS)).tolist() for name, value in fields.items()}

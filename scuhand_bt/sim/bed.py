@@ -46,6 +46,8 @@ AT_REST_MM = 1e-3
 """Powder of which no column changes by more in a sweep is at rest; it is looked at every `CHECKED` sweeps."""
 POURED_MG = 1e-3
 """What the mortar has gained since the cone was last in it; less is rounding."""
+GIVES_MM = 0.5
+"""Assumed of a sheet of 0.2 mm, not measured."""
 GRIP = 0.35
 """Of the sheet's motion along itself, the share that its load takes part in."""
 GRAINS_THICK = 1.5
@@ -63,8 +65,9 @@ def wall_mm(mortar: Mortar, radius_mm: Floats) -> Floats:
 class HeightField:
     """The powder of one mortar, and of the cone while that is in it; see `scuhand_bt.sim.plant.Bed`."""
 
-    def __init__(self, mortar: Mortar, powder: Powder, slant_mm: float = 50.0) -> None:
-        self._mortar, self._slant_mm = mortar, slant_mm
+    def __init__(self, mortar: Mortar, powder: Powder, slant_mm: float = 50.0, gives_mm: float = GIVES_MM) -> None:
+        """`gives_mm`: how wide a gap under its lip the sheet bends down to; 0 for a rigid one."""
+        self._mortar, self._slant_mm, self._gives_mm = mortar, slant_mm, gives_mm
         figures = powder.simulation
         self._mg_per_mm = CELL_MM**2 * powder.bulk_density_mg_per_mm3
         self._film_mm, self._grain_mm = figures.film_mm, figures.grain_mm
@@ -218,6 +221,7 @@ class HeightField:
         points = np.stack([x, y, self._cone.sheet_mm[entered]], axis=1)
         rim = now.apex_mm + (points - now.apex_mm) * (now.height_mm / np.maximum(now.along_mm(points), 1e-6))[:, None]
         gap = rim[:, 2] - wall_mm(self._mortar, np.hypot(rim[:, 0], rim[:, 1]))
+        gap = np.maximum(gap - self._gives_mm, 0.0)
         gap *= np.clip(gap / self._grain_mm - 1.0, 0.0, 1.0)  # one grain jams, two pass
         left = np.minimum(thick, np.maximum(gap, self._film_mm))
         middle = np.stack([x, y, wall + (left + thick) / 2], axis=1)

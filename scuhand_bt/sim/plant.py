@@ -144,7 +144,9 @@ class Plant:
             return mass_mg
         raise PlantError(f"{self.name}: scoop took {mass_mg!r} mg from a mortar that holds {in_mortar_mg:.3f} mg")
 
-    def moved(self, gained_and_lost: tuple[float, float], in_mortar_mg: float, in_cone_mg: float) -> tuple[float, float]:
+    def moved(
+        self, gained_and_lost: tuple[float, float], in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
         """Let a sound motion through a bed through; PlantError otherwise."""
         gained_mg, lost_mg = gained_and_lost
         slack_mg = ROUNDING * (in_mortar_mg + in_cone_mg)

@@ -4,7 +4,7 @@ The powder's surface may lean as much as its repose; so a cone that leans by the
 liquid would at tau = max(0, theta - repose). The liquid's plane goes through the lowest point of the rim (slant L) and
 cuts the generator across at l = L cos(alpha + tau) / cos(alpha - tau); the elliptic cone below it has the volume
 
-    V(tau) = V_level (l / L)^(3/2),      V_level = pi L^3 sin^2(alpha) cos(alpha) / 3,      0 from alpha + tau = 90 deg on
+    V(tau) = V_level (l / L)^(3/2),   V_level = pi L^3 sin^2(alpha) cos(alpha) / 3,   0 from alpha + tau = 90 deg on
 
 And beyond theta = 90 deg - alpha + delta (delta: friction on the sheet) the lower side slopes so much that all slides.
 What is too much is gone with the time constant `POUR_TIME_S`. Angles in radians, lengths in mm.
