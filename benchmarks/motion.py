@@ -24,7 +24,7 @@ import pinocchio as pin
 
 from benchmarks import motion_mplib, motion_peers
 from benchmarks.figures import spread
-from benchmarks.motion_inverse import OFFSET_M, SEED, inverse_kinematics
+from benchmarks.motion_inverse import MOUNT, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, rrt_connect, spill_limit_deg, transfer
@@ -98,7 +98,7 @@ class Bench:
         return ApexPose(np.array([x + dx, y + dy, z + height_mm]) / 1e3)
 
     def free(self, pose: ApexPose) -> Floats:
-        q = solutions(pose, OFFSET_M)
+        q = solutions(pose, MOUNT)
         return q[~self.scene.hits(q)] if len(q) else q
 
     def tasks(self, count: int) -> list[Task]:
@@ -241,7 +241,7 @@ def transfers(bench: Bench, tasks: list[Task], effort: transfer.Effort, audit: A
     solved = [(o, o.motion) for o in outcomes if o.motion is not None]
     direct = [motion for _, motion in solved if is_direct(motion)]
     others = [(o, motion) for o, motion in solved if not is_direct(motion)]
-    ends = [apex(motion.end, OFFSET_M).position_m - o.task.goal.position_m for o, motion in solved]
+    ends = [apex(motion.end, MOUNT).position_m - o.task.goal.position_m for o, motion in solved]
     ratios = []
     if peers:
         lines = [(motion, bench.polyline(o)) for o, motion in others]
@@ -288,7 +288,7 @@ def carrying(bench: Bench, tasks: list[Task], limit_deg: float, effort: transfer
         ratios.append(motion.duration_s / bench.planner.move(task.start, task.goal, effort=effort).duration_s)
         times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / 0.001))
         angles = spill_angles_deg(
-            *apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), OFFSET_M)
+            *apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), MOUNT)
         )
         worst_deg = max(worst_deg, float(angles.max()))
     return {
@@ -335,8 +335,8 @@ def main() -> None:
     if given.peers:
         rng = np.random.default_rng(SEED)
         poses = [ApexPose(rng.uniform([0.15, -0.28, 0.03], [0.42, 0.28, 0.35])) for _ in range(400)]
-        poses = [pose for pose in poses if unreachable_reason(pose, OFFSET_M) is None]
-        results["peers"] = motion_peers.pink_ik(bench.planner.urdf, poses, OFFSET_M)
+        poses = [pose for pose in poses if unreachable_reason(pose, MOUNT) is None]
+        results["peers"] = motion_peers.pink_ik(bench.planner.urdf, poses, MOUNT)
         show("peers", results["peers"])
     if given.mplib:
         results["peer mplib"] = motion_mplib.compare(bench, tasks[:PEER_TASKS], audit, given.mplib)

@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figures import spread
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.motion.inverse import finest, solutions, unreachable_reason
-from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, Floats, apex, apex_positions_m
+from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, Floats, Mount, apex, apex_positions_m
 
 SEED = 20260
-OFFSET_M = 0.120
+MOUNT = Mount.of(HandSpec())
 """The starter lab's hand."""
 
 
@@ -27,29 +28,29 @@ def inverse_kinematics() -> dict[str, Any]:
             continue
         found += 1
         begin_s = time.process_time()
-        q = solutions(pose, OFFSET_M)
+        q = solutions(pose, MOUNT)
         times_ms.append((time.process_time() - begin_s) * 1e3)
         missed += len(q) == 0
         if not len(q):
             continue
-        positions_m, axes = apex_positions_m(q, OFFSET_M)
+        positions_m, axes = apex_positions_m(q, MOUNT)
         error_m = max(
             error_m, float(np.abs(positions_m - pose.position_m).max()), float(np.abs(axes - pose.axis).max())
         )
-        for store, chosen in ((rounded_mm, q[len(q) // 2]), (finest_mm, finest(pose, q[len(q) // 2], OFFSET_M))):
-            counted = apex(np.round(chosen / COUNT_RAD) * COUNT_RAD, OFFSET_M).position_m
+        for store, chosen in ((rounded_mm, q[len(q) // 2]), (finest_mm, finest(pose, q[len(q) // 2], MOUNT))):
+            counted = apex(np.round(chosen / COUNT_RAD) * COUNT_RAD, MOUNT).position_m
             store.append(float(np.linalg.norm(counted - pose.position_m)) * 1e3)
     wrong = 0
     for _ in range(10_000):
         axis = rng.normal(size=3)
         pose = ApexPose(rng.uniform([-0.3, -0.5, 0.0], [0.6, 0.5, 0.6]), axis / np.linalg.norm(axis))
         begin_s = time.process_time()
-        reason = unreachable_reason(pose, OFFSET_M)
+        reason = unreachable_reason(pose, MOUNT)
         if reason is not None:
             none_ms.append((time.process_time() - begin_s) * 1e3)
             wrong += _dense_search_reaches(pose)
         else:
-            wrong += len(solutions(pose, OFFSET_M)) == 0
+            wrong += len(solutions(pose, MOUNT)) == 0
     return {
         "poses": found,
         "missed": missed,
@@ -65,7 +66,7 @@ def inverse_kinematics() -> dict[str, Any]:
 
 def _dense_search_reaches(pose: ApexPose) -> bool:
     """Whether any of 3600 elbow positions gives joints within limits: vectors and angles only, no intervals."""
-    wrist = pose.position_m + (0.019 + OFFSET_M) * pose.axis - (0.0, 0.0, 0.105)
+    wrist = pose.position_m + (MOUNT.length_m) * pose.axis - (0.0, 0.0, 0.105)
     distance_m = float(np.linalg.norm(wrist))
     if distance_m > 0.5 or distance_m < 1e-6:
         return False

@@ -5,14 +5,14 @@ import pytest
 
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import ApexPose, MotionPlanner, apex, solutions
+from scuhand_bt.motion import ApexPose, MotionPlanner, Mount, apex, solutions
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 
 LAB = load_lab(starter_lab())
 MORTAR = LAB.library.mortars["agate_mortar"]
-OFFSET_M = LAB.cell.hand.apex_offset_mm / 1e3
+MOUNT = Mount.of(LAB.cell.hand)
 ABOVE_MM = {"mortar_bay": 90, "mortar_bay_2": 90, "balance": 80, "waste": 40, "sheet_swap": 0, "park": 0}
 
 
@@ -52,9 +52,7 @@ def test_every_pair_of_stations_of_the_starter_lab_has_a_motion_that_touches_not
     for first in ABOVE_MM:
         for second in ABOVE_MM:
             motion = planner.move(posture(planner, first), second)
-            assert (
-                np.abs(apex(motion.end, OFFSET_M).position_m - above(second, ABOVE_MM[second]).position_m).max() < 1e-9
-            )
+            assert np.abs(apex(motion.end, MOUNT).position_m - above(second, ABOVE_MM[second]).position_m).max() < 1e-9
             assert nearest_m(planner, motion) > 0.003
 
 
@@ -102,7 +100,7 @@ def test_a_loaded_cone_keeps_its_spill_limit_at_every_sample(planner, limit_deg)
     for goal in ("balance", "park"):
         motion = planner.move(posture(planner, "mortar_bay"), goal, spill_limit_deg=limit_deg)
         at_s = times(motion, 0.001)
-        angles = spill_angles_deg(*apex_motion(motion.at(at_s), motion.at(at_s, 1), motion.at(at_s, 2), OFFSET_M))
+        angles = spill_angles_deg(*apex_motion(motion.at(at_s), motion.at(at_s, 1), motion.at(at_s, 2), MOUNT))
         assert angles.max() <= limit_deg
         assert planner.rates.stretch_for(motion) <= 1 + 1e-6
         assert nearest_m(planner, motion) > 0.003
@@ -110,8 +108,8 @@ def test_a_loaded_cone_keeps_its_spill_limit_at_every_sample(planner, limit_deg)
 
 def test_a_goal_may_be_any_pose(planner):
     motion = planner.move(planner.home(), above("balance", 100))
-    assert apex(motion.end, OFFSET_M).position_m == pytest.approx(above("balance", 100).position_m, abs=1e-9)
-    assert apex(motion.end, OFFSET_M).tilt_deg == pytest.approx(0.0, abs=1e-6)
+    assert apex(motion.end, MOUNT).position_m == pytest.approx(above("balance", 100).position_m, abs=1e-9)
+    assert apex(motion.end, MOUNT).tilt_deg == pytest.approx(0.0, abs=1e-6)
 
 
 def test_an_arm_that_reports_a_count_off_its_posture_gets_the_prepared_motion(planner):
@@ -125,23 +123,23 @@ def test_a_place_that_is_named_again_is_where_it_is_now():
     moved = ApexPose(np.array([0.1, 0.3, 0.18]))
     planner.add_place("waste", moved)
     end = planner.move(planner.home(), "waste").end
-    assert apex(end, OFFSET_M).position_m == pytest.approx(moved.position_m, abs=1e-9)
+    assert apex(end, MOUNT).position_m == pytest.approx(moved.position_m, abs=1e-9)
 
 
 def test_a_load_comes_straight_down_over_a_mouth_within_its_spill_limit(planner):
     begin = planner.move(posture(planner, "mortar_bay"), above("balance", 110)).end
     motion = planner.contact(begin, [above("balance", 80)], 0.06, spill_limit_deg=5.0)
     q = motion.at(times(motion))
-    positions_m = np.array([apex(one, OFFSET_M).position_m for one in q])
+    positions_m = np.array([apex(one, MOUNT).position_m for one in q])
     assert positions_m[-1] == pytest.approx(above("balance", 80).position_m, abs=1e-9)
     assert np.abs(positions_m[:, :2] - positions_m[0, :2]).max() < 2e-5
-    angles = spill_angles_deg(*apex_motion(q, motion.at(times(motion), 1), motion.at(times(motion), 2), OFFSET_M))
+    angles = spill_angles_deg(*apex_motion(q, motion.at(times(motion), 1), motion.at(times(motion), 2), MOUNT))
     assert angles.max() <= 5.0 == motion.spill_limit_deg
 
 
 def test_a_contact_path_does_not_begin_inside_something(planner):
     x, y, _ = above("mortar_bay", 0).position_m
-    inside = solutions(ApexPose(np.array([x, y, 0.0])), OFFSET_M)[0]
+    inside = solutions(ApexPose(np.array([x, y, 0.0])), MOUNT)[0]
     with pytest.raises(SkillFailed) as failed:
         planner.contact(inside, [above("mortar_bay", 90)], 0.04)
     assert failed.value.code == "arm.start_in_collision"
@@ -217,7 +215,7 @@ def test_a_contact_path_passes_its_waypoints_at_its_speed_without_a_jump(planner
     ]
     motion = planner.contact(start, waypoints, 0.04, touching="mortar_bay")
     at_s = times(motion)
-    poses = [apex(q, OFFSET_M) for q in motion.at(at_s)]
+    poses = [apex(q, MOUNT) for q in motion.at(at_s)]
     positions_m = np.array([pose.position_m for pose in poses])
     assert np.linalg.norm(np.diff(positions_m, axis=0), axis=1).max() / (at_s[1] - at_s[0]) <= 0.0402
     for waypoint in waypoints:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion import ApexPose, MotionPlanner, Mount
 from scuhand_bt.report.cell_mesh import CellMeshes
 from scuhand_bt.report.motion_panels import spread
 from scuhand_bt.report.move_page import move_figure, move_page
@@ -16,7 +16,7 @@ from scuhand_bt.report.reach import reach_page
 from scuhand_bt.report.show_move import ShownMove
 
 LAB = load_lab(starter_lab())
-OFFSET_M = LAB.cell.hand.apex_offset_mm / 1e3
+MOUNT = Mount.of(LAB.cell.hand)
 MORTARS = {"mortar_bay": LAB.library.mortars["agate_mortar"]}
 
 
@@ -48,7 +48,7 @@ def shown(speed_ratio: float = 1.0, spill_limit_deg: float | None = None) -> Sho
     home = planner.home()
     over = np.array(LAB.cell.stations["mortar_bay"].position_mm) / 1e3 + (0.0, 0.0, 0.1)
     motion = planner.move(home, ApexPose(over), spill_limit_deg=spill_limit_deg)
-    return ShownMove("there </script>", motion, planner.scene(), planner.rates, OFFSET_M, {"mortar_bay": over})
+    return ShownMove("there </script>", motion, planner.scene(), planner.rates, MOUNT, {"mortar_bay": over})
 
 
 def test_the_pages_are_one_file_that_fetches_nothing_and_break_on_no_name() -> None:

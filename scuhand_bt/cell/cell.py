@@ -18,7 +18,10 @@ from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
+from scuhand_bt.dosing.swing import StrokePath
+from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
+from scuhand_bt.motion.axes import of_arm, of_roller
+from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
@@ -30,6 +33,7 @@ RECENT = 4000
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
+    from scuhand_bt.motion.stopping import StoppableTrajectory
 
 
 @dataclass
@@ -59,6 +63,8 @@ class Cell:
     """Called when the operator has put a weight [mg] on the pan, or taken it off (0); the simulation follows."""
     controller: str = DEFAULT_CONTROLLER
     """The dosing controller of this run."""
+    strokes_made: dict[str, int] = field(default_factory=dict)
+    """By source, in this process: each stroke is turned from those before it."""
     powder_beliefs: dict[str, PowderBelief] = field(default_factory=dict)
     """What is learnt of powders, by `Source.sheet_key`; the powder's own `belief` until then."""
     balance_belief: BalanceBelief = field(default_factory=BalanceBelief)
@@ -94,7 +100,7 @@ class Cell:
 
     def apex(self) -> ApexPose:
         """The pose of the cone's apex now."""
-        return apex(self.arm.positions, self.spec.hand.apex_offset_mm / 1000)
+        return apex(self.arm.positions, Mount.of(self.spec.hand, self.hand.cone_diameter_mm))
 
     def aside_of_pan_mm(self) -> float:
         """How far the cone's apex is from the middle of the pan, seen from above."""
@@ -131,6 +137,52 @@ class Cell:
     def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Trajectory:
         """The trajectory of `touch`, to be started beside another motion."""
         return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
+
+    def plan_stroke(self, path: StrokePath, source: Source) -> "StoppableTrajectory":
+        """The motion of arm and roller along a stroke in a source's mortar.
+
+        SkillFailed arm.no_path, arm.unreachable.
+        """
+        station = self.spec.stations[source.station]
+        x_mm, y_mm, z_mm = station.position_mm
+        bottom_mm = np.array([x_mm, y_mm, z_mm + source.mortar.height_mm - source.mortar.depth_mm])
+        hand = self.spec.hand
+        roller_deg = [Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand) for rim_mm in path.rim_mm.tolist()]
+        from scuhand_bt.motion.stroke import StrokePoses  # and with it what planning needs
+
+        poses = StrokePoses(
+            path.times_s, (bottom_mm + path.apex_mm) / 1000, path.axis, path.seam, np.radians(roller_deg), path.rests
+        )
+        least_mm, most_mm = float(path.rim_mm.min()), float(path.rim_mm.max())
+        rims_mm = [float(path.rim_mm[0]), (least_mm + most_mm) / 2, least_mm, most_mm]
+        return self.motion.stroke(self.arm.positions, poses, rims_mm, source.station)
+
+    def make_stroke(self, motion: "StoppableTrajectory") -> Steps[None]:
+        """To where a stroke begins, and along it: arm and roller in one motion, and if either fails both rest."""
+        trajectory = self._planner().move(self.arm.positions, motion.start[:JOINTS])
+        yield from self._follow(trajectory)
+        yield from self._together(motion)
+
+    def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
+        """Arm and roller along a motion of both."""
+        arm = self.arm.follow(of_arm(motion))
+        self.hand.start_rolling(of_roller(motion))
+        is_over = False
+        try:
+            for wake in arm:
+                if (fault := self.hand.fault) is not None:
+                    raise fault
+                yield wake
+            is_over = True
+        finally:
+            arm.close()
+            if not is_over:
+                self.hand.stop()
+
+    def form_upright(self, diameter_mm: float) -> Steps[None]:
+        """Give the cone another size where it stands upright: the arm turns the handle, so that it stays upright."""
+        motion = self._planner().reform(self.arm.positions, diameter_mm)
+        yield from self._together(motion)
 
     def _planner(self) -> "MotionPlanner":
         """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""

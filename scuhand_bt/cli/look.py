@@ -70,8 +70,10 @@ def show_move(
     if limit_deg is not None:
         carried = f"{load} of {powder}" if load else "a load"
         title += f" with {carried}, spill angle up to {motion.spill_limit_deg:.0f}°"
-    offset_m = loaded.cell.hand.apex_offset_mm / 1000
-    move = ShownMove(title, motion, planner.scene(), planner.rates, offset_m, places_m)
+    from scuhand_bt.motion import Mount
+
+    mount = Mount.of(loaded.cell.hand)
+    move = ShownMove(title, motion, planner.scene(), planner.rates, mount, places_m)
     picture = path.with_suffix(".png")
 
     def write_page() -> None:

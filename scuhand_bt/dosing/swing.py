@@ -16,8 +16,8 @@ of 48.75 mm. A flatter attack is possible only as long as the apex is still abov
 the one that is asked for, or as much more as keeps the apex and the rest of the sheet clear of the vessel.
 
 A stroke enters along its first generator, swings its lip along the wall to the edge, turns upright about its apex,
-rising where the handle meets the edge, and rises out. The seam, the slit's generator, lies opposite the lip, and the
-handle continues it. docs/scoop.md has the drawings.
+rising where the handle meets the edge, and rises out. The seam, the
+slit's generator, lies opposite the lip, and the handle continues it. docs/scoop.md has the drawings.
 
 Frame: origin at the vessel's lowest point, z up; lengths in mm, angles in deg where a name says so.
 """
@@ -25,14 +25,18 @@ Frame: origin at the vessel's lowest point, z up; lengths in mm, angles in deg w
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.dosing.vessel import Vessel
 
 Floats = NDArray[np.float64]
 
+TURN_RAD_PER_S = 1.2
+"""Of axis and handle: slower than powder is thrown."""
 APEX_CLEAR_MM = 3.0
 """The apex is never nearer to the vessel than this."""
 LIP_GAP_MM = 0.1
@@ -45,9 +49,13 @@ OVER_EDGE_MM = 10.0
 """How far above the vessel's edge a stroke begins and ends."""
 ATTACK_GRID_DEG = 0.25
 STEEPEST_DEG = 88.0
+WRIST_TO_FLANGE_MM = 19.0
+WRIST_RADIUS_MM = 45.0
 HANDLE_GAP_MM = 3.0
 CLAMP_MM = 10.0
 """The clamp reaches so far from the rim towards the apex."""
+RISING = 25
+"""Poses on the way up out of the vessel."""
 ENTRIES = 5
 """Ways in that are tried, from the first generator's to straight down."""
 LEVEL_ENTRY = 0.2
@@ -91,9 +99,18 @@ class Ladle:
     """Of the clamp at the rim, and of what continues the seam from there."""
     handle_mm: float = 139.0
     """From the apex along the seam to the wrist's middle."""
-    wrist_radius_mm: float = 45.0
     edge_speed_mm_per_s: float = 20.0
     """Of the sheet's edge along the rim: how fast the cone closes."""
+
+    @classmethod
+    def of(cls, hand: HandSpec) -> "Ladle":
+        """A cell's hand."""
+        return cls(
+            hand.sheet_radius_mm,
+            hand.mount.clamp_radius_mm,
+            hand.apex_offset_mm + WRIST_TO_FLANGE_MM,
+            hand.morph_speed_mm_per_s,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +134,16 @@ class StrokePath:
     on_wall: NDArray[np.bool_]
     """(n,): where the lip follows the wall."""
 
+    @property
+    def rests(self) -> NDArray[np.bool_]:
+        """(n,): where it is to come to rest: at its ends, and where the lip comes to the wall and where it leaves."""
+        changes = np.flatnonzero(np.diff(self.on_wall))
+        rests = np.zeros(len(self.times_s), dtype=bool)
+        rests[0] = rests[-1] = True
+        # Before the wall the last free pose is a step away: the first on the wall it is, and the last.
+        rests[[k if self.on_wall[k] else k + 1 for k in changes]] = True
+        return rests
+
 
 def least_attack_deg(bowl_radius_mm: float, slant_mm: float, clear_mm: float = APEX_CLEAR_MM) -> float:
     """The flattest attack in a bowl that keeps the apex clear while it is inside; NoStrokeError where none does."""
@@ -133,13 +160,17 @@ def fitting_rim_mm(bowl_radius_mm: float, slant_mm: float, attack_deg: float) ->
     return 2 * slant_mm * math.sin(alpha)
 
 
+@lru_cache(maxsize=256)
 def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
     """The stroke's poses; NoStrokeError with the reason where the vessel, the sheet or the handle allow none.
 
     ValueError for rims that the sheet cannot make.
     """
-    if not 0 < min(stroke.open_mm, stroke.closed_mm) <= max(stroke.open_mm, stroke.closed_mm) < 2 * ladle.slant_mm:
-        raise ValueError(f"a sheet of {ladle.slant_mm:g} mm makes no rims of {stroke.open_mm:g}, {stroke.closed_mm:g}")
+    rims_mm = (stroke.open_mm, stroke.closed_mm)
+    if not 0 < min(rims_mm) <= max(rims_mm) < 2 * ladle.slant_mm:
+        raise ValueError(
+            f"a sheet of {ladle.slant_mm:g} mm makes no rims of {', '.join(f'{rim_mm:g}' for rim_mm in rims_mm)}"
+        )
     if stroke.open_mm > vessel.bore_mm - 2 * LIP_GAP_MM:
         raise NoStrokeError(f"a rim of {stroke.open_mm:g} mm does not go into a bore of {vessel.bore_mm:g} mm")
     flat = _Flat(vessel, stroke, ladle)
@@ -286,10 +317,9 @@ class _Flat:
                     poses.append(_Pose((along_mm, up_mm), poses[-1].tilt_rad, last.rim_mm))
                 pose = _Pose((along_mm, up_mm), float(tilt), last.rim_mm)
             poses.append(pose)
-        top_mm = self._vessel.depth_mm + OVER_EDGE_MM
-        while up_mm < top_mm:
-            up_mm = min(up_mm + 2 * STEP_MM, top_mm)
-            poses.append(_Pose((along_mm, up_mm), poses[-1].tilt_rad, last.rim_mm))
+        top_mm = max(self._vessel.depth_mm + OVER_EDGE_MM, up_mm)
+        for share in np.linspace(0.0, 1.0, RISING)[1:].tolist():
+            poses.append(_Pose((along_mm, up_mm + (top_mm - up_mm) * share), 0.0, last.rim_mm))
         return poses
 
     # What is clear ----------------------------------------------------------------------------------
@@ -315,7 +345,7 @@ class _Flat:
             along_mm = np.linspace(slant_mm - CLAMP_MM, self._ladle.handle_mm, 10)
             points.append(apex_mm + along_mm[:, None] * (math.cos(alpha) * axis - math.sin(alpha) * down))
             handle_mm = np.full(len(along_mm), self._ladle.handle_radius_mm)
-            handle_mm[-1] = self._ladle.wrist_radius_mm
+            handle_mm[-1] = WRIST_RADIUS_MM
             kept.append(handle_mm + HANDLE_GAP_MM)
         return np.concatenate(points), np.concatenate(kept)
 
@@ -344,14 +374,18 @@ def _in_space(poses: list[_Pose], stroke: Stroke, ladle: Ladle) -> StrokePath:
 
 
 def _times_s(poses: list[_Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladle) -> Floats:
-    """Each step as quick as the slowest of lip, apex, and the sheet's edge."""
+    """Each step as quick as the slowest of lip, apex, axis, and the sheet's edge."""
     apex_mm = np.array([pose.apex_mm for pose in poses])
     rims_mm = np.array([pose.rim_mm for pose in poses])
+    half_rad = np.arcsin(rims_mm / (2 * ladle.slant_mm))
+    tilts_rad = np.array([pose.tilt_rad for pose in poses])
     ways_mm = np.maximum(
         np.linalg.norm(np.diff(lip_mm, axis=0), axis=1), np.linalg.norm(np.diff(apex_mm, axis=0), axis=1)
     )
-    steps_s = np.maximum(
-        ways_mm / stroke.lip_speed_mm_per_s, math.pi * np.abs(np.diff(rims_mm)) / ladle.edge_speed_mm_per_s
+    turns_rad = np.maximum(np.abs(np.diff(tilts_rad)), np.abs(np.diff(tilts_rad - half_rad)))
+    edge_mm = math.pi * np.abs(np.diff(rims_mm))
+    steps_s = np.maximum.reduce(
+        [ways_mm / stroke.lip_speed_mm_per_s, turns_rad / TURN_RAD_PER_S, edge_mm / ladle.edge_speed_mm_per_s]
     )
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps_s, 1e-3))])
 

@@ -11,7 +11,7 @@ import numpy as np
 from plotly import graph_objects as go
 
 from scuhand_bt.cell_spec import CellSpec, Station
-from scuhand_bt.motion import ApexPose, unreachable_reason
+from scuhand_bt.motion import ApexPose, Mount, solutions
 from scuhand_bt.report.figure_page import figure_page
 
 STEP_MM = 20
@@ -26,9 +26,9 @@ _REACHED, _OUT_OF_REACH = "#1a7f37", "#c62828"
 
 def reach_page(cell: CellSpec) -> str:
     """A self-contained HTML page with the map, the bench's geometry and the stations marked."""
-    offset_m = cell.hand.apex_offset_mm / 1e3
+    mount = Mount.of(cell.hand)
     heights_mm = {
-        station.name: [z for z in range(round(station.position_mm[2]), 500, 5) if _reaches(station, z, offset_m)]
+        station.name: [z for z in range(round(station.position_mm[2]), 500, 5) if _reaches(station, z, mount)]
         for station in cell.stations.values()
     }
     rows = [_row(station, heights_mm[station.name]) for station in cell.stations.values()]
@@ -41,7 +41,7 @@ def reach_page(cell: CellSpec) -> str:
         f"<th>vertical cone, from the station up</th></tr>{''.join(rows)}</table>"
         "<p>Kinematics only: what stands in the way is looked at when a motion is planned.</p>"
     )
-    return figure_page(f"What the vertical cone can reach: {cell.cell}", _map(cell, heights_mm, offset_m), intro, below)
+    return figure_page(f"What the vertical cone can reach: {cell.cell}", _map(cell, heights_mm, mount), intro, below)
 
 
 def _row(station: Station, heights_mm: list[int]) -> str:
@@ -59,18 +59,18 @@ def _span(heights_mm: list[int]) -> str:
     return f"apex {heights_mm[0]} to {heights_mm[-1]} mm above the table"
 
 
-def _reaches(station: Station, z_mm: float, offset_m: float) -> bool:
-    return _solvable(station.position_mm[0], station.position_mm[1], z_mm, offset_m)
+def _reaches(station: Station, z_mm: float, mount: Mount) -> bool:
+    return _solvable(station.position_mm[0], station.position_mm[1], z_mm, mount)
 
 
-def _solvable(x_mm: float, y_mm: float, z_mm: float, offset_m: float) -> bool:
-    return unreachable_reason(ApexPose(np.array([x_mm, y_mm, z_mm]) / 1e3), offset_m) is None
+def _solvable(x_mm: float, y_mm: float, z_mm: float, mount: Mount) -> bool:
+    return len(solutions(ApexPose(np.array([x_mm, y_mm, z_mm]) / 1e3), mount)) > 0
 
 
-def _map(cell: CellSpec, heights_mm: dict[str, list[int]], offset_m: float) -> go.Figure:
+def _map(cell: CellSpec, heights_mm: dict[str, list[int]], mount: Mount) -> go.Figure:
     """x points up the page and y to the left, as they do when one stands behind the arm."""
     x_mm, y_mm = (np.arange(low + STEP_MM / 2, high, STEP_MM) for low, high in (_X_MM, _Y_MM))
-    reached = [[[z for z in HEIGHTS_MM if _solvable(x, y, z, offset_m)] for y in y_mm] for x in x_mm]
+    reached = [[[z for z in HEIGHTS_MM if _solvable(x, y, z, mount)] for y in y_mm] for x in x_mm]
     count = len(HEIGHTS_MM) + 1
     figure = go.Figure(
         go.Heatmap(
