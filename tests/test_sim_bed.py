@@ -54,7 +54,7 @@ WIDE = swing(84.0, 76.0)
 
 def test_a_cone_that_closes_upright_takes_nothing() -> None:
     bench = Bench()
-    for height_mm, rim_mm in [(40.0, 66.0), (20.0, 66.0), (0.6, 66.0), (0.6, 54.0), (0.6, 42.0), (20.0, 42.0), (40.0, 42.0)]:
+    for height_mm, rim_mm in [(40.0, 66.0), (0.6, 66.0), (0.6, 54.0), (0.6, 42.0), (40.0, 42.0)]:
         bench.move(height_mm * UP, UP, rim_mm)
     assert bench.take() < 1.0
     assert bench.mortar_mg == pytest.approx(12_000.0, abs=1.0)
@@ -63,7 +63,7 @@ def test_a_cone_that_closes_upright_takes_nothing() -> None:
 def test_a_lip_along_the_wall_takes_nearly_all() -> None:
     bench = Bench()
     bench.go(WIDE)
-    assert bench.take() > 0.9 * 12_000.0
+    assert bench.take() > 0.7 * 12_000.0
 
 
 def test_narrow_strokes_take_less_and_the_next_ones_turned_collect_the_rest() -> None:
@@ -73,6 +73,13 @@ def test_narrow_strokes_take_less_and_the_next_ones_turned_collect_the_rest() ->
         taken_mg.append(bench.take())
     assert 4000.0 < taken_mg[0] < 11_000.0
     assert sum(taken_mg) > 0.9 * 12_000.0
+    assert taken_mg[0] < 1.05 * _first_mg(84.0, 76.0)
+
+
+def _first_mg(open_mm: float, closed_mm: float) -> float:
+    bench = Bench()
+    bench.go(swing(open_mm, closed_mm))
+    return bench.take()
 
 
 def test_wider_gaps_than_a_grain_leave_what_is_below_them() -> None:
@@ -96,27 +103,31 @@ def test_the_wall_keeps_its_film() -> None:
     assert left_mg["filmed"] > left_mg["clean"] + 200.0
 
 
-def test_a_cone_that_is_tipped_in_the_mortar_gives_back_what_it_took() -> None:
-    bench = Bench()
-    bench.go(WIDE)
-    held_mg, at_mm = bench.cone_mg, WIDE.apex_mm[-1]
-    for tilt_deg in range(0, 100, 2):
-        tilt = math.radians(tilt_deg)
-        bench.move(at_mm + [0.0, 0.0, 0.3 * tilt_deg], np.array([-math.sin(tilt), 0.0, math.cos(tilt)]), 76.0)
-    assert held_mg > 10_000.0
-    assert bench.cone_mg < 0.1 * held_mg
-
-
-def test_powder_over_the_edge_is_spilled() -> None:
-    bench = Bench()
-    bench.go(WIDE)
-    for aside_mm in range(0, 40, 2):  # over the mortar's edge, and tipped there
-        bench.move(WIDE.apex_mm[-1] + [float(aside_mm), 0.0, 5.0], UP, 76.0)
-    for tilt_deg in range(0, 100, 2):
-        tilt = math.radians(tilt_deg)
+def tipped(bench: Bench, aside_mm: float) -> None:
+    """Carry it aside from where a stroke ends, and tip it forwards."""
+    for step_mm in np.arange(0.0, aside_mm + 1.0, 2.0):
+        bench.move(WIDE.apex_mm[-1] + [step_mm, 0.0, 5.0], UP, 76.0)
+    for tilt in np.radians(np.arange(0, 140, 2)):
         axis = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
-        bench.move(WIDE.apex_mm[-1] + [40.0, 0.0, 5.0], axis, 76.0)
-    assert bench.spilled_mg > 1000.0
+        bench.move(WIDE.apex_mm[-1] + [aside_mm, 0.0, 5.0], axis, 76.0)
+
+
+def test_a_cone_that_is_tipped_over_the_mortar_gives_back_what_it_took() -> None:
+    bench = Bench()
+    bench.go(WIDE)
+    held_mg = bench.cone_mg
+    tipped(bench, 0.0)
+    assert bench.cone_mg < 0.1 * held_mg
+    assert bench.spilled_mg < 1.0
+
+
+def test_a_cone_that_is_tipped_over_the_mortars_edge_spills() -> None:
+    bench = Bench()
+    bench.go(WIDE)
+    held_mg = bench.cone_mg
+    tipped(bench, 40.0)
+    assert bench.cone_mg < 0.1 * held_mg
+    assert bench.spilled_mg > 0.4 * held_mg
 
 
 @pytest.mark.parametrize("name", ["glass_beads", "titanium_dioxide"])
@@ -175,7 +186,7 @@ def test_a_bed_that_was_kept_in_a_stroke_goes_on_as_it_would_have() -> None:
 def test_what_came_back_lies_in_a_heap_and_is_taken_with_the_rest() -> None:
     bench = Bench(1000.0)
     bench.go(WIDE)
-    bench.take()
+    first_mg = bench.take()
     bench.mortar_mg += 5000.0
     bench.go(WIDE)
-    assert bench.take() > 4500.0
+    assert bench.take() > first_mg + 2500.0

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.dem.cases import GRAIN_MM, SLANT_MM, Case
+from benchmarks.dem.cases import BULK_DENSITY, GRAIN_MM, SLANT_MM, Case
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.specs import Powder, PowderFlowSpec
 
-BULK_DENSITY = 1.48
-"""Of these grains as they lie, in mg/mm^3."""
 REPOSE_DEG = {25.0: 22.0, 37.0: 25.0}
 """Of grains that roll, by the friction between them: nearly as steep with much of it as with little."""
 

@@ -1,13 +1,14 @@
 """The strokes that are judged: in two mortars with three fills each, through two kinds of beads; and the old one."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.dosing.swing import Ladle, Stroke, headings_deg, stroke_path
+from scuhand_bt.dosing.strokes import chosen, expected_mg
+from scuhand_bt.dosing.swing import Ladle, headings_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.specs import Mortar
 
@@ -26,11 +27,12 @@ MORTARS = (
     Mortar(name="small_agate_mortar", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0),
 )
 FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (2000.0, 4000.0, 8000.0)}
-NARROW_MM = {"agate_mortar": (60.0, 50.0), "small_agate_mortar": (46.0, 40.0)}
-"""Rims at a stroke's beginning and end that leave room in the cone: some 5 g of 12."""
-WIDE_MM = {"agate_mortar": (84.0, 76.0), "small_agate_mortar": (62.0, 54.0)}
-"""That fit the mortar."""
-BEGIN_MM = -45.0
+BULK_DENSITY = 1.48
+"""Of these grains as they lie, in mg/mm^3."""
+LOAD_MG = 4750.0
+"""What the skill aims at with glass beads: 0.95 of the load that the cone may carry."""
+GRID_MM = 2.0
+"""To which the skill rounds a stroke."""
 DECIMALS = 4
 """Of poses, as they are run and as they are kept beside what they came to."""
 
@@ -67,32 +69,42 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The control, what one wide stroke takes, what four narrow ones do, and the twelve of the height field."""
+    """The control, all at once, what four strokes do, and the twelve of the height field."""
     agate = MORTARS[0]
     beads = FRICTIONS_DEG[0]
     yield Case("upright control", agate, 12_000.0, *beads, (upright(agate),), (0.05, 1.0, 2.0, 3.0))
-    wide = lip_led(agate, WIDE_MM, 1)
-    yield Case("wide", agate, 12_000.0, *beads, wide, moments(wide[0]))
-    yield Case("narrow, four strokes", agate, 12_000.0, *beads, lip_led(agate, NARROW_MM, 4))
+    everything, _ = lip_led(agate, 12_000.0, 0.0, load_mg=50_000.0)
+    yield Case("all at once", agate, 12_000.0, *beads, (everything,), moments(everything))
+    yield Case("four strokes", agate, 12_000.0, *beads, in_turn(agate, 12_000.0, 4))
     for friction in FRICTIONS_DEG:
         for mortar in MORTARS:
-            strokes = lip_led(mortar, NARROW_MM, 1)
             for fill_mg in FILLS_MG[mortar.name]:
-                name = f"narrow, {mortar.name}, {fill_mg / 1000:g} g, {friction[0]:g} deg"
-                pictures = moments(strokes[0]) if fill_mg == 12_000.0 and friction == beads else ()
-                yield Case(name, mortar, fill_mg, *friction, strokes, pictures)
+                stroke, _ = lip_led(mortar, fill_mg, 0.0)
+                name = f"{mortar.name}, {fill_mg / 1000:g} g, {friction[0]:g} deg"
+                pictures = moments(stroke) if (fill_mg, friction) == (12_000.0, beads) else ()
+                yield Case(name, mortar, fill_mg, *friction, (stroke,), pictures)
 
 
-def lip_led(mortar: Mortar, rims_mm: dict[str, tuple[float, float]], count: int) -> tuple[Way, ...]:
-    """Planned strokes, turned about the vertical."""
-    vessel, (open_mm, closed_mm) = Vessel.of(mortar), rims_mm[mortar.name]
-    strokes = []
-    for heading in headings_deg(count):
-        path = stroke_path(vessel, Stroke(open_mm, closed_mm, BEGIN_MM, heading_deg=heading), Ladle())
-        paces = np.where(path.on_wall[1:] | path.on_wall[:-1], 1.0, FREE_PACE)
-        times_s = np.concatenate([[0.0], np.cumsum(np.diff(path.times_s) / paces)])
-        strokes.append(_written(_from_rest(times_s), path.apex_mm, path.axis, path.rim_mm, path.on_wall))
-    return tuple(strokes)
+def lip_led(mortar: Mortar, in_mortar_mg: float, heading_deg: float, load_mg: float = LOAD_MG) -> tuple[Way, float]:
+    """The stroke that the skill would choose, and what it would expect of it."""
+    stroke = chosen(mortar, SLANT_MM, in_mortar_mg, BULK_DENSITY, load_mg, load_mg)
+    rounded = {name: GRID_MM * round(getattr(stroke, name) / GRID_MM) for name in ("open_mm", "closed_mm", "begin_mm")}
+    stroke = replace(stroke, **rounded, heading_deg=heading_deg)
+    path = stroke_path(Vessel.of(mortar), stroke, Ladle())
+    paces = np.where(path.on_wall[1:] | path.on_wall[:-1], 1.0, FREE_PACE)
+    times_s = np.concatenate([[0.0], np.cumsum(np.diff(path.times_s) / paces)])
+    way = _written(_from_rest(times_s), path.apex_mm, path.axis, path.rim_mm, path.on_wall)
+    return way, expected_mg(stroke, mortar, in_mortar_mg, BULK_DENSITY)
+
+
+def in_turn(mortar: Mortar, fill_mg: float, count: int) -> tuple[Way, ...]:
+    """Strokes turned about the vertical, each chosen for what the skill expects to be left."""
+    ways = []
+    for heading_deg in headings_deg(count):
+        way, expected = lip_led(mortar, fill_mg, heading_deg)
+        fill_mg -= expected
+        ways.append(way)
+    return tuple(ways)
 
 
 def upright(mortar: Mortar, open_mm: float = 66.0, closed_mm: float = 42.0) -> Way:

@@ -79,6 +79,8 @@ class HeightField:
         radius = np.hypot(self._x, self._y)
         self._wall = wall_mm(mortar, radius)
         self._outside = radius > mortar.bore_mm / 2
+        self._border = np.abs(self._x) + CELL_MM > line[-1]
+        self._border |= self._border.T
         self._on_wall = np.zeros_like(self._wall)
         self._on_sheet = np.zeros_like(self._wall)
         self._lost_mm = 0.0  # over the edge, since it was last told
@@ -282,7 +284,7 @@ class HeightField:
                 surface[b] += flow
             if before is not None and float(np.abs(top - before).max()) < AT_REST_MM:
                 break
-        lost = self._outside if over is None else self._outside & ~over
+        lost = self._outside if over is None else (self._outside & ~over) | self._border
         self._lost_mm += float(top[lost].sum())
         top[lost] = 0.0
         top += kept
