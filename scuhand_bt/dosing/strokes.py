@@ -26,7 +26,7 @@ CLOSING_MM = 12.0
 """How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
 NARROWEST_SHARE = 0.75
 """Of the widest rim, the narrowest that a stroke begins with."""
-WIDTHS, BEGINS = 4, 8
+WIDTHS, BEGINS = 3, 24
 """How many rims, and how many places to begin, are looked at."""
 
 

@@ -290,7 +290,7 @@ class _Flat:
     def _entry(self, first: _Pose) -> list[_Pose] | None:
         lip_mm = first.lip_mm(self._ladle.slant_mm)
         incline = math.atan2(first.apex_mm[1] - lip_mm[1], first.apex_mm[0] - lip_mm[0])
-        up_mm = self._vessel.depth_mm + OVER_EDGE_MM - lip_mm[1]
+        up_mm = self._vessel.depth_mm + OVER_EDGE_MM - min(lip_mm[1], first.apex_mm[1])
         for back in np.linspace(incline, math.pi / 2, ENTRIES).tolist():
             if math.sin(back) < LEVEL_ENTRY:
                 continue
