@@ -46,9 +46,11 @@ AT_REST_MM = 1e-3
 """Powder of which no column changes by more in a sweep is at rest; it is looked at every `CHECKED` sweeps."""
 POURED_MG = 1e-3
 """What the mortar has gained since the cone was last in it; less is rounding."""
+ROOM_MM = 1.0
+"""A column under the sheet with less is full."""
 GIVES_MM = 0.5
 """Assumed of a sheet of 0.2 mm, not measured."""
-GRIP = 0.35
+GRIP = 0.3
 """Of the sheet's motion along itself, the share that its load takes part in."""
 GRAINS_THICK = 1.5
 """A layer of fewer grains slides on the wall as one."""
@@ -132,12 +134,19 @@ class HeightField:
         self._on_wall, self._on_sheet = layers.astype(float)
 
     def _agree(self, pose: ConePose, in_mortar_mg: float, in_cone_mg: float) -> None:
-        """There is as much as it is said to be: more lies in a heap, of less every column has its share."""
-        more_mg = in_mortar_mg - self.in_mortar_mg
-        if more_mg > POURED_MG:
+        """There is as much as it is said to be: more has come on top, in a heap, of less every column has its share.
+
+        What was in the mortar first was put there by a person, and lies level.
+        """
+        there_mg = self.in_mortar_mg
+        more_mg = in_mortar_mg - there_mg
+        if more_mg > POURED_MG and there_mg <= POURED_MG:
+            self._on_wall += self._filled(np.where(self._outside, math.inf, self._wall), more_mg)
+            self._written = None
+        elif more_mg > POURED_MG:
             self._pour(more_mg)
         elif more_mg:
-            self._on_wall *= in_mortar_mg / max(self.in_mortar_mg, 1e-300)
+            self._on_wall *= in_mortar_mg / max(there_mg, 1e-300)
             self._written = None
         if self.in_cone_mg > 0.0:
             self._on_sheet *= in_cone_mg / self.in_cone_mg
@@ -234,16 +243,16 @@ class HeightField:
         return bool(taken.any())
 
     def _push(self, over: Mask) -> bool:
-        """What the sheet's outside meets goes aside, to the nearest column that is free."""
+        """What the sheet's outside meets goes aside, to the nearest column that has room, under the sheet or not."""
         assert self._cone is not None
-        meets = np.maximum(self._cone.sheet_mm, self._wall)
-        met = np.where(over, np.maximum(self._wall + self._on_wall - meets, 0.0), 0.0)
-        pushed = met > 0.0
-        free = ~over & ~self._outside
-        if not pushed.any() or not free.any():
+        room = np.where(over, np.maximum(self._cone.sheet_mm - self._wall, 0.0), math.inf) - self._on_wall
+        pushed = room < 0.0
+        target = (room > ROOM_MM) & ~self._outside
+        if not pushed.any() or not target.any():
             return False
-        self._on_wall -= met
-        self._add_nearest(self._on_wall, free, pushed, met[pushed])
+        met = -room[pushed]
+        self._on_wall[pushed] -= met
+        self._add_nearest(self._on_wall, target, pushed, met)
         return True
 
     def _add_nearest(self, layer: Floats, targets: Mask, sources: Mask, thickness: Floats) -> None:
