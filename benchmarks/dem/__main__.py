@@ -4,8 +4,8 @@
     --json FILE     the figures, `benchmarks/dem_results.json` unless named
     --pictures DIR  `docs` unless named
 
-Needs Debian's `yade` (`apt-get install yade`), which runs in a process of its own: a minute or two of the processor for
-every stroke. The figures say which version it was, and how many seconds each case took.
+Needs Debian's `yade` (`apt-get install yade`), which runs in a process of its own: half a minute of the
+processor for every stroke. The figures say which version it was, and how many seconds each case took.
 """
 
 import argparse
@@ -83,9 +83,9 @@ def main() -> None:
             ways += [way for way in case.strokes if way not in ways]
             table[case.name] = figures(case, found) | {"ways": [ways.index(way) for way in case.strokes]}
             print(case.name, table[case.name], flush=True)
+            asked.json.write_text(in_lines({"yade": version, "cases": table, "ways": ways}))
             if found["pictures"]:
                 draw(case, found, asked.pictures / f"scoop-dem-{case.name.split(',')[0].replace(' ', '-')}.png")
-    asked.json.write_text(in_lines({"yade": version, "cases": table, "ways": ways}))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,13 @@
 """The strokes that are judged: in two mortars with three fills each, through two kinds of beads; and the old one."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.dosing.strokes import chosen, expected_mg
-from scuhand_bt.dosing.swing import Ladle, headings_deg, stroke_path
+from scuhand_bt.dosing.swing import Ladle, Stroke, headings_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.specs import Mortar
 
@@ -29,10 +28,18 @@ MORTARS = (
 FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (2000.0, 4000.0, 8000.0)}
 BULK_DENSITY = 1.48
 """Of these grains as they lie, in mg/mm^3."""
-LOAD_MG = 4750.0
-"""What the skill aims at with glass beads: 0.95 of the load that the cone may carry."""
-GRID_MM = 2.0
-"""To which the skill rounds a stroke."""
+STROKES_MM = {
+    ("agate_mortar", 4000.0): (82.0, 70.0, -24.0),
+    ("agate_mortar", 8000.0): (82.0, 70.0, -2.0),
+    ("agate_mortar", 12_000.0): (82.0, 70.0, 4.0),
+    ("small_agate_mortar", 2000.0): (60.0, 48.0, -20.0),
+    ("small_agate_mortar", 4000.0): (60.0, 48.0, -24.0),
+    ("small_agate_mortar", 8000.0): (60.0, 48.0, -2.0),
+}
+"""Rims at the beginning and the end, and where the lip comes to the wall: for the 4.75 g that the skill aims at."""
+ALL_MM = (82.0, 70.0, -32.0)
+IN_TURN_MM = ((82.0, 70.0, 4.0), (82.0, 70.0, -2.0), (82.0, 70.0, -24.0), (82.0, 70.0, -16.0))
+"""For 12 g of which each stroke is expected to leave less."""
 DECIMALS = 4
 """Of poses, as they are run and as they are kept beside what they came to."""
 
@@ -73,38 +80,28 @@ def cases() -> Iterator[Case]:
     agate = MORTARS[0]
     beads = FRICTIONS_DEG[0]
     yield Case("upright control", agate, 12_000.0, *beads, (upright(agate),), (0.05, 1.0, 2.0, 3.0))
-    everything, _ = lip_led(agate, 12_000.0, 0.0, load_mg=50_000.0)
+    everything = lip_led(agate, *ALL_MM)
     yield Case("all at once", agate, 12_000.0, *beads, (everything,), moments(everything))
-    yield Case("four strokes", agate, 12_000.0, *beads, in_turn(agate, 12_000.0, 4))
+    turned = tuple(
+        lip_led(agate, *rims, heading_deg) for rims, heading_deg in zip(IN_TURN_MM, headings_deg(4), strict=True)
+    )
+    yield Case("four strokes", agate, 12_000.0, *beads, turned)
     for friction in FRICTIONS_DEG:
         for mortar in MORTARS:
             for fill_mg in FILLS_MG[mortar.name]:
-                stroke, _ = lip_led(mortar, fill_mg, 0.0)
+                stroke = lip_led(mortar, *STROKES_MM[mortar.name, fill_mg])
                 name = f"{mortar.name}, {fill_mg / 1000:g} g, {friction[0]:g} deg"
                 pictures = moments(stroke) if (fill_mg, friction) == (12_000.0, beads) else ()
                 yield Case(name, mortar, fill_mg, *friction, (stroke,), pictures)
 
 
-def lip_led(mortar: Mortar, in_mortar_mg: float, heading_deg: float, load_mg: float = LOAD_MG) -> tuple[Way, float]:
-    """The stroke that the skill would choose, and what it would expect of it."""
-    stroke = chosen(mortar, SLANT_MM, in_mortar_mg, BULK_DENSITY, load_mg, load_mg)
-    rounded = {name: GRID_MM * round(getattr(stroke, name) / GRID_MM) for name in ("open_mm", "closed_mm", "begin_mm")}
-    stroke = replace(stroke, **rounded, heading_deg=heading_deg)
+def lip_led(mortar: Mortar, open_mm: float, closed_mm: float, begin_mm: float, heading_deg: float = 0.0) -> Way:
+    """A planned stroke."""
+    stroke = Stroke(open_mm, closed_mm, begin_mm, heading_deg=heading_deg)
     path = stroke_path(Vessel.of(mortar), stroke, Ladle())
     paces = np.where(path.on_wall[1:] | path.on_wall[:-1], 1.0, FREE_PACE)
     times_s = np.concatenate([[0.0], np.cumsum(np.diff(path.times_s) / paces)])
-    way = _written(_from_rest(times_s), path.apex_mm, path.axis, path.rim_mm, path.on_wall)
-    return way, expected_mg(stroke, mortar, in_mortar_mg, BULK_DENSITY)
-
-
-def in_turn(mortar: Mortar, fill_mg: float, count: int) -> tuple[Way, ...]:
-    """Strokes turned about the vertical, each chosen for what the skill expects to be left."""
-    ways = []
-    for heading_deg in headings_deg(count):
-        way, expected = lip_led(mortar, fill_mg, heading_deg)
-        fill_mg -= expected
-        ways.append(way)
-    return tuple(ways)
+    return _written(_from_rest(times_s), path.apex_mm, path.axis, path.rim_mm, path.on_wall)
 
 
 def upright(mortar: Mortar, open_mm: float = 66.0, closed_mm: float = 42.0) -> Way:
@@ -143,4 +140,5 @@ def _from_rest(times_s: Floats) -> Floats:
 
 def _written(times_s: Floats, apex_mm: Floats, axis: Floats, rim_mm: Floats, on_wall: Any) -> Way:
     fields = {"times_s": times_s, "apex_mm": apex_mm, "axis": axis, "rim_mm": rim_mm, "on_wall": on_wall}
-    return {name: (value if value.dtype == bool else np.round(value, DECIMALS)).tolist() for name, value in fields.items()}
+    rounded = {name: value if value.dtype == bool else np.round(value, DECIMALS) for name, value in fields.items()}
+    return {name: value.tolist() for name, value in rounded.items()}
