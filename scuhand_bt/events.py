@@ -308,8 +308,8 @@ class Scooped(SkillEvent):
     """And at its end."""
     heading_deg: float
     """The direction of the swing about the vertical."""
-    over_travel_mm: float
-    """How far the lip was pressed into the wall."""
+    gap_mm: float
+    """Between the lip and the wall; less than 0: so far it was pressed into it."""
     lip_force_n: float
     """What that takes, by the sheet's bending stiffness."""
     duration_s: float

@@ -14,8 +14,8 @@ from pydantic import Field
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
-from scuhand_bt.dosing.strokes import chosen, expected_mg
-from scuhand_bt.dosing.swing import Ladle, NoStrokeError, Stroke, stroke_path
+from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
+from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.motion import ApexPose
 from scuhand_bt.skill import (
@@ -48,8 +48,6 @@ PRESSED_BELOW_MG = 1500.0
 """With less in the mortar, the lip is pressed into the wall."""
 HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0, 30.0, 330.0, 0.0, 180.0, 150.0, 210.0)
 """Directions of a swing, from straight out from the arm's base: across it, to and fro, are what it does best."""
-GRID_MM = 2.0
-"""Strokes differ by so much at least, so that the same few come again and their plans are known already."""
 
 
 class Scoop(Skill[Milligrams]):
@@ -84,11 +82,12 @@ class Scoop(Skill[Milligrams]):
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
         yield from cell.move_to(source.station)
         believed.touched(source)
-        stroke, motion = self._planned(cell, self._chosen(cell, in_mortar_mg))
+        bed = self._bed(cell)
+        stroke, motion = self._planned(cell, self._chosen(cell, bed, in_mortar_mg))
         yield from cell.hand.morph(stroke.open_mm)
         yield from cell.make_stroke(motion)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
-        held_mg = self._believe(cell, stroke, motion.duration_s, in_mortar_mg)
+        held_mg = self._believe(cell, stroke, motion.duration_s, expected_mg(stroke, bed))
         yield from cell.move_to(source.station)
         yield from cell.form_upright(MOUNTED_DIAMETER_MM)
         return held_mg
@@ -121,21 +120,22 @@ class Scoop(Skill[Milligrams]):
         if believed.cone_source not in (None, self.source.name) and believed.cone_mg > 0:
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone still holds powder from '{believed.cone_source}'")
 
-    def _chosen(self, cell: Cell, in_mortar_mg: float) -> Stroke:
-        source, powder = self.source, self.source.powder
-        most_mg = max(0.0, LOAD_AIM * powder.load_limit_mg - cell.believed.cone_mg)
-        wanted_mg = most_mg if self.wanted_mg is None else min(most_mg, SPARE * self.wanted_mg + SPARE_MG)
-        sheet_mm, density = cell.spec.hand.sheet_radius_mm, powder.bulk_density_mg_per_mm3
-        stroke = chosen(source.mortar, sheet_mm, in_mortar_mg, density, wanted_mg, most_mg)
-        over_travel_mm = min(self.over_travel_mm, LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand))
-        return replace(
-            stroke,
-            open_mm=_on_grid(stroke.open_mm),
-            closed_mm=_on_grid(stroke.closed_mm),
-            begin_mm=_on_grid(stroke.begin_mm),
-            over_travel_mm=over_travel_mm if in_mortar_mg < PRESSED_BELOW_MG else 0.0,
-            lip_speed_mm_per_s=self.speed_mm_per_s,
-        )
+    def _bed(self, cell: Cell) -> Bed:
+        source, believed = self.source, cell.believed
+        layer_mm = believed.layers_mm.get(source.name, math.inf)
+        density = source.powder.bulk_density_mg_per_mm3
+        return Bed(source.mortar, believed.sources_mg[source.name], density, layer_mm)
+
+    def _chosen(self, cell: Cell, bed: Bed, in_mortar_mg: float) -> Stroke:
+        source = self.source
+        wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg
+        if self.wanted_mg is not None:  # of a source that yields little, more; but never more than the cone may carry
+            wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / cell.believed.yields.get(source.name, 1.0)
+        stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
+        if stroke.gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
+            most_mm = LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand)
+            stroke = replace(stroke, gap_mm=-min(self.over_travel_mm, most_mm))
+        return replace(stroke, lip_speed_mm_per_s=self.speed_mm_per_s)
 
     def _planned(self, cell: Cell, stroke: Stroke) -> "tuple[Stroke, StoppableTrajectory]":
         """The stroke in the first direction in which the arm can make it; SkillFailed where it can in none."""
@@ -158,26 +158,20 @@ class Scoop(Skill[Milligrams]):
         for k in range(len(HEADINGS_DEG)):
             yield (outward_deg + HEADINGS_DEG[(first + k) % len(HEADINGS_DEG)]) % 360.0
 
-    def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, in_mortar_mg: float) -> float:
+    def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, lifted_mg: float) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""
         source, believed = self.source, cell.believed
-        density = source.powder.bulk_density_mg_per_mm3
-        before_mg = believed.cone_mg
-        believed.scooped(source, expected_mg(stroke, source.mortar, in_mortar_mg, density))
+        believed.scooped(source, lifted_mg, stroke.gap_mm if stroke.gap_mm > LIP_GAP_MM else None)
         cell.record.event(
             Scooped(
                 source=source.name,
-                expected_mg=believed.cone_mg - before_mg,
+                expected_mg=believed.cone_mg,
                 open_mm=stroke.open_mm,
                 closed_mm=stroke.closed_mm,
                 heading_deg=stroke.heading_deg,
-                over_travel_mm=stroke.over_travel_mm,
-                lip_force_n=lip_force_n(stroke.over_travel_mm, cell.spec.hand),
+                gap_mm=stroke.gap_mm,
+                lip_force_n=lip_force_n(max(0.0, -stroke.gap_mm), cell.spec.hand),
                 duration_s=duration_s,
             )
         )
         return believed.cone_mg
-
-
-def _on_grid(length_mm: float) -> float:
-    return GRID_MM * round(length_mm / GRID_MM)

@@ -160,7 +160,7 @@ def test_a_tilt_that_is_not_allowed_is_never_used_and_shortens_the_stroke() -> N
 
 
 def test_over_travel_presses_the_lip_into_the_wall_and_not_the_apex() -> None:
-    path = stroke_path(AGATE, Stroke(80.0, 80.0, -20.0, over_travel_mm=1.5), LADLE)
+    path = stroke_path(AGATE, Stroke(80.0, 80.0, -20.0, gap_mm=-1.5), LADLE)
     off_mm = 48.75 - np.linalg.norm(path.lip_mm - _bowl_centre_mm(AGATE), axis=1)
     assert off_mm[path.on_wall] == pytest.approx(-1.5, abs=0.01)
     assert AGATE.clearance_mm(path.apex_mm).min() >= 3.0 - 1e-6

@@ -1,4 +1,4 @@
-"""Worlds whose scoops bring half, or twice, of what the bed's geometry lifts: believed by weighing, not by a formula."""
+"""Worlds whose scoops bring half, or twice, of what the bed's geometry lifts: believed by weighing."""
 
 from pathlib import Path
 from typing import ClassVar

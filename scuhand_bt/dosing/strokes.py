@@ -1,81 +1,94 @@
-"""Which stroke is made: by what lies in the mortar and what is wanted in the cone.
+"""Which stroke is made: by what lies in the mortar, and what is wanted in the cone.
 
-    expected = CAUGHT m A / A_bed
+A lip that follows the wall at a gap g takes what lies above that, and leaves a layer as thick as the gap, not a level
+bed. So a bed's thickness t, across the wall, is where the wall is h high and phi steep
 
-A is the part of the levelled bed's disc, of diameter d_bed, in the way of the rim: no farther aside than half of the
-rim, and ahead of where the lip comes to the wall. The soft sheet catches most of that. The form and CAUGHT are ours;
-what a source really yields is learnt from weighing (`cell/believed.py`).
+    t = min(layer, (level - h) cos phi),    level so that  m = density sum(t dA)
 
-Where all of the bed would be too much for the cone or for the dose, the lip comes to the wall further on. The rim is
-always as wide as the mortar lets it be. Masses in mg, lengths in mm.
+and a stroke with half of its rim e, in a bed of radius r, is expected to bring
+
+    density w(e / r) sum(max(0, t - g) dA),    w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
+
+w is the strip's share of a disc. The form is ours, and takes powder to stay as it was left; what a source really yields
+of it is learnt from weighing (`cell/believed.py`). Masses in mg, lengths in mm.
 """
 
 import math
-from collections.abc import Iterator
+from dataclasses import replace
 
-from scuhand_bt.dosing.scooping import bed_diameter_mm
-from scuhand_bt.dosing.swing import Stroke
+import numpy as np
+
+from scuhand_bt.dosing.swing import Floats, Stroke
 from scuhand_bt.specs import Mortar
 
-CAUGHT = 0.85
-BED_GAP_MM = 4.0
-"""The lip meets the wall this far behind the bed."""
+BEHIND_MM = 4.0
+"""The lip comes to the wall so far behind the bed."""
 WIDEST_SHARE = 0.92
 """Of the bore, or of the flat sheet: the widest rim that a stroke begins with."""
 CLOSING_MM = 12.0
 """How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
-BEGINS = 24
-"""How many places to begin are looked at."""
+RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
+"""Strokes differ by so much at least."""
+RINGS = 100
+THIN_MM = 0.01
 
 
-def strokes(mortar: Mortar, sheet_radius_mm: float, bed_mm: float) -> Iterator[Stroke]:
-    """The strokes that there are in a mortar whose bed has this diameter, without a heading."""
-    widest_mm = WIDEST_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
-    behind_mm = _along_wall_mm(mortar, bed_mm / 2) + BED_GAP_MM
-    for n in range(BEGINS):
-        begin_mm = -behind_mm + 1.6 * behind_mm * n / (BEGINS - 1)
-        yield Stroke(widest_mm, widest_mm - CLOSING_MM, begin_mm)
+class Bed:
+    """What is believed to lie in a mortar: so much, no thicker than `layer_mm`; without that, level."""
+
+    def __init__(self, mortar: Mortar, mass_mg: float, density_mg_per_mm3: float, layer_mm: float = math.inf) -> None:
+        radius_mm, half_mm = mortar.bowl_radius_mm, mortar.bore_mm / 2
+        self.mortar, self._density = mortar, density_mg_per_mm3
+        self._out_mm = (np.arange(RINGS) + 0.5) * half_mm / RINGS
+        cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
+        self._area_mm2 = 2 * math.pi * self._out_mm * half_mm / RINGS / cosine
+
+        def filled_mm(level_mm: float) -> Floats:
+            above_mm = level_mm - radius_mm * (1 - cosine)
+            thick_mm: Floats = np.clip(above_mm * cosine, 0.0, layer_mm)
+            return thick_mm
+
+        low_mm, level_mm = 0.0, mortar.depth_mm
+        while level_mm - low_mm > THIN_MM:
+            middle_mm = (low_mm + level_mm) / 2
+            if self._mass_mg(filled_mm(middle_mm)) < mass_mg:
+                low_mm = middle_mm
+            else:
+                level_mm = middle_mm
+        thick_mm = filled_mm(level_mm)
+        self._thick_mm: Floats = thick_mm * (mass_mg / max(self._mass_mg(thick_mm), THIN_MM))
+
+    @property
+    def radius_mm(self) -> float:
+        """How far from the middle there is powder."""
+        return float(self._out_mm[self._thick_mm > THIN_MM].max(initial=self._out_mm[0]))
+
+    def above_mg(self, gap_mm: float) -> float:
+        """What is farther from the wall than that."""
+        return self._mass_mg(np.maximum(self._thick_mm - gap_mm, 0.0))
+
+    def _mass_mg(self, thick_mm: Floats) -> float:
+        return self._density * float(thick_mm @ self._area_mm2)
 
 
-def expected_mg(stroke: Stroke, mortar: Mortar, in_mortar_mg: float, bulk_density_mg_per_mm3: float) -> float:
+def expected_mg(stroke: Stroke, bed: Bed) -> float:
     """What a stroke is expected to bring into the cone."""
-    bed_mm = bed_diameter_mm(mortar, in_mortar_mg, bulk_density_mg_per_mm3)
-    begin_mm = mortar.bowl_radius_mm * math.sin(stroke.begin_mm / mortar.bowl_radius_mm)
-    return CAUGHT * in_mortar_mg * _share_of_disc(bed_mm / 2, stroke.open_mm / 2, begin_mm)
+    u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
+    strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
+    return strip * bed.above_mg(max(0.0, stroke.gap_mm))
 
 
-def chosen(
-    mortar: Mortar,
-    sheet_radius_mm: float,
-    in_mortar_mg: float,
-    bulk_density_mg_per_mm3: float,
-    wanted_mg: float,
-    most_mg: float,
-) -> Stroke:
-    """The stroke that brings the least that is enough, and at most `most_mg`; else as much as it may."""
-    bed_mm = bed_diameter_mm(mortar, in_mortar_mg, bulk_density_mg_per_mm3)
-    brings = [
-        (expected_mg(stroke, mortar, in_mortar_mg, bulk_density_mg_per_mm3), stroke)
-        for stroke in strokes(mortar, sheet_radius_mm, bed_mm)
-    ]
-    possible = [one for one in brings if one[0] <= most_mg] or [min(brings, key=lambda one: one[0])]
-    enough = [one for one in possible if one[0] >= wanted_mg]
-    return min(enough, key=lambda one: one[0])[1] if enough else max(possible, key=lambda one: one[0])[1]
+def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
+    """The stroke that brings so much and no more, or the most that there is: the widest, as deep as it has to be."""
+    mortar = bed.mortar
+    widest_mm = WIDEST_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
+    behind_mm = mortar.bowl_radius_mm * math.asin(bed.radius_mm / mortar.bowl_radius_mm) + BEHIND_MM
+    rims_mm = (_on_grid(widest_mm, RIM_GRID_MM), _on_grid(widest_mm - CLOSING_MM, RIM_GRID_MM))
+    stroke = Stroke(*rims_mm, begin_mm=-_on_grid(behind_mm, RIM_GRID_MM))
+    while expected_mg(stroke, bed) > wanted_mg:
+        stroke = replace(stroke, gap_mm=_on_grid(stroke.gap_mm + GAP_GRID_MM, GAP_GRID_MM))
+    return stroke
 
 
-def _along_wall_mm(mortar: Mortar, radius_mm: float) -> float:
-    """The arc from the bowl's lowest point to where it is this wide."""
-    bowl_mm = mortar.bowl_radius_mm
-    return bowl_mm * math.asin(min(1.0, min(radius_mm, mortar.bore_mm / 2) / bowl_mm))
-
-
-def _share_of_disc(radius_mm: float, half_width_mm: float, begin_mm: float) -> float:
-    """The share of a disc no farther than the half width from its middle line, and ahead of `begin_mm` along that."""
-    count = 200
-    inside = 0.0
-    for k in range(count):
-        aside_mm = radius_mm * (2 * (k + 0.5) / count - 1)
-        half_mm = math.sqrt(radius_mm**2 - aside_mm**2)
-        if abs(aside_mm) <= half_width_mm:
-            inside += max(0.0, half_mm - max(-half_mm, begin_mm))
-    return inside * 2 * radius_mm / count / (math.pi * radius_mm**2) if radius_mm > 0 else 0.0
+def _on_grid(length_mm: float, grid_mm: float) -> float:
+    return grid_mm * round(length_mm / grid_mm)

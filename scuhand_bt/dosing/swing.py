@@ -40,7 +40,7 @@ TURN_RAD_PER_S = 1.2
 APEX_CLEAR_MM = 3.0
 """The apex is never nearer to the vessel than this."""
 LIP_GAP_MM = 0.1
-"""Between the lip and the wall along a stroke without over-travel."""
+"""Between the lip and the wall of a stroke that takes all there is."""
 STEP_MM = 1.0
 """The lip's way between two poses of a path, at most."""
 STEP_DEG = 1.5
@@ -76,7 +76,7 @@ class Stroke:
 
     The lip meets the wall at the arc length `begin_mm` from the lowest point, negative behind it, or later where the
     axis would have to be tilted more than `max_tilt_deg`. `heading_deg` is the direction of the swing about the
-    vertical. With `over_travel_mm` the lip presses that much into the wall.
+    vertical. The lip follows the wall at `gap_mm`; less than 0 presses it into the wall.
     """
 
     open_mm: float
@@ -84,7 +84,7 @@ class Stroke:
     begin_mm: float
     attack_deg: float = 22.0
     heading_deg: float = 0.0
-    over_travel_mm: float = 0.0
+    gap_mm: float = LIP_GAP_MM
     max_tilt_deg: float = 110.0
     lip_speed_mm_per_s: float = 60.0
 
@@ -214,7 +214,6 @@ class _Flat:
 
     def __init__(self, vessel: Vessel, stroke: Stroke, ladle: Ladle) -> None:
         self._vessel, self._stroke, self._ladle = vessel, stroke, ladle
-        self._gap_mm = -stroke.over_travel_mm if stroke.over_travel_mm else LIP_GAP_MM
         around = np.linspace(0.0, math.pi, 13)
         self._around = np.stack([np.cos(around), np.sin(around)], axis=1)
         self._shares = np.array([0.25, 0.5, 0.75, 0.9, 1.0])
@@ -229,7 +228,9 @@ class _Flat:
         shares = (s_mm - s_mm[0]) / (s_mm[-1] - s_mm[0])
         rims_mm = stroke.open_mm + (stroke.closed_mm - stroke.open_mm) * shares
         out_mm, high_mm, steep = vessel.wall(s_mm)
-        lips_mm = np.stack([out_mm - self._gap_mm * np.sin(steep), high_mm + self._gap_mm * np.cos(steep)], axis=1)
+        lips_mm = np.stack(
+            [out_mm - self._stroke.gap_mm * np.sin(steep), high_mm + self._stroke.gap_mm * np.cos(steep)], axis=1
+        )
         poses = [
             self._at(lip_mm, phi, float(beta), float(rim_mm))
             for lip_mm, phi, beta, rim_mm in zip(
@@ -349,7 +350,7 @@ class _Flat:
         apex_mm = np.array([pose.apex_mm[0], 0.0, pose.apex_mm[1]])
         sheet_mm = apex_mm + slant_mm * (self._shares[:, None, None] * generators).reshape(-1, 3)
         points = [apex_mm[None, :], sheet_mm]
-        kept = [np.array([APEX_CLEAR_MM]), np.full(len(sheet_mm), min(self._gap_mm, 0.0) - SLACK_MM)]
+        kept = [np.array([APEX_CLEAR_MM]), np.full(len(sheet_mm), min(self._stroke.gap_mm, 0.0) - SLACK_MM)]
         if with_handle:
             along_mm = np.linspace(slant_mm - CLAMP_MM, self._ladle.handle_mm, 10)
             points.append(apex_mm + along_mm[:, None] * (math.cos(alpha) * axis - math.sin(alpha) * down))

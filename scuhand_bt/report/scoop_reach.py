@@ -1,11 +1,12 @@
 """In which directions the arm can scoop at each mortar station, and why not in the others: `reach --task scoop`."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from scuhand_bt.cell.scooping import planned_stroke
-from scuhand_bt.dosing.strokes import strokes
+from scuhand_bt.dosing.strokes import Bed, chosen
 from scuhand_bt.dosing.swing import Ladle, NoStrokeError, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 STEP_DEG = 30
 TILTS_DEG = (110.0, 75.0)
 """A stroke that takes all of the bed, and one that begins further on."""
-BED_SHARE = 0.6
-"""Of the bore, the bed that is looked at."""
+FULL_SHARE = 0.2
+"""Of the mortar's volume, the bed that is looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,9 @@ def directions(lab: Lab) -> Iterator[Direction]:
 
 def _looked_at(planner: "MotionPlanner", lab: Lab, station: str, mortar: Mortar, heading_deg: float) -> Direction:
     hand = lab.cell.hand
-    widest = next(iter(strokes(mortar, hand.sheet_radius_mm, BED_SHARE * mortar.bore_mm)))
+    depth_mm = mortar.depth_mm
+    volume_mm3 = math.pi * depth_mm**2 * (3 * mortar.bowl_radius_mm - depth_mm) / 3
+    widest = chosen(Bed(mortar, FULL_SHARE * volume_mm3, 1.0), hand.sheet_radius_mm, math.inf)
     why = ""
     for tilt_deg in TILTS_DEG:
         stroke = widest.turned(heading_deg, tilt_deg)

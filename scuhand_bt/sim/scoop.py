@@ -1,6 +1,6 @@
 """Our scoop's chance: of what the bed's geometry lifts, a little more or less stays in the cone each time.
 
-    collected = lifted * (1 + 0.05 n),   at most all there is;   n is normal
+collected = lifted * (1 + 0.05 n),   at most all there is;   n is normal
 """
 
 from numpy.random import Generator

@@ -32,7 +32,8 @@ def held_mm3(half_angle: float, slant_mm: float, lean: float, repose: float, wal
     if half_angle + tau >= math.pi / 2:
         return 0.0
     level_mm3 = math.pi * slant_mm**3 * math.sin(half_angle) ** 2 * math.cos(half_angle) / 3
-    return level_mm3 * (math.cos(half_angle + tau) / math.cos(half_angle - tau)) ** 1.5
+    held: float = level_mm3 * (math.cos(half_angle + tau) / math.cos(half_angle - tau)) ** 1.5
+    return held
 
 
 @dataclass
