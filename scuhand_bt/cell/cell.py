@@ -124,12 +124,10 @@ class Cell:
 
         SkillFailed as `move_to`.
         """
-        down = self.place(place)
-        yield from self.move_to(ApexPose(down.position_m + np.array([0.0, 0.0, from_above_mm / 1000]), down.axis))
-        trajectory = self._planner().contact(
-            self.arm.positions, [down], speed_mm_per_s / 1000, spill_limit_deg=self._spill_limit_deg()
-        )
-        yield from self._follow(trajectory)
+        planner, limit_deg = self._planner(), self._spill_limit_deg()
+        down = planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
+        yield from self._follow(planner.move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg))
+        yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
         """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else."""

@@ -1,6 +1,6 @@
 """The named poses that a cell moves between, and the one configuration in which the arm stands at each.
 
-Of the configurations of a pose the posture is the nearest to an arm that reaches forward over its elbow, moved along
+Of the configurations of a pose the posture is the nearest to an arm that reaches out with its elbow to the side, moved along
 the elbow's family to where whole servo counts hit the apex best. Configurations [rad] (7,).
 """
 
@@ -13,8 +13,12 @@ from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount
 from scuhand_bt.motion.scenes import Geometry, Scenes
 from scuhand_bt.motion.timelaw import RateLimits
 
-RELAXED_RAD = (-0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
-"""j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
+RELAXED_RAD = (-1.2, -0.7, 1.6, -2.2, 0.95, 0.75, -1.4)
+"""What postures are chosen near to, j1 from where the place is: an arm that reaches out with its elbow to the side.
+
+With the elbow above, the upper arm is upright at some of the places, or the handle in line with the forearm: there two
+joints turn about one line, and a small way asks much of them.
+"""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
 
@@ -74,17 +78,15 @@ class Places:
         else:
             raise goal_blocked(scene, name, q)
         azimuth_rad = float(np.arctan2(pose.position_m[1], pose.position_m[0]))
-        relaxed = np.array([azimuth_rad, *RELAXED_RAD])
+        relaxed = np.array(RELAXED_RAD)
+        relaxed[0] += azimuth_rad
         chosen: Floats = free[np.argmin(np.linalg.norm(free - relaxed, axis=1))]
         exact = finest(pose, chosen, mount)
         return chosen if scene.hits(exact[None, :])[0] else exact
 
 
 def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
-    """The pose with the handle straight out from the arm's base.
-
-    Between postures of that kind joint 1 turns, and the others move in one upright plane: the cone stays level.
-    """
+    """The pose with the handle straight out from the arm's base: between such postures joint 1 does most."""
     out = np.array([pose.position_m[0], pose.position_m[1], 0.0])
     back = -(out - (out @ pose.axis) * pose.axis)
     length_m = float(np.linalg.norm(back))

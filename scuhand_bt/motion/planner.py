@@ -218,6 +218,20 @@ class MotionPlanner:
         motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(motion)
 
+    def descent(
+        self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None
+    ) -> StoppableTrajectory:
+        """Straight down to a place, rest to rest: planned upwards from its posture, as not every other lets the arm.
+
+        A load is kept within `spill_limit_deg`. SkillFailed arm.no_path.
+        """
+        posture = self._posture(place)
+        below = apex(posture, self._mount)
+        above = ApexPose(below.position_m + (0.0, 0.0, from_above_m), below.axis)
+        scene = self.scene(CLOSE_MARGIN_M)
+        up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
+        return self._stoppable(up.reversed())
+
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
 
@@ -270,7 +284,7 @@ class MotionPlanner:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
         begin = self._places.settled(checked_joints(start), self._geometry)
         if isinstance(goal, np.ndarray):
-            return begin, checked_joints(goal)[None, :], "the stroke's beginning"
+            return begin, checked_joints(goal)[None, :], "where the way begins"
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
         goals = solutions(goal, self._mount)
