@@ -88,8 +88,7 @@ class Scoop(Skill[Milligrams]):
         yield from cell.make_stroke(motion)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
         held_mg = self._believe(cell, stroke, motion.duration_s, expected_mg(stroke, bed))
-        yield from cell.move_to(source.station)
-        yield from cell.form_upright(MOUNTED_DIAMETER_MM)
+        yield from cell.form_upright(source.station, MOUNTED_DIAMETER_MM)
         return held_mg
 
     def settle(self, cell: Cell) -> Steps[None]:

@@ -20,6 +20,7 @@ from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, O
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
 from scuhand_bt.motion.kinematics import JOINTS
@@ -166,9 +167,16 @@ class Cell:
             if not is_over:
                 self.hand.stop()
 
-    def form_upright(self, diameter_mm: float) -> Steps[None]:
-        """Give the cone another size where it stands upright: the arm turns the handle, so that it stays upright."""
-        motion = self._planner().reform(self.arm.positions, diameter_mm)
+    def form_upright(self, place: str, diameter_mm: float) -> Steps[None]:
+        """To a named place near by with an upright cone, which gets another size and stays upright all the way.
+
+        SkillFailed arm.no_path.
+        """
+        try:
+            motion = self._planner().reform(self.arm.positions, place, diameter_mm)
+        except SkillFailed:  # with the elbow as it is; the place's own posture is one that it can be done from
+            yield from self.move_to(place)
+            motion = self._planner().reform(self.arm.positions, place, diameter_mm)
         yield from self._together(motion)
 
     def _planner(self) -> "MotionPlanner":

@@ -1,7 +1,7 @@
 """The named poses that a cell moves between, and the one configuration in which the arm stands at each.
 
-Of the configurations of a pose the posture is the nearest to an arm that reaches out with its elbow to the side, moved along
-the elbow's family to where whole servo counts hit the apex best. Configurations [rad] (7,).
+Of the configurations of a pose the posture is the nearest to an arm that reaches out with its elbow to the side, moved
+along the elbow's family to where whole servo counts hit the apex best. Configurations [rad] (7,).
 """
 
 import numpy as np

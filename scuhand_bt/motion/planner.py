@@ -16,6 +16,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -28,6 +29,7 @@ from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.reform import reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -41,8 +43,6 @@ EMPTY_WILL_DO = 1.35
 """The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
 SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
-REFORMED = 40
-"""Poses of a cone that changes its size where it stands."""
 LIMIT_STEP_DEG = 5.0
 """Limits of loads are rounded down to whole steps for planning: loads that differ a little share their plans."""
 
@@ -227,7 +227,7 @@ class MotionPlanner:
         """
         posture = self._posture(place)
         below = apex(posture, self._mount)
-        above = ApexPose(below.position_m + (0.0, 0.0, from_above_m), below.axis)
+        above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(up.reversed())
@@ -243,32 +243,18 @@ class MotionPlanner:
         rates = with_roller(self.rates, self._cell.hand)
         return StoppableTrajectory(stroke_motion(checked_joints(near), poses, scene, rates, mount), rates, mount)
 
-    def reform(self, start: Floats, diameter_mm: float) -> StoppableTrajectory:
-        """Arm and roller (8 columns) from `start` to a cone of another size, whose apex and axis stay as they are."""
-        hand = self._cell.hand
-        begin_mm = 1e3 * self._geometry.cone_diameter_m
-        now = apex(checked_joints(start), self._mount)
-        assert now.seam is not None  # every configuration has one
-        rims_mm = np.linspace(begin_mm, diameter_mm, REFORMED)
-        leans = np.arcsin(rims_mm / (2 * hand.sheet_radius_mm))[:, None]
-        level = now.seam - (now.seam @ now.axis) * now.axis
-        level /= np.linalg.norm(level)
-        edge_mm = 2 * math.pi * hand.sheet_radius_mm - math.pi * rims_mm
-        roller_rad = np.radians(edge_mm * hand.roller_deg_per_mm)
-        rests = np.zeros(REFORMED, dtype=bool)
-        rests[[0, -1]] = True
-        poses = StrokePoses(
-            np.abs(edge_mm - edge_mm[0]) / hand.morph_speed_mm_per_s + 1e-3 * np.arange(REFORMED),
-            np.broadcast_to(now.position_m, (REFORMED, 3)),
-            np.broadcast_to(now.axis, (REFORMED, 3)),
-            np.cos(leans) * now.axis + np.sin(leans) * level,
-            roller_rad,
-            rests,
-        )
-        scene = self._scenes.of_stroke(self._geometry, rims_mm[[0, REFORMED // 2, -1]].tolist(), None, CLOSE_MARGIN_M)
+    def reform(self, start: Floats, place: str, diameter_mm: float) -> StoppableTrajectory:
+        """Arm and roller (8 columns) from `start`, the cone upright, to a place with a cone of another size.
+
+        The cone stays upright: apex, handle, elbow and rim go evenly to where they are in the place's posture.
+        SkillFailed arm.no_path.
+        """
+        hand, begin = self._cell.hand, checked_joints(start)
+        end = self._places.posture(place, replace(self._geometry, cone_diameter_m=diameter_mm / 1e3))
+        rims_mm = (1e3 * self._geometry.cone_diameter_m, diameter_mm)
+        scene = self._scenes.of_stroke(self._geometry, [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]], None, CLOSE_MARGIN_M)
         rates = with_roller(self.rates, hand)
-        motion = stroke_motion(start, poses, scene, rates, self._mount, starts=checked_joints(start)[None, :])
-        return StoppableTrajectory(motion, rates, self._mount)
+        return StoppableTrajectory(reform_motion(begin, end, rims_mm, scene, rates, hand), rates, self._mount)
 
     @property
     def _mount(self) -> Mount:

@@ -59,17 +59,13 @@ def with_roller(rates: RateLimits, hand: HandSpec) -> RateLimits:
     return RateLimits(*(np.append(joints, roller) for joints, roller in limits))
 
 
-def stroke_motion(
-    near: Floats, poses: StrokePoses, scene: Scene, rates: RateLimits, mount: Mount, starts: Floats | None = None
-) -> JointTrajectory:
+def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLimits, mount: Mount) -> JointTrajectory:
     """The stroke as a proven motion (8 columns) from the configuration nearest to `near` (7,) that has one.
 
-    `rates` are those of eight axes, `mount` the hand's as the stroke begins; `starts` (n, 7) are the configurations to
-    begin from, if not all there are. SkillFailed arm.unreachable, arm.no_path.
+    `rates` are those of eight axes, `mount` the hand's as the stroke begins. SkillFailed arm.unreachable, arm.no_path.
     """
-    times_s, positions_m, axes, seams, roller_rad = _sampled(poses)
-    if starts is None:
-        starts = solutions(ApexPose(positions_m[0], axes[0], seams[0]), mount)
+    times_s, positions_m, axes, seams, roller_rad = sampled(poses)
+    starts = solutions(ApexPose(positions_m[0], axes[0], seams[0]), mount)
     if not len(starts):
         raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach where the stroke begins")
     starts = starts[~scene.hits(starts)]
@@ -105,7 +101,7 @@ def _spread(order: np.ndarray) -> np.ndarray:
     return np.concatenate([few, rest[:: max(1, len(rest) // (STARTS // 2))]])
 
 
-def _sampled(poses: StrokePoses) -> tuple[Floats, ...]:
+def sampled(poses: StrokePoses) -> tuple[Floats, ...]:
     """Times (m,), positions, axes and seams (m, 3) and the roller's angles (m,), averaged."""
     from scipy.ndimage import uniform_filter1d  # which not every command has to load
 
