@@ -370,6 +370,23 @@ def _swivel_on(circle: _Circle, q: Floats) -> float:
     return math.atan2(float(e @ circle.up), float(e @ circle.across))
 
 
+def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, mount: Mount) -> Floats | None:
+    """All configurations of poses (n, 3) three times, at each of m swivels: (n, m, 4, 7), limits ignored.
+
+    None where a pose is beyond the arm.
+    """
+    n, m = len(positions_m), len(swivels)
+    if (circles := _circles(np.repeat(positions_m, m, axis=0), np.repeat(seams, m, axis=0), mount)) is None:
+        return None
+    branches = _branches(circles, np.tile(swivels, n)).reshape(-1, JOINTS)
+    return with_wrist_turned(branches, np.repeat(axes, 4 * m, axis=0), mount).reshape(n, m, 4, JOINTS)
+
+
+def within_limits(q: Floats) -> NDArray[np.bool_]:
+    """Which configurations (..., 7) keep the joints' limits."""
+    return _within(q, LIMITS_RAD)
+
+
 def along(
     positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, q_start: Floats, mount: Mount
 ) -> Floats | None:

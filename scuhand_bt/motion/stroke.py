@@ -16,21 +16,16 @@ import numpy as np
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.contact import AVERAGED_S, KEPT, STEP_S, swivel_course
-from scuhand_bt.motion.explain import closest_pair
-from scuhand_bt.motion.inverse import along, solutions, swivel_of
-from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount
-from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
+from scuhand_bt.motion.contact import AVERAGED_S, KEPT, STEP_S
+from scuhand_bt.motion.kinematics import JOINTS, Floats, Mount
+from scuhand_bt.motion.swivels import courses
+from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, through
 
-TURNS_OF_SWIVEL_RAD = (0.0, 0.4, -0.4, 0.15, -0.15, 0.8, -0.8)
-"""By how much the elbow may swing over the stroke, in the order tried."""
 ROLLER_SPEED_RAD_PER_S = 0.9 * 46 * 2 * math.pi / 60
 """Nine tenths of what an XM430-W350 turns without a load, at 12 V (data sheet)."""
 ROLLER_RAD_PER_S2, ROLLER_RAD_PER_S3 = 20.0, 400.0
 """Acceleration and jerk of the roller, which moves little mass: ours."""
-STARTS = 40
-"""Configurations at its beginning that a stroke is looked for from, the nearest to the arm first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,40 +60,17 @@ def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLim
     `rates` are those of eight axes, `mount` the hand's as the stroke begins. SkillFailed arm.unreachable, arm.no_path.
     """
     times_s, positions_m, axes, seams, roller_rad = sampled(poses)
-    starts = solutions(ApexPose(positions_m[0], axes[0], seams[0]), mount)
-    if not len(starts):
-        raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach where the stroke begins")
-    starts = starts[~scene.hits(starts)]
-    arm_rates = RateLimits(rates.speed[:JOINTS], rates.acceleration[:JOINTS], rates.jerk[:JOINTS])
-    order = np.argsort(rest_to_rest_s(starts - near, arm_rates), kind="stable")
-    why = "the hand or the arm would touch something where it begins"
-    for q0 in starts[_spread(order)]:
-        phi = swivel_of(q0, mount)
-        for turn in TURNS_OF_SWIVEL_RAD:
-            course = along(positions_m, axes, seams, swivel_course(phi, turn, len(times_s)), q0, mount)
-            if course is None:
-                why = "a joint would jump or leave its limits"
-                continue
-            if (hits := scene.hits(course)).any():
-                why = closest_pair(scene, course[int(np.argmax(hits))])
-                continue
-            motion = through(times_s, np.column_stack([course, roller_rad]))
-            motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
-            if scene.proves(arm_part(motion)):
-                return motion
-    raise SkillFailed(Code.ARM_NO_PATH, f"the arm cannot make this stroke: {why}")
+    for course in courses((positions_m, axes, seams), near, scene, rates.speed[:JOINTS], mount):
+        motion = through(times_s, np.column_stack([course, roller_rad]))
+        motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
+        if scene.proves(arm_part(motion)):
+            return motion
+    raise SkillFailed(Code.ARM_NO_PATH, "no course of the arm along it is proven to touch nothing")
 
 
 def arm_part(motion: JointTrajectory) -> JointTrajectory:
     """The joints' cubics of a stroke."""
     return JointTrajectory(motion.knots_s, motion.coefficients[:, :, :JOINTS], motion.spill_limit_deg)
-
-
-def _spread(order: np.ndarray) -> np.ndarray:
-    """The nearest few, and some of all the others."""
-    few = order[: STARTS // 2]
-    rest = order[STARTS // 2 :]
-    return np.concatenate([few, rest[:: max(1, len(rest) // (STARTS // 2))]])
 
 
 def sampled(poses: StrokePoses) -> tuple[Floats, ...]:
