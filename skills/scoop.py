@@ -14,7 +14,7 @@ from pydantic import Field
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
-from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg
+from scuhand_bt.dosing.strokes import Bed, Layer, chosen, expected_mg
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.motion import ApexPose
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 LOAD_AIM = 0.95
 """Share of the powder's load limit that a scoop aims at: what it collects varies."""
-SPARE = 1.5
-"""Times what is wanted that a scoop is to bring: some of it stays on the sheet, and it may be less than expected."""
-SPARE_MG = 800.0
+SPARE = 2.0
+"""Times what is wanted that a scoop is to bring: it may be less than expected, and the last third of it flows badly."""
+SPARE_MG = 2000.0
 NOTHING_LEFT_MG = 30.0
 """Less than this, believed to be in a mortar, is not worth a scoop."""
 PRESSED_BELOW_MG = 1500.0
@@ -87,7 +87,7 @@ class Scoop(Skill[Milligrams]):
         yield from cell.hand.morph(stroke.open_mm)
         yield from cell.make_stroke(motion)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
-        held_mg = self._believe(cell, stroke, motion.duration_s, expected_mg(stroke, bed))
+        held_mg = self._believe(cell, stroke, motion.duration_s, bed)
         yield from cell.form_upright(source.station, MOUNTED_DIAMETER_MM)
         return held_mg
 
@@ -121,9 +121,8 @@ class Scoop(Skill[Milligrams]):
 
     def _bed(self, cell: Cell) -> Bed:
         source, believed = self.source, cell.believed
-        layer_mm = believed.layers_mm.get(source.name, math.inf)
         density = source.powder.bulk_density_mg_per_mm3
-        return Bed(source.mortar, believed.sources_mg[source.name], density, layer_mm)
+        return Bed(source.mortar, believed.sources_mg[source.name], density, believed.layers.get(source.name))
 
     def _chosen(self, cell: Cell, bed: Bed, in_mortar_mg: float) -> Stroke:
         source = self.source
@@ -157,10 +156,12 @@ class Scoop(Skill[Milligrams]):
         for k in range(len(HEADINGS_DEG)):
             yield (outward_deg + HEADINGS_DEG[(first + k) % len(HEADINGS_DEG)]) % 360.0
 
-    def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, lifted_mg: float) -> float:
+    def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, bed: Bed) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""
         source, believed = self.source, cell.believed
-        believed.scooped(source, lifted_mg, stroke.gap_mm if stroke.gap_mm > LIP_GAP_MM else None)
+        lifted_mg = expected_mg(stroke, bed)
+        layer = Layer(stroke.gap_mm, bed.mass_mg - lifted_mg) if stroke.gap_mm > LIP_GAP_MM else None
+        believed.scooped(source, lifted_mg, layer)
         cell.record.event(
             Scooped(
                 source=source.name,

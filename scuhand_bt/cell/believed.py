@@ -19,11 +19,13 @@ from typing import Annotated, Any, TypeAlias
 from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Container, Source
 
 Counts: TypeAlias = Annotated[Mapping[str, int], READ_ONLY, AS_WRITTEN]
 Masses: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
-"""Masses [mg], shares of such, or lengths [mm], by name; read-only, as the rest of what is believed."""
+"""Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
+Layers: TypeAlias = Annotated[Mapping[str, Layer], READ_ONLY, AS_WRITTEN]
 
 BARREN_LOADS = 2
 """So many barren loads in a row, and a source is not scooped from any more: it is empty, or nothing gets out of the
@@ -72,8 +74,8 @@ class Believed:
     pan_gross_mg: float | None = None
     """The last stable gross with that container; None while containers are changed."""
     sources_mg: Masses = field(default_factory=lambda: MappingProxyType({}))
-    layers_mm: Masses = field(default_factory=lambda: MappingProxyType({}))
-    """By source, the layer that the last stroke has left on the mortar's wall; none where powder has come since."""
+    layers: Layers = field(default_factory=lambda: MappingProxyType({}))
+    """By source, what the last stroke has left on the mortar's wall; none for a bed that nothing was scooped from."""
     dosing: DoseSoFar = field(default_factory=DoseSoFar)
     bracket: Bracket | None = None
     """The weighings about the container that stands on the pan, or stood there until the bare pan is weighed again."""
@@ -109,7 +111,7 @@ class Believed:
 
     def source_holds(self, name: str, mass_mg: float) -> None:
         """So much is in a source: what a recipe, the inventory or an operator says."""
-        self._set(sources_mg={**self.sources_mg, name: _mass(mass_mg)}, layers_mm=self._layers_but(name))
+        self._set(sources_mg={**self.sources_mg, name: _mass(mass_mg)})
 
     def cone_holds(self, source: Source, mass_mg: float) -> None:
         """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
@@ -124,10 +126,10 @@ class Believed:
         self.emptied()
         self._set(sheet=source.sheet_key)
 
-    def scooped(self, source: Source, mass_mg: float, layer_mm: float | None = None) -> None:
+    def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None) -> None:
         """A scoop should have brought so much of a source into the cone; it has brought what this source yields of it.
 
-        On the mortar's wall it has left a layer of this thickness; None where it was to leave nothing.
+        It should have left this layer; None: nobody knows how it lies.
         ValueError while the cone holds another source's powder.
         """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
@@ -140,7 +142,7 @@ class Believed:
             sheet=source.sheet_key,
             load=replace(self.load, scooped_mg=self.load.scooped_mg + mass_mg),
             sources_mg={**self.sources_mg, source.name: left_mg},
-            layers_mm=self._layers_but(source.name) | ({source.name: layer_mm} if layer_mm is not None else {}),
+            layers={name: one for name, one in {**self.layers, source.name: layer}.items() if one is not None},
             dosing=replace(self.dosing, scoops=self.dosing.scoops + 1),
         )
 
@@ -359,9 +361,6 @@ class Believed:
         if self.bracket is None or self.weighed_container is None:
             raise ValueError("no container on the pan was weighed")
         return self.bracket
-
-    def _layers_but(self, name: str) -> dict[str, float]:
-        return {one: layer_mm for one, layer_mm in self.layers_mm.items() if one != name}
 
     def _left_cone(self, mass_mg: float) -> None:
         """What arrived (less than nothing, where the balance drifts) is not in a cone that held something."""

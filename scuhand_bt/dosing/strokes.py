@@ -1,11 +1,12 @@
 """Which stroke is made: by what lies in the mortar, and what is wanted in the cone.
 
 A lip that follows the wall at a gap g takes what lies above that, and leaves a layer as thick as the gap, not a level
-bed. So a bed's thickness t, across the wall, is where the wall is h high and phi steep
+bed. So the thickness t of that, across the wall, is where the wall is h high and phi steep
 
-    t = min(layer, (level - h) cos phi),    level so that  m = density sum(t dA)
+    t = min(gap, (level - h) cos phi),    level so that  m = density sum(t dA)
 
-and a stroke with half of its rim e, in a bed of radius r, is expected to bring
+What has come since lies level on the layer, t = max(t, (level' - h) cos phi), as all of it does in a bed that was never
+scooped from. A stroke with half of its rim e, in a bed of radius r, is expected to bring
 
     density w(e / r) sum(max(0, t - g) dA),    w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
 
@@ -14,7 +15,8 @@ of it is learnt from weighing (`cell/believed.py`). Masses in mg, lengths in mm.
 """
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,30 +35,45 @@ RINGS = 100
 THIN_MM = 0.01
 
 
-class Bed:
-    """What is believed to lie in a mortar: so much, no thicker than `layer_mm`; without that, level."""
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """What the last stroke has left on a mortar's wall: no thicker than its gap, and so much."""
 
-    def __init__(self, mortar: Mortar, mass_mg: float, density_mg_per_mm3: float, layer_mm: float = math.inf) -> None:
+    gap_mm: float
+    mass_mg: float
+
+
+class Bed:
+    """What is believed to lie in a mortar: so much, of it no more than was left in a layer, and on that the rest."""
+
+    def __init__(self, mortar: Mortar, mass_mg: float, density_mg_per_mm3: float, layer: Layer | None = None) -> None:
         radius_mm, half_mm = mortar.bowl_radius_mm, mortar.bore_mm / 2
-        self.mortar, self._density = mortar, density_mg_per_mm3
+        self.mortar, self.mass_mg, self._density = mortar, mass_mg, density_mg_per_mm3
         self._out_mm = (np.arange(RINGS) + 0.5) * half_mm / RINGS
         cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
         self._area_mm2 = 2 * math.pi * self._out_mm * half_mm / RINGS / cosine
 
-        def filled_mm(level_mm: float) -> Floats:
-            above_mm = level_mm - radius_mm * (1 - cosine)
-            thick_mm: Floats = np.clip(above_mm * cosine, 0.0, layer_mm)
+        def level_mm(level_mm: float) -> Floats:
+            thick_mm: Floats = np.maximum(level_mm - radius_mm * (1 - cosine), 0.0) * cosine
             return thick_mm
 
-        low_mm, level_mm = 0.0, mortar.depth_mm
-        while level_mm - low_mm > THIN_MM:
-            middle_mm = (low_mm + level_mm) / 2
-            if self._mass_mg(filled_mm(middle_mm)) < mass_mg:
+        self._thick_mm: Floats = np.zeros(RINGS)
+        if layer is not None:
+            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), min(mass_mg, layer.mass_mg))
+        left_mm = self._thick_mm
+        self._fill(lambda at_mm: np.maximum(level_mm(at_mm), left_mm), mass_mg)
+
+    def _fill(self, up_to: Callable[[float], Floats], mass_mg: float) -> None:
+        """As thick as it is up to the level that makes this mass."""
+        low_mm, high_mm = 0.0, self.mortar.depth_mm
+        while high_mm - low_mm > THIN_MM:
+            middle_mm = (low_mm + high_mm) / 2
+            if self._mass_mg(up_to(middle_mm)) < mass_mg:
                 low_mm = middle_mm
             else:
-                level_mm = middle_mm
-        thick_mm = filled_mm(level_mm)
-        self._thick_mm: Floats = thick_mm * (mass_mg / max(self._mass_mg(thick_mm), THIN_MM))
+                high_mm = middle_mm
+        thick_mm = up_to(high_mm)
+        self._thick_mm = thick_mm * (mass_mg / max(self._mass_mg(thick_mm), THIN_MM))
 
     @property
     def radius_mm(self) -> float:

@@ -15,9 +15,9 @@ The apex stays c clear of a bowl of radius R where
 of 48.75 mm. A flatter attack is possible only as long as the apex is still above the vessel's edge. So the attack is
 the one that is asked for, or as much more as keeps the apex and the rest of the sheet clear of the vessel.
 
-A stroke enters along its first generator, swings its lip along the wall to the edge, turns upright about its apex,
-rising where the handle meets the edge, and rises out. The seam, the
-slit's generator, lies opposite the lip, and the handle continues it. docs/scoop.md has the drawings.
+A stroke begins over the middle, tilted; enters along its first generator, swings its lip along the wall to the edge,
+turns upright about its apex, rising where the handle meets the edge, and rises out. The seam, the slit's generator,
+lies opposite the lip, and the handle continues it. docs/scoop.md has the drawings.
 
 Frame: origin at the vessel's lowest point, z up; lengths in mm, angles in deg where a name says so.
 """
@@ -292,7 +292,10 @@ class _Flat:
     # In and out -------------------------------------------------------------------------------------
 
     def enter(self, first: _Pose) -> list[_Pose]:
-        """Down to the wall from above the edge, along the first generator or as much steeper as it must be."""
+        """From over the middle to above the edge, and down along the first generator, or as much steeper as it must be.
+
+        What the cone still held falls into the vessel as it is tilted for that.
+        """
         entry = self._entry(first)
         assert entry is not None  # as the wall's first pose is one that can be entered
         return entry
@@ -305,7 +308,11 @@ class _Flat:
             if math.sin(back) < LEVEL_ENTRY:
                 continue
             way_mm = up_mm / math.sin(back)
+            aside_mm = max(0.0, -lip_mm[0] - way_mm * math.cos(back))
             poses = [
+                first.risen(way_mm * math.cos(back) + aside_mm * share, way_mm * math.sin(back))
+                for share in np.linspace(1.0, 0.0, math.ceil(aside_mm / STEP_MM), endpoint=False).tolist()
+            ] + [
                 first.risen(way_mm * share * math.cos(back), way_mm * share * math.sin(back))
                 for share in np.linspace(1.0, 0.0, math.ceil(way_mm / STEP_MM), endpoint=False).tolist()
             ]

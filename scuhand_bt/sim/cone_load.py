@@ -142,13 +142,20 @@ class ConeLoad:
         return self._land(end_s) if self._flying else 0.0
 
     def drop(self, now_s: float, mass_mg: float) -> None:
-        """Let so much fall from the cone."""
+        """Let so much fall from the cone's apex."""
         if mass_mg <= 0.0:
             return
         if self._below is None or self._arm.is_active or self._below[0] != self._pan.container_id:
-            below = self._around.below(self._arm.pose(now_s), self._pan.mouth_mm, self.source)
-            self._below = (self._pan.container_id, *below)
-        _, place, fall_s = self._below
+            apex_mm = 1000.0 * self._arm.pose(now_s).position_m
+            self._below = (self._pan.container_id, *self._around.below(apex_mm, self._pan.mouth_mm, self.source))
+        self._fall(now_s, mass_mg, *self._below[1:])
+
+    def _pour(self, now_s: float, mass_mg: float, pose: ConePose) -> None:
+        """Let so much fall over the rim."""
+        if mass_mg > 0.0:
+            self._fall(now_s, mass_mg, *self._around.below(pose.lip_mm, self._pan.mouth_mm, self.source))
+
+    def _fall(self, now_s: float, mass_mg: float, place: Compartment, fall_s: float) -> None:
         self._ledger.transfer(CONE, FLIGHT, mass_mg)
         self._flying.append((now_s + fall_s, mass_mg, place))
 
@@ -184,7 +191,7 @@ class ConeLoad:
         lean = self._carried.lean(end_s, pose)
         if self._mortars.inside is None:
             powder = self._sources[self.source].powder
-            self.drop(end_s, poured_mg(in_cone_mg, lean, pose, powder, dt_s))
+            self._pour(end_s, poured_mg(in_cone_mg, lean, pose, powder, dt_s), pose)
 
     def _lift(self, source: str, now_s: float) -> None:
         """The cone has come out of a mortar."""

@@ -59,6 +59,14 @@ class ConePose:
         rim = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * ring
         return np.vstack([rim, self.apex_mm])
 
+    @property
+    def lip_mm(self) -> Floats:
+        """(3,): the rim's lowest point, over which powder pours; of an upright cone, any."""
+        down = self.axis[2] * self.axis - (0.0, 0.0, 1.0)
+        size = float(np.linalg.norm(down))
+        lip: Floats = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * down / max(size, 1e-9)
+        return lip
+
     def way_mm(self, there: "ConePose") -> float:
         """How far its apex, or its rim, goes."""
         shift = there.apex_mm - self.apex_mm
