@@ -242,7 +242,7 @@ class HeightField:
         points = np.stack([x, y, self._cone.sheet_mm[entered]], axis=1)
         rim = now.apex_mm + (points - now.apex_mm) * (now.height_mm / np.maximum(now.along_mm(points), 1e-6))[:, None]
         gap = rim[:, 2] - wall_mm(self._mortar, np.hypot(rim[:, 0], rim[:, 1]))
-        gap[gap < max(self._gives_mm, 0.0)] = 0.0
+        gap = np.maximum(gap - self._gives_mm, 0.0)
         gap *= np.clip(gap / self._grain_mm - 1.0, 0.0, 1.0)  # one grain jams, two pass
         left = np.minimum(thick, np.maximum(gap, self._film_mm))
         middle = np.stack([x, y, wall + (left + thick) / 2], axis=1)
