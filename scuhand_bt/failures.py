@@ -130,7 +130,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("devices",),
     ),
     Code.BALANCE_COARSE: Failure(
-        "The balance shows finer digits than it weighs, or holds back small changes.",
+        "The balance shows finer digits than it weighs, holds back small changes, or stands still.",
         "Set its readability in robot/cell.yaml to what it resolves; switch off its hold, its stable-display filter.",
     ),
     Code.BALANCE_DRIFTING: Failure(

@@ -30,7 +30,7 @@ from scuhand_bt.dosing.bracket import (
     significant,
     watch_s,
 )
-from scuhand_bt.dosing.characteristic import held_mg
+from scuhand_bt.dosing.characteristic import held_mg, is_frozen
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
     Cell,
@@ -145,6 +145,7 @@ class Dispense(Skill[Dose]):
         believed.zero_stepped(fell_mg if fell_mg > FELL_NOISES * noise_mg else 0.0)
         pause_s = watch_s(before, run.last, self.tolerance_mg)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, pause_s, may_gain=True)
+        self._require_alive(cell)
         pairs = ((earlier, before), *run.watched, (after, weighing_of(mean)))
         gained, drift = dose_between(pairs, digit_mg)
         believed.dosed(gained, drift, weighing_of(mean), run.pulses, run.vibration_s)
@@ -185,6 +186,17 @@ class Dispense(Skill[Dose]):
                 Code.BALANCE_COARSE,
                 f"all {len(seen)} readings of the dose that differ do so by multiples of {step * digit_mg:g} mg; "
                 f"robot/cell.yaml says a readability of {digit_mg:g} mg",
+            )
+
+    @staticmethod
+    def _require_alive(cell: Cell) -> None:
+        """A frozen display hides what has come since; what it has shown so long tells nothing of its noise."""
+        shown_mg = [reading.value_mg for reading in cell.readings.copy()]
+        if is_frozen(shown_mg, cell.spec.balance.readability_mg):
+            cell.readings.clear()
+            raise SkillFailed(
+                Code.BALANCE_COARSE,
+                f"the display has been standing still at {shown_mg[-1]:.1f} mg for longer than its noise allows",
             )
 
     @property

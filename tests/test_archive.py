@@ -209,8 +209,8 @@ def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran
     assert {row["weighing"] for row in rows} == {"container", "tare", "dose", "lifted", "bare pan", "result"}
     for name in ("a", "b"):
         row, bracket, result = doses[name], brackets[name], ran.sample(name)
-        drift_mg, net_mg = float(row["drift_mg"]), float(row["net_mg"])
-        assert float(row["gross_mg"]) - float(row["tare_mg"]) - drift_mg == pytest.approx(net_mg, abs=1e-3)
+        drift_mg, earlier_mg, net_mg = (float(row[name]) for name in ("drift_mg", "earlier_mg", "net_mg"))
+        assert float(row["gross_mg"]) - float(row["tare_mg"]) - drift_mg + earlier_mg == pytest.approx(net_mg, abs=1e-3)
         for weighed in ("tare", "gross"):
             shown_mg = [1000 * float(line.split()[-2]) for line in row[f"{weighed}_lines"].split(" | ")]
             assert sum(shown_mg) / len(shown_mg) == pytest.approx(float(row[f"{weighed}_mg"]), abs=1e-3)
@@ -262,10 +262,10 @@ def test_a_dose_in_two_parts_is_weighed_against_the_empty_container_and_its_brac
     rows = record(journal.path)
     assert [row["weighing"] for row in rows] == ["dose", "dose", "result"]
     _, second, bracket = rows
-    masses = ("tare_mg", "gross_mg", "drift_mg", "net_mg")
-    assert [float(second[name]) for name in masses] == pytest.approx([9004.0, 9055.0, 0.5, 50.5])
+    masses = ("tare_mg", "gross_mg", "drift_mg", "earlier_mg", "net_mg")
+    assert [float(second[name]) for name in masses] == pytest.approx([9024.0, 9055.0, 0.5, 20.0, 50.5])
     assert (second["tare_lines"], second["gross_lines"]) == ("9024.0 mg", "9055.0 mg")
-    assert [bracket[name] for name in masses] == ["", "", "", "50.3000"]
+    assert [bracket[name] for name in masses] == ["", "", "", "", "50.3000"]
     assert (bracket["sample"], bracket["container"], bracket["failure_code"]) == ("a", "a", "")
     assert (second["verdict"], bracket["verdict"], bracket["tolerance_mg"]) == ("in tolerance", "over", "0.5000")
 

@@ -21,7 +21,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.weighing import require_known_delay, step_delay
 from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.dosing.characteristic import held_mg
+from scuhand_bt.dosing.characteristic import STILL_KNOWN, STILL_READINGS, held_mg, is_frozen
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab
@@ -526,6 +526,34 @@ STILL = [5.0] * 8
 )
 def test_a_display_that_stands_still_and_jumps_was_held(readings_mg: list[float], mg: float) -> None:
     assert held_mg(readings_mg, 0.1) == pytest.approx(mg)
+
+
+NOISY = [5.0, 5.1] * (STILL_KNOWN // 2)
+
+
+@pytest.mark.parametrize(
+    ("readings_mg", "frozen"),
+    [
+        ([*NOISY, *[5.2] * STILL_READINGS], True),
+        ([*NOISY, *[5.2] * (STILL_READINGS - 1)], False),
+        ([*NOISY[1:], *[5.2] * STILL_READINGS], False),
+        ([*NOISY, *[5.2] * STILL_READINGS, 5.3], False),
+        ([*NOISY, *[5.2] * 30, *NOISY, *[5.2] * 149], False),
+        ([*NOISY, *[5.2] * 30, *NOISY, *[5.2] * 150], True),
+        ([5.0] * 2 * STILL_KNOWN, False),
+        ([], False),
+    ],
+)
+def test_a_display_that_stands_still_for_longer_than_its_noise_allows_is_frozen(
+    readings_mg: list[float], frozen: bool
+) -> None:
+    assert is_frozen(readings_mg, 0.1) is frozen
+
+
+def test_what_falls_on_a_frozen_display_is_not_taken_for_a_dose(tmp_path: Path) -> None:
+    tally = Falsifier(tmp_path, recipes=("short",)).run(BY_NAME["frozen-until-lifted"], 1, 46004)
+    assert tally.failed[Code.BALANCE_COARSE] == 1
+    assert not tally.false_goods
 
 
 def test_a_balance_that_holds_its_display_gives_no_dose(tmp_path: Path) -> None:

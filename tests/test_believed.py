@@ -210,7 +210,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
             "doses": {"glass_beads/L7": {"mass_mg": 20.0, "uncertainty_mg": 0.1}},
             "drifted": {"glass_beads/L7": {"mass_mg": 0.0, "uncertainty_mg": 0.0}},
             "lasted_s": {"glass_beads/L7": 7.0},
-            "drift": {"rate": 0.0, "uncertainty": 0.005},
+            "drift": {"rate": 0.0, "uncertainty": 0.005, "is_doubted": False},
             "lot": SALT.sheet_key,
             "lifted": None,
             "carried": {},

@@ -233,11 +233,24 @@ def test_a_dose_is_watched_until_its_drift_is_known_to_a_quarter_of_the_toleranc
 
 def test_the_drift_of_a_dose_is_the_sum_of_its_parts() -> None:
     none, some = Drift(0.0, 0.01), Drift(0.1, 0.01)
-    drift = drift_of_dose([none, none, some, some], [10.0, 20.0, 30.0], 0.1)
+    before = Drift(0.5, 0.001)
+    drift = drift_of_dose([before, none, some, some], [10.0, 20.0, 30.0], 0.1)
     assert drift.rate * 60.0 == pytest.approx(20.0 * 0.05 + 30.0 * 0.1)
     began_mg = 20.0 * 0.1 / math.sqrt(3.0)
-    chances_mg = [share_s * 0.01 for share_s in (5.0, 5.0 + 10.0, 10.0 + 15.0, 15.0)]
+    chances_mg = [share_s * 0.01 for share_s in (10.0 + 10.0, 10.0 + 15.0, 15.0)]
     assert drift.uncertainty * 60.0 == pytest.approx(math.hypot(began_mg, *chances_mg))
+
+
+def test_a_drift_in_an_interrupted_dose_that_chance_would_rarely_make_is_its_doubt() -> None:
+    still = Drift(0.0, 0.001)
+    for rate, u in ((0.019, 0.005), (0.021, 0.01), (0.0249, 0.01)):
+        some = Drift(rate, 0.01)
+        assert drift_of_dose([still, some, some], [20.0, 0.001], 0.1) == Drift(0.0, pytest.approx(u, rel=1e-3))
+    some = Drift(0.0251, 0.01)
+    doubted = drift_of_dose([still, some, some], [20.0, 0.001], 0.1)
+    assert (doubted.rate, doubted.uncertainty, doubted.is_doubted) == (0.0, pytest.approx(0.0251), True)
+    some = Drift(0.035, 0.01)
+    assert drift_of_dose([still, some, some], [20.0, 0.001], 0.1).rate == pytest.approx(0.035)
 
 
 BEFORE, LATER = Gross(1000.0, 0.3, 100.0), Gross(1050.0, 0.4, 115.0)

@@ -49,6 +49,7 @@ class Pan:
         self.timeouts_s: list[float] = []
         self._clock, self._net_mg, self._controller = clock, iter(net_mg), controller
         self._weighed = (-1, 0.0)
+        self.creep_mg: Iterator[float] = itertools.repeat(0.0)
 
     def next_reading(self, timeout_s: float = 5.0) -> Steps[Reading]:
         self.timeouts_s.append(timeout_s)
@@ -62,7 +63,7 @@ class Pan:
         yield from ()
         if self._weighed[0] != len(self._controller.seen):
             self._weighed = (len(self._controller.seen), next(self._net_mg))
-        return StableMean(EMPTY_MG + self._weighed[1], MEAN_UNCERTAINTY_MG, self._clock.now_s)
+        return StableMean(EMPTY_MG + self._weighed[1] + next(self.creep_mg), MEAN_UNCERTAINTY_MG, self._clock.now_s)
 
 
 class Valve:
@@ -167,6 +168,27 @@ def test_a_long_dose_is_weighed_twice_whenever_nobody_has_looked_for_half_a_minu
     assert [now.time_s - before.time_s for before, now in watched] == [pytest.approx(8.0)] * 3
     assert [at.net_mg for at in loop.controller.seen] == [10.0, 20.0, 30.0, 40.0, 50.0, 60.0]
     assert loop.controller.seen[1].time_s == watched[0][1].time_s, "the controller is told of the second one"
+
+
+@pytest.mark.parametrize(
+    ("creep_mg", "seen_mg", "for_s"),
+    [
+        ([0.0, 0.28], (0.0, 0.28), 8.0),
+        ([0.0, 0.31, 0.29], (0.0, 0.29), 16.0),
+        ([0.0, -0.31, -0.4, -0.5], (0.0, -0.5), 24.0),
+        ([0.0, 0.6, 0.8], (0.6, 0.8), 8.0),
+        ([0.0, 0.6, 1.0, 1.2], (0.6, 1.2), 16.0),
+        ([0.0, 0.6, 1.2, 1.8], (1.2, 1.8), 8.0),
+    ],
+)
+def test_what_chance_would_hardly_make_is_watched_on_and_what_settles_is_let_settle(
+    creep_mg: list[float], seen_mg: tuple[float, float], for_s: float
+) -> None:
+    loop = Loop([Weigh(31.0)], [20.0])
+    loop.pan.creep_mg = iter(creep_mg)
+    ((before, now),) = loop.run().watched
+    assert [one.gross_mg - EMPTY_MG - 20.0 for one in (before, now)] == pytest.approx(seen_mg)
+    assert now.time_s - before.time_s == pytest.approx(for_s)
 
 
 def test_a_single_reading_is_as_uncertain_as_its_rounding() -> None:

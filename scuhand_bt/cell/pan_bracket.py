@@ -61,8 +61,8 @@ class Bracket:
     def gained(self, gained: Net, drift: Drift, now: Gross) -> "Bracket":
         """So much more of the lot that is being dosed, and what the container weighs with it."""
         lasted_s = now.time_s - self.last.time_s
-        is_drifting = drift.rate != 0.0
-        drifted = Net(drift.rate * lasted_s, drift.uncertainty * lasted_s * is_drifting)
+        doubt = drift.uncertainty if drift.rate != 0.0 or drift.is_doubted else 0.0
+        drifted = Net(drift.rate * lasted_s, doubt * lasted_s)
         return replace(
             self,
             doses=self._with(self.doses, gained),

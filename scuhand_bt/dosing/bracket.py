@@ -36,8 +36,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 AGREEMENT = 4.0
 """Standard deviations of their difference by which two results of one thing may be apart: by chance 1 in 16 000 are."""
-HARDLY, SURELY = 2.0, 3.0
-"""Standard deviations of a drift: by chance 1 in 20, and 1 in 400, are farther from none."""
+HARDLY, RARELY, SURELY = 2.0, 2.5, 3.0
+"""Standard deviations of a drift: by chance 1 in 20, 1 in 80, and 1 in 400 are farther from none."""
 SOUND_DIGITS_PER_S = 0.05
 """A sound balance that has warmed up drifts no faster (standard deviation), in digits: 3 in a minute. One that does is
 seen by A-B-A: the drift is in D and N with opposite signs."""
@@ -67,6 +67,8 @@ class Drift:
 
     rate: float
     uncertainty: float
+    is_doubted: bool = False
+    """Chance would rarely have made what was seen, and nothing is taken out for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,14 +137,19 @@ def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_m
 
     `parts_s` is how long each part between two of them was. In a part the drift is the weighted mean of those at its
     ends, where these agree. Where they do not, it began or ended in between, and may have been faster there than at
-    either end: a creep that sets in when the valve opens is. A sum that is no more than chance is none.
+    either end: a creep that sets in when the valve opens is. A sum that is no more than chance is none. What was
+    interrupted is judged by what was seen from then on: before the valve opened nothing could be known of such a creep;
+    and a sum that chance would rarely make, though it might, is its doubt.
     """
+    interrupted = len(seen) > 2
     moved_mg, coefficients_s, spread_mg = 0.0, [0.0] * len(seen), 0.0
     for part, duration_s in enumerate(parts_s):
         before, after = seen[part : part + 2]
         difference, chance = after.rate - before.rate, math.hypot(before.uncertainty, after.uncertainty)
         weight = after.uncertainty**2 / chance**2
-        if abs(difference) > SURELY * chance:
+        if interrupted and part == 0:
+            weight = 0.0
+        elif abs(difference) > SURELY * chance:
             weight, spread_mg = 0.5, math.hypot(spread_mg, difference * duration_s / math.sqrt(3.0))
         moved_mg += duration_s * (weight * before.rate + (1.0 - weight) * after.rate)
         coefficients_s[part] += duration_s * weight
@@ -150,7 +157,11 @@ def drift_of_dose(seen: Sequence[Drift], parts_s: Sequence[float], readability_m
     chances_mg = (by_s * drift.uncertainty for by_s, drift in zip(coefficients_s, seen, strict=True))
     lasted_s = sum(parts_s)
     drift = Drift(moved_mg / lasted_s, math.hypot(spread_mg, *chances_mg) / lasted_s)
-    return drift if spread_mg > 0.0 else significant(drift, readability_mg)
+    if spread_mg > 0.0:
+        return drift
+    found = significant(drift, readability_mg)
+    is_doubted = interrupted and found.rate == 0.0 and abs(drift.rate) > RARELY * drift.uncertainty
+    return Drift(0.0, abs(drift.rate), is_doubted=True) if is_doubted else found
 
 
 def watch_s(before: Gross, now: Gross, tolerance_mg: float) -> float:

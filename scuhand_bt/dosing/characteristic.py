@@ -18,7 +18,7 @@ then the mass drops out, and the tolerance is to be at least k s, with a margin 
 
 import statistics
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 from scuhand_bt.dosing.verdict import COVERAGE
 
@@ -33,6 +33,11 @@ STEP_SHARE = 0.01
 
 HELD_READINGS, HELD_DIGITS = 8, 5
 """A display that shows the same so often, and in the next reading more than so many digits more or less, held it."""
+
+STILL_TIMES, STILL_READINGS, STILL_KNOWN = 5, 100, 500
+"""A display is frozen that shows the same for so many times as long as ever before, and for so many readings, after so
+many others. The longest run of equal ones among n comes once in n readings, one of five times its length once in n^5.
+"""
 
 Curve = Sequence[tuple[float, float]]
 """Readings: times [s], growing, and masses [mg]."""
@@ -74,6 +79,18 @@ def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
             held = max(held, abs(now - last))
         still = still + 1 if now == last else 1
     return held * readability_mg
+
+
+def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
+    """Whether a display has been showing the same, to the digit, for longer than its own noise allows.
+
+    A balance that is as quiet as that at other times, or was seen for a short while only, is not told by this.
+    """
+    digits = [round(mg / readability_mg) for mg in readings_mg]
+    runs = [sum(1 for _ in equal) for _, equal in groupby(digits)]
+    if len(runs) < 2 or len(digits) - runs[-1] < STILL_KNOWN:
+        return False
+    return runs[-1] >= max(STILL_READINGS, STILL_TIMES * max(runs[:-1]))
 
 
 def noise_and_drift(curve: Curve) -> tuple[float, float]:

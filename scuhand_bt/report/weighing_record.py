@@ -41,8 +41,8 @@ CONVENTION = (
 COLUMNS = (
     "run", "simulated", "mode", "recipe", "recipe_hash", "operator", "at", "run_time_s", "sample", "attempt",
     "container", "container_kind", "weighing", "balance_driver", "balance_identity", "readability_mg", "tare_mg",
-    "gross_mg", "drift_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines", "lines_unit",
-    "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "sample_verdict",
+    "gross_mg", "drift_mg", "earlier_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines",
+    "lines_unit", "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "sample_verdict",
     "bracket", "true_mg", "failure_code", "source", "powder", "lot", "sheet",
     "sheet_powder", "controller", "software", "entry", "entry_hash",
 )  # fmt: skip
@@ -50,7 +50,10 @@ _FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
 
 
 def weighing_record(contents: Contents) -> str:
-    """The record as CSV. Masses are in mg; the lines are the balance's own, as they came, in `lines_unit`."""
+    """The record as CSV. Masses are in mg; the lines are the balance's own, as they came, in `lines_unit`.
+
+    Of a dose, net = gross - tare - drift + earlier: what the same lot had brought before that tare was weighed.
+    """
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, restval="", quoting=csv.QUOTE_ALL)
     table.writeheader()
@@ -135,7 +138,7 @@ def _result_rows(
     result: SampleResult, of_doses: Mapping[tuple[str, str], Mapping[str, object]], entry: Mapping[str, object]
 ) -> Iterator[dict[str, object]]:
     """A row for each dose of a sample, by the last that was said of it."""
-    weighed = ("tare_mg", "gross_mg", "drift_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
+    weighed = ("tare_mg", "gross_mg", "drift_mg", "earlier_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
     for dose in result.doses:
         written = of_doses.get((dose.container, dose.lot), {})
         yield {name: value for name, value in written.items() if name not in weighed} | {
@@ -190,7 +193,7 @@ def _weighed(
         case Dose():
             if isinstance(loaded, DoseWeighed):
                 row = _between(loaded.before, loaded, event.dispensed_mg) | {
-                    "tare_mg": loaded.before.gross_mg - (event.dispensed_mg - loaded.gained_mg),
+                    "earlier_mg": event.dispensed_mg - loaded.gained_mg,
                     "drift_mg": loaded.gross_mg - loaded.before.gross_mg - loaded.gained_mg,
                 }
             else:  # a journal of before doses were bracketed
