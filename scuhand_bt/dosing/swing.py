@@ -23,7 +23,7 @@ Frame: origin at the vessel's lowest point, z up; lengths in mm, angles in deg w
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -48,6 +48,8 @@ STEP_DEG = 1.5
 OVER_EDGE_MM = 10.0
 """How far above the vessel's edge a stroke begins and ends."""
 ATTACK_GRID_DEG = 0.25
+COARSELY = 8
+"""Steps of that grid that are taken at once at first."""
 STEEPEST_DEG = 88.0
 WRIST_TO_FLANGE_MM = 19.0
 WRIST_RADIUS_MM = 45.0
@@ -169,7 +171,6 @@ def fitting_rim_mm(bowl_radius_mm: float, slant_mm: float, attack_deg: float) ->
     return 2 * slant_mm * math.sin(alpha)
 
 
-@lru_cache(maxsize=256)
 def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
     """The stroke's poses; NoStrokeError with the reason where the vessel, the sheet or the handle allow none.
 
@@ -182,10 +183,15 @@ def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
         )
     if stroke.open_mm > vessel.bore_mm - 2 * LIP_GAP_MM:
         raise NoStrokeError(f"a rim of {stroke.open_mm:g} mm does not go into a bore of {vessel.bore_mm:g} mm")
+    return _in_space(_poses(vessel, replace(stroke, heading_deg=0.0), ladle), stroke, ladle)
+
+
+@lru_cache(maxsize=64)
+def _poses(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> "tuple[_Pose, ...]":
+    """In the plane of the swing, the same whatever its heading."""
     flat = _Flat(vessel, stroke, ladle)
     scrape = flat.scrape()
-    poses = [*flat.enter(scrape[0]), *scrape, *flat.leave(scrape[-1])]
-    return _in_space(poses, stroke, ladle)
+    return (*flat.enter(scrape[0]), *scrape, *flat.leave(scrape[-1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,11 +275,12 @@ class _Flat:
         Where none does, it is as asked, and the pose is none that the stroke can use.
         """
         grid = np.radians(np.arange(self._stroke.attack_deg, STEEPEST_DEG + ATTACK_GRID_DEG, ATTACK_GRID_DEG))
-        needed = np.empty(len(steep))
-        for k, (lip_mm, phi, rim_mm) in enumerate(zip(lips_mm, steep, rims_mm, strict=True)):
-            needed[k] = next(
-                (beta for beta in grid if self._clear(self._at(lip_mm, phi, float(beta), float(rim_mm)))), grid[0]
-            )
+        needed = np.array(
+            [
+                self._least(lip_mm, float(phi), float(rim_mm), grid)
+                for lip_mm, phi, rim_mm in zip(lips_mm, steep, rims_mm, strict=True)
+            ]
+        )
         # The largest nearby, and then the mean of those: never less than is needed, and without a jump.
         reach = max(1, round(EVENED_MM / STEP_MM))
         padded = np.pad(needed, 2 * reach, mode="edge")
@@ -281,6 +288,15 @@ class _Flat:
         largest = np.lib.stride_tricks.sliding_window_view(padded, window).max(axis=1)
         evened: Floats = np.lib.stride_tricks.sliding_window_view(largest, window).mean(axis=1)
         return evened
+
+    def _least(self, lip_mm: Floats, steep: float, rim_mm: float, grid: Floats) -> float:
+        """The first attack of a grid [rad] that is clear, looked for roughly before exactly; or its first."""
+
+        def is_clear(n: int) -> bool:
+            return self._clear(self._at(lip_mm, steep, float(grid[n]), rim_mm))
+
+        near = next((n for n in range(0, len(grid), COARSELY) if is_clear(n)), 0)
+        return float(grid[next(n for n in range(max(0, near - COARSELY + 1), near + 1) if n == near or is_clear(n))])
 
     def _at(self, lip_mm: Floats, steep: float, attack: float, rim_mm: float) -> _Pose:
         slant_mm = self._ladle.slant_mm
@@ -367,7 +383,7 @@ class _Flat:
         return np.concatenate(points), np.concatenate(kept)
 
 
-def _in_space(poses: list[_Pose], stroke: Stroke, ladle: Ladle) -> StrokePath:
+def _in_space(poses: Sequence[_Pose], stroke: Stroke, ladle: Ladle) -> StrokePath:
     heading = math.radians(stroke.heading_deg)
     ahead, up = np.array([math.cos(heading), math.sin(heading), 0.0]), np.array([0.0, 0.0, 1.0])
     tilt = np.array([pose.tilt_rad for pose in poses])[:, None]
@@ -390,7 +406,7 @@ def _in_space(poses: list[_Pose], stroke: Stroke, ladle: Ladle) -> StrokePath:
     )
 
 
-def _times_s(poses: list[_Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladle) -> Floats:
+def _times_s(poses: Sequence[_Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladle) -> Floats:
     """Each step as quick as the slowest of lip, apex, axis, and the sheet's edge."""
     apex_mm = np.array([pose.apex_mm for pose in poses])
     rims_mm = np.array([pose.rim_mm for pose in poses])
