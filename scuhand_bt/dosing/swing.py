@@ -15,7 +15,7 @@ The apex stays c clear of a bowl of radius R where
 of 48.75 mm. A flatter attack is possible only as long as the apex is still above the vessel's edge. So the attack is
 the one that is asked for, or as much more as keeps the apex and the rest of the sheet clear of the vessel.
 
-A stroke begins over the middle, tilted; enters along its first generator, swings its lip along the wall to the edge,
+A stroke begins tilted over the vessel, enters along its first generator, swings its lip along the wall to the edge,
 turns upright about its apex, rising where the handle meets the edge, and rises out. The seam, the slit's generator,
 lies opposite the lip, and the handle continues it. docs/scoop.md has the drawings.
 
@@ -47,6 +47,8 @@ STEP_DEG = 1.5
 """The axis' turn between two poses of a path, at most."""
 OVER_EDGE_MM = 10.0
 """How far above the vessel's edge a stroke begins and ends."""
+OVER_VESSEL_MM = 15.0
+"""And how far its lip is then within the bore, at least."""
 ATTACK_GRID_DEG = 0.25
 COARSELY = 8
 """Steps of that grid that are taken at once at first."""
@@ -308,9 +310,9 @@ class _Flat:
     # In and out -------------------------------------------------------------------------------------
 
     def enter(self, first: _Pose) -> list[_Pose]:
-        """From over the middle to above the edge, and down along the first generator, or as much steeper as it must be.
+        """Down along the first generator, or as much steeper as it must be, from where the lip is over the vessel.
 
-        What the cone still held falls into the vessel as it is tilted for that.
+        There what the cone still held falls into it.
         """
         entry = self._entry(first)
         assert entry is not None  # as the wall's first pose is one that can be entered
@@ -324,7 +326,7 @@ class _Flat:
             if math.sin(back) < LEVEL_ENTRY:
                 continue
             way_mm = up_mm / math.sin(back)
-            aside_mm = max(0.0, -lip_mm[0] - way_mm * math.cos(back))
+            aside_mm = max(0.0, OVER_VESSEL_MM - self._vessel.bore_mm / 2 - lip_mm[0] - way_mm * math.cos(back))
             poses = [
                 first.risen(way_mm * math.cos(back) + aside_mm * share, way_mm * math.sin(back))
                 for share in np.linspace(1.0, 0.0, math.ceil(aside_mm / STEP_MM), endpoint=False).tolist()

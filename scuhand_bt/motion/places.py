@@ -1,24 +1,21 @@
 """The named poses that a cell moves between, and the one configuration in which the arm stands at each.
 
-Of the configurations of a pose the posture is the nearest to an arm that reaches out with its elbow to the side, moved
-along the elbow's family to where whole servo counts hit the apex best. Configurations [rad] (7,).
+Of the configurations of a pose the posture is the nearest to an arm that reaches out over its elbow in one upright
+plane: exactly in that, joints 2 and 6 may pass through zero, near which joints about one line would have to turn much.
+Configurations [rad] (7,).
 """
 
 import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.motion.explain import goal_blocked, require_reachable
-from scuhand_bt.motion.inverse import finest, solutions
+from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount
 from scuhand_bt.motion.scenes import Geometry, Scenes
 from scuhand_bt.motion.timelaw import RateLimits
 
-RELAXED_RAD = (-1.2, -0.7, 1.6, -2.2, 0.95, 0.75, -1.4)
-"""What postures are chosen near to, j1 from where the place is: an arm that reaches out with its elbow to the side.
-
-With the elbow above, the upper arm is upright at some of the places, or the handle in line with the forearm: there two
-joints turn about one line, and a small way asks much of them.
-"""
+RELAXED_RAD = (0.0, -0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
+"""What postures are chosen near to, j1 from where the place is."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
 
@@ -81,8 +78,7 @@ class Places:
         relaxed = np.array(RELAXED_RAD)
         relaxed[0] += azimuth_rad
         chosen: Floats = free[np.argmin(np.linalg.norm(free - relaxed, axis=1))]
-        exact = finest(pose, chosen, mount)
-        return chosen if scene.hits(exact[None, :])[0] else exact
+        return chosen
 
 
 def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
