@@ -20,7 +20,6 @@ from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, O
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
-from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
 from scuhand_bt.motion.kinematics import JOINTS
@@ -168,16 +167,12 @@ class Cell:
                 self.hand.stop()
 
     def form_upright(self, place: str, diameter_mm: float) -> Steps[None]:
-        """To a named place near by with an upright cone, which gets another size and stays upright all the way.
+        """To a named place, and there give the cone another size: the handle turns with it, so that it stays upright.
 
-        SkillFailed arm.no_path.
+        SkillFailed as `move_to`.
         """
-        try:
-            motion = self._planner().reform(self.arm.positions, place, diameter_mm)
-        except SkillFailed:  # with the elbow as it is; the place's own posture is one that it can be done from
-            yield from self.move_to(place)
-            motion = self._planner().reform(self.arm.positions, place, diameter_mm)
-        yield from self._together(motion)
+        yield from self.move_to(place)
+        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm))
 
     def _planner(self) -> "MotionPlanner":
         """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""

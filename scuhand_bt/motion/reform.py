@@ -1,14 +1,12 @@
 """The cone gets another size while it stays upright: arm and roller in one motion, from any upright pose to another.
 
-The rim, the apex, the handle's yaw about the vertical and the elbow's swivel go evenly from where they are to where
-they are to be; the handle's slope is the cone's half-angle at every rim. Yaw and swivel may go either way round: both
-are tried, the shorter first.
+The rim, the apex and the handle's yaw about the vertical go evenly from where they are to where they are to be, the yaw
+either way round; the handle's slope is the cone's half-angle at every rim.
 
 Positions [m], angles [rad], times [s].
 """
 
 import math
-from itertools import product
 
 import numpy as np
 
@@ -16,19 +14,15 @@ from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.contact import swivel_course
-from scuhand_bt.motion.explain import closest_pair
-from scuhand_bt.motion.inverse import along, swivel_of
-from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
+from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, sampled
+from scuhand_bt.motion.swivels import courses
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, through
 
 STEPS = 40
 SPEED_M_PER_S, TURN_RAD_PER_S = 0.15, 1.2
-"""Of the apex, and of handle and elbow."""
-ARRIVED_RAD = 0.05
-"""The elbow's family at the end is the wanted one, where the arm comes so near to it."""
+"""Of the apex, and of the handle."""
 
 
 def reform_motion(
@@ -40,23 +34,19 @@ def reform_motion(
     """
     mounts = [Mount.of(hand, rim_mm) for rim_mm in rims_mm]
     first, last = apex(begin, mounts[0]), apex(end, mounts[1])
-    swivel, last_swivel = swivel_of(begin, mounts[0]), swivel_of(end, mounts[1])
-    why = "the elbow would have to jump"
-    for yaw_turn, swivel_turn in product(_ways(_yaw(first), _yaw(last)), _ways(swivel, last_swivel)):
-        poses = _poses(first, last, yaw_turn, abs(swivel_turn), rims_mm, hand)
-        times_s, positions_m, axes, seams, roller_rad = sampled(poses)
-        swivels = swivel_course(swivel, swivel_turn, len(times_s))
-        course = along(positions_m, axes, seams, swivels, begin, mounts[0])
-        if course is None or np.abs(course[-1] - end).max() > ARRIVED_RAD:
-            continue
-        course[0], course[-1] = begin, end
-        if (hits := scene.hits(course)).any():
-            why = closest_pair(scene, course[int(np.argmax(hits))])
-            continue
-        motion = through(times_s, np.column_stack([course, roller_rad]))
-        motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
-        if scene.proves(arm_part(motion)):
-            return motion
+    why: SkillFailed | None = None
+    for yaw_turn in _ways(_yaw(first), _yaw(last)):
+        times_s, positions_m, axes, seams, roller_rad = sampled(_poses(first, last, yaw_turn, rims_mm, hand))
+        try:
+            poses, speed = (positions_m, axes, seams), rates.speed[:JOINTS]
+            for course in courses(poses, begin, scene, speed, mounts[0], ends=(begin, end)):
+                course[0], course[-1] = begin, end
+                motion = through(times_s, np.column_stack([course, roller_rad]))
+                motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
+                if scene.proves(arm_part(motion)):
+                    return motion
+        except SkillFailed as error:
+            why = why or error
     raise SkillFailed(Code.ARM_NO_PATH, f"the cone cannot be given another size on the way: {why}")
 
 
@@ -72,7 +62,7 @@ def _ways(begin_rad: float, end_rad: float) -> tuple[float, float]:
 
 
 def _poses(
-    first: ApexPose, last: ApexPose, yaw_turn: float, swivel_turn: float, rims_mm: tuple[float, float], hand: HandSpec
+    first: ApexPose, last: ApexPose, yaw_turn: float, rims_mm: tuple[float, float], hand: HandSpec
 ) -> StrokePoses:
     share = np.linspace(0.0, 1.0, STEPS)
     rims = rims_mm[0] + (rims_mm[1] - rims_mm[0]) * share
@@ -81,7 +71,7 @@ def _poses(
     seams = np.stack([np.sin(leans) * np.cos(yaws), np.sin(leans) * np.sin(yaws), np.cos(leans)], axis=1)
     way_m = float(np.linalg.norm(last.position_m - first.position_m))
     closing_s = math.pi * abs(rims_mm[1] - rims_mm[0]) / hand.morph_speed_mm_per_s
-    lasts_s = max(closing_s, way_m / SPEED_M_PER_S, max(abs(yaw_turn), swivel_turn) / TURN_RAD_PER_S)
+    lasts_s = max(closing_s, way_m / SPEED_M_PER_S, abs(yaw_turn) / TURN_RAD_PER_S)
     return StrokePoses(
         lasts_s * share,
         first.position_m + share[:, None] * (last.position_m - first.position_m),

@@ -55,7 +55,7 @@ def with_roller(rates: RateLimits, hand: HandSpec) -> RateLimits:
 
 
 def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLimits, mount: Mount) -> JointTrajectory:
-    """The stroke as a proven motion (8 columns) from the configuration nearest to `near` (7,) that has one.
+    """The stroke as a proven motion (8 columns), begun and ended as near to `near` (7,) as is quickest.
 
     `rates` are those of eight axes, `mount` the hand's as the stroke begins. SkillFailed arm.unreachable, arm.no_path.
     """
