@@ -108,7 +108,7 @@ def test_a_stroke_that_something_is_in_the_way_of_says_what(path: StrokePath) ->
     )
     blocked = LAB.cell.model_copy(update={"geometry": (*LAB.cell.geometry, low)})
     planner = MotionPlanner(LAB.urdf, blocked, {STATION.name: MORTAR})
-    with pytest.raises(SkillFailed, match="touch") as failed:
+    with pytest.raises(SkillFailed, match="shelf") as failed:
         planned_stroke(planner, np.array([0.0, 0.9, 0.0, -2.5, 0.0, -0.4, 0.0]), path, blocked, STATION.name, MORTAR)
     assert failed.value.code == "arm.no_path"
 
@@ -119,7 +119,7 @@ def test_a_cone_that_opens_where_it_stands_stays_upright_about_its_apex(planner:
     place = ApexPose(np.array([x_mm, y_mm, z_mm + MORTAR.height_mm + 25.0]) / 1e3)
     planner.add_place("above", place)
     start = planner.move(planner.home(), "above").end
-    poses, rims_mm = _poses(planner.reform(start, 90.0))
+    poses, rims_mm = _poses(planner.reform(start, "above", 90.0))
     planner.set_geometry()
     assert rims_mm[[0, -1]] == pytest.approx([70.0, 90.0], abs=0.05)
     assert max(pose.tilt_deg for pose in poses) < 0.5

@@ -15,10 +15,11 @@ from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex
+from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, sampled
 from scuhand_bt.motion.swivels import courses
 from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import JointTrajectory, through
+from scuhand_bt.motion.trajectory import JointTrajectory
 
 STEPS = 40
 SPEED_M_PER_S, TURN_RAD_PER_S = 0.15, 1.2
@@ -41,8 +42,7 @@ def reform_motion(
             poses, speed = (positions_m, axes, seams), rates.speed[:JOINTS]
             for course in courses(poses, begin, scene, speed, mounts[0], ends=(begin, end)):
                 course[0], course[-1] = begin, end
-                motion = through(times_s, np.column_stack([course, roller_rad]))
-                motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
+                motion = slowed(times_s, np.column_stack([course, roller_rad]), rates)
                 if scene.proves(arm_part(motion)):
                     return motion
         except SkillFailed as error:

@@ -2,8 +2,8 @@
 
 The poses come with times; they are averaged twice over `AVERAGED_S`, as in `contact`, so that speed is continuous and
 every leg between two corners, where the path rests for as long as the averages reach, is as it was asked. The roller is
-the eighth coordinate of the same cubics: where a joint or the roller is too quick, all are slower, and a stop that is
-found for one is the same for all.
+the eighth coordinate of the same cubics: where a joint or the roller is too quick, all are slower for that while, and
+a stop that is found for one is the same for all.
 
 Positions [m], angles [rad], times [s].
 """
@@ -18,9 +18,10 @@ from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import AVERAGED_S, KEPT, STEP_S
 from scuhand_bt.motion.kinematics import JOINTS, Floats, Mount
+from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.swivels import courses
 from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import JointTrajectory, through
+from scuhand_bt.motion.trajectory import JointTrajectory
 
 ROLLER_SPEED_RAD_PER_S = 0.9 * 46 * 2 * math.pi / 60
 """Nine tenths of what an XM430-W350 turns without a load, at 12 V (data sheet)."""
@@ -61,8 +62,7 @@ def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLim
     """
     times_s, positions_m, axes, seams, roller_rad = sampled(poses)
     for course in courses((positions_m, axes, seams), near, scene, rates.speed[:JOINTS], mount):
-        motion = through(times_s, np.column_stack([course, roller_rad]))
-        motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
+        motion = slowed(times_s, np.column_stack([course, roller_rad]), rates)
         if scene.proves(arm_part(motion)):
             return motion
     raise SkillFailed(Code.ARM_NO_PATH, "no course of the arm along it is proven to touch nothing")

@@ -131,17 +131,22 @@ class HeightField:
         self._flow(SETTLING)
 
     @property
-    def kept(self) -> str:
-        """Both layers: float32, row by row, compressed, base64."""
+    def kept(self) -> tuple[str, list[float]]:
+        """Both layers: float32, row by row, compressed, base64; and the cone's apex, axis and rim, if it is there."""
         if self._written is None:
             layers = np.stack([self._on_wall, self._on_sheet]).astype("<f4")
             self._written = b64encode(zlib.compress(layers.tobytes(), 1)).decode()
-        return self._written
+        pose = self._cone.pose if self._cone is not None else None
+        return self._written, [*pose.apex_mm.tolist(), *pose.axis.tolist(), pose.rim_mm] if pose is not None else []
 
     @kept.setter
-    def kept(self, text: str) -> None:
+    def kept(self, written: tuple[str, list[float]]) -> None:
+        text, cone = written
         layers = np.frombuffer(zlib.decompress(b64decode(text)), "<f4").reshape(2, *self._wall.shape)
         self._on_wall, self._on_sheet = layers.astype(float)
+        if cone:
+            pose = ConePose(np.array(cone[:3]), np.array(cone[3:6]), cone[6], self._slant_mm)
+            self._cone = ConeOver(pose, self._x, self._y)
 
     def _agree(self, pose: ConePose, in_mortar_mg: float, in_cone_mg: float) -> None:
         """There is as much as it is said to be: more has come on top, in a heap, of less every column has its share.
