@@ -122,8 +122,9 @@ class Task:
         level = LevelCoordinates(self.rates, self.mount)
         tilt_deg = _TILT_SHARE * self.spill_limit_deg
         # Between two axes that lean little enough a straight line of the level coordinates leans no more.
-        spaces = [Space(level, self.scene, self.mount)]
-        if tilt_deg > _LEAST_LEAN_DEG:
+        covered = bool(level.covers(self.start[None, :])[0])
+        spaces = [Space(level, self.scene, self.mount)] if covered else []
+        if tilt_deg > _LEAST_LEAN_DEG or not covered:
             spaces.insert(0, Space(JointCoordinates(self.rates, level), self.scene, self.mount, tilt_deg))
         return spaces
 
