@@ -14,6 +14,7 @@ from pydantic import TypeAdapter
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Source
 
 POWDERS = shipped_powders()
@@ -162,7 +163,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
     bare, loaded, tare, before = weighed(10.0, 1.0), weighed(20_010.0, 3.0), weighed(20_010.5, 4.0), weighed(20_011.0)
     believed = Believed()
     believed.source_holds("beads", 5000.0)
-    believed.scooped(BEADS, 3000.0)
+    believed.scooped(BEADS, 3000.0, Layer(2.5, 2000.0))
     believed.brought(DISH, from_changer=True)
     believed.placed(bare, loaded)
     believed.tared(tare)
@@ -194,6 +195,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "pan_empty_mg": 20_031.0,
         "pan_gross_mg": 20_031.0,
         "sources_mg": {"beads": 2000.0},
+        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0}},
         "dosing": {
             "began_s": 4.0,
             "pulses": 3,
