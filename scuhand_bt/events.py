@@ -283,7 +283,7 @@ class Dose(SkillEvent):
 
 
 class DoseCurve(SkillEvent):
-    """A dose has ended: its course, for a plot."""
+    """A part of a dose's course, for a plot: the parts of an action, one after another, are its course."""
 
     KIND: ClassVar = "dose_curve"
 

@@ -1,27 +1,19 @@
-"""A lab: the folder with `robot/`, `skills/`, `trees/` and `recipes/` that a user edits; found and loaded.
+"""A lab: the folder with `robot/`, `skills/`, `trees/` and `recipes/` that a user edits; found and loaded."""
 
-A lab's skills are imported under one constant package name, `scuhand_lab`, whose `__path__` is the lab.
-"""
-
-import ast
-import importlib
-import inspect
+import math
 import os
-import sys
-import traceback
-import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from scuhand_bt.cell_spec import CellSpec, Station
-from scuhand_bt.failures import CATALOGUE, Code, Failure, SkillFailed
-from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
-from scuhand_bt.skill import DEVICES, Condition, Skill
+from scuhand_bt.problems import Broken, Mark, Problem, Problems, SourceError, shorten
+from scuhand_bt.skill import DEVICES
+from scuhand_bt.skill_files.load import load_skills
 from scuhand_bt.specs import ContainerKind, Mortar, Powder, Spec
-from scuhand_bt.tree.check import Library, check_workflows
-from scuhand_bt.tree.grammar import KEYWORDS, Call, Workflow, read_workflow, walk
+from scuhand_bt.tree.check import Library
+from scuhand_bt.tree.grammar import KEYWORDS, Workflow, read_workflow
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Node, describe, load, read_text
 
@@ -30,9 +22,10 @@ if TYPE_CHECKING:
 
 S = TypeVar("S", bound=Spec)
 
-PACKAGE = "scuhand_lab"
 CELL_FILE = Path("robot") / "cell.yaml"
 STATE = ".scuhand"
+TEST_SUFFIX = ".test.yaml"
+"""Of the files beside workflows that say how they are tested."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +35,10 @@ class Lab:
     folder: Path
     cell: CellSpec
     library: Library
+    problems: tuple[Problem, ...] = ()
+    """What is wrong in its files; each breaks only what uses it."""
+    has_cell: bool = True
+    """False where the cell's own file is wrong: `cell` is then of its sound parts, to check against, not to run on."""
 
     @property
     def urdf(self) -> str:
@@ -105,7 +102,9 @@ def find_lab(recipe: Path | None = None, chosen: Path | None = None) -> Path:
     if chosen is not None:
         if not is_lab(chosen):
             problems = Problems()
-            problems.add(Mark(str(chosen)), "is no lab", f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one")
+            problems.add(
+                Mark(str(chosen)), "is no lab", f"a lab has {CELL_FILE}; `scuhand-bt init DIR` makes one", code="no-lab"
+            )
             problems.raise_any()
         return chosen
     start = (recipe.parent if recipe is not None else Path()).resolve()
@@ -132,33 +131,46 @@ def is_lab(folder: Path) -> bool:
 def load_lab(folder: Path) -> Lab:
     """Load a lab's cell, powders, containers, skills and workflows.
 
-    Raises SourceError with everything that is wrong in any of its files.
+    What is wrong in a file breaks only what uses it, and stands in the lab's `problems`. Raises SourceError with
+    everything that is wrong where the cell's own file is, as nothing can do without it.
+    """
+    return _with_cell(read_lab(folder))
+
+
+def read_lab(folder: Path) -> Lab:
+    """As `load_lab`; without a sound cell, one of what of it is sound, to check the rest against."""
+    problems, broken = Problems(), Broken()
+    cell, library, has_cell = _read_bench(folder, problems, broken)
+    loaded = load_skills(folder, files_of(folder / "skills", "*.py"), problems, broken)
+    library.skills, library.facts = loaded.skills, loaded.facts
+    library.workflows = _load_workflows(folder / "trees", problems, broken)
+    _check_names(library, folder, problems)
+    return Lab(folder, cell, library, tuple(problems.found), has_cell)
+
+
+def load_bench(folder: Path) -> Lab:
+    """A lab's cell, powders and vessels alone: none of its skills is imported, and none of its workflows read.
+
+    Raises SourceError as `load_lab` does.
     """
     problems = Problems()
-    cell = _load_cell(folder / CELL_FILE, problems)
-    powders = _load_named(Powder, _root(folder / "robot" / "powders.yaml", problems), problems)
-    containers: dict[str, ContainerKind] = {}
-    mortars: dict[str, Mortar] = {}
-    if (vessels := _root(folder / "robot" / "containers.yaml", problems)) is not None:
-        kinds = ("containers", "mortars")
-        for key, mark in vessels.keys.items():
-            if key not in kinds:
-                problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=kinds)
-        for key in kinds:
-            if key not in vessels.keys:
-                problems.add(vessels.mark, f"'{key}' is missing", "name: {…}, as in the starter lab")
-        containers = _load_named(ContainerKind, vessels.get("containers"), problems)
-        mortars = _load_named(Mortar, vessels.get("mortars"), problems)
-    library = Library(_load_skills(folder, problems), {}, powders, containers, mortars)
-    is_sound = not problems.found
-    library.workflows = _load_workflows(folder / "trees", problems)
-    if is_sound:
-        _check_what_was_read(library, folder, problems)
-    _check_names(library, folder, problems)
-    _check_codes(library, folder, problems)
-    problems.raise_any()
-    assert cell is not None
-    return Lab(folder, cell, library)
+    cell, library, has_cell = _read_bench(folder, problems, Broken())
+    return _with_cell(Lab(folder, cell, library, tuple(problems.found), has_cell))
+
+
+def _with_cell(lab: Lab) -> Lab:
+    if not lab.has_cell:
+        raise SourceError([problem for problem in lab.problems if not problem.is_warning])
+    return lab
+
+
+def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellSpec, Library, bool]:
+    """The cell, what stands in it and is used in it, and whether the cell's own file is sound."""
+    cell = _load_cell(folder / CELL_FILE, problems, broken)
+    has_cell = not problems.errors
+    powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
+    containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
+    return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:
@@ -169,159 +181,128 @@ def _root(path: Path, problems: Problems) -> Entries | None:
         return None
     if isinstance(node, Entries):
         return node
-    problems.add(node.mark, f"{describe(node)} stands where a mapping (name: …) should be")
+    problems.add(node.mark, f"{describe(node)} stands where a mapping (name: …) should be", code="wrong-shape")
     return None
 
 
-def _load_named(model: type[S], node: Node | None, problems: Problems) -> dict[str, S]:
-    """Entries whose key is their name."""
-    if node is None:
+def _load_file(
+    model: type[S], path: Path, problems: Problems, broken: Broken, kind: str, node: Node | None = None
+) -> dict[str, S]:
+    """The entries of a file, or of a part of one, whose keys are their names; what is wrong is told and `broken`."""
+    before = len(problems.found)
+    node = node or _root(path, problems)
+    if node is None or not isinstance(node, Entries):
+        if node is not None:
+            what = f"{describe(node)} stands where a mapping (name: …) should be"
+            problems.add(node.mark, what, code="wrong-shape")
+        broken.add(kind, "", problems.found[before:])
         return {}
-    if not isinstance(node, Entries):
-        problems.add(node.mark, f"{describe(node)} stands where a mapping (name: …) should be")
-        return {}
-    found = {name: validate(model, value, problems, name=name) for name, value in node.values.items()}
-    return {name: spec for name, spec in found.items() if spec is not None}
+    found: dict[str, S] = {}
+    for name, value in node.values.items():
+        of_entry = Problems()
+        spec = validate(model, value, of_entry, name=name)
+        problems.found += of_entry.found
+        if spec is not None:
+            found[name] = spec
+        else:
+            broken.add(kind, name, of_entry.found)
+    return found
 
 
-def _load_cell(path: Path, problems: Problems) -> CellSpec | None:
+def _load_vessels(path: Path, problems: Problems, broken: Broken) -> tuple[dict[str, ContainerKind], dict[str, Mortar]]:
+    kinds = {"containers": "container", "mortars": "mortar"}
+    before = len(problems.found)
+    vessels = _root(path, problems)
+    if vessels is not None:
+        for key, mark in vessels.keys.items():
+            if key not in kinds:
+                problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=kinds, code="unknown-key")
+        for key in kinds:
+            if key not in vessels.keys:
+                problems.add(
+                    vessels.mark, f"'{key}' is missing", "name: {…}, as in the starter lab", code="missing-key"
+                )
+    of_file = problems.found[before:]
+    nodes = {key: vessels.get(key) if vessels is not None else None for key in kinds}
+    for key, kind in kinds.items():
+        if nodes[key] is None:
+            broken.add(kind, "", of_file)
+    containers, mortars = (nodes[key] for key in kinds)
+    found = {} if containers is None else _load_file(ContainerKind, path, problems, broken, "container", containers)
+    for name, container in found.items():
+        _check_size(container, containers, name, problems)
+    return found, {} if mortars is None else _load_file(Mortar, path, problems, broken, "mortar", mortars)
+
+
+ROOMY = 20.0
+"""No vessel holds so many times what a tube of its mouth and height would: a slip of units does."""
+
+
+def _check_size(container: ContainerKind, node: Node | None, name: str, problems: Problems) -> None:
+    tube_mm3 = math.pi / 4 * container.mouth_mm**2 * container.height_mm
+    if container.capacity_mm3 > ROOMY * tube_mm3 and isinstance(node, Entries):
+        entry = node.values[name]
+        mark = entry.values["capacity"].mark if isinstance(entry, Entries) and "capacity" in entry.values else node.mark
+        what = f"'{name}' holds {container.capacity_mm3 / 1000:g} cm³, with a mouth of {container.mouth_mm:g} mm and "
+        what += f"a height of {container.height_mm:g} mm: a tube of that size holds {tube_mm3 / 1000:.2f} cm³"
+        problems.warn(mark, what, "correct the capacity, the mouth or the height", code="implausible-size")
+
+
+def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
+    """The cell; where its file is wrong, what of it is sound."""
     root = _root(path, problems)
     if root is None:
-        return None
-    found_before = len(problems.found)
-    stations = _load_named(Station, root.get("stations"), problems)
-    is_complete = len(problems.found) == found_before
+        broken.add("station", "", problems.found)
+        return CellSpec(cell="none", stations={})
+    nodes = root.get("stations")
+    stations = {} if nodes is None else _load_file(Station, path, problems, broken, "station", nodes)
+    is_complete = not problems.found
     cell = validate(CellSpec, root.without("stations"), problems, stations=stations)
     for kind in ("balance", "waste", "park"):
         if is_complete and not any(station.kind == kind for station in stations.values()):
-            problems.add(
-                root.mark, f"the cell has no station of kind '{kind}'", "it needs a balance, a waste and a park"
-            )
+            what = f"the cell has no station of kind '{kind}'"
+            problems.add(root.mark, what, "it needs a balance, a waste and a park", code="missing-station")
+    if nodes is None:
+        broken.add("station", "", problems.found)
+    if cell is None:
+        sound = (key for key in CellSpec.model_fields if key in root.keys and key not in ("cell", "stations"))
+        parts = {key: Entries(root.mark, {key: root.keys[key]}, {key: root.values[key]}) for key in sound}
+        none = "none"
+        kept = {key: validate(CellSpec, part, Problems(), cell=none, stations=stations) for key, part in parts.items()}
+        return CellSpec(
+            cell=none, stations=stations, **{key: getattr(made, key) for key, made in kept.items() if made is not None}
+        )
+    _check_ports(cell, root, problems)
     return cell
 
 
-def _load_skills(folder: Path, problems: Problems) -> dict[str, type[Skill[Any]]]:
-    _mount(folder)
-    skills: dict[str, type[Skill[Any]]] = {}
-    for path in files_of(folder / "skills", "*.py"):
-        if path.stem.startswith("_"):
-            continue
-        module_name = f"{PACKAGE}.skills.{path.stem}"
-        try:
-            module = importlib.import_module(module_name)
-        except (Exception, SystemExit) as error:  # a lab's file may fail in any way; the user is told where
-            problems.add(_where(error, path), f"the skill cannot be loaded: {type(error).__name__}: {error}")
-            continue
-        found = [
-            value
-            for value in vars(module).values()
-            if isinstance(value, type)
-            and issubclass(value, Skill)
-            and value.__module__ == module_name
-            and not value.__pydantic_generic_metadata__["args"]  # pydantic's own class for Skill[Dose]
-        ]
-        if len(found) != 1:
-            names = ", ".join(cls.__name__ for cls in found) or "none"
-            problems.add(Mark(str(path)), f"a skill's file holds one Skill class; here: {names}")
-        else:
-            _check_skill(found[0], Mark(str(path), inspect.findsource(found[0])[1] + 1), problems)
-            skills[path.stem] = found[0]
-    return skills
+def _check_ports(cell: CellSpec, root: Entries, problems: Problems) -> None:
+    taken: dict[str, str] = {}
+    for device in DEVICES:
+        port, node = getattr(cell, device).port, root.get(device)
+        if port in taken and isinstance(node, Entries):
+            what = f"the {device} is on {port}, and so is the {taken[port]}"
+            problems.add(node.values["port"].mark, what, "each device has a port of its own", code="port-taken")
+        elif port:
+            taken[port] = device
 
 
-def _check_skill(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> None:
-    """What Python does not check of a skill's class, and would otherwise come up in the middle of a run."""
-    name = skill.__name__
-    if not skill.__doc__:
-        problems.add(mark, f"{name} has no docstring", "one line that says what it is for")
-    if inspect.isabstract(skill):
-        missing = ", ".join(sorted(skill.__abstractmethods__))
-        problems.add(mark, f"{name} has no '{missing}'", f"def {missing}(self, cell: Cell)")
-    for code, failure in skill.failures.items() if isinstance(skill.failures, Mapping) else [("", None)]:
-        if not isinstance(failure, Failure):
-            problems.add(mark, f"'failures' of {name} is wrong", 'failures = {"device.what": Failure(meaning, remedy)}')
-        elif code in CATALOGUE:
-            problems.add(mark, f"'failures' of {name} has '{code}', which the catalogue has already", "name another")
-    for code in skill.raises if isinstance(skill.raises, tuple) else (None,):
-        if code not in CATALOGUE and code not in skill.failures:
-            what = f"'raises' of {name} is wrong: {shorten(str(code))} is no code of the catalogue or of 'failures'"
-            problems.add(mark, what, "raises = (Code.HAND_CONE_EMPTY,), with the comma")
-    listed = {"devices": skill.devices}
-    if issubclass(skill, Condition):
-        listed["watches"] = skill.watches
-        if skill.devices:
-            problems.add(mark, f"{name} is a condition and commands nothing, but has devices", "use 'watches'")
-    for key, devices in listed.items():
-        if not isinstance(devices, tuple):
-            problems.add(mark, f"'{key}' of {name} is no tuple", f'{key} = ("hand",), with the comma')
-            continue
-        for device in devices:
-            if device not in DEVICES:
-                what = f"'{key}' of {name} names an unknown device '{shorten(str(device))}'"
-                problems.add(mark, what, unknown=str(device), known=DEVICES)
-
-
-def _raised_codes(path: Path) -> dict[str, Mark]:
-    """The failure codes that a lab's file raises, and where; those put together at run time are not seen.
-
-    `Code.X` that there is not stands as it is written.
-    """
-    codes: dict[str, Mark] = {}
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8-sig"))):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == SkillFailed.__name__:
-            code = node.args[0] if node.args else None
-            if isinstance(code, ast.Constant) and isinstance(code.value, str):
-                codes.setdefault(code.value, Mark(str(path), code.lineno, code.col_offset + 1))
-            elif isinstance(code, ast.Attribute) and ast.unparse(code.value) == Code.__name__:
-                name = Code.__members__.get(code.attr, ast.unparse(code))
-                codes.setdefault(name, Mark(str(path), code.lineno, code.col_offset + 1))
-    return codes
-
-
-def _check_codes(library: Library, folder: Path, problems: Problems) -> None:
-    """A skill may fail with what the catalogue or its own `failures` has, and with nothing else."""
-    for name, skill in library.skills.items():
-        for code, mark in _raised_codes(folder / "skills" / f"{name}.py").items():
-            if code not in CATALOGUE and code not in skill.failures:
-                what = f"'{shorten(code)}' is no failure code of the catalogue, nor of this skill's own 'failures'"
-                hint = "`scuhand-bt explain` lists the catalogue; a code of its own stands in the skill's 'failures'"
-                problems.add(mark, what, hint, unknown=code, known=[*CATALOGUE, *skill.failures])
-
-
-def _mount(folder: Path) -> None:
-    """Make `scuhand_lab` this folder, forgetting any other lab's modules."""
-    home = str(folder.absolute())
-    package = sys.modules.get(PACKAGE)
-    if package is not None and list(package.__path__) == [home]:
-        return
-    for name in [name for name in sys.modules if name == PACKAGE or name.startswith(PACKAGE + ".")]:
-        del sys.modules[name]
-    package = types.ModuleType(PACKAGE)
-    package.__path__ = [home]
-    sys.modules[PACKAGE] = package
-    importlib.invalidate_caches()
-
-
-def _where(error: BaseException, path: Path) -> Mark:
-    """The line of the lab's file that an import failed at."""
-    file = str(path.absolute())
-    if isinstance(error, SyntaxError) and error.filename == file:
-        return Mark(str(path), error.lineno or 1, error.offset or 1)
-    lines = [frame.lineno or 1 for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    return Mark(str(path), lines[-1] if lines else 1)
-
-
-def _load_workflows(folder: Path, problems: Problems) -> dict[str, Workflow]:
+def _load_workflows(folder: Path, problems: Problems, broken: Broken) -> dict[str, Workflow]:
     workflows: dict[str, Workflow] = {}
     for path in files_of(folder, "*.yaml"):
-        try:
-            root = load(path, "a workflow")
-        except SourceError as error:
-            problems.found.extend(error.problems)
+        if path.name.endswith(TEST_SUFFIX):
             continue
-        workflow = read_workflow(root, path.stem, problems)
+        of_file = Problems()
+        try:
+            workflow = read_workflow(load(path, "a workflow"), path.stem, of_file)
+        except SourceError as error:
+            of_file.found += error.problems
+            workflow = None
         if workflow is not None:
             workflows[path.stem] = workflow
+        if of_file.errors:
+            broken.add("workflow", path.stem, of_file.errors)
+        problems.found += of_file.found
     return workflows
 
 
@@ -343,34 +324,20 @@ def without_driver(lab: Lab) -> list[Problem]:
         cell_mark(lab, "changer", "driver"),
         what,
         "for the real cell write `changer: {driver: operator}`: a person changes containers",
+        code="no-driver",
     )
     return problems.found
 
 
-def _check_what_was_read(library: Library, folder: Path, problems: Problems) -> None:
-    """The wires of workflows whose files are wrong: all that is wrong with a file is told at once.
-
-    Those that call one that is wrong are left out, as the mistake may be the other's.
-    """
-    workflows = library.workflows
-    calls = {
-        name: {part.name for part in walk(workflow.tree) if isinstance(part, Call)}
-        for name, workflow in workflows.items()
-    }
-    wrong = {path.stem for path in files_of(folder / "trees", "*.yaml")}
-    wrong -= {name for name, workflow in workflows.items() if workflow.is_whole}
-    doubtful = set(wrong)
-    while more := {name for name in calls if name not in doubtful and calls[name] & doubtful}:
-        doubtful |= more
-    check_workflows(library, sorted(name for name in wrong & set(calls) if not calls[name] & doubtful), problems)
-
-
 def _check_names(library: Library, folder: Path, problems: Problems) -> None:
+    """A word of the language, and a skill, are what is meant by a name that a workflow has, too."""
     for name in library.skills:
         if name in KEYWORDS:
-            problems.add(Mark(str(folder / "skills" / f"{name}.py")), f"'{name}' is a word of the workflow language")
-    for name, workflow in library.workflows.items():
+            mark = Mark(str(folder / "skills" / f"{name}.py"))
+            problems.add(mark, f"'{name}' is a word of the workflow language", code="name-taken")
+    for name, workflow in list(library.workflows.items()):
         if name in KEYWORDS:
-            problems.add(workflow.mark, f"'{name}' is a word of the workflow language")
+            problems.add(workflow.mark, f"'{name}' is a word of the workflow language", code="name-taken")
         if name in library.skills:
-            problems.add(workflow.mark, f"'{name}' is a skill already", "give the workflow another name")
+            what = f"'{name}' is a skill already"
+            problems.add(workflow.mark, what, "give the workflow another name", code="name-taken")

@@ -31,6 +31,9 @@ class Problem:
 
     mark: Mark
     message: str
+    code: str = ""
+    """What kind of finding it is (`findings.py`); "" for what is no finding of a check."""
+    is_warning: bool = False
 
     def __str__(self) -> str:
         return f"{self.mark}: {self.message}"
@@ -46,11 +49,21 @@ class SourceError(Exception):
 
 @dataclass
 class Problems:
-    """Collects problems; `raise_any` ends a stage that found some."""
+    """Collects problems; `raise_any` ends a stage that found an error."""
 
     found: list[Problem] = field(default_factory=list)
 
-    def add(self, mark: Mark, what: str, allowed: str = "", unknown: str = "", known: Iterable[str] = ()) -> None:
+    def add(
+        self,
+        mark: Mark,
+        what: str,
+        allowed: str = "",
+        unknown: str = "",
+        known: Iterable[str] = (),
+        *,
+        code: str = "",
+        is_warning: bool = False,
+    ) -> None:
         """Note a problem: what is wrong; what is allowed; and, for an `unknown` name, the nearest known."""
         parts = [shorten(what, LONGEST_MESSAGE)]
         known = sorted(known)
@@ -58,11 +71,42 @@ class Problems:
             parts.append(allowed or "known: " + (", ".join(known[:30]) + (", …" if len(known) > 30 else "")))
         if meant := nearest(unknown, tuple(known)):
             parts.append(f"did you mean '{meant}'?")
-        self.found.append(Problem(mark, harmless("; ".join(parts))))
+        self.found.append(Problem(mark, harmless("; ".join(parts)), code, is_warning))
+
+    def warn(self, mark: Mark, what: str, remedy: str = "", *, code: str) -> None:
+        """Note what is most likely not meant, and stops nothing."""
+        self.add(mark, what, remedy, code=code, is_warning=True)
+
+    @property
+    def errors(self) -> list[Problem]:
+        return [problem for problem in self.found if not problem.is_warning]
 
     def raise_any(self) -> None:
-        if self.found:
-            raise SourceError(self.found)
+        if self.errors:
+            raise SourceError(self.errors)
+
+
+class Broken:
+    """What a lab names and cannot be used, with what is wrong with it: by kind (skill, workflow, powder, …) and name.
+
+    The name "" stands for all of a kind: those of a file that cannot be read.
+    """
+
+    def __init__(self) -> None:
+        self._problems: dict[tuple[str, str], list[Problem]] = {}
+
+    def add(self, kind: str, name: str, problems: Iterable[Problem]) -> None:
+        self._problems.setdefault((kind, name), []).extend(problems)
+
+    def of(self, kind: str, name: str) -> Sequence[Problem]:
+        """What is wrong with it; nothing for what is not known to be broken."""
+        return self._problems.get((kind, name)) or self._problems.get((kind, "")) or ()
+
+    def tell(self, kind: str, name: str, problems: Problems) -> bool:
+        """Note what is wrong with it for whoever uses it; False if it is not broken."""
+        wrong = self.of(kind, name)
+        problems.found.extend(wrong)
+        return bool(wrong)
 
 
 @cache

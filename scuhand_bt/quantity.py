@@ -42,6 +42,10 @@ _COMMA = re.compile(r"[+-]?\d+,\d+(?!.*[.,])")
 _UNIT = re.compile(r"[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?(?:/[A-Za-zµμ°%]{1,12}(?:(?:\^|\*\*)?[23]|[²³])?)?")
 
 
+_WRITTEN = r"^\s*[+-]?[0-9.]+([eE][+-]?[0-9]+)?\s*[A-Za-zµμ°%][A-Za-zµμ°%0-9/*^²³]*\s*$"
+"""A quantity as it is written, for editors; what counts is `parse`."""
+
+
 @dataclass(frozen=True)
 class Unit:
     """The unit a field is kept in, and what its dimension is called in a message."""
@@ -56,7 +60,13 @@ class Unit:
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        return {"type": "string", "description": f"{self.noun}, such as {self.examples}"}
+        examples = [text.strip('"') for text in self.examples.split(" or ")]
+        return {
+            "type": "string",
+            "pattern": _WRITTEN,
+            "description": f"{self.noun}, in {self.unit}",
+            "examples": examples,
+        }
 
     def _read(self, value: Any) -> Any:
         if isinstance(value, str):

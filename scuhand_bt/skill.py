@@ -162,6 +162,11 @@ class Skill(BaseModel, Generic[R]):
         return Forecast(cls.typical_s)
 
     @classmethod
+    def sees(cls) -> tuple[str, ...]:
+        """The devices that it is given: those it leases, and those that a condition watches."""
+        return cls.devices
+
+    @classmethod
     def result_type(cls) -> Any:
         """The `Dose` of `Skill[Dose]`."""
         for base in cls.__mro__:
@@ -182,6 +187,10 @@ class Condition(Skill[None]):
     watches: ClassVar[tuple[str, ...]] = ()
     """Devices whose news may change the answer; a `while` looks again whenever they report."""
     typical_s = 0.0
+
+    @classmethod
+    def sees(cls) -> tuple[str, ...]:
+        return cls.watches
 
     @abstractmethod
     def check(self, cell: Cell) -> None:

@@ -142,7 +142,8 @@ class Powder(Spec):
 
     name: str
     summary: str = ""
-    bulk_density_mg_per_mm3: Annotated[MilligramsPerCubicMillimetre, Positive]
+    bulk_density_mg_per_mm3: Annotated[MilligramsPerCubicMillimetre, Field(gt=0, le=23)]
+    """At most that of osmium: what is denser is a slip of units."""
     repose_deg: Annotated[Degrees, Field(gt=0, lt=90)]
     wall_friction_deg: Annotated[Degrees, Field(gt=0, lt=90)]
     load_limit_mg: Annotated[Milligrams, Positive]

@@ -18,12 +18,21 @@ def validate(model: type[M], node: Node, problems: Problems, known: str = "", **
     `extra` are fields that do not stand in the file (such as a name that is the entry's key).
     """
     if not isinstance(node, Entries):
-        problems.add(node.mark, f"{describe(node)} stands where {known or 'a mapping (key: value)'} should be")
+        problems.add(
+            node.mark,
+            f"{describe(node)} stands where {known or 'a mapping (key: value)'} should be",
+            code="wrong-shape",
+        )
         return None
     found_before = len(problems.found)
     for key in extra:
         if key in node.keys:
-            problems.add(node.keys[key], f"unknown key '{key}'", known=set(_keys_at(model, ())).difference(extra))
+            problems.add(
+                node.keys[key],
+                f"unknown key '{key}'",
+                known=set(_keys_at(model, ())).difference(extra),
+                code="unknown-key",
+            )
     try:
         made = model.model_validate({**plain(node), **extra}, by_alias=True, by_name=False)
         return made if len(problems.found) == found_before else None
@@ -47,11 +56,12 @@ def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems)
     name = next((step for step in reversed(error["loc"]) if isinstance(step, str)), "")
     if error["type"] == "extra_forbidden":
         known = _keys_at(model, error["loc"][:-1])
-        problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known)
+        problems.add(mark, f"unknown key '{shorten(name)}'", unknown=name, known=known, code="unknown-key")
     elif error["type"] == "missing":
-        problems.add(mark, f"'{name}' is missing")
+        problems.add(mark, f"'{name}' is missing", code="missing-key")
     else:
-        problems.add(mark, (f"'{shorten(name)}': " if name else "") + refusal(error))
+        code = "bad-unit" if error["type"] == "quantity" else "bad-value"
+        problems.add(mark, (f"'{shorten(name)}': " if name else "") + refusal(error), code=code)
 
 
 def refusal(error: Any) -> str:

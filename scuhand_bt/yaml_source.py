@@ -95,8 +95,8 @@ def read_text(path: Path, what: str, asked_at: Mark | None = None) -> str:
 
     def refuse(message: str) -> SourceError:
         if asked_at is not None:
-            return SourceError([Problem(asked_at, f"'{shorten(str(path), 120)}' {message}")])
-        return SourceError([Problem(Mark(str(path)), message)])
+            return SourceError([Problem(asked_at, f"'{shorten(str(path), 120)}' {message}", "unreadable")])
+        return SourceError([Problem(Mark(str(path)), message, "unreadable")])
 
     try:
         if path.is_dir():
@@ -117,7 +117,8 @@ def read_text(path: Path, what: str, asked_at: Mark | None = None) -> str:
         line = raw.count(b"\n", 0, error.start) + 1
         column = error.start - raw.rfind(b"\n", 0, error.start)
         mark = Mark(str(path), line, column)
-        raise SourceError([Problem(mark, "is not UTF-8 text; save it as UTF-8 (Excel: 'CSV UTF-8')")]) from None
+        what = "is not UTF-8 text; save it as UTF-8 (Excel: 'CSV UTF-8')"
+        raise SourceError([Problem(mark, what, "unreadable")]) from None
     if not text.strip():
         raise refuse(f"is empty; wanted {what}")
     return text
@@ -142,13 +143,13 @@ def parse(text: str, file: str, what: str) -> Node:
         problem = _YAML_PROBLEMS.get(problem, problem)
         if "'\\t'" in problem or "\t" in _line(text, mark.line)[: mark.column + 1]:
             problem = "a tab; YAML is indented with spaces"
-        raise SourceError([Problem(mark, f"is no valid YAML: {problem}")]) from None
+        raise SourceError([Problem(mark, f"is no valid YAML: {problem}", "bad-yaml")]) from None
     except yaml.reader.ReaderError as error:
         before = text.encode()[: error.position].decode(errors="ignore")
         mark = Mark(file, before.count("\n") + 1, len(before) - before.rfind("\n"))
-        raise SourceError([Problem(mark, f"is no valid YAML: {error.reason}")]) from None
+        raise SourceError([Problem(mark, f"is no valid YAML: {error.reason}", "bad-yaml")]) from None
     if reader.root is None:
-        raise SourceError([Problem(Mark(file), f"is empty; wanted {what}")])
+        raise SourceError([Problem(Mark(file), f"is empty; wanted {what}", "unreadable")])
     return reader.root
 
 
@@ -245,4 +246,4 @@ class _Reader:
         self._pending_keys[-1] = None
 
     def _refuse(self, mark: Mark, message: str) -> NoReturn:
-        raise SourceError([Problem(mark, message)])
+        raise SourceError([Problem(mark, message, "bad-yaml")])

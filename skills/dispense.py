@@ -37,7 +37,6 @@ from scuhand_bt.skill import (
     Code,
     Dose,
     DoseBegun,
-    DoseCurve,
     DoseWeighed,
     Milligrams,
     Reweighed,
@@ -103,16 +102,13 @@ class Dispense(Skill[Dose]):
         if cell.believed.dosing.is_unweighed:
             yield from self.settle(cell)
             bracket = cell.believed.bracket
-        points: list[tuple[float, float, float, float, bool, float]] = []
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
         for _ in range(ROUNDS):
             run, earlier, mean = yield from self._dose(cell, earlier, mean)
-            points += run.rows()
             dose = self._judged(cell, run)
             if not (run.finish.reason == "reached" and dose.verdict == "under"):
                 break
         cell.record.event(dose)
-        cell.record.event(DoseCurve(points=points))
         self._raise_failure(cell, run, dose)
         return dose
 

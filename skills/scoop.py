@@ -6,7 +6,6 @@ has left. The last ones press the lip into the wall, which the sheet's softness 
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -149,12 +148,11 @@ class Scoop(Skill[Milligrams]):
         where = f"at '{self.source.station}' no stroke of {stroke.open_mm:.0f} mm is possible in any direction"
         raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
-    def _headings_deg(self, cell: Cell) -> Iterator[float]:
+    def _headings_deg(self, cell: Cell) -> list[float]:
         x_mm, y_mm, _ = cell.spec.stations[self.source.station].position_mm
         outward_deg = math.degrees(math.atan2(y_mm, x_mm))
         first = cell.strokes_made.get(self.source.name, 0)
-        for k in range(len(HEADINGS_DEG)):
-            yield (outward_deg + HEADINGS_DEG[(first + k) % len(HEADINGS_DEG)]) % 360.0
+        return [(outward_deg + HEADINGS_DEG[(first + k) % len(HEADINGS_DEG)]) % 360.0 for k in range(len(HEADINGS_DEG))]
 
     def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, bed: Bed) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""

@@ -11,18 +11,24 @@ CHROMIUM = Path("/usr/bin/chromium")
 needs_browser = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"there is no {CHROMIUM} (apt install chromium)")
 
 
+WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+"""3D, drawn without a graphics card."""
+_SLOW = "GPU stall due to ReadPixels"
+"""What a browser says of that."""
+
+
 @contextmanager
-def browser_page(**options: Any) -> Iterator[Any]:
-    """A page of a browser; at the end nothing foreign was asked for, and nothing was complained of."""
+def browser_page(origin: str = "file:", **options: Any) -> Iterator[Any]:
+    """A page of a browser; at the end nothing foreign to `origin` was asked for, and nothing was complained of."""
     from playwright.sync_api import sync_playwright
 
     wrong: list[str] = []
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox", *WEBGL])
         page = browser.new_page(**options)
-        page.on("console", lambda said: wrong.append(said.text) if said.type in ("error", "warning") else None)
+        page.on("console", lambda said: wrong.append(said.text) if _is_complaint(said) else None)
         page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda asked: None if _is_own(asked.url) else wrong.append(f"asked for {asked.url}"))
+        page.on("request", lambda asked: None if _is_own(asked.url, origin) else wrong.append(f"asked for {asked.url}"))
         try:
             yield page
         finally:
@@ -38,5 +44,9 @@ def serious_faults(page: Any) -> list[str]:
     return [f"{one['id']}: {one['help']}" for one in found if one["impact"] in ("serious", "critical")]
 
 
-def _is_own(url: str) -> bool:
-    return url.startswith(("file:", "data:", "about:"))
+def _is_own(url: str, origin: str) -> bool:
+    return url.startswith((origin, "data:", "about:", "blob:"))
+
+
+def _is_complaint(said: Any) -> bool:
+    return said.type in ("error", "warning") and _SLOW not in said.text

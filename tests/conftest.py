@@ -16,7 +16,7 @@ from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.lab import Lab, load_lab, read_lab
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Job
 from scuhand_bt.recipe.recipe import Recipe, load_recipe
@@ -113,12 +113,11 @@ class LabFolder:
         return load_lab(self.folder)
 
     def problems(self) -> list[str]:
-        """As `file:line:column: message`, the file without its folder."""
-        try:
-            self.load()
-        except SourceError as error:
-            return [str(problem).removeprefix(f"{self.folder}/") for problem in error.problems]
-        return []
+        """All errors of the lab, as `file:line:column: message`, the file without its folder."""
+        lab = read_lab(self.folder)
+        problems = Problems([problem for problem in lab.problems if not problem.is_warning])
+        check_workflows(lab.library, lab.library.workflows, problems)
+        return [str(problem).removeprefix(f"{self.folder}/") for problem in SourceError(problems.errors).problems]
 
 
 @pytest.fixture(scope="session")

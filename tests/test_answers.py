@@ -400,5 +400,5 @@ def test_a_run_waits_only_for_a_real_person_and_until_its_action_has_ended(
     )
     followed = Follower(journal.path)
     followed.look()
-    assert (followed.asked is None) == is_halted
+    assert (followed.waiting.asked is None) == is_halted
     journal.close()

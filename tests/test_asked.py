@@ -143,7 +143,9 @@ def test_the_place_is_that_of_the_literal_whatever_workflows_it_goes_through(des
     (problem,) = said(desk, lab_folder, PLACE, call.replace("}", ", near: 3 mg}"))
     assert problem.startswith("6:61: the dose is within 3 mg")
     lab_folder.write("trees/inner.yaml", inner.replace("mass: $much", "mass: $s.amount"))
-    (problem,) = said(desk, lab_folder, PLACE, call)
+    found = said(desk, lab_folder, PLACE, call)
+    assert "does not fit into 'xrd_holder'" in found[-1]
+    problem = found[0]
     assert problem.startswith("4:43: no dose is of the 50 mg that sample 'a' asks for; this one is of 20000 mg")
 
 

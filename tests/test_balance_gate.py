@@ -399,7 +399,7 @@ def test_check_notes_what_a_real_run_is_refused_for(command: Call, lab_folder: L
     recipe = lab_folder.write("recipes/r.yaml", RECIPE)
     ended = command("check", recipe)
     assert ended.returncode == 0
-    assert "robot/cell.yaml:5:" in ended.stderr
+    assert "robot/cell.yaml:6:" in ended.stderr
     assert "a check weight is asked for every 24 h 00 min, and was not weighed right yet" in ended.stderr
     assert len(json.loads(command("check", recipe, "--json").stdout)["notes"]) == 2, "the changer, and the weight"
 
@@ -487,11 +487,11 @@ def test_the_balance_is_shown_and_forgotten(command: Call, lab_folder: LabFolder
 @pytest.mark.parametrize(
     ("limits", "said"),
     [
-        ("minimum_weight: 0.1", "5:"),
-        ("minimum_weight: -1 mg", "5:"),
-        ("usp_41: perhaps", "5:"),
-        ("check_weight_every: 0 h", "5:"),
-        ("when_beyond: ask", "5:"),
+        ("minimum_weight: 0.1", "6:"),
+        ("minimum_weight: -1 mg", "6:"),
+        ("usp_41: perhaps", "6:"),
+        ("check_weight_every: 0 h", "6:"),
+        ("when_beyond: ask", "6:"),
     ],
 )
 def test_a_wrong_limit_is_told_where_it_stands(lab_folder: LabFolder, limits: str, said: str) -> None:

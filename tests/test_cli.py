@@ -82,13 +82,13 @@ def test_looking_needs_no_robot_library() -> None:
     code = """
 import sys
 from scuhand_bt.cli import main
-for arguments in (["--help"], ["check", "recipes/synthesis_batch.yaml"], ["plan", "recipes/crucibles.yaml"]):
+for arguments in (["--help"], ["check", "--fast", "recipes/synthesis_batch.yaml"], ["plan", "recipes/crucibles.yaml"]):
     sys.argv[1:] = arguments
     try:
         main()
     except SystemExit as end:
         assert not end.code
-heavy = ("pinocchio", "coal", "ruckig", "dynamixel_sdk", "plotly", "matplotlib")
+heavy = ("pinocchio", "coal", "ruckig", "dynamixel_sdk", "jinja2", "fastapi", "matplotlib")
 print("heavy:", [name for name in heavy if name in sys.modules])
 """
     command = [sys.executable, "-c", code]
@@ -106,11 +106,11 @@ def test_check_says_that_a_recipe_is_good(command: Call, recipe: Path) -> None:
     assert {key: found[key] for key in ("ok", "samples", "problems")} == {"ok": True, "samples": 1, "problems": []}
 
 
-def test_check_lists_every_problem_with_its_place_on_standard_error(command: Call, wrong: Path) -> None:
+def test_check_lists_every_problem_with_its_place_where_a_pager_shows_them(command: Call, wrong: Path) -> None:
     ended = command("check", wrong)
     assert ended.returncode == 2
-    assert ended.stdout == ""
-    first, second, last = ended.stderr.splitlines()
+    assert ended.stderr == ""
+    first, second, last = ended.stdout.splitlines()
     assert first.startswith(f"{wrong}:4:86: 'amount': 'mm' is a unit of length")
     assert second.startswith(f"{wrong}:7:19: 'mass': '50' has no unit")
     assert last == "2 problems; nothing was moved."
@@ -141,8 +141,8 @@ def test_a_file_that_is_no_recipe_is_one_line_and_code_2(command: Call, tmp_path
     for name in (*contents, "missing.yaml", "."):
         ended = command("check", tmp_path / name)
         assert ended.returncode == 2, name
-        assert len(ended.stderr.splitlines()) == 1, ended.stderr
-        assert "Traceback" not in ended.stderr
+        assert len(ended.stdout.splitlines()) == 1, ended.stdout
+        assert "Traceback" not in ended.stdout + ended.stderr
     assert time.monotonic() - began < 30
 
 
@@ -150,7 +150,7 @@ def test_a_terminal_without_unicode_breaks_nothing(lab_folder: LabFolder) -> Non
     path = lab_folder.write("recipes/big.yaml", SMALL.replace("50 mg", "5 g"))
     ended = in_a_process("check", path, environment={"PYTHONIOENCODING": "ascii"})
     assert ended.returncode == 2
-    assert "does not fit into 'xrd_holder'" in ended.stderr
+    assert "does not fit into 'xrd_holder'" in ended.stdout
     assert "Traceback" not in ended.stderr
 
 
@@ -158,16 +158,16 @@ def test_a_terminal_without_unicode_breaks_nothing(lab_folder: LabFolder) -> Non
 
 
 def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
-    shown = command("plan", "recipes/synthesis_batch.yaml")
+    shown = command("plan", "recipes/synthesis_batch.yaml", "--trials", 0)
     assert shown.returncode == 0
     assert "change powder to monosodium_glutamate" in shown.stdout
-    assert "Sheet swaps: 1. Estimated duration: " in shown.stdout
+    assert "Sheet swaps: 1." in shown.stdout
     change = "change powder to monosodium_glutamate for m-xrd-1"
     assert f"A person is needed at '{change}': swap the sheet (two screws)." in shown.stdout
 
 
 def test_plan_as_json_has_every_job(command: Call) -> None:
-    found = json.loads(command("plan", "recipes/synthesis_batch.yaml", "--json").stdout)
+    found = json.loads(command("plan", "recipes/synthesis_batch.yaml", "--trials", 0, "--json").stdout)
     assert len([job for job in found["jobs"] if job["sample"]]) == 24
     assert found["swaps"] == 1
     assert {source["name"] for source in found["sources"]} == {"beads", "msg"}
@@ -180,7 +180,7 @@ def test_skills_and_trees_list_and_show_one(command: Call) -> None:
     assert "commands: hand, balance; gives: Dose" in shown
     assert any("tolerance" in line and "Mass" in line and "2.0 mg" in line for line in shown.splitlines())
     assert "fill_crucible" in command("trees").stdout
-    assert command("trees", "fill").stdout.startswith("workflow: fill\n")
+    assert "\nworkflow: fill\n" in command("trees", "fill").stdout
 
 
 @pytest.mark.parametrize("listing", ["skills", "trees"])
@@ -271,7 +271,7 @@ def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_
     for name in ("check", "plan"):
         ended = command(name, recipe)
         assert (ended.returncode, ended.stderr[:6]) == (0, "Note: ")
-        assert "robot/cell.yaml:6:19: the changer 'carousel' has no driver" in ended.stderr
+        assert "robot/cell.yaml:7:19: the changer 'carousel' has no driver" in ended.stderr
         ended = command(name, recipe, "--json")
         assert (json.loads(ended.stdout)["notes"][0].split(": ", 1)[1][:22], ended.stderr) == (
             "the changer 'carousel'",
@@ -279,7 +279,7 @@ def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_
         )
     ended = command("run", recipe, "--operator", "Eve")
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert "robot/cell.yaml:6:19: the changer 'carousel' has no driver" in ended.stderr
+    assert "robot/cell.yaml:7:19: the changer 'carousel' has no driver" in ended.stderr
 
 
 def test_ctrl_c_while_running_ends_safe_with_code_130(recipe: Path) -> None:
@@ -335,13 +335,13 @@ def test_a_page_is_not_written_into_a_picture(command: Call, tmp_path: Path) -> 
 def test_a_page_without_its_library_says_what_to_install(
     command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "plotly", None)
-    for module in ("figure_page", "reach", "move_page"):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    for module in ("page", "reach", "move_page"):
         monkeypatch.delitem(sys.modules, f"scuhand_bt.report.{module}", raising=False)
     for arguments in (("reach",), ("show-move", "park", "balance")):
         ended = command(*arguments, "-o", tmp_path / "page.html")
         assert ended.returncode == 2
-        assert "needs plotly: pip install 'scuhand-bt[plot]'" in " ".join(ended.stderr.split())
+        assert "needs jinja2: pip install 'scuhand-bt[plot]'" in " ".join(ended.stderr.split())
 
 
 def test_a_misspelt_station_or_sample_is_answered_with_the_nearest(command: Call) -> None:
@@ -414,7 +414,7 @@ def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(command: Call
 
 
 def test_the_start_of_day_needs_no_powder_and_is_good_in_a_dry_run(command: Call) -> None:
-    assert "put a check weight on the pan" in command("plan", "recipes/start_of_day.yaml").stdout
+    assert "put a check weight on the pan" in command("plan", "recipes/start_of_day.yaml", "--trials", 1).stdout
     ended = command("run", "recipes/start_of_day.yaml", "--dry-run")
     assert ended.returncode == 0, ended.stdout
     assert "1 of 1 samples good" in ended.stdout

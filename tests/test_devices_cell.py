@@ -33,8 +33,8 @@ def test_every_dialect_can_be_named_and_has_a_twin() -> None:
 @pytest.mark.parametrize(
     ("written", "wrong", "problem"),
     [
-        ("driver: dynamixel", "driver: abacus", "cell.yaml:3:15: 'driver': 'abacus' is not accepted"),
-        (BALANCE, "driver: scales", "cell.yaml:5:19: 'driver': 'scales' is not accepted; write 'and', "),
+        ("driver: dynamixel", "driver: abacus", "cell.yaml:4:15: 'driver': 'abacus' is not accepted"),
+        (BALANCE, "driver: scales", "cell.yaml:6:19: 'driver': 'scales' is not accepted; write 'and', "),
         (BALANCE, BALANCE + ", options: {buad: 9600}", "unknown key 'buad'; known: baud, bits, unit; did you mean"),
         (BALANCE, BALANCE + ", options: {bits: 9X9}", "'bits': '9X9' is not accepted"),
         (BALANCE, BALANCE + ", options: {baud: fast}", "'baud': 'fast' is not accepted"),
@@ -63,7 +63,7 @@ def test_options_are_read_with_their_units(lab_folder: LabFolder) -> None:
 
 
 @pytest.mark.parametrize(
-    ("written", "place"), [(CHANGER, "6:19"), ("changer: {slots: 24}", "6:10"), ("", "2:1")], ids=["named", "", "none"]
+    ("written", "place"), [(CHANGER, "7:19"), ("changer: {slots: 24}", "7:10"), ("", "3:1")], ids=["named", "", "none"]
 )
 def test_a_changer_without_a_driver_is_no_matter_to_a_dry_run_and_ends_a_real_one_before_any_port_is_opened(
     lab_folder: LabFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str, place: str

@@ -15,9 +15,14 @@ import typer
 from conftest import REPOSITORY, LabFolder
 
 from scuhand_bt import cli
-from scuhand_bt.problems import Problems, SourceError
+from scuhand_bt.cli.check import line_of
+from scuhand_bt.findings import page as page_of_findings
+from scuhand_bt.kit.cases import read_test_file
+from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.checking import check
 from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.study.vary import read_vary
 from scuhand_bt.tree.check import check_workflows
 
 PAGES = [*sorted(REPOSITORY.glob("*.md")), *sorted(REPOSITORY.glob("docs/**/*.md"))]
@@ -92,6 +97,9 @@ def test_the_picture_of_the_rooms_is_of_today(tmp_path: Path) -> None:
 def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> None:
     lab_folder.write("recipes/holders.csv", texts("csv")[0])
     kind = text.split(":", 1)[0]
+    for skill in (text for text in texts("python") if "(Skill" in text):
+        (cls,) = re.findall(r"^class (\w+)", skill, re.M)
+        lab_folder.write(f"skills/{cls.lower()}.py", skill)
     if kind == "recipe":
         recipe = load_recipe(lab_folder.write("recipes/example.yaml", text), lab_folder.load())
         assert recipe.samples
@@ -101,12 +109,19 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         problems = Problems()
         check_workflows(lab_folder.load().library, [name], problems)
         problems.raise_any()
+    elif kind == "test":
+        for name, tree in (w.split("\n", 1) for w in texts("yaml") if w.startswith("workflow: tap_and_weigh")):
+            lab_folder.write(f"trees/{name.split()[1]}.yaml", f"{name}\n{tree}")
+        assert read_test_file(lab_folder.write("trees/example.test.yaml", text), lab_folder.load()).cases
     elif kind == "faults":
         assert parse_faults(text, "faults.yaml").rules
     elif kind == "balance":
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^balance: .*$", text, cell, flags=re.M))
         assert lab_folder.load().cell.balance.limits.usp_41
+    elif kind == "design":
+        vary = lab_folder.write("vary.yaml", text)
+        assert read_vary(vary).changes()
     else:
         assert kind == "notify", "an example of a new kind: say here how it is read"
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
@@ -122,12 +137,17 @@ def test_the_mistakes_that_recipes_md_shows_are_told_in_those_words(lab_folder: 
     rows = "".join(f"xrd-{7 if number == 12 else number - 1:02d},xrd_holder,30\n" for number in range(2, 13))
     lab_folder.write("recipes/holders.csv", "id,container,mass [mg]\n" + rows.replace("xrd-01", "xrd-99"))
     path = lab_folder.write("recipes/my.yaml", recipe)
-    with pytest.raises(SourceError) as raised:
-        load_recipe(path, lab_folder.load())
-    told = [str(problem).removeprefix(f"{path.parent}/") for problem in raised.value.problems]
+    found = check(lab_folder.folder, path, fast=True).problems
+    told = [line_of(problem).removeprefix(f"{path.parent}/") for problem in found]
     told.append(f"{len(told)} problems; nothing was moved.")
     for line, expected in zip(told, shown, strict=True):
         assert re.fullmatch(re.escape(expected).replace("…", ".*"), line)
+
+
+def test_the_page_of_findings_is_of_today() -> None:
+    assert (REPOSITORY / "docs" / "findings.md").read_text(encoding="utf-8") == page_of_findings(), (
+        "run `python -m scuhand_bt.findings docs`"
+    )
 
 
 @pytest.mark.parametrize("text", blocks("python"))

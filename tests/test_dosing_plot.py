@@ -11,7 +11,7 @@ def test_a_dose_is_plotted_from_its_recorded_curve(tmp_path: Path, suffix: str) 
 
     run = Bench(shipped_powders()["glass_beads"], 50.0, 3).dose("adaptive").run
     path = tmp_path / f"dose.{suffix}"
-    plot_dose(run.rows(), 50.0, 2.0, path)
+    plot_dose([point.row() for point in run.curve], 50.0, 2.0, path)
     assert path.stat().st_size > 5000
 
 

@@ -57,7 +57,7 @@ def sieving(folder: Path, write: str) -> Path:
         ('cell.record.note("sample", {"id": "a"})', 'write `cell.record.note("lab.sample", {…})`'),
         ('cell.record.event(Ended(exit_code=0, reason=""))', "Ended is no entry that a skill may write"),
         ('cell.record.event(type("Mine", (SkillEvent,), {"KIND": "sample"})())', "Mine is no entry that a skill may"),
-        ('cell.record.job_ended("done")', "'Record' object has no attribute 'job_ended'"),
+        ('getattr(cell.record, "job_ended")("done")', "'Record' object has no attribute 'job_ended'"),
         (
             'cell.record.note("lab.sieved", {"mesh_mm": float("nan")})',
             "nan among the values of 'lab.sieved' is no JSON",

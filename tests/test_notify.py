@@ -186,7 +186,7 @@ def test_a_notifier_keeps_nobody_waiting_and_gives_its_errors_at_the_end(server:
 def test_what_is_wrong_with_the_hook_is_said_in_the_cells_file(lab_folder: LabFolder, text: str, said: str) -> None:
     lab_folder.replace("robot/cell.yaml", "cell: starter\n", f"cell: starter\nnotify: {text}\n")
     problems = lab_folder.problems()
-    assert any(said in problem and problem.startswith("robot/cell.yaml:3:") for problem in problems), problems
+    assert any(said in problem and problem.startswith("robot/cell.yaml:4:") for problem in problems), problems
 
 
 def test_a_cell_may_name_a_hook(lab_folder: LabFolder) -> None:

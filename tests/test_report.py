@@ -14,11 +14,12 @@ from page_text import Tables
 from running import Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
-from scuhand_bt.events import DoseCurve
+from scuhand_bt.events import DoseBegun, DoseCurve, Scooped
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
     Answered,
+    ArmMoves,
     Asked,
     Continued,
     Ended,
@@ -78,7 +79,7 @@ def test_the_page_fetches_nothing_and_no_text_of_a_recipe_becomes_markup(ran: Ra
     text = page_of(ran.journal)
     page = Tables(text)
     assert [link for link in page.fetched if not link.startswith(("data:application/gzip;base64,", "#"))] == []
-    assert page.elements.count("script") == 1
+    assert page.elements.count("script") == 4, "the tables' own, and the viewer's with what it shows"
     assert EVIL not in text
     assert text.count(escape(EVIL)) >= 3, "its summary, its powder and the recipe"
     assert "default-src 'none'" in text
@@ -130,10 +131,14 @@ def written(path: Path) -> Path:
     journal.now_s = lambda: now
     journal.event(RunBegun.model_validate(HEADER))
     journal.job_started(JobStarted(name="s1", sample="s1", attempt=1, workflow="fill"))
-    for skill, seconds in (("scoop", 10.0), ("dispense", 20.0), ("sieve", 5.0)):
+    for skill, seconds in (("ladle", 10.0), ("pour", 20.0), ("sieve", 5.0)):  # a lab's own
         action = journal.action_started(ActionStarted(path=skill, visit=1, skill=skill, inputs={}), weighs=False)
-        if skill == "dispense":
-            journal.action = action
+        journal.action = action
+        journal.event(ArmMoves(step_s=0.5, joints_rad=((0.0,) * 7,) * 5, cone_mm=44.0))
+        if skill == "ladle":
+            journal.event(Scooped(source="s", expected_mg=1.0, open_mm=44.0, closed_mm=24.0, swing_deg=8.0))
+        if skill == "pour":
+            journal.event(DoseBegun(gross_mg=1.0, lot="s", target_mg=1.0))
             points = ((12.0, 0.0, 0.0, 0.0, False, 0.0), (14.0, 0.0, 0.5, 0.0, False, 0.0))
             points += (
                 (16.0, 1.0, 0.0, 0.7, False, 1.0),
@@ -170,7 +175,8 @@ def test_who_waits_waits_whatever_the_skill_and_an_open_valve_doses(tmp_path: Pa
             "waiting for persons": 3.0,
             "paused": 1.0,
             "settling and weighing": 13.0,
-            "other": 9.0,
+            "moving": 2.0,
+            "other": 7.0,
         }
     )
     assert sum(spent.total_s.values()) == pytest.approx(40.0)

@@ -360,10 +360,10 @@ inputs: {source: Source, container: Container}
 tree:
   sequence:
     - place_container: {container: $container}
-    - tare:
+    - tare: {as: gross}
     - scoop: {source: $source}
     - move_over: {container: $container}
-    - dispense: {mass: 1 g}
+    - dispense: {mass: $gross}   # known only when it runs: a check before refuses what it can tell
 """
     lab = make_lab(tmp_path / "lab", trees__careless=tree)
     recipe = "recipe: r\nworkflow: careless\nsamples: [{id: a, source: beads, container: xrd_holder}]\n"

@@ -117,11 +117,11 @@ def test_all_that_comes_together_must_fit_into_the_container_and_on_the_balance(
     said = desk.problems(recipe(f"id: a, {MIXED}, mass: 45 g, more: 45 g"))[-2]
     assert "'alumina_crucible' (31.0000 g) and 90.0000 g are too heavy for the balance" in said
     assert desk.problems(recipe(f"id: a, {MIXED}, more: 0 mg")) == [
-        "9:5: the mass taken from 'other' is 0 mg; more than 0"
+        "9:48: the mass taken from 'other' is 0 mg; more than 0"
     ]
 
 
-AMOUNT = "takes from one of several sources cannot be told before the run; let a workflow do it that has one input"
+AMOUNT = "takes from one of several sources cannot be told before the run; dispense a mass that is written, or an"
 
 
 @pytest.mark.parametrize(
@@ -176,12 +176,13 @@ def test_a_source_that_is_picked_only_in_the_run_is_refused(desk: Desk, lab: Lab
     )
 
 
-def test_how_often_is_refused_where_only_the_run_tells_it(desk: Desk, lab: LabFolder) -> None:
+def test_how_often_a_dose_is_repeated_needs_not_be_known_as_it_counts_what_is_there(desk: Desk, lab: LabFolder) -> None:
     lab.write("skills/pick.py", PICK.replace("Skill[Source]", "Skill[int]").replace("Steps[Source]", "Steps[int]"))
     fill = "{fill: {source: $first, container: $container, mass: 1 g}}"
     tree = f"sequence: [{{pick: {{source: $first, as: n}}}}, {{repeat: {{times: $n, child: {fill}}}}}]"
-    (found,) = problems_of_tree(desk, lab, tree)
-    assert "how often powder is taken from one of several sources is known only when it runs" in found
+    assert problems_of_tree(desk, lab, tree) == []
+    (sample,) = desk.load(a_blend()).samples
+    assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("beads", 1000.0)]
 
 
 def test_one_lot_in_two_mortars_may_be_taken_from_either(desk: Desk, lab: LabFolder) -> None:
@@ -200,7 +201,8 @@ def test_a_workflow_of_one_source_takes_its_mass_however_it_does_that(desk: Desk
 
 
 def test_a_mass_by_default_is_taken_and_a_fallback_may_take_two_lots_in_one_way(desk: Desk, lab: LabFolder) -> None:
-    pinch = "workflow: pinch\ninputs: {source: Source, mass: {type: Mass, default: 7 mg}}\ntree:\n  park:\n"
+    inputs = "inputs: {source: Source, mass: {type: Mass, default: 7 mg}}"
+    pinch = f"workflow: pinch\n{inputs}\ntree:\n  dispense: {{mass: $mass}}\n"
     lab.write("trees/pinch.yaml", pinch)
     both = "{sequence: [{pinch: {source: $first}}, {pinch: {source: $second}}]}"
     assert problems_of_tree(desk, lab, f"fallback: [{both}, {{discard: }}]") == []
@@ -208,11 +210,13 @@ def test_a_mass_by_default_is_taken_and_a_fallback_may_take_two_lots_in_one_way(
     assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("beads", 7.0), ("other", 7.0)]
 
 
-def test_what_is_repeated_is_taken_each_time(desk: Desk, lab: LabFolder) -> None:
+def test_what_is_repeated_into_one_container_is_taken_once_as_a_dose_counts_what_is_there(
+    desk: Desk, lab: LabFolder
+) -> None:
     fill = "{fill: {source: $second, container: $container, mass: $amount}}"
     assert problems_of_tree(desk, lab, f"repeat: {{times: 3, child: {fill}}}") == []
     (sample,) = desk.load(a_blend()).samples
-    assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("other", 300.0)]
+    assert [(take.source.name, take.mass_mg) for take in sample.takes] == [("other", 100.0)]
     assert names(sample) == ["other", "beads"]
 
 

@@ -1,18 +1,28 @@
 """The pages that draw the arm: what they show, and that they need nothing from outside."""
 
+import base64
+import gzip
+import json
+import math
+import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from browser import browser_page, needs_browser, serious_faults
 
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, Mount
 from scuhand_bt.report.cell_mesh import CellMeshes
 from scuhand_bt.report.motion_panels import spread
-from scuhand_bt.report.move_page import move_figure, move_page
+from scuhand_bt.report.move_page import move_page
 from scuhand_bt.report.move_picture import move_png
 from scuhand_bt.report.reach import reach_page
+from scuhand_bt.report.scene3d import scene_values
 from scuhand_bt.report.show_move import ShownMove
 
 LAB = load_lab(starter_lab())
@@ -48,38 +58,82 @@ def shown(speed_ratio: float = 1.0, spill_limit_deg: float | None = None) -> Sho
     home = planner.home()
     over = np.array(LAB.cell.stations["mortar_bay"].position_mm) / 1e3 + (0.0, 0.0, 0.1)
     motion = planner.move(home, ApexPose(over), spill_limit_deg=spill_limit_deg)
-    return ShownMove("there </script>", motion, planner.scene(), planner.rates, MOUNT, {"mortar_bay": over})
+    places_m = {"mortar_bay": over}
+    scene = planner.scene()
+    drawn = scene_values(planner, MOUNT.offset_m, [44.0], places_m, LAB.library.containers.values())
+    return ShownMove("there </script>", motion, scene, planner.rates, MOUNT, places_m, drawn, "xrd_holder")
 
 
 def test_the_pages_are_one_file_that_fetches_nothing_and_break_on_no_name() -> None:
-    for text, title in ((move_page(shown()), "there </script>"), (reach_page(LAB.cell), "starter")):
+    for text, title in ((move_page(shown()), "there </script>"), (reach_page(LAB), "starter")):
         page = Page(text)
         assert page.fetched == []
         assert "@import" not in page.text
         assert title in page.text
-        # A name that ended the script would spill the figure's data into the page.
-        assert "Plotly.newPlot" not in page.text
+        # A name that ended a script would spill what follows it into the page.
+        assert "DecompressionStream" not in page.text
 
 
-def test_the_figure_shows_the_cell_the_stations_and_every_plot_with_its_units() -> None:
-    figure = move_figure(shown())
-    names = {trace.name for trace in figure.data}
-    assert {"shield_left", "shield_right", "balance_body", "mortar_bay", "j1", "j7", "spill angle"} <= names
-    assert [note.text for note in figure.layout.annotations][:5] == [panel.name for panel in shown().panels()]
-    assert figure.layout.scene.xaxis.title.text == "x [mm]"
-    assert {axis.title.text for axis in figure.select_xaxes()} == {"time [s]"}
+def packed(page: str, name: str) -> Any:
+    """What a page has inside, compressed."""
+    found = re.search(rf'id="viewer-{name}">([^<]*)<', page)
+    assert found is not None
+    return json.loads(gzip.decompress(base64.b64decode(found[1])))
 
 
-def test_the_animation_ends_with_the_cones_tip_where_the_motion_ends_and_its_plots_at_the_end() -> None:
+def test_the_page_shows_the_cell_the_stations_what_stands_on_the_pan_and_every_plot_with_its_units() -> None:
+    page = move_page(shown())
+    scene = packed(page, "shown")["scene"]
+    names = {one["name"] for one in scene["solids"]}
+    assert {"shield_left", "shield_right", "balance_body", "mortar_bay"} <= names
+    assert [one["name"] for one in scene["places"]] == ["mortar_bay"]
+    assert {one["name"] for one in scene["containers"]} == set(LAB.library.containers)
+    assert packed(page, "shown")["motions"][0]["pan"] == "xrd_holder"
+    for panel in shown().panels():
+        assert panel.name in Page(page).text
+
+
+def test_the_motion_ends_where_it_leads_and_the_chain_puts_the_cones_tip_there() -> None:
     move = shown()
-    figure = move_figure(move)
-    last = figure.frames[-1]
-    tip_mm = 1000 * move.path_m(np.array([move.motion.duration_s]))[0]
-    corners_mm = np.column_stack([last.data[0].x, last.data[0].y, last.data[0].z])
-    assert np.linalg.norm(corners_mm - tip_mm, axis=1).min() < 0.01
-    assert all(line.x == pytest.approx([move.motion.duration_s] * 2) for line in last.data[1:])
-    # Only corners move: what is drawn at the beginning has the triangles.
-    assert len(figure.data[last.traces[0]].x) == len(last.data[0].x)
+    (played,) = packed(move_page(move), "shown")["motions"]
+    assert played["joints_rad"][-1] == pytest.approx(move.motion.end, abs=1e-5)
+    assert played["step_s"] * (len(played["joints_rad"]) - 1) == pytest.approx(move.motion.duration_s)
+    tip_m = move.path_m(np.array([move.motion.duration_s]))[0]
+    assert math.dist(_tip_m(move.drawn, move.motion.end), tip_m) < 1e-4
+
+
+def _tip_m(scene: Any, q: Any) -> Any:
+    """Where a chain of joints puts the cone's tip, as the viewer reckons it."""
+    at = pin.SE3.Identity()
+    for joint, angle in zip(scene["joints"], q, strict=True):
+        fixed = pin.XYZQUATToSE3(np.array(joint["at"]))
+        at = at * fixed * pin.SE3(pin.AngleAxis(angle, np.array(joint["axis"])).toRotationMatrix(), np.zeros(3))
+    return at.act(np.array(scene["apex"]))
+
+
+@needs_browser
+@pytest.mark.slow
+def test_in_a_browser_the_page_draws_the_arm_where_its_motion_has_it_and_needs_no_network(tmp_path: Path) -> None:
+    move = shown()
+    (tmp_path / "move.html").write_text(move_page(move), encoding="utf-8")
+    (tmp_path / "reach.html").write_text(reach_page(LAB), encoding="utf-8")
+    with browser_page() as page:
+        page.goto((tmp_path / "move.html").as_uri())
+        page.locator("#viewer canvas").wait_for()
+        page.evaluate(
+            """() => { const slider = document.querySelector("[data-part=slider]");
+               slider.value = slider.max; slider.dispatchEvent(new Event("input")); }"""
+        )
+        drawn_m = page.evaluate("document.getElementById('viewer').viewer.apex()")
+        assert math.dist(drawn_m, move.path_m(np.array([move.motion.duration_s]))[0]) < 1e-3
+        now = page.evaluate("document.documentElement.style.getPropertyValue('--now')")
+        assert float(now) == pytest.approx(1.0)
+        page.get_by_role("button", name="Play").click()
+        page.get_by_role("button", name="Halt").wait_for()
+        assert serious_faults(page) == []
+        page.goto((tmp_path / "reach.html").as_uri())
+        page.locator("#viewer canvas").wait_for()
+        assert serious_faults(page) == []
 
 
 def test_the_drawn_solids_are_closed_and_as_large_as_the_collision_shapes() -> None:
@@ -130,5 +184,5 @@ def test_the_picture_is_a_png(tmp_path: Path) -> None:
 def test_a_station_out_of_reach_is_marked_on_the_map() -> None:
     far = LAB.cell.stations["waste"].model_copy(update={"position_mm": (0.0, 750.0, 100.0)})
     cell = LAB.cell.model_copy(update={"stations": {**LAB.cell.stations, "waste": far}})
-    assert Page(reach_page(cell)).text.count("cannot be reached") == 1
-    assert Page(reach_page(LAB.cell)).text.count("cannot be reached") == 0
+    assert Page(reach_page(replace(LAB, cell=cell))).text.count("cannot be reached") == 1
+    assert Page(reach_page(LAB)).text.count("cannot be reached") == 0

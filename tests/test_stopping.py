@@ -4,6 +4,7 @@ import os
 import shutil
 import socket
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -194,3 +195,42 @@ def test_who_calls_and_says_nothing_keeps_nobody_else_from_stopping_the_run(
 def test_anyone_may_stop_a_run_and_its_owner_lets_it_go_on() -> None:
     assert all(may_wish(wish, 1001, 1000) for wish in ("pause", "pause_now", "stop", "stop_now"))
     assert [may_wish("continue", user, 1000) for user in (1000, 0, 1001)] == [True, True, False]
+
+
+def test_nobody_waits_for_callers_who_say_nothing(tmp_path: Path) -> None:
+    journal, control = tmp_path / "lab" / "runs" / "one.sqlite", Control()
+    listener, silent = WishListener(journal, control), []
+    try:
+        for _ in range(3 * control_module.MOST_CALLERS):
+            silent.append(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+            silent[-1].connect(control_module._address(journal))
+            silent[-1].sendall(b'{"wish": ')
+        began_s = time.monotonic()
+        assert say_wish(journal, "stop") == HEARD
+        assert time.monotonic() - began_s < control_module.SPOKEN_S / 2
+        assert control.is_stopping
+    finally:
+        listener.end()
+        for line in silent:
+            line.close()
+
+
+def test_who_says_it_in_pieces_is_heard_and_who_stalls_is_hung_up_on(tmp_path: Path) -> None:
+    journal, control = tmp_path / "lab" / "runs" / "one.sqlite", Control()
+    listener = WishListener(journal, control)
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+            line.connect(control_module._address(journal))
+            for part in (b'{"wish": "pause", ', b'"by": null, "pin": null}'):
+                line.sendall(part)
+                time.sleep(0.05)
+            line.shutdown(socket.SHUT_WR)
+            line.settimeout(2.0)
+            assert line.recv(100) == HEARD.encode()
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+            line.connect(control_module._address(journal))
+            line.settimeout(5 * control_module.SPOKEN_S)
+            assert line.recv(100) == b""
+        assert control.is_pausing
+    finally:
+        listener.end()

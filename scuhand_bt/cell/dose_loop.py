@@ -22,7 +22,7 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
-from scuhand_bt.events import Pulsed
+from scuhand_bt.events import DoseCurve, Pulsed
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.record import Record
 
@@ -44,6 +44,17 @@ class CurvePoint:
     estimate_mg: float
     """What the controller takes to have left the nozzle."""
 
+    def row(self) -> tuple[float, float, float, float, bool, float]:
+        """As plain numbers, rounded to what they mean: a point of a `DoseCurve`."""
+        return (
+            round(self.time_s, 3),
+            round(self.net_mg, 3),
+            round(self.opening_mm, 3),
+            round(self.vibration, 2),
+            self.stable,
+            round(self.estimate_mg, 3),
+        )
+
 
 @dataclass
 class DoseRun:
@@ -58,20 +69,6 @@ class DoseRun:
     vibration_s: float
     duration_s: float
     curve: list[CurvePoint] = field(default_factory=list)
-
-    def rows(self) -> tuple[tuple[float, float, float, float, bool, float], ...]:
-        """The curve as plain numbers, rounded to what they mean."""
-        return tuple(
-            (
-                round(p.time_s, 3),
-                round(p.net_mg, 3),
-                round(p.opening_mm, 3),
-                round(p.vibration, 2),
-                p.stable,
-                round(p.estimate_mg, 3),
-            )
-            for p in self.curve
-        )
 
 
 BARREN_S = 60.0
@@ -139,11 +136,15 @@ def run_dose(
             lost = f"the pan shows {most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
             raise SkillFailed(Code.CONTAINER_MOVED, lost)
 
+    def keep(point: CurvePoint) -> None:
+        curve.append(point)
+        record.event(DoseCurve(points=(point.row(),)))
+
     def note(opening_mm: float, vibration: float) -> None:
         """A moment of a pulse; what the hand does in it is known from the command."""
         if balance.latest is not None:
             net_mg = balance.latest.value_mg - reference.zero_mg
-            curve.append(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
+            keep(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
 
     def pause(duration_s: float) -> Steps[None]:
         end_s = clock.now_s + duration_s
@@ -221,9 +222,7 @@ def run_dose(
             if seen.stable and flow.barren_s > BARREN_S and is_going_on:
                 why = request.given_up(seen.net_mg - reference.earlier.mass_mg)
                 command = Finish(why, seen.net_mg, seen.uncertainty_mg)
-            curve.append(
-                CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg)
-            )
+            keep(CurvePoint(seen.time_s, seen.net_mg, seen.opening_mm, level, seen.stable, controller.estimate_mg))
     finally:
         hand.stop()
     return DoseRun(command, last, watched, pulses, vibration_s, clock.now_s - begin_s, curve)

@@ -5,6 +5,7 @@ from scuhand_bt.cli import (
     balance,
     batch,
     bench,
+    check,
     content,
     evidence,
     failures,
@@ -15,6 +16,10 @@ from scuhand_bt.cli import (
     persons,
     powders,
     report,
+    schema,
+    serve,
+    study,
+    test,
     watch,
 )
 from scuhand_bt.cli.shared import app, main
@@ -25,6 +30,7 @@ __all__ = [
     "balance",
     "batch",
     "bench",
+    "check",
     "content",
     "evidence",
     "failures",
@@ -36,5 +42,9 @@ __all__ = [
     "persons",
     "powders",
     "report",
+    "schema",
+    "serve",
+    "study",
+    "test",
     "watch",
 ]

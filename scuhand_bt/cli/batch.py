@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import (
+    PAGES,
     FaultsOption,
     JsonFlag,
     LabOption,
@@ -22,12 +23,14 @@ from scuhand_bt.cli.shared import (
     UnattendedFlag,
     app,
     err,
+    note_problems,
+    of_kind,
     on_signals,
     out,
     print_json,
-    the_lab,
 )
 from scuhand_bt.cli.streams import unwatched
+from scuhand_bt.cli.study import WorkersOption, odds_values, tell_odds
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
@@ -39,10 +42,14 @@ if TYPE_CHECKING:
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
+    from scuhand_bt.study.odds import Odds
 
 
 HowMuch = Literal["quiet", "lines", "verbose", "picture"]
 """What is told of a run while it goes on: nothing, a line for each sample, for each action, or a picture that stays."""
+DashboardFlag = Annotated[
+    bool, typer.Option("--dashboard", help="Show the run on a page, too, as long as it goes on (extra `serve`).")
+]
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Tell only what it came to.")]
 VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Tell every action, line by line.")]
 
@@ -64,6 +71,7 @@ def run(
         bool, typer.Option("--ask", help="Ask a person in a dry run or a rehearsal, as at the cell.")
     ] = False,
     operator: OperatorOption = None,
+    dashboard: DashboardFlag = False,
     quiet: QuietFlag = False,
     verbose: VerboseFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
@@ -107,7 +115,7 @@ def run(
         return Session(made, loaded, options, control=control)
 
     with unwatched():
-        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose))
+        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose), dashboard=dashboard)
 
 
 def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
@@ -117,11 +125,14 @@ def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
     return "quiet" if quiet else "verbose" if verbose else "picture" if out.is_terminal else "lines"
 
 
-def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None, shows: HowMuch) -> None:
+def run_to_its_end(
+    make: "Callable[[Control], Session]", json_file: Path | None, shows: HowMuch, *, dashboard: bool = False
+) -> None:
     """Run a session, and tell as much of it as wished; ends the command with its exit code.
 
     Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample; a closed terminal does not.
     """
+    from scuhand_bt.cli.serve import dashboard_beside, require_dashboard
     from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.report.live_terminal import LiveTerminal
     from scuhand_bt.run.control import Control
@@ -129,6 +140,8 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None,
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
+    if dashboard:
+        require_dashboard()
     began, control = time.monotonic(), Control()
     if shows == "picture" and sys.stdin.isatty():
         control.terminal = LiveTerminal()
@@ -146,7 +159,12 @@ def run_to_its_end(make: "Callable[[Control], Session]", json_file: Path | None,
                 out.print(Text(session.title))
             for warning in session.warnings:
                 err.print(Text(f"Note: {warning}"))
-            result = _watched(session, supervisor, shows)
+            with ExitStack() as opened:
+                if dashboard:
+                    page = opened.enter_context(dashboard_beside(session.journal.path))
+                    out.print(Text(f"Dashboard: {page}"), soft_wrap=True)
+                    out.file.flush()
+                result = _watched(session, supervisor, shows)
         except (PlantError, NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(ExitCode.BAD_INPUT) from None
@@ -216,37 +234,29 @@ def _export(session: "Session", result: "BatchResult", json_file: Path) -> None:
 
 
 @app.command()
-def check(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
-    """Check a recipe, its tables and its workflows, without running anything."""
-    from scuhand_bt.recipe.plan import make_plan
-    from scuhand_bt.recipe.recipe import load_recipe
-
-    try:
-        loaded = the_lab(lab, recipe)
-        checked = load_recipe(recipe, loaded)
-        notes = _notes(make_plan(checked, loaded), loaded, quiet=as_json)
-    except SourceError as error:
-        if not as_json:
-            raise
-        problems = [
-            {"file": p.mark.file, "line": p.mark.line, "column": p.mark.column, "message": p.message}
-            for p in error.problems
-        ]
-        print_json({"ok": False, "problems": problems})
-        raise typer.Exit(ExitCode.BAD_INPUT) from None
-    if as_json:
-        print_json({"ok": True, "samples": len(checked.samples), "problems": [], "notes": notes})
-    else:
-        out.print(Text(f"{recipe}: {len(checked.samples)} samples, no problem found."))
-
-
-@app.command()
-def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = False) -> None:
-    """Show the jobs in their order, the powder each source needs, and every moment that needs a person."""
+def plan(
+    recipe: RecipeArgument,
+    trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
+    workers: WorkersOption = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write it as a page, with the arm's motions (extra `report`).")
+    ] = None,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show the jobs in their order, what to expect of them by dry runs, and every moment that needs a person."""
+    if html is not None:
+        of_kind(html, *PAGES)
+        if not trials:
+            raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
     made, loaded = the_plan(recipe, lab)
-    notes = _notes(made, loaded, quiet=as_json)
+    notes = notes_of(made, loaded, quiet=as_json)
+    odds = _odds(made, loaded, trials, workers) if trials else None
+    if html is not None and odds is not None:
+        _preview(made, loaded, odds, html)
+        return
     if as_json:
-        print_json({**_plan_values(made), "notes": notes})
+        print_json({**_plan_values(made), "odds": odds and odds_values(odds), "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):
@@ -271,12 +281,42 @@ def plan(recipe: RecipeArgument, lab: LabOption = None, as_json: JsonFlag = Fals
         powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
     out.print()
     out.print(powders)
-    out.print(f"\nSheet swaps: {made.swaps}. Estimated duration: {format_duration(made.duration_s)}.")
+    if odds is not None:
+        tell_odds(odds, made)
+    rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
+    out.print(f"\nSheet swaps: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
     if all(person.job is None for person in made.persons):
         out.print("After the start no person is needed.")
     for person in made.persons:
-        out.print(Text(f"A person is {person}."))
+        when = odds.began_s.get(person.job or "") if odds is not None else None
+        at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
+        out.print(Text(f"A person is {person}{at}."))
+
+
+def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
+    """By the first seeds, in the background; what fails there by itself says so."""
+    from scuhand_bt.study.odds import odds_of
+    from scuhand_bt.study.pool import all_trials, executor_of
+    from scuhand_bt.study.trial import Setup
+
+    setup = Setup(made.recipe.path.absolute(), loaded.folder.absolute())
+    with executor_of(workers, None) as executor:
+        found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
+    return odds_of(made, [found[setup, seed] for seed in range(trials)])
+
+
+def _preview(made: "Plan", lab: "Lab", odds: "Odds", page: Path) -> None:
+    """Write the plan as a page."""
+    try:
+        from scuhand_bt.report.preview import preview
+
+        page.write_text(preview(made, lab, odds), encoding="utf-8")
+    except ModuleNotFoundError as error:
+        raise typer.BadParameter(f"a page needs {error.name}: pip install 'scuhand-bt[report]'") from None
+    except OSError as error:
+        raise typer.BadParameter(f"'{page}' cannot be written: {error.strerror or error}") from None
+    out.print(Text(f"Written: {page}"), soft_wrap=True)
 
 
 def _plan_values(made: "Plan") -> dict[str, Any]:
@@ -311,7 +351,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
     }
 
 
-def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
+def notes_of(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
     from datetime import datetime
 
@@ -339,8 +379,11 @@ def _notes(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
 
 def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
     """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
+    from scuhand_bt.lab import find_lab, load_lab
     from scuhand_bt.recipe.plan import make_plan
     from scuhand_bt.recipe.recipe import load_recipe
 
-    lab = the_lab(folder, recipe)
-    return make_plan(load_recipe(recipe, lab), lab), lab
+    lab = load_lab(find_lab(recipe, folder))
+    made = make_plan(load_recipe(recipe, lab), lab)
+    note_problems(lab)
+    return made, lab

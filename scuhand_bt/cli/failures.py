@@ -1,5 +1,7 @@
 """Commands about failures: what a code means and what to do about it, and what can be made to fail in a simulation."""
 
+from dataclasses import asdict
+
 from rich.table import Table
 from rich.text import Text
 
@@ -9,8 +11,12 @@ from scuhand_bt.problems import SourceError
 
 @app.command()
 def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag = False) -> None:
-    """Explain a failure code: meaning, remedy, who raises it, what a recipe can do about it; or list all of them."""
+    """Explain a failure code: meaning, remedy, who raises it, what a recipe can do about it; or list all of them.
+
+    It also explains what `check` finds.
+    """
     from scuhand_bt.failures import CATALOGUE
+    from scuhand_bt.findings import FINDINGS
     from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
     from scuhand_bt.tree.check import Library
     from scuhand_bt.tree.grammar import Decorator, walk
@@ -20,6 +26,16 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     except SourceError as error:  # the shared catalogue is explained all the same
         library = Library({}, {})
         err.print(Text(f"Without what this lab's skills add, as it cannot be read: {error.problems[0]}"))
+    if code is not None and code in FINDINGS:
+        finding = FINDINGS[code]
+        if as_json:
+            print_json({code: asdict(finding)})
+        else:
+            out.print(
+                Text(f"{code}, {'a warning' if finding.is_warning else 'an error'} of `check`: {finding.meaning}")
+            )
+            out.print(Text(f"What to do: {finding.remedy}"))
+        return
     failures = library.failures()
     if code is not None and code not in failures:
         raise unknown("failure code", code, failures)

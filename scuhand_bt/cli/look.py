@@ -40,7 +40,7 @@ def reach(
     def write() -> None:
         from scuhand_bt.report.reach import reach_page
 
-        path.write_text(reach_page(loaded.cell), encoding="utf-8")
+        path.write_text(reach_page(loaded), encoding="utf-8")
 
     _write(path, write)
 
@@ -60,6 +60,9 @@ def show_move(
 
     With -o FILE.png the PNG alone. Both need the extra `plot`.
     """
+    from scuhand_bt.motion import Mount
+    from scuhand_bt.motion.scenes import CONE_DIAMETER_M
+    from scuhand_bt.report.scene3d import scene_values
     from scuhand_bt.report.show_move import ShownMove
 
     path = of_kind(output or Path(f"{start}-{goal}.html"), *PAGES, ".png")
@@ -78,10 +81,12 @@ def show_move(
     if limit_deg is not None:
         carried = f"{load} of {powder}" if load else "a load"
         title += f" with {carried}, spill angle up to {motion.spill_limit_deg:.0f}°"
-    from scuhand_bt.motion import Mount
-
+    offset_m = loaded.cell.hand.apex_offset_mm / 1000
+    scene, usual_mm = planner.scene(), 1000 * CONE_DIAMETER_M
+    on_pan = [kinds[container]] if container is not None else []
+    drawn = scene_values(planner, offset_m, [usual_mm], places_m, on_pan)
     mount = Mount.of(loaded.cell.hand)
-    move = ShownMove(title, motion, planner.scene(), planner.rates, mount, places_m)
+    move = ShownMove(title, motion, scene, planner.rates, mount, places_m, drawn, container)
     picture = path.with_suffix(".png")
 
     def write_page() -> None:

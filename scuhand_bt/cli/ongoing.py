@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.batch import QuietFlag, VerboseFlag, how_much, run_to_its_end, the_plan
+from scuhand_bt.cli.batch import DashboardFlag, QuietFlag, VerboseFlag, how_much, run_to_its_end, the_plan
 from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, unknown
 from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.exit_codes import ExitCode
@@ -45,6 +45,7 @@ def resume(
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
     operator: OperatorOption = None,
+    dashboard: DashboardFlag = False,
     quiet: QuietFlag = False,
     verbose: VerboseFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
@@ -79,7 +80,7 @@ def resume(
         def make(control: "Control") -> "Session":
             return Session(plan, its_lab, options, control=control, resumes=found)
 
-        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose))
+        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose), dashboard=dashboard)
 
 
 @app.command()

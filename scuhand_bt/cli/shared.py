@@ -118,10 +118,22 @@ def on_signals(stop: Callable[[], None], others: Mapping[signal.Signals, Callabl
 
 
 def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
-    """The lab of `--lab`, else the nearest one upward from the recipe (or from here), else the starter lab."""
+    """The lab of `--lab`, else the nearest one upward from the recipe (or from here), else the starter lab.
+
+    What is wrong in its files, and breaks only what uses them, is noted.
+    """
     from scuhand_bt.lab import find_lab, load_lab
 
-    return load_lab(find_lab(recipe, folder))
+    lab = load_lab(find_lab(recipe, folder))
+    note_problems(lab)
+    return lab
+
+
+def note_problems(lab: "Lab") -> None:
+    """Tell of files of the lab that are wrong, where what is asked for does not need them."""
+    for problem in lab.problems:
+        if not problem.is_warning:
+            err.print(Text(f"Note: {problem}"))
 
 
 def lab_state(lab: "Lab") -> "LabState":

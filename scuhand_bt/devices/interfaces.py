@@ -75,6 +75,9 @@ class Arm(Device, Protocol):
     then holds. Only a fault ends a motion at once, where the arm is.
     """
 
+    on_start: Callable[[Trajectory], None]
+    """Told of every motion just before it begins; must be quick."""
+
     @property
     def positions(self) -> Joints:
         """Where the joints are now [rad], shape (7,)."""

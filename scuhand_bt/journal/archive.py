@@ -14,6 +14,7 @@ from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
     Answered,
+    ArmMoves,
     Asked,
     Continued,
     Ended,
@@ -23,22 +24,28 @@ from scuhand_bt.journal.events import (
     Paused,
     Resumed,
     RunBegun,
+    WorkflowTree,
 )
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import Contents, open_journal
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.runs_index import Indexed, read_index, stamps, write_index
+from scuhand_bt.journal.waiting import Waiting
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 RunState = Literal[
     "running", "waiting for a person", "paused", "complete", "stopped", "fault", "interrupted", "altered", "unreadable"
 ]
 
-_OF_STATE = (RunBegun, SampleResult, Ended, Resumed, Paused, Continued, Asked, Answered)
-_KINDS_OF_STATE = tuple(event.KIND for event in _OF_STATE)
+_KINDS_OF_STATE = tuple(
+    event.KIND for event in (RunBegun, SampleResult, Ended, Resumed, Paused, Continued, Asked, Answered)
+)
+_MARKS = ", ".join("?" * len(_KINDS_OF_STATE))
+_OF_STATE = f"""SELECT action, at, kind, payload FROM entry WHERE kind IN ({_MARKS}) OR
+    (kind = '{ActionEnded.KIND}' AND action IN (SELECT action FROM entry WHERE kind = '{Asked.KIND}')) ORDER BY seq"""
 _GOING_ON: tuple[RunState, ...] = ("running", "waiting for a person", "paused")
-_TOLD_ELSEWHERE = (JobEnded.KIND, ActionEnded.KIND, Frames.KIND, DoseCurve.KIND)
+_TOLD_ELSEWHERE = (JobEnded.KIND, ActionEnded.KIND, Frames.KIND, DoseCurve.KIND, ArmMoves.KIND, WorkflowTree.KIND)
 _FRAME = ("time_s", "raw", "value_mg", "unit", "stable")
 
 
@@ -97,32 +104,21 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
     samples: dict[str, SampleResult] = {}
     ended: Ended | None = None
     is_paused = False
-    asked: tuple[Asked, int, int | None, str] | None = None
-    marks = ", ".join("?" * len(_KINDS_OF_STATE))
-    query = f"SELECT seq, action, at, kind, payload FROM entry WHERE kind IN ({marks}) ORDER BY seq"
-    for seq, action, at, kind, payload in database.execute(query, _KINDS_OF_STATE):
-        match event := parsed(kind, json.loads(payload)):
+    waiting = Waiting()
+    for action, at, kind, payload in database.execute(_OF_STATE, _KINDS_OF_STATE):
+        event = parsed(kind, json.loads(payload))
+        waiting.take(action, at, event)
+        match event:
             case RunBegun():
                 run = event
             case SampleResult():
                 samples[event.id] = event
             case Paused() | Continued():
                 is_paused = isinstance(event, Paused)
-            case Asked() | Answered():
-                asked = (event, seq, action, at) if isinstance(event, Asked) else None
             case Ended() | Resumed():
                 ended = event if isinstance(event, Ended) else None
-                is_paused, asked = False, None
-    state: RunState = "interrupted"
-    reason, since = ended.reason if ended is not None else "", ""
-    if is_held(path):
-        state = "paused" if is_paused else "running"
-        is_simulated = run is not None and run.mode == "SIMULATED" and not run.options.asks
-        if asked is not None and not is_paused and not is_simulated and not _is_over(database, *asked[1:3]):
-            state, reason, since = "waiting for a person", asked[0].question, asked[3]
-    elif ended is not None:
-        stopped: RunState = "stopped" if ended.exit_code == ExitCode.INTERRUPTED else "fault"
-        state = "complete" if ended.is_complete else stopped
+                is_paused = False
+    state, reason, since = state_of(run, waiting, ended, is_paused=is_paused, is_held=is_held(path))
     if run is None:
         return Summary(path.stem, state, "it had not begun")
     planned = len(run.samples) if run.samples is not None else None
@@ -140,10 +136,20 @@ def summary_of(path: Path, database: sqlite3.Connection) -> Summary:
     )
 
 
-def _is_over(database: sqlite3.Connection, asked: int, action: int | None) -> bool:
-    """Whether an action that had asked a person (at this entry) has ended, so that nobody is asked any more."""
-    query = "SELECT 1 FROM entry WHERE kind = ? AND action = ? AND seq > ?"
-    return database.execute(query, (ActionEnded.KIND, action, asked)).fetchone() is not None
+def state_of(
+    run: RunBegun | None, waiting: Waiting, ended: Ended | None, *, is_paused: bool, is_held: bool
+) -> tuple[RunState, str, str]:
+    """In what state a run is, why, and since when it waits for a person; `is_held`: a process runs it."""
+    if is_held:
+        is_answered = run is not None and run.mode == "SIMULATED" and not run.options.asks
+        if waiting.asked is not None and not is_paused and not is_answered:
+            return "waiting for a person", waiting.asked.question, waiting.at
+        return ("paused" if is_paused else "running"), ended.reason if ended is not None else "", ""
+    if ended is None:
+        return "interrupted", "", ""
+    if ended.is_complete:
+        return "complete", ended.reason, ""
+    return ("stopped" if ended.exit_code == ExitCode.INTERRUPTED else "fault"), ended.reason, ""
 
 
 def story(contents: Contents) -> dict[str, Any]:

@@ -22,6 +22,8 @@ class SourceUsed(Values):
     station: Text
     powder: Text
     lot: Text
+    mortar: Text = ""
+    """Its name in `containers.yaml`; empty in older journals."""
 
 
 class SamplePlanned(Values):
@@ -228,7 +230,44 @@ class JobEnded(Event):
         return SkillFailed(self.code, self.detail or "") if self.code else None
 
 
+class TreeNode(Values):
+    """A node of a workflow's tree."""
+
+    depth: int
+    """How far below the root it stands."""
+    name: Text
+    path: str = ""
+    """Its place in the tree, as `action_started` and `decided` have it; empty for what writes neither."""
+
+
+class WorkflowTree(Event):
+    """What the tree of a workflow looks like, before the first job with it: for whoever shows the jobs."""
+
+    KIND: ClassVar = "workflow_tree"
+
+    workflow: str
+    nodes: tuple[TreeNode, ...]
+    """From the root down, each before what is below it."""
+
+
 # --- actions
+
+
+class ArmMoves(Event):
+    """The arm begins a motion: for whoever shows it."""
+
+    KIND: ClassVar = "arm_moves"
+
+    step_s: float
+    """Time between two of the rows."""
+    joints_rad: tuple[tuple[float, ...], ...]
+    """Where the seven joints are, from the motion's beginning to its end."""
+    cone_mm: float
+    """The diameter of the cone's rim at its beginning."""
+
+    @property
+    def duration_s(self) -> float:
+        return self.step_s * (len(self.joints_rad) - 1)
 
 
 class ActionStarted(Event):
@@ -388,6 +427,8 @@ ENGINE_EVENTS: tuple[type[Event], ...] = (
     JobEnded,
     SampleResult,
     Chosen,
+    WorkflowTree,
+    ArmMoves,
     ActionStarted,
     ActionEnded,
     Frames,

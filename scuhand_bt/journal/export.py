@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from scuhand_bt.events import DoseCurve
-from scuhand_bt.journal.events import Ended, Matter
+from scuhand_bt.journal.events import ArmMoves, Ended, Matter, WorkflowTree
 from scuhand_bt.journal.kinds import KINDS
 from scuhand_bt.journal.reader import Contents, open_contents
 from scuhand_bt.journal.results import SampleResult
 
 DECIMALS = 6
-_ELSEWHERE = (SampleResult.KIND, Ended.KIND, Matter.KIND, DoseCurve.KIND)
+_ELSEWHERE = tuple(one.KIND for one in (SampleResult, Ended, Matter, DoseCurve, ArmMoves, WorkflowTree))
 RUN_KEYS = ("recipe", "recipe_hash", "seed", "simulated", "mode", "plant", "controller", "version")
 
 

@@ -22,7 +22,7 @@ from pydantic import JsonValue
 
 from scuhand_bt.clock import Signal, Wake, wall_time
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import BracketClosed, ContainerLifted, Dose, DoseBegun, DoseWeighed, Event, Note
+from scuhand_bt.events import BracketClosed, ContainerLifted, Dose, DoseBegun, DoseCurve, DoseWeighed, Event, Note
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.hash_chain import Entry, digest
 from scuhand_bt.journal.plain import to_json
@@ -32,7 +32,8 @@ from scuhand_bt.record import RecordLost
 POINTS_OF_NO_RETURN = (DoseBegun, DoseWeighed, ContainerLifted, BracketClosed)
 """What is weighed before powder falls or a container goes: what is believed then is written with it, in mid-action."""
 FLUSH_S = 0.5
-"""Readings of the balance wait this long in memory, by the wall's time, before they are written down."""
+"""Readings of the balance, and the course of a dose, wait this long in memory, by the wall's time, before they are
+written down."""
 LOOK_S = 0.25
 """So often it is seen whether the journal's file is still there, and this run's."""
 
@@ -69,6 +70,7 @@ class Journal:
         self._is_told = False
         self._state: Mapping[str, JsonValue] | None = None
         self._readings: deque[Reading] = deque()
+        self._course: list[tuple[float, float, float, float, bool, float]] = []
         self._weighing: set[int] = set()
         self._flushed_at_s = time.monotonic()
         self._store: Store | None = Store(path, durable=durable)
@@ -113,7 +115,13 @@ class Journal:
         self._raise_lost()
 
     def event(self, event: Event | Note) -> None:
-        """Anything that happens within the job and the action that are at work, or beside them."""
+        """Anything that happens within the job and the action that are at work, or beside them.
+
+        A dose's course is kept in parts, with the readings that it goes by.
+        """
+        if isinstance(event, DoseCurve):
+            self._course += event.points
+            return
         if isinstance(event, Dose):
             self.doses.append(event)
         self._append(event, with_state=isinstance(event, POINTS_OF_NO_RETURN), is_told=True)
@@ -153,18 +161,23 @@ class Journal:
             self._readings.append(reading)
 
     def flush(self, older_than_s: float = 0.0) -> None:
-        """Write the balance's readings down, if some may have waited for so long.
+        """Write the balance's readings and the dose's course down, if some may have waited for so long.
 
         A power cut comes in the wall's time: a dry run, whose own time flies, writes larger parts, and not more often.
         """
         waiting = self._readings
-        if not waiting or time.monotonic() - self._flushed_at_s < older_than_s:
+        if not (waiting or self._course) or time.monotonic() - self._flushed_at_s < older_than_s:
             return
         self._flushed_at_s = time.monotonic()
+        self.action = max(self._weighing, default=None)
+        if self._course:
+            course, self._course = self._course, []
+            self._append(DoseCurve(points=tuple(course)))
         readings = [waiting.popleft() for _ in range(len(waiting))]  # others may come meanwhile
+        if not readings:
+            return
         lines = [[round(r.time_s, 4), r.raw.decode("latin-1"), r.value_mg, r.unit, r.stable] for r in readings]
         frames = zlib.compress(json.dumps(lines).encode(), 1)
-        self.action = max(self._weighing, default=None)
         self._append(Frames(readings=len(lines)), frames=frames)
 
     def _append(

@@ -18,26 +18,33 @@ def expand(node: Node, folder: Path, lab: Path, problems: Problems) -> Iterator[
     A table is named from the recipe's `folder`, and stands there or in the `lab`.
     """
     if not isinstance(node, Entries):
-        problems.add(node.mark, f"{describe(node)} is no sample", "- {id: …, container: …, mass: …}")
+        problems.add(
+            node.mark, f"{describe(node)} is no sample", "- {id: …, container: …, mass: …}", code="wrong-shape"
+        )
         return
     table = node.get("table")
     if table is None:
         yield from _expand_lists(node, problems)
     elif not isinstance(table, Scalar) or not table.text:
-        problems.add(table.mark, f"'table': {describe(table)} is no file name")
+        problems.add(table.mark, f"'table': {describe(table)} is no file name", code="wrong-shape")
     elif not _is_within(folder / table.text, folder, lab):
         what = f"'{shorten(table.text, 120)}' is neither in the recipe's folder nor in the lab"
-        problems.add(table.mark, what, "a recipe reads no other file: put the table beside it")
+        problems.add(table.mark, what, "a recipe reads no other file: put the table beside it", code="table-elsewhere")
     else:
         shared = node.without("table")
         rows = read_table(folder / table.text, table.mark, problems)
         if rows and not any("id" in row.keys for row in (shared, *rows)):
             header = Mark(rows[0].mark.file)
-            problems.add(header, "has no column 'id', and so is no table of samples", "id, container, mass [mg], …")
+            problems.add(
+                header,
+                "has no column 'id', and so is no table of samples",
+                "id, container, mass [mg], …",
+                code="bad-table",
+            )
             return
         for row in rows:
             if "table" in row.keys:
-                problems.add(row.keys["table"], "a table cannot name another table")
+                problems.add(row.keys["table"], "a table cannot name another table", code="bad-table")
             yield from _expand_lists(_merge(shared, row), problems)
 
 
@@ -60,22 +67,31 @@ def _expand_lists(entry: Entries, problems: Problems) -> Iterator[Entries]:
     for key, items in lists.items():
         if len(items) != count:
             first = next(iter(lists))
-            problems.add(entry.values[key].mark, f"'{key}' lists {len(items)} values, but '{first}' lists {count}")
+            problems.add(
+                entry.values[key].mark,
+                f"'{key}' lists {len(items)} values, but '{first}' lists {count}",
+                code="uneven-lists",
+            )
             return
     if (repeat := entry.get("repeat")) is not None:
         text = repeat.text if isinstance(repeat, Scalar) else None
         if text is None or not re.fullmatch(r"[1-9][0-9]{0,4}", text) or int(text) > MAX_SAMPLES:
-            problems.add(repeat.mark, f"'repeat': {describe(repeat)} is no number of samples", f"1 to {MAX_SAMPLES}")
+            problems.add(
+                repeat.mark,
+                f"'repeat': {describe(repeat)} is no number of samples",
+                f"1 to {MAX_SAMPLES}",
+                code="bad-repeat",
+            )
             return
         if lists:
-            problems.add(repeat.mark, "'repeat' and a list stand in one sample", "use one of them")
+            problems.add(repeat.mark, "'repeat' and a list stand in one sample", "use one of them", code="bad-repeat")
             return
         count = int(text)
     elif not lists:
         yield entry
         return
     if count == 0:
-        problems.add(entry.mark, "an empty list gives no sample")
+        problems.add(entry.mark, "an empty list gives no sample", code="uneven-lists")
     digits = len(str(count))
     id_node = entry.get("id")
     for number in range(1, count + 1):

@@ -6,9 +6,9 @@ from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
+from scuhand_bt.recipe.flow import known
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Demand, Sample, demand_of
-from scuhand_bt.recipe.takes import known
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs
 from scuhand_bt.tree.check import Library, check_workflows
@@ -20,6 +20,8 @@ FINISH_BATCH = "finish_batch"
 """The lab's workflow after the last sample; input `source`."""
 AFTER_FAILURE = "after_failure"
 """The lab's workflow that makes the cell ready again after a failed sample; input `source`."""
+SERVICE = (CHANGE_POWDER, FINISH_BATCH, AFTER_FAILURE)
+"""The workflows that the engine calls, with a source that they may use."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +87,10 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
 
     Raises SourceError if the lab lacks a workflow that the plan needs, or has a wrong one.
     """
+    problems = Problems()
+    check_service_workflows(recipe, lab, problems)
+    problems.raise_any()
     jobs = tuple(_jobs(recipe, lab))
-    _check_service_workflows(jobs, recipe, lab)
     forecaster = _Forecaster(lab)
     forecasts = [forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
@@ -114,7 +118,7 @@ def check_unattended(plan: Plan) -> None:
     problems = Problems()
     for mark, persons in by_mark.items():
         times = f" (and {len(persons) - 1} more like it)" if len(persons) > 1 else ""
-        problems.add(mark, f"this run is to be unattended, but a person is {persons[0]}{times}")
+        problems.add(mark, f"this run is to be unattended, but a person is {persons[0]}{times}", code="needs-person")
     problems.raise_any()
 
 
@@ -169,20 +173,26 @@ def _ordered(recipe: Recipe) -> list[Sample]:
     return [sample for group in groups.values() for sample in group]
 
 
-def _check_service_workflows(jobs: tuple[Job, ...], recipe: Recipe, lab: Lab) -> None:
-    problems = Problems()
+def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> None:
+    """Note what is wrong with the workflows that the engine calls between a recipe's samples."""
     workflows = lab.library.workflows
-    needed = {job.workflow for job in jobs if job.sample is None}
+    needed = {job.workflow for job in _jobs(recipe, lab) if job.sample is None}
     for name in sorted(needed | ({AFTER_FAILURE} & set(workflows))):
         workflow = workflows.get(name)
+        if workflow is None and lab.library.broken.tell("workflow", name, problems):
+            continue
         if workflow is None:
             folder = str(lab.folder / "trees")
-            problems.add(Mark(folder), f"the workflow '{name}' is missing", "this plan needs it to change powders")
+            problems.add(
+                Mark(folder),
+                f"the workflow '{name}' is missing",
+                "this plan needs it to change powders",
+                code="missing-key",
+            )
         elif list(workflow.inputs) != ["source"] or workflow.inputs["source"].type.python is not Source:
-            problems.add(workflow.mark, f"'{name}' must have the one input 'source' (Source)")
+            problems.add(workflow.mark, f"'{name}' must have the one input 'source' (Source)", code="service-workflow")
         else:
             check_workflows(lab.library, [name], problems)
-    problems.raise_any()
 
 
 class _Forecaster:
@@ -226,4 +236,4 @@ class _Forecaster:
             return _Expected(forecast.duration_s, forecast.person, node.mark)
         except (Exception, SystemExit) as error:  # the lab's own code
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
-            raise SourceError([Problem(node.mark, shorten(what, 200))]) from error
+            raise SourceError([Problem(node.mark, shorten(what, 200), "skill-forecast")]) from error

@@ -1,10 +1,11 @@
 """Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
 
 import hashlib
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import combinations, islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,11 +15,11 @@ from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
+from scuhand_bt.recipe.flow import Flow, flow_of
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
-from scuhand_bt.recipe.takes import Take, sources_of, takes_of
-from scuhand_bt.specs import Container, Positive, Source, Spec
+from scuhand_bt.specs import Container, Positive, Powder, Source, Spec
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
 from scuhand_bt.tree.grammar import RECIPE_WORDS, Input, Workflow
@@ -41,6 +42,11 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
 ORDERS = ("by_powder", "as_written")
 OVERSHOOT_LIMIT = 2
 """One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
+MISPLACED = {
+    **dict.fromkeys(("recipe", "workflow", "controller", "order", "on_failure"), "it stands at the top of the recipe"),
+    **dict.fromkeys(("id", "repeat", "table"), "each sample has its own"),
+}
+"""Keys that are sometimes looked for under `defaults`, and where they stand."""
 RECIPE_KEYS = (
     *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
     *("on_failure", "overshoot_limit"),
@@ -78,7 +84,9 @@ class Recipe:
         return self.on_failure.get(code, self.on_failure["otherwise"])
 
 
-class _SourceText(Spec):
+class SourceText(Spec):
+    """A source as a recipe writes it."""
+
     station: str
     container: str
     powder: str
@@ -91,12 +99,22 @@ def load_recipe(path: Path, lab: Lab) -> Recipe:
 
     Raises SourceError with every problem found, in the recipe, its tables and the workflows it uses.
     """
-    text = read_text(path, "a recipe")
     problems = Problems()
-    recipe = _Reader(lab, path, text, problems).read()
+    recipe = read_recipe(path, lab, problems)
     problems.raise_any()
     assert recipe is not None
     return recipe
+
+
+def read_recipe(path: Path, lab: Lab, problems: Problems) -> Recipe | None:
+    """As `load_recipe`; what is wrong is noted, and what could be read is given. SourceError for what is no YAML."""
+    text = read_text(path, "a recipe")
+    return recipe_of(parse(text, str(path), "a recipe"), path, text, lab, problems)
+
+
+def recipe_of(root: Node, path: Path, text: str, lab: Lab, problems: Problems) -> Recipe | None:
+    """The same of what has been parsed."""
+    return _Reader(lab, path, text, problems).read(root)
 
 
 @dataclass
@@ -110,21 +128,31 @@ class _Reader:
     """See `Recipe.marks`."""
     workflows: dict[str, Workflow] = field(default_factory=dict)
     """Those that the recipe names."""
+    named_sources: list[Scalar] = field(default_factory=list)
+    """Where samples name sources."""
     sound: dict[str, bool] = field(default_factory=dict)
     """By workflow, whether it is."""
 
-    def read(self) -> Recipe | None:
-        root = parse(self.text, str(self.path), "a recipe")
+    def read(self, root: Node) -> Recipe | None:
         if not isinstance(root, Entries):
-            self.problems.add(root.mark, f"{describe(root)} stands where a recipe should be", "it has the key 'recipe'")
+            self.problems.add(
+                root.mark,
+                f"{describe(root)} stands where a recipe should be",
+                "it has the key 'recipe'",
+                code="wrong-shape",
+            )
             return None
         for key, mark in root.keys.items():
             if key not in RECIPE_KEYS:
-                self.problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=RECIPE_KEYS)
+                self.problems.add(
+                    mark, f"unknown key '{shorten(key)}'", unknown=key, known=RECIPE_KEYS, code="unknown-key"
+                )
         name = self._name(root)
         order = self._word(root, "order") or ORDERS[0]
         if order not in ORDERS:
-            self.problems.add(root.values["order"].mark, f"'{order}' is no order", unknown=order, known=ORDERS)
+            self.problems.add(
+                root.values["order"].mark, f"'{order}' is no order", unknown=order, known=ORDERS, code="unknown-name"
+            )
         controller = self._word(root, "controller")
         if controller is not None:
             self._check_controller(controller, root.values["controller"].mark)
@@ -134,12 +162,16 @@ class _Reader:
             i for workflow in self.workflows.values() for i in workflow.inputs.values() if i.type.python is Source
         ]
         if "sources" not in root.keys and needed:
-            self.problems.add(root.mark, "'sources' is missing", "name: {station, container, powder, amount}")
+            self.problems.add(
+                root.mark, "'sources' is missing", "name: {station, container, powder, amount}", code="missing-key"
+            )
         on_failure, limit = self._read_on_failure(root.get("on_failure")), self._read_overshoot_limit(root)
         check_workflows(self.lab.library, sorted(self.workflows), self.problems)
         check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
-        check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
+        if self.lab.has_cell:
+            check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
+        self._check_unused(samples)
         whole = tuple(samples)
         return Recipe(self.path, self.text, name, order, controller, sources, whole, on_failure, limit, self.marks)
 
@@ -149,7 +181,7 @@ class _Reader:
             mark = root.values["recipe"].mark if "recipe" in root.values else root.mark
             what, allowed = wrong
             what = "is no name for a recipe" if allowed == ID_ALLOWED else what
-            self.problems.add(mark, f"'{shorten(name)}' {what}", allowed)
+            self.problems.add(mark, f"'{shorten(name)}' {what}", allowed, code="bad-id")
         return name
 
     def _word(self, node: Entries, key: str) -> str | None:
@@ -158,14 +190,16 @@ class _Reader:
             return None
         if isinstance(value, Scalar) and value.text:
             return value.text
-        self.problems.add(value.mark, f"'{key}': {describe(value)} is no text")
+        self.problems.add(value.mark, f"'{key}': {describe(value)} is no text", code="wrong-shape")
         return None
 
     def _check_controller(self, name: str, mark: Mark) -> None:
         from scuhand_bt.dosing import CONTROLLERS
 
         if name not in CONTROLLERS:
-            self.problems.add(mark, f"unknown controller '{shorten(name)}'", unknown=name, known=CONTROLLERS)
+            self.problems.add(
+                mark, f"unknown controller '{shorten(name)}'", unknown=name, known=CONTROLLERS, code="unknown-name"
+            )
 
     # --- sources
 
@@ -174,7 +208,7 @@ class _Reader:
         if node is None:
             return {}  # as a check of the cell needs none
         if not isinstance(node, Entries) or not node.values:
-            self.problems.add(node.mark, f"'sources': {describe(node)} names no source")
+            self.problems.add(node.mark, f"'sources': {describe(node)} names no source", code="wrong-shape")
             return {}
         sources: dict[str, Source] = {}
         for name, value in node.values.items():
@@ -186,27 +220,42 @@ class _Reader:
         for name, source in sources.items():
             if source.station in by_station:
                 self.problems.add(
-                    self.source_marks[name], f"'{by_station[source.station]}' stands at {source.station} already"
+                    self.source_marks[name],
+                    f"'{by_station[source.station]}' stands at {source.station} already",
+                    code="station-taken",
                 )
             by_station[source.station] = name
+        self._check_apart([source for name, source in sources.items() if by_station[source.station] == name])
         return sources
+
+    def _check_apart(self, sources: Sequence[Source]) -> None:
+        """Mortars side by side must have room."""
+        for one, other in combinations(sources, 2):
+            places_mm = [self.lab.cell.stations[source.station].position_mm[:2] for source in (one, other)]
+            room_mm = (one.mortar.outer_diameter_mm + other.mortar.outer_diameter_mm) / 2
+            if (apart_mm := math.dist(*places_mm)) < room_mm:
+                what = f"the mortars of '{one.name}' and '{other.name}' stand {apart_mm:.0f} mm apart"
+                allowed = f"they need {room_mm:.0f} mm; move a station in robot/cell.yaml"
+                self.problems.add(self.source_marks[other.name], what, allowed, code="mortars-overlap")
 
     def _read_source(self, name: str, node: Node) -> Source | None:
         lab = self.lab
         if isinstance(node, Entries):
-            known = [info.alias or "" for info in _SourceText.model_fields.values()]
+            known = [info.alias or "" for info in SourceText.model_fields.values()]
             unknown = [key for key in node.keys if key not in known]
             for key in unknown:
-                self.problems.add(node.keys[key], f"unknown key '{shorten(key)}'", unknown=key, known=known)
+                self.problems.add(
+                    node.keys[key], f"unknown key '{shorten(key)}'", unknown=key, known=known, code="unknown-key"
+                )
             node = node.without(*unknown)
         before = len(self.problems.found)
-        text = validate(_SourceText, node, self.problems)
+        text = validate(SourceText, node, self.problems)
         if not isinstance(node, Entries):
             return None
         mortar_stations = [s.name for s in lab.cell.stations.values() if s.kind == "mortar"]
-        self._require_known(node, "station", mortar_stations, "mortar station")
-        self._require_known(node, "container", lab.library.mortars, "mortar")
-        self._require_known(node, "powder", lab.library.powders, "powder")
+        self._require_known(node, "station", mortar_stations, "mortar station", "station")
+        self._require_known(node, "container", lab.library.mortars, "mortar", "mortar")
+        self._require_known(node, "powder", lab.library.powders, "powder", "powder")
         if text is None or len(self.problems.found) > before:
             return None
         source = Source(
@@ -222,10 +271,22 @@ class _Reader:
         check_source(source, node.values["amount"].mark, self.problems)
         return source
 
-    def _require_known(self, node: Entries, key: str, known: Collection[str], what: str) -> None:
+    def _require_known(self, node: Entries, key: str, known: Collection[str], what: str, kind: str) -> None:
         value = node.get(key)
-        if isinstance(value, Scalar) and value.text is not None and value.text not in known:
-            self.problems.add(value.mark, f"unknown {what} {describe(value)}", unknown=value.text, known=known)
+        if not isinstance(value, Scalar) or value.text is None or value.text in known:
+            return
+        if not self.lab.library.broken.tell(kind, value.text, self.problems):
+            self.problems.add(
+                value.mark, f"unknown {what} {describe(value)}", unknown=value.text, known=known, code="unknown-name"
+            )
+
+    def _check_unused(self, samples: Sequence[Sample]) -> None:
+        """Warn of sources that no sample names."""
+        used = {node.text for node in self.named_sources}
+        for name, mark in self.source_marks.items():
+            if samples and name not in used:
+                what = f"no sample takes from '{name}'"
+                self.problems.warn(mark, what, "take it away, or name it in a sample", code="unused-source")
 
     # --- samples
 
@@ -233,11 +294,16 @@ class _Reader:
         node = root.get("samples")
         if not isinstance(node, Items) or not node.items:
             what = "'samples' is missing" if node is None else f"'samples': {describe(node)} names no sample"
-            self.problems.add(node.mark if node else root.mark, what, "a list: - {id: …, container: …, mass: …}")
+            self.problems.add(
+                node.mark if node else root.mark,
+                what,
+                "a list: - {id: …, container: …, mass: …}",
+                code="wrong-shape" if node else "missing-key",
+            )
             return []
         defaults = root.get("defaults") or Entries(root.mark, {}, {})
         if not isinstance(defaults, Entries):
-            self.problems.add(defaults.mark, f"'defaults': {describe(defaults)} is no mapping")
+            self.problems.add(defaults.mark, f"'defaults': {describe(defaults)} is no mapping", code="wrong-shape")
             defaults = Entries(root.mark, {}, {})
         default_workflow = root.get("workflow")
         if default_workflow is not None:
@@ -249,7 +315,10 @@ class _Reader:
         entries = list(islice(expanded, MAX_SAMPLES + 1))
         if len(entries) > MAX_SAMPLES:
             self.problems.add(
-                node.mark, f"these are more than {MAX_SAMPLES} samples", "split them into several recipes"
+                node.mark,
+                f"these are more than {MAX_SAMPLES} samples",
+                "split them into several recipes",
+                code="too-many-samples",
             )
             return []
         for entry in entries:
@@ -258,12 +327,15 @@ class _Reader:
                 continue
             samples.append(sample)
             if sample.id and (clash := ids.add(sample.id, entry.values["id"].mark)) is not None:
-                self.problems.add(entry.values["id"].mark, *clash)
+                self.problems.add(entry.values["id"].mark, *clash, code="duplicate-id")
         inputs = {name for workflow in self.workflows.values() for name in workflow.inputs}
         for key, mark in defaults.keys.items():
-            if self.workflows and key not in inputs:
+            if key in MISPLACED and key not in inputs:
+                what = f"'{key}' is no default: {MISPLACED[key]}"
+                self.problems.add(mark, what, code="misplaced-default")
+            elif self.workflows and key not in inputs and all(w.is_whole for w in self.workflows.values()):
                 what = f"no workflow of this recipe has an input '{shorten(key)}'"
-                self.problems.add(mark, what, unknown=key, known=inputs)
+                self.problems.add(mark, what, unknown=key, known=inputs, code="unknown-input")
         return samples
 
     def _read_sample(
@@ -273,7 +345,9 @@ class _Reader:
         sample_id = self._sample_id(entry)
         workflow_node = entry.get("workflow") or default_workflow
         if workflow_node is None:
-            self.problems.add(entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample")
+            self.problems.add(
+                entry.mark, "'workflow' is missing", "name it for the recipe, or for this sample", code="missing-key"
+            )
             return None
         workflow = self._workflow(workflow_node)
         if workflow is None:
@@ -284,12 +358,15 @@ class _Reader:
         for key, node in merged.items():
             self.marks[f"samples.{sample_id}.{key}"] = node.mark
             declared = workflow.inputs.get(key)
+            if declared is None and not workflow.is_whole:
+                continue  # it may be what could not be read
             if declared is None:
                 self.problems.add(
                     entry.keys[key],
                     f"the workflow '{workflow.name}' has no input '{shorten(key)}'",
                     unknown=key,
                     known=[*workflow.inputs, *RECIPE_WORDS],
+                    code="unknown-input",
                 )
                 continue
             # One container is known by its sample's id; several need one each, and no sample can have an id like it.
@@ -301,21 +378,27 @@ class _Reader:
         for declared in workflow.inputs.values():
             if declared.default is None and declared.name not in merged:
                 what = f"'{declared.name}' is missing"
-                self.problems.add(entry.mark, what, f"the workflow '{workflow.name}' needs it ({declared.type.name})")
+                self.problems.add(
+                    entry.mark,
+                    what,
+                    f"the workflow '{workflow.name}' needs it ({declared.type.name})",
+                    code="missing-key",
+                )
         if isinstance(inputs.get("tolerance"), Percent) and "mass" not in workflow.inputs:
             what = f"a tolerance in % is one of the mass, but the workflow '{workflow.name}' has no input 'mass'"
-            self.problems.add(merged["tolerance"].mark, what)
+            self.problems.add(merged["tolerance"].mark, what, code="percent-of-nothing")
         with suppress(ValueError):  # a wrong default, which is reported where it stands
             inputs = bound_inputs(workflow, inputs, self.lab.library)
-        sample = Sample(entry.mark, sample_id, workflow.name, inputs, self._takes(workflow, inputs))
+        sample = Sample(entry.mark, sample_id, workflow.name, inputs, self._flow(workflow, inputs))
         check_sample(sample, entry.values, defaults.values, self.lab.cell.balance, self.problems)
         return sample
 
-    def _takes(self, workflow: Workflow, inputs: Mapping[str, Any]) -> tuple[Take, ...]:
-        """What a sample takes; of several sources nothing by a wrong workflow, which is reported where it stands."""
-        if len(sources_of(inputs)) > 1 and not self._is_sound(workflow.name):
-            return ()
-        return takes_of(workflow, inputs, self.lab.library, self.problems)
+    def _flow(self, workflow: Workflow, inputs: Mapping[str, Any]) -> Flow:
+        """What a sample's workflow doses; by a wrong one, which is reported where it stands, nothing."""
+        if not self._is_sound(workflow.name):
+            return Flow()
+        is_complete = all(key in inputs for key in workflow.inputs)  # else what lacks is reported where it stands
+        return flow_of(workflow.name, inputs, self.lab.library, self.problems if is_complete else Problems())
 
     def _is_sound(self, name: str) -> bool:
         """Whether a workflow can be followed."""
@@ -328,12 +411,12 @@ class _Reader:
     def _sample_id(self, entry: Entries) -> str:
         node = entry.get("id")
         if node is None:
-            self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own")
+            self.problems.add(entry.mark, "'id' is missing", "every sample has an id of its own", code="missing-key")
             return ""
         text = node.text if isinstance(node, Scalar) else None
         what, allowed = ("is no id", ID_ALLOWED) if text is None else wrong_id(text) or ("", "")
         if text is None or what:
-            self.problems.add(node.mark, f"{describe(node)} {what}", allowed)
+            self.problems.add(node.mark, f"{describe(node)} {what}", allowed, code="bad-id")
             return ""
         return text
 
@@ -341,7 +424,11 @@ class _Reader:
         name = (node.text or "") if isinstance(node, Scalar) else ""
         workflows = self.lab.library.workflows
         if name not in workflows:
-            self.problems.add(node.mark, f"unknown workflow {describe(node)}", unknown=name, known=workflows)
+            if self.lab.library.broken.tell("workflow", name, self.problems):
+                return None
+            self.problems.add(
+                node.mark, f"unknown workflow {describe(node)}", unknown=name, known=workflows, code="unknown-name"
+            )
             return None
         self.workflows[name] = workflows[name]
         return workflows[name]
@@ -355,9 +442,15 @@ class _Reader:
         python = declared.type.python
         if isinstance(python, type) and python in named:
             known, what = named[python]
+            if python is Source and isinstance(node, Scalar):
+                self.named_sources.append(node)
             name = (node.text or "") if isinstance(node, Scalar) else ""
             if name not in known:
-                self.problems.add(node.mark, f"unknown {what} {describe(node)}", unknown=name, known=known)
+                if library.broken.tell(what, name, self.problems):
+                    return None
+                self.problems.add(
+                    node.mark, f"unknown {what} {describe(node)}", unknown=name, known=known, code="unknown-name"
+                )
                 return None
             if python is Source:
                 return sources.get(name)  # None for one that is wrong itself, and reported
@@ -365,7 +458,9 @@ class _Reader:
         try:
             return literal(declared.name, declared.type, node, library)
         except ValueError as error:
-            self.problems.add(node.mark, f"'{declared.name}': {error}")
+            name = (node.text or "") if isinstance(node, Scalar) else ""
+            if not (python is Powder and library.broken.tell("powder", name, self.problems)):
+                self.problems.add(node.mark, f"'{declared.name}': {error}", code="bad-value")
             return None
 
     # --- the batch as a whole
@@ -376,17 +471,32 @@ class _Reader:
             return policy
         if not isinstance(node, Entries):
             self.problems.add(
-                node.mark, f"'on_failure': {describe(node)} is no mapping", "{code: action, otherwise: …}"
+                node.mark,
+                f"'on_failure': {describe(node)} is no mapping",
+                "{code: action, otherwise: …}",
+                code="wrong-shape",
             )
             return policy
         codes = [*self.lab.library.failures(), "otherwise"]
         for code, value in node.values.items():
             action = value.text if isinstance(value, Scalar) else None
             if code not in codes:
-                self.problems.add(node.keys[code], f"unknown failure code '{shorten(code)}'", unknown=code, known=codes)
+                self.problems.add(
+                    node.keys[code],
+                    f"unknown failure code '{shorten(code)}'",
+                    unknown=code,
+                    known=codes,
+                    code="unknown-code",
+                )
             self.marks[f"on_failure.{code}"] = value.mark
             if action not in ACTIONS:
-                self.problems.add(value.mark, f"{describe(value)} is no action", unknown=action or "", known=ACTIONS)
+                self.problems.add(
+                    value.mark,
+                    f"{describe(value)} is no action",
+                    unknown=action or "",
+                    known=ACTIONS,
+                    code="bad-action",
+                )
             else:
                 policy[code] = action  # type: ignore[assignment]
         return policy
@@ -397,6 +507,6 @@ class _Reader:
             return OVERSHOOT_LIMIT
         if not (text.isascii() and text.isdigit() and len(text) <= 6):
             what = f"'overshoot_limit': '{shorten(text)}' is no number of samples"
-            self.problems.add(root.values["overshoot_limit"].mark, what, "2, or 0 for no limit")
+            self.problems.add(root.values["overshoot_limit"].mark, what, "2, or 0 for no limit", code="bad-value")
             return OVERSHOOT_LIMIT
         return int(text)

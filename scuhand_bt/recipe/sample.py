@@ -1,8 +1,12 @@
-"""A sample, and what it asks of the lab: room in the container, range of the balance, powder, reach."""
+"""A sample, and what it asks of the lab: room in its containers, range of the balance, powder, reach.
+
+What it takes of its sources and puts into its containers is told by what its workflow does (`recipe/flow.py`).
+"""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,9 +16,25 @@ from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.recipe.takes import Take, sources_of
+from scuhand_bt.recipe.flow import Flow, Pour, sources_of
 from scuhand_bt.specs import Container, Source
 from scuhand_bt.yaml_source import Node
+
+
+@dataclass(frozen=True)
+class Take:
+    """So much powder out of a source; None where no mass is known."""
+
+    source: Source
+    mass_mg: float | None
+
+    @property
+    def needed_mg(self) -> float:
+        """The mass, and what each scoop for it loses."""
+        if self.mass_mg is None:
+            return 0.0
+        powder = self.source.powder
+        return self.mass_mg + math.ceil(self.mass_mg / powder.load_limit_mg) * powder.scoop_loss_mg
 
 
 @dataclass(frozen=True)
@@ -25,8 +45,33 @@ class Sample:
     id: str
     workflow: str
     inputs: Mapping[str, Any]
-    takes: tuple[Take, ...]
-    """What it takes from its sources, in the order in which its workflow does."""
+    flow: Flow
+    """What its workflow doses, in the order in which it does."""
+
+    @cached_property
+    def takes(self) -> tuple[Take, ...]:
+        """What it takes from its sources in that order: a dose counts what its container holds already."""
+        takes, held_mg = [], dict[tuple[str | None, str], float]()
+        by_name = {source.name: source for source in sources_of(self.inputs)}
+        for pour in self.flow.pours:
+            if pour.source and pour.mass_mg is None:
+                takes.append(Take(by_name[pour.source], None))
+            elif pour.source and pour.mass_mg is not None:
+                before_mg = held_mg.get((pour.container, pour.source), 0.0)
+                takes.append(Take(by_name[pour.source], max(0.0, pour.mass_mg - before_mg)))
+                held_mg[pour.container, pour.source] = max(before_mg, pour.mass_mg)
+        return tuple(takes)
+
+    @property
+    def filled(self) -> Mapping[str, tuple[Pour, ...]]:
+        """By container, the largest dose of each lot into it that is known before the run."""
+        largest: dict[str, dict[str, Pour]] = {}
+        for pour in self.flow.pours:
+            if pour.container and pour.lot and pour.mass_mg is not None:
+                of_container = largest.setdefault(pour.container, {})
+                if pour.mass_mg > (of_container[pour.lot].mass_mg or 0.0 if pour.lot in of_container else 0.0):
+                    of_container[pour.lot] = pour
+        return {container: tuple(pours.values()) for container, pours in largest.items()}
 
     @property
     def sources(self) -> tuple[Source, ...]:
@@ -40,9 +85,13 @@ class Sample:
         return self.takes[-1].source if self.takes else next(iter(self.sources), None)
 
     @property
+    def all_containers(self) -> list[Container]:
+        return [value for value in self.inputs.values() if isinstance(value, Container)]
+
+    @property
     def containers(self) -> list[Container]:
         """Those that its mass may be for: its own called `container`, else all of its own."""
-        own = [value for value in self.inputs.values() if isinstance(value, Container)]
+        own = self.all_containers
         return [value for value in own if value is self.inputs.get("container")] or own
 
     @property
@@ -92,7 +141,7 @@ def check_source(source: Source, mark: Mark, problems: Problems) -> None:
     holds_mg = mortar.capacity_mm3 * powder.bulk_density_mg_per_mm3
     if source.amount_mg > holds_mg:
         what = f"{format_mass(source.amount_mg)} of {powder.name} does not fit into '{mortar.name}'"
-        problems.add(mark, what, f"it holds {format_mass(holds_mg)}")
+        problems.add(mark, what, f"it holds {format_mass(holds_mg)}", code="source-overfull")
 
 
 def check_sample(
@@ -111,41 +160,52 @@ def check_sample(
         return places[0].mark if places else sample.mark
 
     mass_mg, tolerance_mg = sample.mass_mg, sample.tolerance_mg
-    container, takes = sample.container, [take for take in sample.takes if take.mass_mg is not None]
     if mass_mg is not None and mass_mg <= 0:
-        problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0")
+        problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0", code="bad-mass")
         return
     if tolerance_mg is not None and tolerance_mg < balance.least_tolerance_mg:
         what = f"the tolerance {tolerance_mg:g} mg cannot be told with a readability of {balance.readability_mg:g} mg"
-        problems.add(at("tolerance"), what, f"at least {balance.least_tolerance_mg:g} mg")
+        problems.add(at("tolerance"), what, f"at least {balance.least_tolerance_mg:g} mg", code="fine-tolerance")
     elif mass_mg is not None and tolerance_mg is not None and mass_mg <= tolerance_mg:
-        problems.add(
-            at("mass", "tolerance"), f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"
-        )
-    for take in takes:
-        if take.mass_mg is not None and take.mass_mg <= 0:
-            problems.add(sample.mark, f"the mass taken from '{take.source.name}' is {take.mass_mg:g} mg", "more than 0")
+        what = f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"
+        problems.add(at("mass", "tolerance"), what, code="wide-tolerance")
+    for pour in sample.flow.pours:
+        if pour.mass_mg is not None and pour.mass_mg <= 0:
+            what = f"the mass taken from '{pour.source}' is {pour.mass_mg:g} mg"
+            problems.add(at(pour.mass_input or "mass"), what, "more than 0", code="bad-mass")
             return
-    filled_mg = sum(take.mass_mg or 0.0 for take in takes) if takes else mass_mg
-    if filled_mg is None or container is None:
-        return
-    if container.empty_mass_mg + filled_mg > balance.maximum_mg:
+    for key, container in sample.inputs.items():
+        if isinstance(container, Container):
+            pours = sample.filled.get(container.id, ())
+            marked = at(*(pour.mass_input for pour in pours[:1] if pour.mass_input), key)
+            _check_room(container, pours, sources_of(sample.inputs), balance, marked, problems)
+
+
+def _check_room(
+    container: Container,
+    pours: Sequence[Pour],
+    sources: Sequence[Source],
+    balance: BalanceSpec,
+    mark: Mark,
+    problems: Problems,
+) -> None:
+    """What goes into one container must fit into it, and on the balance."""
+    filled_mg = sum(pour.mass_mg or 0.0 for pour in pours)
+    if pours and container.empty_mass_mg + filled_mg > balance.maximum_mg:
         together = f"'{container.name}' ({format_mass(container.empty_mass_mg)}) and {format_mass(filled_mg)}"
-        problems.add(
-            at("mass", "container"),
-            f"{together} are too heavy for the balance",
-            f"its maximum is {format_mass(balance.maximum_mg)}",
-        )
-    volume_mm3 = sum((take.mass_mg or 0.0) / take.source.powder.bulk_density_mg_per_mm3 for take in takes)
+        maximum = f"its maximum is {format_mass(balance.maximum_mg)}"
+        problems.add(mark, f"{together} are too heavy for the balance", maximum, code="too-heavy")
+    powders = {source.name: source.powder for source in sources}
+    parts = [(pour.mass_mg or 0.0, powders[pour.source]) for pour in pours if pour.source]
+    volume_mm3 = sum(mass_mg / powder.bulk_density_mg_per_mm3 for mass_mg, powder in parts)
     if volume_mm3 > container.capacity_mm3:
-        powders = " and ".join(f"{format_mass(take.mass_mg or 0.0)} of {take.source.powder.name}" for take in takes)
-        fits = "does not fit" if len(takes) == 1 else "do not fit"
-        what = f"{powders} ({volume_mm3 / 1000:.2f} cm³) {fits} into '{container.name}'"
+        said = " and ".join(f"{format_mass(mass_mg)} of {powder.name}" for mass_mg, powder in parts)
+        fits = "does not fit" if len(parts) == 1 else "do not fit"
+        what = f"{said} ({volume_mm3 / 1000:.2f} cm³) {fits} into '{container.name}'"
         holds = f"it holds {container.capacity_mm3 / 1000:.2f} cm³"
-        if len(takes) == 1:
-            density = takes[0].source.powder.bulk_density_mg_per_mm3
-            holds = f"{holds}, {format_mass(container.capacity_mm3 * density)}"
-        problems.add(at("mass", "container"), what, holds)
+        if len(parts) == 1:
+            holds = f"{holds}, {format_mass(container.capacity_mm3 * parts[0][1].bulk_density_mg_per_mm3)}"
+        problems.add(mark, what, holds, code="container-overfull")
 
 
 def check_demand(
@@ -157,7 +217,7 @@ def check_demand(
         if demand.needed_mg > source.amount_mg:
             holds = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
             needs = f"its {demand.samples} samples need {format_mass(demand.needed_mg)} with losses"
-            problems.add(marks[name], f"{holds}, but {needs}")
+            problems.add(marks[name], f"{holds}, but {needs}", code="source-short")
 
 
 def check_reach(
@@ -168,16 +228,15 @@ def check_reach(
     problems: Problems,
 ) -> None:
     """The arm must reach every place of the batch with the cone upright."""
-    kinds = {sample.container.name: sample for sample in samples if sample.container is not None}
-    containers = [sample.container for sample in kinds.values() if sample.container is not None]
+    kinds = {kind.name: (kind, sample.mark) for sample in reversed(samples) for kind in sample.all_containers}
+    containers = [kind for kind, _ in kinds.values()]
     place_marks = {source.station: marks[name] for name, source in sources.items()}
-    for sample in kinds.values():
-        assert sample.container is not None
-        place_marks.setdefault(places.over_balance(cell, sample.container)[0], sample.mark)
+    for kind, mark in kinds.values():
+        place_marks.setdefault(places.over_balance(cell, kind)[0], mark)
     anywhere = samples[0].mark if samples else next(iter(marks.values()), Mark("recipe"))
     for place, position_mm in places.all_places(cell, sources, containers).items():
         pose = ApexPose(np.array(position_mm) / 1000)
         reason = unreachable_reason(pose, Mount.of(cell.hand))
         if reason is not None:
             what = f"the arm cannot reach '{place}' of robot/cell.yaml with the cone upright"
-            problems.add(place_marks.get(place, anywhere), what, reason)
+            problems.add(place_marks.get(place, anywhere), what, reason, code="out-of-reach")

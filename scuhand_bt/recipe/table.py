@@ -54,10 +54,10 @@ def read_table(path: Path, asked_at: Mark, problems: Problems) -> list[Entries]:
             else:
                 rows.append(_read_row(cells, marks, header, delimiter != ",", problems))
     except csv.Error as error:
-        problems.add(Mark(file, line_number), f"is no valid CSV: {error}")
+        problems.add(Mark(file, line_number), f"is no valid CSV: {error}", code="bad-table")
     else:
         if not rows:
-            problems.add(Mark(file), "has no rows below its header")
+            problems.add(Mark(file), "has no rows below its header", code="bad-table")
     return rows
 
 
@@ -68,10 +68,10 @@ def _read_header(cells: list[str], marks: list[Mark], problems: Problems) -> lis
         if match is None:
             if cell.strip():
                 what = f"'{shorten(cell)}' is no column name"
-                problems.add(mark, what, "a name such as id, container, mass or mass [mg]")
+                problems.add(mark, what, "a name such as id, container, mass or mass [mg]", code="bad-table")
             columns.append(None)
         elif match[1] in [column.name for column in columns if column]:
-            problems.add(mark, f"the column '{match[1]}' stands here a second time")
+            problems.add(mark, f"the column '{match[1]}' stands here a second time", code="bad-table")
             columns.append(None)
         else:
             columns.append(Column(mark, match[1], (match[2] or "").strip()))
@@ -87,7 +87,12 @@ def _read_row(
         if not text:
             continue
         if i >= len(header):
-            problems.add(mark, f"'{shorten(text)}' stands beyond the last column", f"the header has {len(header)}")
+            problems.add(
+                mark,
+                f"'{shorten(text)}' stands beyond the last column",
+                f"the header has {len(header)}",
+                code="bad-table",
+            )
             break
         column = header[i]
         if column is None:

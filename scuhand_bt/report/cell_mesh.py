@@ -42,7 +42,7 @@ class CellMeshes:
         self._scene = scene
         self._data = scene.model.createData(), pin.GeometryData(scene.shapes)
         things = list(scene.shapes.geometryObjects)
-        meshes = [_mesh(thing) for thing in things]
+        meshes = [shape_mesh(thing) for thing in things]
         # The arm's own shapes come first; the sheet's two follow them, on the last joint.
         is_arm = [k < SHAPES or thing.parentJoint > 0 for k, thing in enumerate(things)]
         self._arm = [(k, mesh) for k, (mesh, arm) in enumerate(zip(meshes, is_arm, strict=True)) if arm]
@@ -66,7 +66,7 @@ def _placed(placement: pin.SE3, points_m: Floats) -> Floats:
     return placed
 
 
-def _mesh(thing: pin.GeometryObject) -> Mesh:
+def shape_mesh(thing: pin.GeometryObject) -> Mesh:
     """A shape in its own frame."""
     points_m = _surface_points_m(thing.geometry)
     hull = ConvexHull(points_m)

@@ -24,14 +24,14 @@ class CurveOfDose:
 def dose_curves(contents: Contents) -> Iterator[CurveOfDose]:
     """Every dose of a run's samples, in order. A dose and its course are of one action; of one job in old journals."""
     jobs = {row["id"]: row for row in contents.rows("job")}
-    of_actions: dict[int, Sequence[Point]] = {}
+    of_actions: dict[int, list[Point]] = {}
     of_jobs: dict[int, list[Point]] = {}
     job_of = {row["id"]: row["job"] for row in contents.rows("action")}
     entries = [row for row in contents.rows("entry") if row["kind"] in (Dose.KIND, DoseCurve.KIND)]
     for row in entries:
         if row["kind"] == DoseCurve.KIND:
             points = DoseCurve.model_validate(row["payload"]).points
-            of_actions[row["action"]] = points
+            of_actions.setdefault(row["action"], []).extend(points)
             of_jobs.setdefault(job_of.get(row["action"], row["job"]), []).extend(points)
     for row in entries:
         job = jobs.get(row["job"])

@@ -24,14 +24,17 @@ LEAST_VERDICT = 16
 STYLES = {"good": "green", "open": "yellow", "bad": "red"}
 
 
+Tone = Literal["good", "open", "bad"]
+"""`open`: in tolerance as far as it is known, and its container is still to go."""
+
+
 @dataclass(frozen=True)
 class DoseRow:
     """A row of the table: of a sample, or of one dose of a sample with several."""
 
     cells: Mapping[str, str]
     """The text of each column; a column that is absent is empty."""
-    tone: Literal["good", "open", "bad"]
-    """`open`: in tolerance as far as it is known, and its container is still to go."""
+    tone: Tone
     numbers: Mapping[str, float | None]
     """What the cells of numbers stand for, in mg or s, by column."""
     is_part: bool = False
@@ -63,7 +66,7 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
             "verdict": verdict,
             "controller": result.controller or "",
         },
-        "open" if result.is_open else "good" if result.is_good else "bad",
+        tone_of(result),
         {
             **(_numbers(result) if is_single else {}),
             "pulses": result.pulses,
@@ -75,10 +78,15 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
     for dose in () if is_single else result.doses:
         yield DoseRow(
             {"id": dose_name(dose, result), **_masses(dose), "verdict": dose.verdict},
-            "good" if dose.is_good else "open" if dose.is_open else "bad",
+            tone_of(dose),
             _numbers(dose),
             is_part=True,
         )
+
+
+def tone_of(one: SampleResult | DoseResult) -> Tone:
+    """How good it is, for a colour and a sign."""
+    return "open" if one.is_open else "good" if one.is_good else "bad"
 
 
 def doses_table(results: Sequence[SampleResult], width: int | None = None) -> Table:

@@ -16,7 +16,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from scuhand_bt.failures import CATALOGUE
@@ -25,13 +24,16 @@ from scuhand_bt.journal.events import Asked, FaultRules, RunBegun
 from scuhand_bt.journal.export import canonical_of
 from scuhand_bt.journal.reader import Contents
 from scuhand_bt.journal.results import SampleResult
-from scuhand_bt.problems import Mark, Problem, SourceError, harmless
+from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.report import viewer
 from scuhand_bt.report.audit import deeds_of_run
 from scuhand_bt.report.dose_curves import CurveOfDose, dose_curves
 from scuhand_bt.report.doses import TEXT_COLUMNS, DoseRow, columns_for, dose_rows
+from scuhand_bt.report.page import rendered
 from scuhand_bt.report.powder_balance import SourceBalance, powder_balance
 from scuhand_bt.report.run_figures import CurveFigures, errors_figure, times_figure
+from scuhand_bt.report.run_scene import run_motions, run_scene
 from scuhand_bt.report.time_spent import ACTIVITIES, TimeSpent, time_spent
 from scuhand_bt.report.weighing_record import weighing_record
 
@@ -173,9 +175,12 @@ def run_report(contents: Contents) -> str:
     """A run's page. Raises SourceError for a run that had not begun."""
     facts = RunFacts(contents)
     run, problem = facts.run, contents.verified.problem
+    packed, drawing_note = _motions(contents)
     columns = columns_for(facts.results)
-    return _page(
+    return rendered(
         "run.html",
+        packed=packed,
+        drawing_note=drawing_note,
         id=facts.id,
         run=run,
         problem=problem,
@@ -219,7 +224,7 @@ def comparison(first: Contents, second: Contents) -> str:
         (name, a.run.lab_files.get(name, NONE), b.run.lab_files.get(name, NONE))
         for name in sorted({*a.run.lab_files, *b.run.lab_files})
     ]
-    return _page(
+    return rendered(
         "compare.html",
         a=_side(a),
         b=_side(b),
@@ -244,22 +249,6 @@ def write_pdf(page: str, path: Path) -> None:
     from weasyprint import HTML
 
     HTML(string=page).write_pdf(path)
-
-
-def _page(template: str, **values: Any) -> str:
-    pages = Environment(
-        loader=PackageLoader("scuhand_bt.report", "pages"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_readable,
-    )
-    pages.filters["seconds"] = lambda seconds: f"{seconds:.0f}"
-    return pages.get_template(template).render(values)
-
-
-def _readable(value: Any) -> Any:
-    """Text without signs that nobody sees; markup is made only here."""
-    return harmless(value, keep="\n") if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _time_total(time: TimeSpent) -> Iterator[tuple[str, str, str]]:
@@ -335,6 +324,17 @@ def _curves(facts: RunFacts) -> Iterator[tuple[str, str, str, Markup]]:
         tone = last.tone if last is not None else "good" if dose.verdict == "in tolerance" else "bad"
         verdict = last.cells["verdict"] if last is not None else dose.verdict
         yield caption, tone, verdict, Markup(figures.draw(curve))
+
+
+def _motions(contents: Contents) -> tuple[Mapping[str, str] | None, str]:
+    """The arm's motions in 3D, and what is to be known of the picture; none where the lab is not there to draw."""
+    if not (motions := run_motions(contents)):
+        return None, "The journal has no motion of the arm."
+    try:
+        scene = run_scene(contents.path)
+    except SourceError as error:
+        return None, f"Not drawn: {error.problems[0].message}."
+    return viewer.packed(scene, motions, "The arm's motions in the cell, job by job"), scene["note"]
 
 
 def _data(contents: Contents) -> Iterator[tuple[str, str]]:

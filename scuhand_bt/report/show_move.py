@@ -6,6 +6,7 @@ spill angle over time, each with its limits.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats, Mount, apex_positions_m
@@ -28,6 +29,10 @@ class ShownMove:
     rates: RateLimits
     mount: Mount
     places_m: Mapping[str, Floats]
+    drawn: Mapping[str, Any]
+    """The scene as the 3D viewer takes it (`scene3d.scene_values`)."""
+    container: str | None = None
+    """What stands on the pan."""
 
     def panels(self) -> list[Panel]:
         return panels(self.motion, self.rates, self.mount)

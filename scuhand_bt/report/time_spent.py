@@ -9,8 +9,25 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, get_args
 
-from scuhand_bt.events import DoseCurve
-from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, Paused, Resumed
+from scuhand_bt.events import (
+    BalanceWatched,
+    BracketClosed,
+    ContainerLifted,
+    ContainerPlaced,
+    Discarded,
+    DoseBegun,
+    DoseCurve,
+    DoseWeighed,
+    Returned,
+    Reweighed,
+    Scooped,
+    SheetSwapped,
+    SkillEvent,
+    Tared,
+    ValveChecked,
+    WeightChecked,
+)
+from scuhand_bt.journal.events import Answered, ArmMoves, Asked, Continued, Ended, Paused, Resumed
 from scuhand_bt.journal.reader import Contents
 
 Activity = Literal[
@@ -26,25 +43,16 @@ Activity = Literal[
     "paused",
 ]
 ACTIVITIES: tuple[Activity, ...] = get_args(Activity)
-_OF_SKILLS: Mapping[str, Activity] = {
-    "move_over": "moving",
-    "park": "moving",
-    "tour": "moving",
-    "scoop": "scooping",
-    "shake": "scooping",
-    "return_leftover": "emptying the cone",
-    "discard": "emptying the cone",
-    "place_container": "changing containers",
-    "remove_container": "changing containers",
-    "swap_sheet": "changing the sheet",
-    "check_valve": "changing the sheet",
-    "dispense": "settling and weighing",
-    "tare": "settling and weighing",
-    "wait": "settling and weighing",
-    "check_weight": "settling and weighing",
-    "watch_balance": "settling and weighing",
+_TOLD_BY: Mapping[Activity, tuple[type[SkillEvent], ...]] = {
+    "scooping": (Scooped,),
+    "emptying the cone": (Returned, Discarded),
+    "changing containers": (ContainerPlaced, ContainerLifted, BracketClosed),
+    "changing the sheet": (SheetSwapped, ValveChecked),
+    "settling and weighing": (Tared, DoseBegun, DoseWeighed, Reweighed, WeightChecked, BalanceWatched),
 }
-"""By the starter lab's skills; what another does is `other`. `dispense` settles wherever its valve is shut."""
+"""What an action was, by what it wrote, whichever skill of whichever lab; of several, the last here. A dose settles
+wherever its valve is shut. What has written none of these, and moved the arm, moved; all else is `other`."""
+_OF_KINDS = {event.KIND: activity for activity, events in _TOLD_BY.items() for event in events}
 
 
 @dataclass(frozen=True)
@@ -102,15 +110,23 @@ def time_spent(contents: Contents) -> TimeSpent:
 
 
 def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
+    was: dict[int, Activity] = {}
+    for row in contents.rows("event"):
+        if (activity := _OF_KINDS.get(row["kind"])) is not None and row["action"] is not None:
+            was[row["action"]] = max(activity, was.get(row["action"], activity), key=ACTIVITIES.index)
+        elif row["kind"] == ArmMoves.KIND:
+            move = ArmMoves.model_validate(row["payload"])
+            yield Span(row["time_s"], row["time_s"] + move.duration_s, "moving")
     for row in contents.rows("action"):
         ended_s = last_s if row["ended_s"] is None else row["ended_s"]
-        yield Span(row["started_s"], ended_s, _OF_SKILLS.get(row["skill"], "other"))
+        yield Span(row["started_s"], ended_s, was.get(row["id"], "other"))
     asked_s: float | None = None
     paused_s: float | None = None
+    courses: dict[int | None, list[Sequence[float]]] = {}
     for row in contents.rows("event"):
         kind, now_s = row["kind"], row["time_s"]
         if kind == DoseCurve.KIND:
-            yield from _open_valve(row["payload"]["points"])
+            courses.setdefault(row["action"], []).extend(row["payload"]["points"])
         if asked_s is not None and kind in (Answered.KIND, Asked.KIND, Resumed.KIND, Ended.KIND):
             yield Span(asked_s, now_s, "waiting for persons")
             asked_s = None
@@ -121,6 +137,8 @@ def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
             asked_s = now_s
         elif kind == Paused.KIND:
             paused_s = now_s
+    for points in courses.values():
+        yield from _open_valve(points)
     if asked_s is not None:
         yield Span(asked_s, last_s, "waiting for persons")
     if paused_s is not None:
@@ -128,7 +146,7 @@ def _spans(contents: Contents, last_s: float) -> Iterator[Span]:
 
 
 def _open_valve(points: Sequence[Sequence[float]]) -> Iterator[Span]:
-    """While the valve was open or vibrated, by the points of a `dose_curve`."""
+    """While the valve was open or vibrated, by the course of a dose."""
     for (began_s, _, opening_mm, vibration, *_), (ended_s, *_) in pairwise(points):
         if opening_mm > 0.0 or vibration > 0.0:
             yield Span(began_s, ended_s, "dosing")

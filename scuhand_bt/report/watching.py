@@ -1,46 +1,56 @@
-"""What a run shows in another terminal than its own: the same picture, from its journal."""
+"""What a run shows in another terminal than its own, or on a page: the same picture, from its journal."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from scuhand_bt.journal.events import RunBegun
+from scuhand_bt.journal.events import RunBegun, TreeNode
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.picture import Asked, Node, Shown
 
 _STATES = {None: "running", "done": "done", "failed": "failed"}
+_TURNED = {("invert", "done"): "failed", ("invert", "failed"): "done", ("optional", "failed"): "done"}
+"""What a decorator makes of the state below it."""
 
 
 def shown_of(now: Follower, run: RunBegun) -> Shown:
     """What there is to see of a run that is followed."""
-    total, done = len(run.samples or ()), len(now.samples)
     name = now.path.stem
-    asked = Asked(now.asked.question, now.asked.choices, now.asked_at) if now.asked is not None else None
+    waiting = now.waiting.asked
+    asked = Asked(waiting.question, waiting.choices, now.waiting.at) if waiting is not None else None
     keys = f"scuhand-bt pause|stop {name}; Ctrl-C only ends watching"
     return Shown(
         recipe=run.recipe,
         mode=run.mode,
-        total=total,
+        total=len(run.samples or ()),
         results=list(now.samples.values()),
         run_time_s=now.time_s,
-        left_s=now.time_s / done * (total - done) if done and now.ended is None else None,
-        job=_about(now, run),
-        tree=[
-            Node(0, one.skill, _STATES.get(one.outcome, "to come"), str(one.failure) if one.failure else "")
-            for one in now.actions.values()
-        ],
+        left_s=time_left_s(now, run),
+        job=about(now, run),
+        tree=tree_of(now),
         state=f"Paused; `scuhand-bt resume {name}` continues" if now.is_paused else "",
         keys=f"scuhand-bt answer {name}" if asked is not None else keys,
         question=asked,
     )
 
 
-def _about(now: Follower, run: RunBegun) -> str:
+def time_left_s(now: Follower, run: RunBegun) -> float | None:
+    """Run time that is left: the mean of the samples until now, for those left. None where that cannot be told."""
+    total, done = len(run.samples or ()), len(now.samples)
+    return now.time_s / done * (total - done) if done and now.ended is None else None
+
+
+def inputs_of(run: RunBegun, sample: str | None) -> Mapping[str, Any]:
+    """What a sample was planned with; nothing for what is none."""
+    return next((one.inputs for one in run.samples or () if one.id == sample), {})
+
+
+def about(now: Follower, run: RunBegun) -> str:
     """What is under way: a sample with what it asks for, or a job between samples."""
     if now.job is None:
         return ""
     again = f", attempt {now.job.attempt}" if now.job.attempt > 1 else ""
-    inputs: Mapping[str, Any] = next((one.inputs for one in run.samples or () if one.id == now.job.sample), {})
+    inputs = inputs_of(run, now.job.sample)
     if not isinstance(mass_mg := inputs.get("mass"), float | int):
         return f"{now.job.name}{again}"
     tolerance_mg, source = inputs.get("tolerance"), run.sources.get(str(inputs.get("source")))
@@ -48,3 +58,46 @@ def _about(now: Follower, run: RunBegun) -> str:
     of = f" of {source.powder}" if source is not None else ""
     into = f" into {inputs['container']}" if "container" in inputs else ""
     return f"{now.job.name}{again}: {format_mass(mass_mg)}{tolerance}{of}{into}"
+
+
+def tree_of(now: Follower) -> list[Node]:
+    """The tree of the job that is under way, each node with its state; of an older journal what has acted, in order."""
+    drawn = now.trees.get(now.job.workflow) if now.job is not None else None
+    if drawn is None:
+        return [
+            Node(0, one.skill, _STATES.get(one.outcome, "to come"), str(one.failure) if one.failure else "")
+            for one in now.actions.values()
+        ]
+    return list(_nodes(now, drawn))
+
+
+def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
+    """A leaf's state is its last action's; that of a node above, of the last that acted below it.
+
+    What stands behind the leaf at work, and acted before it, is to come again.
+    """
+    last = {one.path: (seq, one) for seq, one in now.actions.items()}
+    at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
+    for place, node in enumerate(drawn):
+        below = [node]
+        for other in drawn[place + 1 :]:
+            if other.depth <= node.depth:
+                break
+            below.append(other)
+        if at_work and place > at_work[-1]:
+            began = last[drawn[at_work[-1]].path][0]
+            acted = [last[one.path] for one in below if one.path in last and last[one.path][0] > began]
+        else:
+            acted = [last[one.path] for one in below if one.path in last]
+        failed = now.decided.get(node.path) if node.path else None
+        if any(one.outcome is None for _, one in acted):
+            yield Node(node.depth, node.name, "running")
+        elif failed is not None:
+            yield Node(node.depth, node.name, "failed", str(failed))
+        elif not acted:
+            yield Node(node.depth, node.name, "to come")
+        else:
+            _, one = max(acted, key=lambda pair: pair[0])
+            state = _STATES.get(one.outcome, "to come")
+            why = str(one.failure) if one.failure is not None and len(below) == 1 else ""
+            yield Node(node.depth, node.name, _TURNED.get((node.name, state), state), why)

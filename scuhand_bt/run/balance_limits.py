@@ -15,7 +15,7 @@ from scuhand_bt.recipe.plan import Plan
 
 def beyond_limits(plan: Plan, lab: Lab, figures: Figures, now: datetime) -> list[Problem]:
     """Where a plan that doses asks more than its balance, by what was measured of it, is known to give."""
-    if not any(sample.takes for sample in plan.recipe.samples):
+    if not any(sample.flow.pours for sample in plan.recipe.samples):
         return []
     return [*_check_weight(lab, figures, now), *_too_little(plan, lab, figures)]
 
@@ -67,7 +67,7 @@ def _too_light(plan: Plan, minimum_mg: float, source: str) -> list[Problem]:
     masses = [
         (mass_mg, sample)
         for sample in plan.recipe.samples
-        for mass_mg in (take.mass_mg for take in sample.takes)
+        for mass_mg in (pour.mass_mg for pours in sample.filled.values() for pour in pours)
         if mass_mg is not None and mass_mg < minimum_mg
     ]
     if not masses:

@@ -30,6 +30,7 @@ from scuhand_bt.specs import Container
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
 from scuhand_bt.tree.replay import Replay
+from scuhand_bt.tree.substitutes import Substitutes
 
 ANSWERS = ("flag", "redo", "skip_sample", "stop")
 """What a person may choose for a failed sample, where the recipe says `ask`."""
@@ -74,6 +75,7 @@ class Batch:
         history: History | None = None,
         first: Steps[None] | None = None,
         after_job: Callable[[], None] = lambda: None,
+        substitutes: Substitutes | None = None,
     ) -> None:
         self._plan = plan
         self._cell = cell
@@ -85,7 +87,7 @@ class Batch:
         self._history = history or History()
         self._first = first
         self._after_job = after_job
-        self._runner = Runner(cell, library, journal, control, Guards(cell), observer)
+        self._runner = Runner(cell, library, journal, control, Guards(cell), observer, substitutes)
         self._results: dict[str, SampleResult] = {}
         self._overshot: list[SampleResult] = []
         """The last samples that were dosed, as long as they overshot."""

@@ -1,5 +1,6 @@
-"""What the cell is believed to hold, as the journal keeps it, and a resumed run takes it up."""
+"""What the cell is believed to hold, as the journal keeps it, and a resumed run takes it up; and how its arm moves."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,9 +8,13 @@ from pydantic import TypeAdapter
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.devices.interfaces import Trajectory
+from scuhand_bt.journal.events import ArmMoves
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 _BELIEVED = TypeAdapter(Believed)
+ROW_S, MOST_ROWS = 0.1, 40
+"""A motion is written down for who watches it, not to be moved along: in rows so far apart, and not more of them."""
 
 
 def state_of(cell: Cell) -> dict[str, Any]:
@@ -23,6 +28,15 @@ def state_of(cell: Cell) -> dict[str, Any]:
         "balance": cell.balance_belief.model_dump(mode="json", by_alias=False),
         "balance_figures": dict(cell.balance_figures),
     }
+
+
+def arm_moves(trajectory: Trajectory, cone_mm: float) -> ArmMoves:
+    """A motion of the arm that is about to begin, with a cone of this rim."""
+    steps = min(MOST_ROWS, max(1, math.ceil(trajectory.duration_s / ROW_S)))
+    step_s = trajectory.duration_s / steps
+    rows = (trajectory.sample(step_s * k) for k in range(steps + 1))
+    joints_rad = tuple(tuple(round(angle, 4) for angle in row.tolist()) for row in rows)
+    return ArmMoves(step_s=round(step_s, 6), joints_rad=joints_rad, cone_mm=round(cone_mm, 2))
 
 
 def take_up(cell: Cell, state: Mapping[str, Any]) -> None:

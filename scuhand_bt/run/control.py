@@ -7,14 +7,16 @@ reaches the process that has the run now or none, and that answers.
 
 import hashlib
 import json
+import math
 import os
 import pwd
+import selectors
 import socket
 import struct
 import threading
 import time
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -32,6 +34,8 @@ SPOKEN_S = 1.0
 """And who is to say something has said it by then."""
 LONGEST = 4096
 """Bytes that one can say at once."""
+MOST_CALLERS = 64
+"""So many are listened to at once: of more, who has been silent longest makes room."""
 
 
 class Control:
@@ -80,16 +84,30 @@ class Control:
         return self.is_stopping and self.halts
 
 
+@dataclass
+class _Caller:
+    """Who has called, and what was heard until now."""
+
+    line: socket.socket
+    until_s: float
+    heard: bytes = b""
+
+
 class WishListener:
-    """Hears, in this process, what others say to its run. Raises OSError where another process listens for it."""
+    """Hears, in this process, what others say to its run. Raises OSError where another process listens for it.
+
+    All callers at once, on one thread: nobody waits for one who calls and says nothing.
+    """
 
     def __init__(self, journal: Path, control: Control) -> None:
         self._control = control
         self._persons = Persons(journal.parent.parent)
+        self._has_ended = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             self._socket.bind(_address(journal))
-            self._socket.listen()
+            self._socket.listen(MOST_CALLERS)
+            self._socket.setblocking(False)
         except OSError:
             self._socket.close()
             raise
@@ -97,13 +115,45 @@ class WishListener:
         self._thread.start()
 
     def _listen(self) -> None:
-        while True:
-            try:
-                caller, _ = self._socket.accept()
-            except OSError:  # it was shut down
-                return
-            with caller, suppress(OSError):
-                caller.sendall(self._answer(_said(caller), _user_of(caller)).encode())
+        callers: dict[int, _Caller] = {}  # who has waited longest first
+        with selectors.DefaultSelector() as ready:
+            ready.register(self._socket, selectors.EVENT_READ)
+            while not self._has_ended:
+                left_s = min((one.until_s for one in callers.values()), default=math.inf) - time.monotonic()
+                for key, _ in ready.select(max(0.0, left_s) if callers else None):
+                    if key.fileobj is self._socket:
+                        self._take_calls(callers, ready)
+                    elif (caller := callers.get(key.fd)) is not None and self._hears(caller):
+                        _hang_up(caller, callers, ready)
+                for caller in [one for one in callers.values() if one.until_s <= time.monotonic()]:
+                    _hang_up(caller, callers, ready)
+            for caller in list(callers.values()):
+                _hang_up(caller, callers, ready)
+
+    def _take_calls(self, callers: dict[int, _Caller], ready: selectors.BaseSelector) -> None:
+        """Everybody who waits to be listened to."""
+        with suppress(OSError):  # nobody does, any more
+            while True:
+                line, _ = self._socket.accept()
+                line.setblocking(False)
+                if len(callers) >= MOST_CALLERS:
+                    _hang_up(next(iter(callers.values())), callers, ready)
+                callers[line.fileno()] = _Caller(line, time.monotonic() + SPOKEN_S)
+                ready.register(line, selectors.EVENT_READ)
+
+    def _hears(self, caller: _Caller) -> bool:
+        """Listen to a caller who speaks; whether this one has said all, and was answered."""
+        try:
+            part = caller.line.recv(LONGEST)
+            caller.heard += part
+            if part and len(caller.heard) <= LONGEST:
+                return False
+            caller.line.sendall(self._answer(_said(caller.heard), _user_of(caller.line)).encode())
+        except BlockingIOError:
+            return False
+        except OSError:  # gone
+            pass
+        return True
 
     def _answer(self, said: Any, user: int) -> str:
         match said:
@@ -152,6 +202,7 @@ class WishListener:
 
     def end(self) -> None:
         """Hear no more."""
+        self._has_ended = True
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._thread.join()
@@ -217,14 +268,14 @@ def _connect(line: socket.socket, address: str) -> None:
             time.sleep(0.01)
 
 
-def _said(caller: socket.socket) -> Any:
-    """What a caller says, in time and not too much; None for what is no JSON."""
-    heard, until_s = b"", time.monotonic() + SPOKEN_S
-    while len(heard) <= LONGEST and (left_s := until_s - time.monotonic()) > 0:
-        caller.settimeout(left_s)
-        if not (part := caller.recv(LONGEST)):
-            break
-        heard += part
+def _hang_up(caller: _Caller, callers: dict[int, _Caller], ready: selectors.BaseSelector) -> None:
+    ready.unregister(caller.line)
+    del callers[caller.line.fileno()]
+    caller.line.close()
+
+
+def _said(heard: bytes) -> Any:
+    """What a caller says; None for what is no JSON."""
     try:
         return json.loads(heard)
     except (ValueError, RecursionError):

@@ -360,5 +360,5 @@ def places_of(plan: Plan, lab: Lab) -> dict[str, Position]:
 
 def _container_kinds(plan: Plan) -> list[ContainerKind]:
     """Every kind of container that the plan doses into."""
-    kinds = [sample.container for sample in plan.recipe.samples if sample.container is not None]
+    kinds = [kind for sample in plan.recipe.samples for kind in sample.all_containers]
     return list({kind.name: kind for kind in kinds}.values())

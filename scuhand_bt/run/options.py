@@ -83,7 +83,9 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
             asks=simulation is not None and simulation.asks,
         ),
         sources={
-            name: SourceUsed(station=source.station, powder=source.powder.name, lot=source.lot)
+            name: SourceUsed(
+                station=source.station, powder=source.powder.name, lot=source.lot, mortar=source.mortar.name
+            )
             for name, source in plan.recipe.sources.items()
         },
         samples=[

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.leased import leased
 from scuhand_bt.cell.weighing import weighing_of
 from scuhand_bt.clock import Steps
 from scuhand_bt.failures import Code
@@ -12,6 +13,7 @@ from scuhand_bt.journal.events import ArmMoved, PanCompared, Settled
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.motion import Mount, apex
 from scuhand_bt.skill import Skill, SkillFailed
+from scuhand_bt.tree.leaf import REJOINING
 from scuhand_bt.tree.replay import Recorded, Replay
 
 MOVED_RAD = 0.02
@@ -60,7 +62,7 @@ def _settle(journal: Journal, cell: Cell, skill: Skill[Any], name: str, changed_
     """
     if changed_from is None and skill.interrupted != "ask":
         journal.event(Settled(skill=name, by=skill.interrupted))
-        yield from skill.settle(cell)
+        yield from skill.settle(leased(cell, {*skill.devices, *REJOINING}))
         return "again"
     if changed_from is not None:
         before = f"'{changed_from.skill}' ({changed_from.outcome}, {changed_from.inputs})"

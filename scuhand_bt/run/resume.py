@@ -12,7 +12,7 @@ from scuhand_bt.journal.history import History, history_of
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_verified
 from scuhand_bt.journal.store import SCHEMA_VERSION
-from scuhand_bt.lab import Lab, files_of, is_lab
+from scuhand_bt.lab import TEST_SUFFIX, Lab, files_of, is_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, recoveries
 
@@ -106,7 +106,7 @@ def lab_files(lab: Lab) -> dict[str, str]:
     files: dict[str, str] = {}
     for folder in LAB_FOLDERS:
         for path in files_of(lab.folder / folder, "**/*"):
-            if path.is_file() and "__pycache__" not in path.parts:
+            if path.is_file() and "__pycache__" not in path.parts and not path.name.endswith(TEST_SUFFIX):
                 name = path.relative_to(lab.folder).as_posix()
                 files[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return files

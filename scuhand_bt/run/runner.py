@@ -1,7 +1,7 @@
 """The runner: ticks one job's tree, and moves the clock to the earliest thing the tree waits for."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, Protocol, TypeVar, cast
@@ -12,7 +12,7 @@ from py_trees.common import Status
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.events import ActionEnded, ActionStarted, Continued, Decided, Paused
+from scuhand_bt.journal.events import ActionEnded, ActionStarted, Continued, Decided, Paused, TreeNode, WorkflowTree
 from scuhand_bt.journal.plain import plain, plain_values, to_json
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import Job
@@ -25,8 +25,9 @@ from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
-from scuhand_bt.tree.nodes import failure_of
+from scuhand_bt.tree.nodes import Timeout, While, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
+from scuhand_bt.tree.substitutes import Substitutes
 
 SAFE_TIMEOUT_S = 20.0
 """How long the cell may take to stand still once it is told to: a carousel's swing takes 6 s, an arm's stop 1 s."""
@@ -56,6 +57,7 @@ class Runner:
         control: Control,
         guards: Guards,
         observer: TickObserver,
+        substitutes: Substitutes | None = None,
     ) -> None:
         self._cell = cell
         self._library = library
@@ -64,6 +66,9 @@ class Runner:
         self._observer = observer
         self._leases = Leases(cell)
         self._guards = guards
+        self._substitutes = substitutes
+        self._drawn: set[str] = set()
+        """The workflows whose tree the journal has."""
 
     def run(self, job: Job, inputs: Mapping[str, Any], replay: Replay) -> Outcome:
         """Run one job to its end, from where `replay` leaves it. Any exception leaves the tree halted.
@@ -71,8 +76,11 @@ class Runner:
         After an interruption `make_safe` is the caller's to call.
         """
         recorder, rejoins = _Recorder(self._journal), partial(rejoin, self._journal)
-        shared = Ticking(self._cell, self._leases, recorder, replay, rejoins)
+        shared = Ticking(self._cell, self._leases, recorder, replay, rejoins, self._substitutes)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
+        if job.workflow not in self._drawn:
+            self._drawn.add(job.workflow)
+            self._journal.event(WorkflowTree(workflow=job.workflow, nodes=tuple(_drawn(tree.root))))
         interrupted: Outcome | None = Outcome(interrupted="stopped")
         try:
             interrupted = self._tick_to_end(tree.root, shared)
@@ -212,6 +220,13 @@ class Runner:
                 return ", ".join(moving)
             clock.wait([Wake.on(devices[name].news, min(deadline_s, clock.now_s + 0.1)) for name in moving])
         return ""
+
+
+def _drawn(root: Behaviour, depth: int = 0) -> Iterator[TreeNode]:
+    """A tree's nodes, each below the one that it belongs to."""
+    yield TreeNode(depth=depth, name=root.name, path=root.path if isinstance(root, SkillLeaf | Timeout | While) else "")
+    for child in root.children:
+        yield from _drawn(child, depth + 1)
 
 
 class _Recorder:

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.devices.interfaces import Reading, Trajectory
 from scuhand_bt.journal.events import FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
@@ -19,7 +19,7 @@ from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
-from scuhand_bt.run.cell_state import state_of, take_up
+from scuhand_bt.run.cell_state import arm_moves, state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
@@ -33,13 +33,14 @@ from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
 from scuhand_bt.skill import SkillFailed
+from scuhand_bt.tree.substitutes import Substitutes
 
 
 class Session:
     """A cell made ready for a plan, new or to be resumed. `run` once, then `close`.
 
     `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one; `resumes` is the
-    interrupted run (`run/resume.py` finds and checks it).
+    interrupted run (`run/resume.py` finds and checks it); `substitutes` stand in for skills, in a test.
 
     Raises, before anything moves: SourceError for an unknown controller, an unwritable folder, an unattended plan that
     needs a person, a real balance beyond its limits or a run that another process has, PlantError for a plant that
@@ -55,6 +56,7 @@ class Session:
         motion: MotionPlanner | None = None,
         control: Control | None = None,
         resumes: Resumable | None = None,
+        substitutes: Substitutes | None = None,
     ) -> None:
         check_controller(options.controller)
         if options.unattended:
@@ -65,6 +67,7 @@ class Session:
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
         self._lab, self._options = lab, options
+        self._substitutes = substitutes
         self._history = resumes.history if resumes is not None else None
         if resumes is None:
             name = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
@@ -135,6 +138,7 @@ class Session:
         if options.controller is not None:
             self.cell.controller = options.controller
         self.cell.balance.on_reading = self._weighed
+        self.cell.arm.on_start = self._moves
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         self._records.begin(journal, self.cell)
@@ -158,6 +162,9 @@ class Session:
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
         self.journal.weighed(reading)
+
+    def _moves(self, trajectory: Trajectory) -> None:
+        self.journal.event(arm_moves(trajectory, self.cell.hand.cone_diameter_mm))
 
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""
@@ -224,6 +231,7 @@ class Session:
             self._history,
             first=first,
             after_job=self._records.after_job,
+            substitutes=self._substitutes,
         )
         try:
             result = batch.run()

@@ -41,6 +41,7 @@ class SimulatedArm:
         self, clock: Clock, mount: Callable[[], Mount], joints: Joints, apex_of: Callable[[Joints], Pose] | None = None
     ) -> None:
         self.news = Signal()
+        self.on_start: Callable[[Trajectory], None] = lambda trajectory: None
         self.faults = Faults()
         """What is wrong with it, in a simulation of faults."""
         self._is_blocked = self._was_faulty = False
@@ -79,6 +80,7 @@ class SimulatedArm:
             raise fault
         now_s = self._clock.now_s
         check_trajectory(trajectory, self._at(now_s), LIMITS_RAD, is_moving=self._trajectory is not None)
+        self.on_start(trajectory)
         self._begin_s = now_s
         self._go_along(trajectory)
         self.faults.chance("motion", now_s)

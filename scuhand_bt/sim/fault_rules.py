@@ -179,9 +179,15 @@ def read_faults(path: Path) -> FaultFile:
 
 def parse_faults(text: str, file: str) -> FaultFile:
     """The same of a text, which `file` names in messages."""
-    root, problems = parse(text, file, "a fault file"), Problems()
-    rules = [(_read_rule(item, problems), item.mark) for item in _items(root, problems)]
+    problems = Problems()
+    faults = faults_of(parse(text, file, "a fault file"), text, problems)
     problems.raise_any()
+    return faults
+
+
+def faults_of(root: Node, text: str, problems: Problems) -> FaultFile:
+    """The same of what has been parsed; what is wrong is noted."""
+    rules = [(_read_rule(item, problems), item.mark) for item in _items(root, problems)]
     read = [(rule, mark) for rule, mark in rules if rule is not None]
     return FaultFile(text, tuple(rule for rule, _ in read), tuple(mark for _, mark in read))
 

@@ -6,9 +6,10 @@ from functools import cache
 from typing import Any
 
 from scuhand_bt.failures import CATALOGUE, Failure
-from scuhand_bt.problems import Mark, Problems, shorten
+from scuhand_bt.problems import Broken, Mark, Problems, shorten
 from scuhand_bt.quantity import RATIO, parse
 from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.skill_files.facts import SkillFacts
 from scuhand_bt.specs import ContainerKind, Mortar, Powder
 from scuhand_bt.tree.grammar import (
     KEYWORDS,
@@ -27,6 +28,8 @@ from scuhand_bt.tree.wires import NOTHING, WireType, of_field
 from scuhand_bt.yaml_source import Node, Scalar, describe, plain
 
 MAX_TREE_NODES = 5000
+CALLED = ("skill", "workflow")
+"""What a node calls by its name."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,10 @@ class Library:
     powders: Mapping[str, Powder] = field(default_factory=dict)
     containers: Mapping[str, ContainerKind] = field(default_factory=dict)
     mortars: Mapping[str, Mortar] = field(default_factory=dict)
+    facts: Mapping[str, SkillFacts] = field(default_factory=dict)
+    """What the skills' files say of them."""
+    broken: Broken = field(default_factory=Broken)
+    """What its files name and cannot be used."""
 
     def failures(self) -> Mapping[str, Failure]:
         """The catalogue with the lab's own codes."""
@@ -144,9 +151,12 @@ class _Checker:
         if name in self._results:
             return self._results[name]
         workflow = self._library.workflows[name]
+        self._library.broken.tell("workflow", name, self._problems)
         if name in self._calling:
             circle = " → ".join([*self._calling[self._calling.index(name) :], name])
-            self._problems.add(caller or workflow.mark, f"workflows call each other in a circle: {circle}")
+            self._problems.add(
+                caller or workflow.mark, f"workflows call each other in a circle: {circle}", code="circle"
+            )
             return NOTHING
         self._calling.append(name)
         outer_types, self._types = self._types, {key: declared.type for key, declared in workflow.inputs.items()}
@@ -157,7 +167,7 @@ class _Checker:
                 value = self._check_literal(declared.name, declared.type, declared.default)
                 if isinstance(value, Percent) and "mass" not in workflow.inputs:
                     what = "a tolerance in % is one of the mass, but this workflow has no input 'mass'"
-                    self._problems.add(declared.default.mark, what)
+                    self._problems.add(declared.default.mark, what, code="percent-of-nothing")
         defined = self._check(workflow.tree, frozenset(workflow.inputs))
         result = NOTHING
         if workflow.result is not None:
@@ -173,7 +183,9 @@ class _Checker:
         size = sum(1 + self._sizes.get(name, 0) for name in calls)
         if size > MAX_TREE_NODES:
             what = f"'{workflow.name}' is a tree of more than {MAX_TREE_NODES} nodes"
-            self._problems.add(workflow.mark, what, "the workflows it calls are counted each time; use 'repeat'")
+            self._problems.add(
+                workflow.mark, what, "the workflows it calls are counted each time; use 'repeat'", code="too-large"
+            )
             size = 0  # said once, not again by every caller
         self._sizes[workflow.name] = size
 
@@ -202,6 +214,7 @@ class _Checker:
                         child.mark,
                         f"children {used[device]} and {number} of 'parallel' both command the {device}",
                         "one device does one thing at a time; use 'sequence'",
+                        code="parallel-devices",
                     )
                 used.setdefault(device, number)
 
@@ -209,31 +222,49 @@ class _Checker:
         for key, argument in node.arguments.items():
             value = self._check_argument(key, PARAMETERS[key], argument, defined)
             if isinstance(value, int | float) and value <= 0:
-                self._problems.add(argument.mark, f"'{key}' is {value:g}", "more than 0")
+                self._problems.add(argument.mark, f"'{key}' is {value:g}", "more than 0", code="bad-count")
         for code, mark in node.codes.items():
             if code not in self._codes:
-                self._problems.add(mark, f"unknown failure code '{shorten(code)}'", unknown=code, known=self._codes)
+                self._problems.add(
+                    mark,
+                    f"unknown failure code '{shorten(code)}'",
+                    unknown=code,
+                    known=self._codes,
+                    code="unknown-code",
+                )
         for guard in node.guards:
             self._check_call(guard, defined)
             skill = self._library.skills.get(guard.name)
             if guard.name in self._library.workflows or (skill is not None and not issubclass(skill, Condition)):
                 conditions = [name for name, cls in self._library.skills.items() if issubclass(cls, Condition)]
                 self._problems.add(
-                    guard.mark, f"'{guard.name}' is no condition and cannot be a guard", known=conditions
+                    guard.mark,
+                    f"'{guard.name}' is no condition and cannot be a guard",
+                    known=conditions,
+                    code="no-condition",
                 )
         after = self._check(node.child, defined)
         return defined if node.kind in ("invert", "optional") else after
 
     def _check_call(self, node: Call, defined: frozenset[str]) -> frozenset[str]:
         library = self._library
-        if node.name not in library.skills and node.name not in library.workflows:
+        callee = library.workflows.get(node.name)
+        is_known = node.name in library.skills or callee is not None
+        if not is_known and not any(library.broken.tell(kind, node.name, self._problems) for kind in CALLED):
             known = [*library.skills, *library.workflows, *KEYWORDS]
             self._problems.add(
-                node.mark, f"unknown skill or workflow '{shorten(node.name)}'", unknown=node.name, known=known
+                node.mark,
+                f"unknown skill or workflow '{shorten(node.name)}'",
+                unknown=node.name,
+                known=known,
+                code="unknown-name",
             )
+        if not is_known or (callee is not None and not callee.is_whole):  # what it takes and gives is not known
             for argument in node.arguments.values():
                 if isinstance(argument, Reference):
                     self._type_of(argument, defined)
+            if callee is not None:
+                self.result_of(node.name, node.mark)
             return self._keep(node, None, defined)
         parameters = library.parameters(node.name)
         for name, argument in node.arguments.items():
@@ -241,14 +272,18 @@ class _Checker:
                 value = self._check_argument(name, parameters[name].wire, argument, defined)
                 if isinstance(value, Percent) and "mass" not in node.arguments:
                     what = f"a tolerance in % is one of the mass, but '{node.name}' is given no 'mass' here"
-                    self._problems.add(argument.mark, what)
+                    self._problems.add(argument.mark, what, code="percent-of-nothing")
             else:
                 what = f"'{node.name}' has no parameter '{shorten(name)}'"
                 takes = f"it takes {', '.join(parameters) or 'none'}"
-                self._problems.add(node.argument_marks[name], what, takes, unknown=name, known=parameters)
+                self._problems.add(
+                    node.argument_marks[name], what, takes, unknown=name, known=parameters, code="unknown-parameter"
+                )
         for name, parameter in parameters.items():
             if parameter.required and name not in node.arguments:
-                self._problems.add(node.mark, f"'{node.name}' needs '{name}' ({parameter.wire.name})")
+                self._problems.add(
+                    node.mark, f"'{node.name}' needs '{name}' ({parameter.wire.name})", code="missing-parameter"
+                )
         if node.name in library.workflows:
             result = self.result_of(node.name, node.mark)
         else:
@@ -263,13 +298,17 @@ class _Checker:
         before = self._types.get(node.result)
         if node.result in self._inputs:
             what = f"'{node.result}' is an input of this workflow, and stays what the workflow was given"
-            self._problems.add(node.result_mark, what, "a name of its own for the result")
+            self._problems.add(node.result_mark, what, "a name of its own for the result", code="name-taken")
             return defined
         if result == NOTHING:
-            self._problems.add(node.result_mark, f"'{node.name}' has no result to keep as '{node.result}'")
+            self._problems.add(
+                node.result_mark, f"'{node.name}' has no result to keep as '{node.result}'", code="no-result"
+            )
             result = None
         elif before is not None and result is not None and not before.accepts(result):
-            self._problems.add(node.result_mark, f"'{node.result}' is a {before.name} already, not a {result.name}")
+            self._problems.add(
+                node.result_mark, f"'{node.result}' is a {before.name} already, not a {result.name}", code="wrong-type"
+            )
         self._types[node.result] = result
         return defined | {node.result}
 
@@ -279,16 +318,22 @@ class _Checker:
         given = self._type_of(argument, defined)
         if given is not None and not wire.accepts(given):
             maybe = "may be nothing" if given.optional and not wire.optional else f"is a {given.name}"
-            self._problems.add(argument.mark, f"'{name}' takes a {wire.name}, but {argument} {maybe}")
+            self._problems.add(
+                argument.mark, f"'{name}' takes a {wire.name}, but {argument} {maybe}", code="wrong-type"
+            )
         return None
 
     def _check_literal(self, name: str, wire: WireType, node: Node) -> Any:
         try:
             return literal(name, wire, node, self._library)
         except ValueError as error:
-            known: Iterable[str] = self._library.powders if wire.python is Powder else ()
             text = node.text if isinstance(node, Scalar) else None
-            self._problems.add(node.mark, f"'{name}' takes a {wire.name}: {error}", unknown=text or "", known=known)
+            if wire.python is Powder and self._library.broken.tell("powder", text or "", self._problems):
+                return None
+            known: Iterable[str] = self._library.powders if wire.python is Powder else ()
+            self._problems.add(
+                node.mark, f"'{name}' takes a {wire.name}: {error}", unknown=text or "", known=known, code="bad-value"
+            )
             return None
 
     def _type_of(self, reference: Reference, defined: frozenset[str]) -> WireType | None:
@@ -297,23 +342,28 @@ class _Checker:
         if reference.name not in self._types:
             known = [f"${name}" for name in self._types]
             what = f"unknown value '{reference}'"
-            self._problems.add(reference.mark, what, unknown=f"${reference.name}", known=known)
+            self._problems.add(reference.mark, what, unknown=f"${reference.name}", known=known, code="unknown-value")
             return None
         wire = self._types[reference.name]
         if wire is None:
             return None
         if reference.name not in defined:
             self._problems.add(
-                reference.mark, f"'${reference.name}' may not have a value yet here", "it is set on another way only"
+                reference.mark,
+                f"'${reference.name}' may not have a value yet here",
+                "it is set on another way only",
+                code="unset-value",
             )
         for attribute in reference.attributes:
             if wire.optional:
-                self._problems.add(reference.mark, f"{reference} reads '{attribute}' of what may be nothing")
+                self._problems.add(
+                    reference.mark, f"{reference} reads '{attribute}' of what may be nothing", code="wrong-type"
+                )
                 return None
             attributes = wire.attributes()
             if attribute not in attributes:
                 what = f"a {wire.name} has no attribute '{attribute}'"
-                self._problems.add(reference.mark, what, unknown=attribute, known=attributes)
+                self._problems.add(reference.mark, what, unknown=attribute, known=attributes, code="unknown-attribute")
                 return None
             wire = attributes[attribute][1]
         return wire

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
-from scuhand_bt.problems import Mark, Problems, shorten
+from scuhand_bt.problems import Mark, Problems, nearest, shorten
 from scuhand_bt.tree.wires import INPUT_TYPES, WireType
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
@@ -128,13 +128,23 @@ def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
     """Read a workflow file; problems are collected, and None returned if it has no usable tree."""
     before = len(problems.found)
     if not isinstance(root, Entries):
-        problems.add(root.mark, f"{describe(root)} stands where a workflow should be", "it has the key 'workflow'")
+        problems.add(
+            root.mark,
+            f"{describe(root)} stands where a workflow should be",
+            "it has the key 'workflow'",
+            code="wrong-shape",
+        )
         return None
     known = ("workflow", "summary", "inputs", "result", "tree")
     _only_keys(root, known, problems)
     name = _text(root, "workflow", problems, required=True)
     if name and name != stem:
-        problems.add(root.values["workflow"].mark, f"the workflow '{name}' stands in {stem}.yaml", f"call it '{stem}'")
+        problems.add(
+            root.values["workflow"].mark,
+            f"the workflow '{name}' stands in {stem}.yaml",
+            f"call it '{stem}'",
+            code="name-mismatch",
+        )
     inputs = _read_inputs(root.get("inputs"), problems)
     result = None
     if (node := root.get("result")) is not None:
@@ -142,10 +152,15 @@ def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
         if isinstance(argument, Reference):
             result = argument
         else:
-            problems.add(node.mark, f"'result': {describe(node)} is no value of this workflow", "write $name")
+            problems.add(
+                node.mark,
+                f"'result': {describe(node)} is no value of this workflow",
+                "write $name",
+                code="bad-reference",
+            )
     tree_node = root.get("tree")
     if tree_node is None:
-        problems.add(root.mark, "'tree' is missing", f"a workflow has the keys {', '.join(known)}")
+        problems.add(root.mark, "'tree' is missing", f"a workflow has the keys {', '.join(known)}", code="missing-key")
         return None
     tree = _read_node(tree_node, problems)
     if tree is None:
@@ -159,15 +174,28 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
     if node is None or (isinstance(node, Scalar) and node.text is None):
         return inputs
     if not isinstance(node, Entries):
-        problems.add(node.mark, f"'inputs': {describe(node)} is no mapping", "write {name: Type, …}")
+        problems.add(
+            node.mark, f"'inputs': {describe(node)} is no mapping", "write {name: Type, …}", code="wrong-shape"
+        )
         return inputs
     for name, declared in node.values.items():
         mark = node.keys[name]
         if not _NAME.fullmatch(name):
-            problems.add(mark, f"'{shorten(name)}' is no name", "letters, digits and _, not beginning with a digit")
+            problems.add(
+                mark,
+                f"'{shorten(name)}' is no name",
+                "letters, digits and _, not beginning with a digit",
+                code="bad-name",
+            )
             continue
         if name == "as" or name in RECIPE_WORDS:
-            problems.add(mark, f"'{name}' cannot be an input", "it has a meaning of its own where a workflow is used")
+            problems.add(
+                mark,
+                f"'{name}' cannot be an input",
+                "it has a meaning of its own where a workflow is used",
+                code="bad-name",
+            )
+            continue
         type_node, default = declared, None
         if isinstance(declared, Entries):
             _only_keys(declared, ("type", "default"), problems)
@@ -177,11 +205,17 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
         wire = INPUT_TYPES.get(type_name or "")
         if wire is None:
             problems.add(
-                type_node.mark, f"{describe(type_node)} is no type", unknown=type_name or "", known=INPUT_TYPES
+                type_node.mark,
+                f"{describe(type_node)} is no type",
+                unknown=type_name or "",
+                known=INPUT_TYPES,
+                code="unknown-type",
             )
             continue
         if name in QUANTITY_INPUTS and wire.name != QUANTITY_INPUTS[name]:
-            problems.add(type_node.mark, f"'{name}' must be a {QUANTITY_INPUTS[name]}, not a {wire.name}")
+            problems.add(
+                type_node.mark, f"'{name}' must be a {QUANTITY_INPUTS[name]}, not a {wire.name}", code="input-type"
+            )
             continue
         inputs[name] = Input(mark, name, wire, default)
     return inputs
@@ -189,11 +223,21 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
 
 def _read_node(node: Node, problems: Problems) -> TreeNode | None:
     if isinstance(node, Scalar) and node.text is not None:
-        problems.add(node.mark, f"{describe(node)} is no node", f"write '{shorten(node.text)}:' (with the colon)")
+        problems.add(
+            node.mark,
+            f"{describe(node)} is no node",
+            f"write '{shorten(node.text)}:' (with the colon)",
+            code="bad-node",
+        )
         return None
     if not isinstance(node, Entries) or len(node.values) != 1:
         extra = f"; here are {len(node.values)} keys" if isinstance(node, Entries) else ""
-        problems.add(node.mark, f"{describe(node)} stands where a tree's node should be", f"a node is one key{extra}")
+        problems.add(
+            node.mark,
+            f"{describe(node)} stands where a tree's node should be",
+            f"a node is one key{extra}",
+            code="wrong-shape",
+        )
         return None
     ((key, body),) = node.values.items()
     mark = node.keys[key]
@@ -206,7 +250,9 @@ def _read_node(node: Node, problems: Problems) -> TreeNode | None:
 
 def _read_children(node: Node, kind: str, problems: Problems) -> list[TreeNode]:
     if not isinstance(node, Items) or not node.items:
-        problems.add(node.mark, f"'{kind}' has {describe(node)}", "it takes a list of at least one node ('- …')")
+        problems.add(
+            node.mark, f"'{kind}' has {describe(node)}", "it takes a list of at least one node ('- …')", code="bad-node"
+        )
         return []
     return [child for item in node.items if (child := _read_node(item, problems)) is not None]
 
@@ -217,29 +263,33 @@ def _read_decorator(mark: Mark, kind: str, body: Node, problems: Problems) -> De
         child = _read_node(body, problems)
         return Decorator(mark, kind, child) if child is not None else None
     if not isinstance(body, Entries):
-        problems.add(body.mark, f"'{kind}' has {describe(body)}", f"it takes the keys {', '.join(known)}")
+        problems.add(
+            body.mark, f"'{kind}' has {describe(body)}", f"it takes the keys {', '.join(known)}", code="bad-node"
+        )
         return None
     _only_keys(body, known, problems)
     arguments: dict[str, Argument] = {}
     for key in known:
         if key in PARAMETERS:
             if (value := body.get(key)) is None:
-                problems.add(mark, f"'{kind}' needs '{key}'")
+                problems.add(mark, f"'{kind}' needs '{key}'", code="missing-key")
             else:
                 arguments[key] = _argument(value, problems)
     codes = _read_codes(body.get("on"), problems)
     guards: list[Call] = []
     if kind == "while":
         if (listed := body.get("guards")) is None:
-            problems.add(mark, "'while' needs 'guards'", "a list of conditions")
+            problems.add(mark, "'while' needs 'guards'", "a list of conditions", code="missing-key")
         else:
             for guard in _read_children(listed, "guards", problems):
                 if isinstance(guard, Call):
                     guards.append(guard)
                 else:
-                    problems.add(guard.mark, f"'{guard.kind}' cannot be a guard", "a guard is a condition")
+                    problems.add(
+                        guard.mark, f"'{guard.kind}' cannot be a guard", "a guard is a condition", code="no-condition"
+                    )
     if (child_node := body.get("child")) is None:
-        problems.add(mark, f"'{kind}' needs 'child'", "one node")
+        problems.add(mark, f"'{kind}' needs 'child'", "one node", code="missing-key")
         return None
     child = _read_node(child_node, problems)
     return Decorator(mark, kind, child, arguments, codes, guards) if child is not None else None
@@ -255,15 +305,24 @@ def _read_codes(node: Node | None, problems: Problems) -> dict[str, Mark]:
             codes[item.text] = item.mark
         else:
             allowed = "such as [hand.cone_empty]; without 'on', every failure is retried"
-            problems.add(item.mark, f"{describe(item)} is no failure code", allowed)
+            problems.add(item.mark, f"{describe(item)} is no failure code", allowed, code="unknown-code")
     return codes
 
 
 def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | None:
     if isinstance(body, Scalar) and body.text is None:
         return Call(mark, name, {}, {}, None, mark)
+    if not isinstance(body, Entries) and nearest(name, KEYWORDS) is not None:
+        what = f"unknown node '{shorten(name)}'"
+        problems.add(mark, what, unknown=name, known=KEYWORDS, code="unknown-name")
+        return None
     if not isinstance(body, Entries):
-        problems.add(body.mark, f"'{shorten(name)}' has {describe(body)}", "write its parameters: {name: value, …}")
+        problems.add(
+            body.mark,
+            f"'{shorten(name)}' has {describe(body)}",
+            "write its parameters: {name: value, …}",
+            code="bad-node",
+        )
         return None
     result, result_mark = None, mark
     if (as_node := body.get("as")) is not None:
@@ -271,7 +330,12 @@ def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | 
         if isinstance(as_node, Scalar) and as_node.text and _NAME.fullmatch(as_node.text):
             result = as_node.text
         else:
-            problems.add(as_node.mark, f"'as': {describe(as_node)} is no name", "a name for the result, without $")
+            problems.add(
+                as_node.mark,
+                f"'as': {describe(as_node)} is no name",
+                "a name for the result, without $",
+                code="bad-name",
+            )
     rest = body.without("as")
     arguments = {key: _argument(value, problems) for key, value in rest.values.items()}
     return Call(mark, name, arguments, rest.keys, result, result_mark)
@@ -282,15 +346,17 @@ def _argument(node: Node, problems: Problems) -> Argument:
         return node
     match = _REFERENCE.fullmatch(node.text)
     if match is None:
-        problems.add(node.mark, f"{describe(node)} is no reference", "write $name or $name.attribute")
-        return Scalar(node.mark, None)
+        problems.add(
+            node.mark, f"{describe(node)} is no reference", "write $name or $name.attribute", code="bad-reference"
+        )
+        return Reference(node.mark, "", ())
     return Reference(node.mark, match[1], tuple(match[2].split(".")[1:]))
 
 
 def _only_keys(node: Entries, known: tuple[str, ...], problems: Problems) -> None:
     for key, mark in node.keys.items():
         if key not in known:
-            problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=known)
+            problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=known, code="unknown-key")
 
 
 def _text(node: Entries, key: str, problems: Problems, required: bool = False) -> str | None:
@@ -298,7 +364,7 @@ def _text(node: Entries, key: str, problems: Problems, required: bool = False) -
     if isinstance(value, Scalar) and value.text is not None:
         return value.text
     if value is not None:
-        problems.add(value.mark, f"'{key}': {describe(value)} is no text")
+        problems.add(value.mark, f"'{key}': {describe(value)} is no text", code="wrong-shape")
     elif required:
-        problems.add(node.mark, f"'{key}' is missing")
+        problems.add(node.mark, f"'{key}' is missing", code="missing-key")
     return None

@@ -8,12 +8,14 @@ from py_trees.common import Status
 from pydantic import ValidationError
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.leased import leased
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.failures import CATALOGUE, Code
 from scuhand_bt.record import RecordLost
 from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.replay import ENDED, Decision, Recorded, Replay
+from scuhand_bt.tree.substitutes import Substitutes
 from scuhand_bt.tree.wires import in_words
 
 LEASE_TIMEOUT_S = 10.0
@@ -71,12 +73,22 @@ class Rejoin(Protocol):
 class Ticking:
     """What the nodes of one job's tree share: the cell, its leases, the listener, and who waits for what."""
 
-    def __init__(self, cell: Cell, leases: Leases, listener: Listener, replay: Replay, rejoin: Rejoin) -> None:
+    def __init__(
+        self,
+        cell: Cell,
+        leases: Leases,
+        listener: Listener,
+        replay: Replay,
+        rejoin: Rejoin,
+        substitutes: Substitutes | None = None,
+    ) -> None:
         self.cell = cell
         self.leases = leases
         self.listener = listener
         self.replay = replay
         self.rejoin = rejoin
+        self.substitutes = substitutes
+        """What stands in for skills, in a test."""
         self.acting: set[SkillLeaf] = set()
         """The leaves whose skill is at work."""
         self.is_pausing = False
@@ -255,9 +267,11 @@ class SkillLeaf(Behaviour):
         shared.listener.started(self, inputs)
         self._is_recorded = True
         shared.acting.add(self)
-        self._steps = skill.run(shared.cell)
+        self._steps = skill.run(leased(shared.cell, self.skill.sees()))
         if not isinstance(self._steps, Generator):
             raise TypeError("its run is no generator; it must `yield` somewhere")
+        if shared.substitutes is not None:
+            self._steps = shared.substitutes.steps(self.path, shared.cell.clock, self._steps)
         if replay.is_to_rejoin or self._recorded is not None:
             self._steps = self._resume(skill, self._steps, shared.listener.in_words(inputs))
         return True

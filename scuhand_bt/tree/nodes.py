@@ -13,6 +13,7 @@ from py_trees.composites import Composite, Selector
 from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 
+from scuhand_bt.cell.leased import leased
 from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
 from scuhand_bt.skill import Condition, SkillFailed
@@ -33,7 +34,7 @@ class Guard(Behaviour):
     def update(self) -> Status:
         self.failure = None
         try:
-            made(self.name, self.condition, self._arguments()).check(self._cell)
+            made(self.name, self.condition, self._arguments()).check(leased(self._cell, self.condition.sees()))
         except SkillFailed as failure:
             if not is_explained(self.condition, failure):
                 raise unexplained(self.name, failure) from failure
@@ -50,7 +51,7 @@ class While(SequenceNode):
     def __init__(self, path: str, guards: Sequence[Guard], child: Behaviour, shared: Ticking) -> None:
         super().__init__("while", memory=False, children=[*guards, child])
         self.failure: SkillFailed | None = None
-        self._path = path
+        self.path = path
         self._visits = 0
         self._child = child
         self._devices = sorted({device for guard in guards for device in guard.condition.watches})
@@ -70,14 +71,14 @@ class While(SequenceNode):
                 self._shared.wait(self, *(Wake.on(self._shared.cell.device(name).news) for name in self._devices))
             if node is self and self.status is Status.FAILURE and self._child.status is not Status.FAILURE:
                 decision = Decision(failure_of(self), had_begun)
-                self._shared.listener.decided(self._path, self._visits, decision)
+                self._shared.listener.decided(self.path, self._visits, decision)
             yield node
 
     def _replay(self) -> Iterator[Behaviour]:
         """The guards held, then, until the one that is recorded to have failed."""
         if self.status is not Status.RUNNING:
             self.initialise()
-        decision = self._shared.replay.decision(self._path, self._visits)
+        decision = self._shared.replay.decision(self.path, self._visits)
         if decision is None or decision.had_begun:
             yield from self._child.tick()
         self.status = self._child.status
@@ -168,7 +169,7 @@ class Timeout(_OnClock):
 
     def __init__(self, path: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
         super().__init__("timeout", child, arguments, shared)
-        self._path = path
+        self.path = path
         self._visits = 0
         self._duration_s = 0.0
         self._began_s = 0.0
@@ -187,13 +188,13 @@ class Timeout(_OnClock):
         if self.decorated.status is not Status.RUNNING:
             return self.decorated.status
         shared = self._shared
-        decision = shared.replay.decision(self._path, self._visits)
+        decision = shared.replay.decision(self.path, self._visits)
         if decision is not None and is_stuck(self.decorated):
             return self._fail(decision.failure)
         if shared.cell.clock.now_s >= self._deadline_s:
             failure = SkillFailed(Code.WORKFLOW_TIMEOUT, f"not done after {self._duration_s:g} s")
             status = self._fail(failure)
-            shared.listener.decided(self._path, self._visits, Decision(failure))
+            shared.listener.decided(self.path, self._visits, Decision(failure))
             return status
         shared.wait(self, Wake(self._deadline_s))
         return Status.RUNNING

@@ -5,6 +5,7 @@ Source of ids, models, windows, home counts and gains: `rt-net/rt_manipulators_c
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -53,6 +54,7 @@ class DynamixelArm:
     def __init__(self, chain: ServoChain, group: AxisGroup) -> None:
         self._chain = chain
         self._group = group
+        self.on_start: Callable[[Trajectory], None] = lambda trajectory: None
 
     @property
     def news(self) -> Signal:
@@ -85,6 +87,7 @@ class DynamixelArm:
             raise self._chain.lost
         windows_rad = np.array([state.window_rad for state in self._group.states]).T
         check_trajectory(trajectory, self.positions, windows_rad, is_moving=self._group.is_streaming)
+        self.on_start(trajectory)
         self._group.move(trajectory)
 
     def follow(self, trajectory: Trajectory) -> Steps[None]:

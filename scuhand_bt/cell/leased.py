@@ -1,0 +1,54 @@
+"""The cell as a skill sees it: with the devices that it leased, and no others.
+
+What is known and believed (`cell.believed`, `cell.spec`, the clock, the record) is there for every skill; a device, and
+what moves it, only for the skill that leased it.
+"""
+
+from collections.abc import Collection
+from typing import Any, cast
+
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.devices.interfaces import Device
+
+DEVICE_NAMES = ("arm", "hand", "balance", "changer")
+_MOVES = ("move_to", "lower_to", "touch", "contact")
+
+
+class NotLeased(RuntimeError):  # noqa: N818 - it reads as the sentence it is raised in
+    """A skill used a device that it did not lease: a bug of the skill."""
+
+
+def of_arm(name: str) -> bool:
+    """Whether a method of the cell moves the arm."""
+    return name in _MOVES
+
+
+class _LeasedCell:
+    """A cell that refuses what is not leased, and is the cell in all else."""
+
+    __slots__ = ("_cell", "_leased")
+
+    def __init__(self, cell: Cell, leased: Collection[str]) -> None:
+        object.__setattr__(self, "_cell", cell)
+        object.__setattr__(self, "_leased", frozenset(leased))
+
+    def __getattr__(self, name: str) -> Any:
+        device = name if name in DEVICE_NAMES else "arm" if name in _MOVES else None
+        if device is not None and device not in self._leased:
+            raise NotLeased(f"it uses the {device}, which its 'devices' do not lease")
+        return getattr(self._cell, name)
+
+    def device(self, name: str) -> Device:
+        """A leased device by its name."""
+        device: Device = getattr(self, name)
+        return device
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in DEVICE_NAMES:
+            raise NotLeased(f"it puts another {name} into the cell")
+        setattr(self._cell, name, value)
+
+
+def leased(cell: Cell, devices: Collection[str]) -> Cell:
+    """The cell with these devices."""
+    return cast(Cell, _LeasedCell(cell, devices))

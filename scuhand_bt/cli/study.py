@@ -1,0 +1,160 @@
+"""The command about many dry runs of a recipe."""
+
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.progress import track
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, out, print_json
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.quantity import format_duration, format_mass
+
+if TYPE_CHECKING:
+    from scuhand_bt.recipe.plan import Plan
+    from scuhand_bt.study.odds import Odds, Range
+    from scuhand_bt.study.trial import Setup, Task, Trial
+    from scuhand_bt.study.vary import Vary
+
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")]
+
+
+@app.command()
+def study(
+    recipe: RecipeArgument,
+    trials: Annotated[int, typer.Option(min=1, help="Dry runs, with seeds one after the other; of each draw.")] = 20,
+    first_seed: Annotated[int, typer.Option(min=0, help="The first one's seed.")] = 0,
+    vary: Annotated[Path | None, typer.Option("--vary", help="What to vary, by a file (docs/study.md).")] = None,
+    workers: WorkersOption = None,
+    dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Run them on a Dask cluster.")] = None,
+    controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
+    plant: Annotated[str | None, typer.Option(help="The same simulated physics in each: module:Class.")] = None,
+    store: Annotated[Path | None, typer.Option("--store", help="Keep trials here, not in the lab's own file.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Every sample of every trial, as CSV.")] = None,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Dry-run a recipe many times: its odds, and what they depend on. One that breaks off goes on where it was."""
+    from scuhand_bt.cli.batch import the_plan
+    from scuhand_bt.lab import state_folder
+    from scuhand_bt.run.options import check_controller
+    from scuhand_bt.study.odds import odds_of
+    from scuhand_bt.study.pool import all_trials, executor_of
+    from scuhand_bt.study.store import open_store
+    from scuhand_bt.study.trial import Setup
+    from scuhand_bt.study.vary import read_vary
+
+    if output is not None and output.suffix != ".csv":
+        raise typer.BadParameter("it writes CSV: name it .csv", param_hint="-o")
+    check_controller(controller)
+    made, loaded = the_plan(recipe, lab)
+    varied = read_vary(vary) if vary is not None else None
+    setup = Setup(recipe.absolute(), loaded.folder.absolute(), controller, plant)
+    draws = [setup] if varied is None else [_changed(setup, changes) for changes in varied.changes()]
+    tasks = [(draw, seed) for draw in draws for seed in range(first_seed, first_seed + trials)]
+    path = store or state_folder(loaded) / "studies.sqlite"
+    found: dict[Task, Trial] = {}
+    with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
+        going = all_trials(tasks, executor, kept)
+        for task, one in track(going, "trials", len(tasks), console=err, disable=not err.is_terminal):
+            found[task] = one
+    ordered = [(task, found[task]) for task in tasks]
+    if output is not None:
+        _write(output, ordered)
+    odds = odds_of(made, [one for _, one in ordered])
+    dominant = _dominant(varied, draws, ordered) if varied is not None else {}
+    if as_json:
+        print_json({**odds_values(odds), "draws": len(draws), "indices": dominant})
+        return
+    tell_odds(odds, made)
+    if dominant:
+        _tell_dominant(dominant, varied.design if varied is not None else "")
+    out.print(Text(f"Trials are kept in {path}"), soft_wrap=True)
+
+
+def _changed(setup: "Setup", changes: Any) -> "Setup":
+    from dataclasses import replace
+
+    return replace(setup, changes=changes)
+
+
+def tell_odds(odds: "Odds", plan: "Plan") -> None:
+    """The odds, as a person reads them."""
+    out.print(f"\nBy {odds.trials} dry runs (intervals of 90 %): it takes {_range(odds.duration_s, format_duration)}.")
+    table = Table("source", "scoops", "powder used", show_edge=False)
+    for name, scoops in odds.scoops.items():
+        table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), _range(odds.used_mg[name], format_mass))
+    if odds.scoops:
+        out.print(table)
+    sample_ids = {sample.id for sample in plan.recipe.samples}
+    likely = [chance.probability for name, chance in odds.samples.items() if name in sample_ids]
+    if likely:
+        out.print(f"In tolerance: {sum(likely):.1f} of {len(likely)} samples are to be expected.")
+    for name in odds.unlikely:
+        chance = odds.samples[name]
+        what = f"Warning: {name} is in tolerance with a probability of {chance.probability:.0%}"
+        out.print(Text(f"{what} ({chance.low:.0%} to {chance.high:.0%})."))
+    for code, count in odds.codes.items():
+        out.print(Text(f"{code}: {count:.2g} samples a run."))
+
+
+def _range(found: "Range", told: Any) -> str:
+    low, middle, high = told(found.low), told(found.middle), told(found.high)
+    return f"{middle} ({low} to {high})" if low != high else str(middle)
+
+
+def odds_values(odds: "Odds") -> dict[str, Any]:
+    """The odds for JSON."""
+    from dataclasses import asdict
+
+    return asdict(odds)
+
+
+def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Trial]]") -> dict[str, dict[str, Any]]:
+    """Of success and time: Sobol indices by place, or how each goes with the place (Spearman), where it is a range."""
+    from scuhand_bt.study.vary import goes_with
+
+    figures: dict[str, dict[Setup, list[float]]] = {"good": {}, "duration_s": {}}
+    for (setup, _), one in ordered:
+        good = sum(sample.good for sample in one.samples) / max(len(one.samples), 1)
+        figures["good"].setdefault(setup, []).append(good)
+        figures["duration_s"].setdefault(setup, []).append(one.duration_s)
+    means = {name: [sum(of[draw]) / len(of[draw]) for draw in draws] for name, of in figures.items()}
+    if vary.design == "sobol":
+        return {
+            name: {place: {"first": first, "total": total} for place, (first, total) in vary.indices(of).items()}
+            for name, of in means.items()
+        }
+    return {name: {p: {"rank": r} for p, r in goes_with(draws, of).items()} for name, of in means.items()}
+
+
+def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
+    columns = ("first", "total") if design == "sobol" else ("rank",)
+    heads = {"first": "Sobol, first order", "total": "Sobol, total", "rank": "rank correlation"}
+    for name, places in dominant.items():
+        table = Table(f"what {name} depends on", *(heads[column] for column in columns), show_edge=False)
+        for place, values in sorted(places.items(), key=lambda item: -abs(item[1][columns[-1]])):
+            table.add_row(place, *(f"{values[column]:.2f}" for column in columns))
+        out.print()
+        out.print(table)
+
+
+def _write(path: Path, ordered: "list[tuple[Task, Trial]]") -> None:
+    from dataclasses import asdict
+
+    places = list(dict.fromkeys(place for (setup, _), _ in ordered for place, _ in setup.changes))
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            table: csv.DictWriter[str] | None = None
+            for (setup, seed), one in ordered:
+                for sample in one.samples:
+                    row = {"seed": seed, "run_s": round(one.duration_s, 1), **dict(setup.changes), **asdict(sample)}
+                    if table is None:
+                        table = csv.DictWriter(file, ["seed", "run_s", *places, *asdict(sample)])
+                        table.writeheader()
+                    table.writerow(row)
+    except OSError as error:
+        raise SourceError([Problem(Mark(str(path)), f"cannot be written: {error.strerror}")]) from None

@@ -1,0 +1,213 @@
+"""The catalogue of what a check finds: every code with its meaning and remedy. `docs/findings.md` is made of it.
+
+    python -m scuhand_bt.findings docs    # writes docs/findings.md
+
+A code is stable: it stands in `# ok: CODE`, in JSON, and in the address of its section on that page.
+"""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One kind of finding."""
+
+    meaning: str
+    remedy: str
+    is_warning: bool = False
+
+
+def _warning(meaning: str, remedy: str) -> Finding:
+    return Finding(meaning, remedy, is_warning=True)
+
+
+FILES = "Files and their form"
+RECIPES = "Recipes"
+WORKFLOWS = "Workflows"
+SKILLS = "Skills"
+CELLS = "The cell and its vessels"
+
+SECTIONS: Mapping[str, Mapping[str, Finding]] = {
+    FILES: {
+        "unreadable": Finding("A file is not there, empty, too large, or no UTF-8 text.", "Save it anew, as UTF-8."),
+        "bad-yaml": Finding("A file is no plain YAML.", "Look at the indentation, brackets and quotes at this place."),
+        "wrong-shape": Finding("A list, a mapping or a text stands where another should.", "Write what is asked for."),
+        "unknown-key": Finding("A key that nothing reads, most often misspelt.", "Take one of the known keys."),
+        "missing-key": Finding("Something that must be said is not.", "Add the key."),
+        "bad-value": Finding(
+            "A value is not accepted: out of its range, or of another kind.", "Write what is allowed."
+        ),
+        "bad-unit": Finding("A quantity has no unit, or one of another dimension.", 'Write the unit: "50 mg", "2 h".'),
+        "unknown-name": Finding(
+            "A name that the lab, or the recipe, does not have.", "Take one that it has, or add it."
+        ),
+        "unknown-code": Finding("A failure code that nothing defines.", "`scuhand-bt explain` lists all of them."),
+        "no-lab": Finding("The folder is no lab.", "A lab has robot/cell.yaml; `scuhand-bt init DIR` makes one."),
+        "unused-silencer": _warning(
+            "`# ok: CODE` stands on a line on which there is no such warning.", "Take it away, or correct the code."
+        ),
+    },
+    RECIPES: {
+        "bad-id": Finding("A text is no id, or could be taken for another.", "Letters of one script, digits, . _ - +."),
+        "duplicate-id": Finding("Two samples have one id, or ids that look alike.", "Give each an id of its own."),
+        "bad-table": Finding("A CSV file is no table of samples.", "A header with `id`, then one sample a row."),
+        "table-elsewhere": Finding("A table is neither beside the recipe nor in the lab.", "Put it beside the recipe."),
+        "uneven-lists": Finding("Lists side by side are not of one length, or empty.", "As many values in each."),
+        "bad-repeat": Finding("`repeat` is no number of samples, or stands beside a list.", "A number, or a list."),
+        "too-many-samples": Finding("A recipe of more samples than can be run.", "Split it."),
+        "misplaced-default": Finding(
+            "`defaults` holds a key of the recipe, or of a sample, that is no input of a workflow.",
+            "Write `workflow` at the top of the recipe; `id`, `repeat` and `table` belong to each sample.",
+        ),
+        "unknown-input": Finding(
+            "A sample's key, or a default, that no workflow has as an input.", "Take an input's name."
+        ),
+        "percent-of-nothing": Finding("A tolerance in percent, and no mass beside it.", "Write it as a mass."),
+        "bad-action": Finding("`on_failure` names an action that there is not.", "flag, skip_sample, redo, ask, stop."),
+        "station-taken": Finding("Two sources stand at one station.", "Give each a station of its own."),
+        "mortars-overlap": Finding("Two sources' mortars stand in one another.", "Move a station."),
+        "bad-mass": Finding("A mass is zero or less.", "Ask for more than 0."),
+        "fine-tolerance": Finding(
+            "A tolerance below what the balance can tell.", "At least two digits of the balance."
+        ),
+        "wide-tolerance": Finding("A tolerance as large as its mass.", "A smaller tolerance, or a larger mass."),
+        "too-heavy": Finding("Container and powder are beyond the balance's maximum.", "Less, or a lighter container."),
+        "container-overfull": Finding("More goes into a container than it holds.", "Less, or a larger container."),
+        "source-overfull": Finding(
+            "A source's amount does not fit into its mortar.", "Correct the amount or the mortar."
+        ),
+        "source-short": Finding(
+            "A source holds less than its samples need, with losses.", "More powder, or less samples."
+        ),
+        "out-of-reach": Finding(
+            "The arm does not reach a place with the cone upright.", "`scuhand-bt reach` draws it."
+        ),
+        "no-path": Finding(
+            "The arm cannot stand at a place, or has no way to it.", "Move the station or the obstacle."
+        ),
+        "not-asked": Finding(
+            "A workflow doses another mass, or more coarsely, than its sample asks.", "Wire $mass and $tolerance."
+        ),
+        "unknown-demand": Finding(
+            "How much a sample takes of which of its sources cannot be told before the run.",
+            "Dispense a mass that is written, or an input of the workflow.",
+        ),
+        "unknown-sheet": Finding(
+            "Which powder the sheet has touched after a fallback cannot be told.", "One powder, or a sequence."
+        ),
+        "service-workflow": Finding(
+            "A workflow that the engine calls has other inputs than it gives.", "`source` alone."
+        ),
+        "needs-person": Finding("A plan that is to be unattended needs a person.", "`scuhand-bt plan` lists why."),
+        "no-driver": Finding("A device that only simulations have.", "Another driver, for the real cell."),
+        "unused-source": _warning("No sample takes from a source.", "Take it away, or name it in a sample."),
+        "on-failure-never": _warning(
+            "`on_failure` names a code that nothing in this recipe fails with.", "Look for the code that was meant."
+        ),
+    },
+    WORKFLOWS: {
+        "bad-node": Finding(
+            "Something stands in a tree that is no node, or not of its form.", "One key with its values."
+        ),
+        "unknown-parameter": Finding(
+            "A call gives a value that the skill or workflow does not take.", "See its parameters."
+        ),
+        "missing-parameter": Finding("A call lacks a value that must be given.", "Give it."),
+        "unknown-value": Finding("`$name` is no input, and no result before it.", "Take a name that there is."),
+        "unset-value": Finding("`$name` has a value on another way only.", "Set it on every way that leads here."),
+        "unknown-attribute": Finding("`$name.attribute`: values of this type have no such attribute.", "See the type."),
+        "wrong-type": Finding("A value of one type is wired to a parameter of another.", "Wire what is asked for."),
+        "bad-reference": Finding("A text with $ that is no reference.", "$name or $name.attribute."),
+        "bad-name": Finding("A text that cannot be a name.", "Letters, digits and _, not beginning with a digit."),
+        "name-taken": Finding("A name that means something else already.", "Another name."),
+        "name-mismatch": Finding("A workflow is called otherwise than its file.", "Call it as its file."),
+        "no-result": Finding("`as` keeps the result of what has none.", "Leave `as` out."),
+        "unknown-type": Finding("An input of a type that there is not.", "Take one of the types."),
+        "input-type": Finding("`mass` and `tolerance` are masses.", "Mass, or another name."),
+        "circle": Finding("Workflows call each other in a circle.", "Take one of the calls away."),
+        "too-large": Finding("A tree of more nodes than can be run.", "Use `repeat`."),
+        "parallel-devices": Finding("Two children of a `parallel` command one device.", "Use `sequence`."),
+        "no-condition": Finding("A guard that is no condition.", "Take a condition, such as `cone_holds`."),
+        "bad-count": Finding("A count or a duration of zero or less.", "More than 0."),
+        "unused-input": _warning("Nothing reads an input.", "Wire it, or leave it out."),
+        "unused-result": _warning("Nothing reads a result that `as` keeps.", "Wire it, or leave `as` out."),
+        "shadowed-name": _warning("`as` gives a name another value, and the first one is lost.", "A name of its own."),
+        "retry-never": _warning(
+            "`retry: {on: …}` names a code that nothing below it fails with.", "Look for the code that was meant."
+        ),
+        "unreachable-branch": _warning(
+            "A fallback goes no further than a child that never fails.", "Put what can fail first."
+        ),
+        "short-timeout": _warning("A `timeout` is over before its child can be done.", "A longer time."),
+        "no-tare": _warning(
+            "A workflow doses into a container that was not weighed empty; the dose will be refused.",
+            "`tare:` after `place_container`.",
+        ),
+        "no-container": _warning(
+            "A workflow weighs a container before one is on the pan; it will be refused.",
+            "`place_container:` before it.",
+        ),
+        "not-over-pan": _warning(
+            "A workflow doses, and the arm was not sent over the pan.", "`move_over:` before the dose."
+        ),
+        "no-park": _warning("A workflow leaves the arm where its last action was.", "`park:` at the end."),
+    },
+    SKILLS: {
+        "skill-import": Finding("A skill's file cannot be imported.", "Python says why, and in which line."),
+        "skill-class": Finding("A skill's file has not one whole Skill class.", "One class, with `run` or `check`."),
+        "skill-docstring": Finding("A skill does not say what it is for.", "One line, in its docstring."),
+        "skill-devices": Finding("`devices` or `watches` is no tuple of devices.", 'devices = ("hand",)'),
+        "skill-failures": Finding("A failure code that nobody has explained.", "Give it in the skill's `failures`."),
+        "skill-signature": Finding("A method takes other values than the engine gives.", "def run(self, cell)"),
+        "skill-generator": Finding("`run` does not wait for anything: it is no generator.", "`yield from …`"),
+        "skill-yield": Finding("A skill yields what is no `Wake`.", "`yield from pause(cell, 1.0)`"),
+        "skill-not-waited": Finding(
+            "The steps of a device are made, and nobody takes them.", "`yield from` before it."
+        ),
+        "skill-finally": Finding(
+            "A skill waits in `finally`, where it may be halted.", "Only send safe commands there."
+        ),
+        "skill-clock": Finding(
+            "A skill uses the computer's clock, which is not the run's.", "`pause`, `cell.clock.now_s`"
+        ),
+        "skill-interrupted": Finding("`interrupted` is no way to take an action up.", '"repeat", "reweigh" or "ask"'),
+        "skill-unknown-member": Finding("A device, or the cell, has no such method or value.", "See its interface."),
+        "skill-lease": Finding("A skill uses a device that it does not lease.", "Add it to `devices`."),
+        "skill-forecast": Finding("A skill's `forecast` breaks.", "It may be given none, or some, of the inputs."),
+        "skill-raises": _warning("A skill fails with a code that its `raises` does not name.", "Add it to `raises`."),
+        "skill-unit": _warning("A number without a unit is a parameter.", "Milligrams, Seconds, …, or Ratio."),
+    },
+    CELLS: {
+        "missing-station": Finding("The cell has no balance, no waste or no park.", "Add the station."),
+        "port-taken": Finding("Two devices are on one port.", "Give each its own."),
+        "implausible-size": _warning("A vessel's sizes do not go together.", "Look at the units."),
+    },
+}
+
+FINDINGS: Mapping[str, Finding] = {code: one for section in SECTIONS.values() for code, one in section.items()}
+
+
+def page() -> str:
+    """The documentation page of all findings."""
+    parts = [_HEAD]
+    for title, findings in SECTIONS.items():
+        parts.append(f"## {title}\n")
+        for code, finding in findings.items():
+            kind = "Warning. " if finding.is_warning else ""
+            parts.append(f"### {code}\n\n{kind}{finding.meaning} What to do: {finding.remedy}\n")
+    return "\n".join(parts)
+
+
+_HEAD = """\
+# What `check` finds
+
+Made by `python -m scuhand_bt.findings docs`. `scuhand-bt explain CODE` says the same. How they are shown, silenced and
+made strict is in [checking.md](checking.md).
+"""
+
+
+if __name__ == "__main__":
+    Path(sys.argv[1], "findings.md").write_text(page(), encoding="utf-8")

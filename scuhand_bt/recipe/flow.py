@@ -1,0 +1,260 @@
+"""What a sample's workflow does with powder: where each dose goes to, of which source, and how much.
+
+The tree is followed with the values that are known before the run, through all that it calls and along all of its ways
+at once. What matters is what is wired where, by its type, and not what it is called: a dose is of the source, and into
+the container, that were named last before it, as values of the types `Source` and `Container`. A condition that is
+given a powder names the source of that powder.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from scuhand_bt.failures import Code
+from scuhand_bt.problems import Mark, Problems
+from scuhand_bt.skill import Condition
+from scuhand_bt.specs import Container, Powder, Source
+from scuhand_bt.tree.build import Scope, bound_inputs
+from scuhand_bt.tree.check import Library, literal, resolve_percent
+from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode
+
+DOSING = {"hand", "balance"}
+"""What a skill must command to dose: the valve, and what weighs the powder."""
+TARGET, TOLERANCE = "mass", "tolerance"
+"""What a dosing skill calls what it is asked for; its target may have any name, if it is its only mass."""
+
+
+@dataclass(frozen=True)
+class Pour:
+    """A dose: what is dispensed towards, into what, of what, and where that is written.
+
+    None is what is known only when it runs; a container or source "" is one that was never named.
+    """
+
+    container: str | None
+    source: str | None
+    lot: str | None
+    mass_mg: float | None
+    tolerance_mg: float | None
+    mass_mark: Mark
+    tolerance_mark: Mark
+    mass_input: str | None = None
+    """The sample's input that its mass is, if it is one."""
+
+    @property
+    def place(self) -> tuple[str | None, str | None]:
+        """As in a run, the last dose of a lot into a container counts for both."""
+        return self.container, self.lot
+
+
+@dataclass(frozen=True)
+class Flow:
+    """All doses of a workflow in their order, and those that may be the last of their place."""
+
+    pours: tuple[Pour, ...] = ()
+    last: frozenset[Pour] = frozenset()
+
+
+@dataclass(frozen=True)
+class _Reached:
+    """What may hold at a place of the tree: the container and source named last, and the last doses of each."""
+
+    containers: frozenset[str | None]
+    sources: frozenset[str | None]
+    last: frozenset[Pour] = frozenset()
+
+    def __or__(self, other: "_Reached") -> "_Reached":
+        return _Reached(self.containers | other.containers, self.sources | other.sources, self.last | other.last)
+
+
+@dataclass(frozen=True)
+class _Names:
+    """The values that a workflow's names are known to have, and where those were written that it was given."""
+
+    scope: Scope
+    marks: Mapping[str, Mark]
+    inputs: Mapping[str, str]
+    """The sample's inputs that the names stand for."""
+
+    def mark_in(self, node: Call, key: str) -> Mark:
+        """Where a value that is given to a call was written; the call itself, where it is given none."""
+        argument = node.arguments.get(key)
+        if argument is None:
+            return node.mark
+        if isinstance(argument, Reference) and not argument.attributes:
+            return self.marks.get(argument.name, argument.mark)
+        return argument.mark
+
+    def input_in(self, node: Call, key: str) -> str | None:
+        """The sample's input that a call is given as it is."""
+        argument = node.arguments.get(key)
+        is_whole = isinstance(argument, Reference) and not argument.attributes
+        return self.inputs.get(argument.name) if isinstance(argument, Reference) and is_whole else None
+
+
+def sources_of(inputs: Mapping[str, Any]) -> list[Source]:
+    """The sources among the inputs of a workflow, each once."""
+    return list({value.name: value for value in inputs.values() if isinstance(value, Source)}.values())
+
+
+def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems: Problems) -> Flow:
+    """What a checked workflow doses with these inputs; notes what of it must be known before the run, and is not."""
+    follower = _Follower(library, {source.name: source for source in sources_of(inputs)}, problems)
+    begin = _Reached(frozenset({""}), frozenset(follower.sources if len(follower.sources) == 1 else {""}))
+    names = _Names(Scope(dict(inputs)), {}, {key: key for key in inputs})
+    reached = follower.of(library.workflows[workflow].tree, names, begin, None)
+    follower.refuse_mere_scoops()
+    return Flow(tuple(follower.pours), reached.last)
+
+
+def known(arguments: Mapping[str, Argument], scope: Scope, library: Library, name: str | None = None) -> dict[str, Any]:
+    """The arguments whose values are known before the run: literals, and what stems from the workflow's inputs.
+
+    They are those of a call of the skill or workflow `name`; of a decorator, without one.
+    """
+    wires = PARAMETERS if name is None else {key: p.wire for key, p in library.parameters(name).items()}
+    values: dict[str, Any] = {}
+    for key, argument in arguments.items():
+        if not isinstance(argument, Reference):
+            values[key] = literal(key, wires[key], argument, library)
+        elif argument.name in scope.values:
+            values[key] = scope.read(argument)
+    return resolve_percent(values)
+
+
+class _Follower:
+    def __init__(self, library: Library, sources: Mapping[str, Source], problems: Problems) -> None:
+        self.sources = sources
+        self.pours: list[Pour] = []
+        self._library = library
+        self._problems = problems
+        self._scoops: dict[str, Call] = {}
+        """By source, what scoops from it, as the sample's own workflow calls it."""
+
+    @property
+    def is_mixed(self) -> bool:
+        return len(self.sources) > 1
+
+    def of(self, node: TreeNode, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+        """What may hold once a node has succeeded; `at` is the call of the sample's own workflow that it is below."""
+        if isinstance(node, Call):
+            return self._of_call(node, names, reached, at or node)
+        if isinstance(node, Decorator):
+            after = self.of(node.child, names, reached, at)
+            return reached | after if node.kind in ("optional", "invert") else after
+        if node.kind == "fallback":
+            return self._of_fallback(node, names, reached, at)
+        for child in node.children:
+            reached = self.of(child, names, reached, at)
+        return reached
+
+    def _of_fallback(self, node: Branch, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+        """Any of its children may end it, after those before had failed at any of their steps."""
+        ends: list[_Reached] = []
+        lots: list[set[str | None]] = []
+        for child in node.children:
+            before = len(self.pours)
+            ends.append(self.of(child, names, reached, at))
+            reached |= ends[-1]
+            lots.append({pour.lot for pour in self.pours[before:]})
+        touched = set[str | None]().union(*lots) - {""}
+        if self.is_mixed and sum(bool(of_child) for of_child in lots) > 1 and len(touched) > 1:
+            which = ", ".join(sorted(lot or "?" for lot in touched))
+            what = f"which of {which} the sheet has touched after this fallback is known only when it runs"
+            self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence", code="unknown-sheet")
+        first, *others = ends
+        for other in others:
+            first |= other
+        return first
+
+    def _of_call(self, node: Call, names: _Names, reached: _Reached, at: Call) -> _Reached:
+        library = self._library
+        given = known(node.arguments, names.scope, library, node.name)
+        reached = self._named(node, given, reached)
+        if node.name in library.skills:
+            return self._of_skill(node, names, given, reached, at)
+        workflow = library.workflows[node.name]
+        inner = Scope(bound_inputs(workflow, given, library, node.arguments.keys() - given.keys()))
+        marks = {key: names.mark_in(node, key) for key in workflow.inputs}
+        inputs = {key: stems for key in workflow.inputs if (stems := names.input_in(node, key)) is not None}
+        return self.of(workflow.tree, _Names(inner, marks, inputs), reached, at)
+
+    def _named(self, node: Call, given: Mapping[str, Any], reached: _Reached) -> _Reached:
+        """After the containers, sources and powders of a call have been named."""
+        parameters = self._library.parameters(node.name)
+        containers: set[str | None] = set()
+        sources: set[str | None] = set()
+        for key in node.arguments:
+            python, value = parameters[key].wire.python, given.get(key)
+            if python is Container:
+                containers.add(value.id if isinstance(value, Container) else None)
+            elif python is Source:
+                sources.add(value.name if isinstance(value, Source) else self._unknown_source(node, key, reached))
+            elif python is Powder and isinstance(value, Powder) and issubclass(self._skill(node.name), Condition):
+                of_powder = {name for name, source in self.sources.items() if source.powder.name == value.name}
+                sources |= of_powder & reached.sources or of_powder
+        return replace(
+            reached,
+            containers=frozenset(containers) or reached.containers,
+            sources=frozenset(sources) or reached.sources,
+        )
+
+    def _skill(self, name: str) -> type:
+        return self._library.skills.get(name, object)
+
+    def _unknown_source(self, node: Call, key: str, reached: _Reached) -> str | None:
+        """What only the run can tell is one of several; said once, where it is wired first."""
+        if not self.is_mixed:
+            return next(iter(self.sources), None)
+        if None not in reached.sources:
+            what = f"which source '{node.name}' is given is known only when it runs: {node.arguments[key]}"
+            remedy = "an input of this workflow can be told before"
+            self._problems.add(node.argument_marks[key], what, remedy, code="unknown-demand")
+        return None
+
+    def _of_skill(self, node: Call, names: _Names, given: Mapping[str, Any], reached: _Reached, at: Call) -> _Reached:
+        skill = self._library.skills[node.name]
+        if Code.SOURCE_EMPTY in skill.raises:
+            self._scoops.update({source: at for source in reached.sources if source})
+        target = self._target_of(node.name)
+        if not DOSING.issubset(skill.devices) or target is None:
+            return reached
+        defaults = {info.alias or name: info.default for name, info in skill.model_fields.items()}
+        values = {key: given.get(key) if key in node.arguments else defaults.get(key) for key in (target, TOLERANCE)}
+        mass_mg, tolerance_mg = (value if isinstance(value, float) else None for value in values.values())
+        mass_mark, tolerance_mark = (names.mark_in(node, key) for key in values)
+        if mass_mg is None and self.is_mixed and None not in reached.sources:
+            what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
+            self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
+        stems = names.input_in(node, target)
+        pours = frozenset(
+            Pour(container, source, self._lot(source), mass_mg, tolerance_mg, mass_mark, tolerance_mark, stems)
+            for container in reached.containers
+            for source in reached.sources
+        )
+        self.pours += sorted(pours, key=lambda pour: (pour.container or "", pour.source or ""))
+        places = {pour.place for pour in pours}
+        is_certain = len(places) == 1 and not any(None in place for place in places)
+        return replace(
+            reached, last=pours | {pour for pour in reached.last if not (is_certain and pour.place in places)}
+        )
+
+    def _target_of(self, name: str) -> str | None:
+        """What a dosing skill is asked for: its `mass`, else the only mass that it must be given."""
+        parameters = self._library.parameters(name)
+        masses = [key for key, p in parameters.items() if p.wire.name == "Mass" and (p.required or key == TARGET)]
+        return TARGET if TARGET in masses else masses[0] if len(masses) == 1 else None
+
+    def _lot(self, source: str | None) -> str | None:
+        return self.sources[source].sheet_key if source else source
+
+    def refuse_mere_scoops(self) -> None:
+        """What is scooped from one of several sources and never dosed cannot be reckoned with."""
+        dosed = {pour.source for pour in self.pours}
+        for source, at in self._scoops.items():
+            if self.is_mixed and source not in dosed:
+                what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
+                self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
+
+
+TOLD_BEFORE = "dispense a mass that is written, or an input of the workflow"

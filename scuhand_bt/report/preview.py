@@ -1,0 +1,115 @@
+"""What a plan will come to, as one page that needs nothing from elsewhere: `scuhand-bt plan RECIPE --html FILE`.
+
+The order and what each job needs are the plan's, what is to be expected of it its odds' (`study/odds.py`), and the arm
+moves as in a dry run of it.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from scuhand_bt.journal.reader import open_contents
+from scuhand_bt.lab import Lab
+from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.recipe.plan import CHANGE_POWDER, Plan
+from scuhand_bt.report import viewer
+from scuhand_bt.report.page import rendered
+from scuhand_bt.report.run_scene import run_motions, scene_of
+from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
+from scuhand_bt.study.odds import COVERED, Odds, Range
+
+
+def preview(plan: Plan, lab: Lab, odds: Odds) -> str:
+    """The page. Raises as `Session` for a plan that no dry run can be made of."""
+    motions = _motions(plan, lab)
+    recipe, sources = plan.recipe, plan.recipe.sources.values()
+    good = sum(chance.probability for chance in odds.samples.values())
+    return rendered(
+        "preview.html",
+        recipe=recipe.name,
+        trials=odds.trials,
+        covered=f"{COVERED:.0%}",
+        figures=[
+            ("time", _range(odds.duration_s, format_duration)),
+            ("samples in tolerance", f"{good:.1f} of {len(recipe.samples)}"),
+            ("sheet swaps", str(plan.swaps)),
+            ("times that a person is needed", str(sum(person.job is not None for person in plan.persons))),
+        ],
+        jobs=list(_jobs(plan, odds)),
+        powders=list(_powders(plan, odds)),
+        failures=[(code, f"{count:.2g}") for code, count in odds.codes.items()],
+        persons=list(_persons(plan, odds)),
+        packed=viewer.packed(
+            scene_of(lab, {one.station: one.mortar for one in sources}, {one["cone_mm"] for one in motions}),
+            motions,
+            "The arm's motions in the batch, job by job",
+        ),
+    )
+
+
+def _motions(plan: Plan, lab: Lab) -> Sequence[Mapping[str, Any]]:
+    """How the arm moves in a dry run."""
+    with tempfile.TemporaryDirectory(prefix="scuhand-plan-") as folder:
+        session = Session(plan, lab, Options(DryRun(0), None, Path(folder) / "runs"))
+        try:
+            session.run(BatchObserver())
+        finally:
+            session.close()
+        with open_contents(session.journal.path) as contents:
+            return run_motions(contents)
+
+
+def _range(found: Range, words: Callable[[float], str]) -> str:
+    low, middle, high = words(found.low), words(found.middle), words(found.high)
+    return f"{middle} ({low} to {high})" if low != high else middle
+
+
+def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
+    for number, job in enumerate(plan.jobs, start=1):
+        sample = job.sample
+        mass_mg = sample.mass_mg if sample is not None else None
+        tolerance_mg = sample.tolerance_mg if sample is not None else None
+        chance = odds.samples.get(sample.id) if sample is not None else None
+        yield {
+            "is_swap": job.workflow == CHANGE_POWDER,
+            "cells": [
+                str(number),
+                job.name,
+                job.workflow,
+                ", ".join(source.name for source in sample.sources) if sample is not None else "",
+                sample.container.name if sample is not None and sample.container is not None else "",
+                format_mass(mass_mg) if mass_mg is not None else "",
+                f"± {tolerance_mg:g} mg" if tolerance_mg is not None else "",
+                _range(odds.began_s[job.name], format_duration),
+                f"{chance.probability:.0%} ({chance.low:.0%} to {chance.high:.0%})" if chance is not None else "",
+            ],
+        }
+
+
+def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:
+    for demand in plan.demands:
+        source = demand.source
+        yield [
+            source.name,
+            source.powder.name + (f", lot {source.lot}" if source.lot else ""),
+            source.station,
+            str(demand.samples),
+            _range(odds.scoops[source.name], lambda count: f"{count:.0f}"),
+            format_mass(demand.needed_mg),
+            _range(odds.used_mg[source.name], format_mass),
+            format_mass(source.amount_mg),
+        ]
+
+
+def _persons(plan: Plan, odds: Odds) -> Iterator[list[str]]:
+    """Every moment of the plan that needs a person, with when its job begins."""
+    yield ["before the start", "", "the sources filled and in their places, a fresh sheet in the hand"]
+    for person in plan.persons:
+        if person.job is None:
+            yield ["if a sample fails", "", person.what]
+        else:
+            yield [f"after {_range(odds.began_s[person.job], format_duration)}", person.job, person.what]

@@ -1,0 +1,210 @@
+"""All that `run` refuses before it moves, and what is most likely not meant, found at once and without moving.
+
+One pass goes over the lab, its skills and workflows, the recipe with its tables, the plan, and the ways of the arm.
+What is wrong in a file of the lab that the recipe does not use is told as a warning: it breaks nothing here.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import scuhand_bt
+from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, read_lab, state_folder
+from scuhand_bt.problems import Problem, Problems, SourceError
+from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
+from scuhand_bt.recipe.recipe import Recipe, read_recipe
+from scuhand_bt.silencers import without_silenced
+from scuhand_bt.skill import SkillFailed
+from scuhand_bt.tree.check import check_workflows
+from scuhand_bt.tree.grammar import Call, walk
+from scuhand_bt.tree.lint import Lint
+
+OF_ROOTS = ("no-container", "no-tare", "not-over-pan", "no-park", "on-failure-never", "unused-source")
+"""Warnings that depend on what a recipe names."""
+PLANNED = "planned.json"
+"""In the lab's state: cells whose ways were all found, by their hash."""
+MOST_PLANNED = 50
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What was found, in the order of the files, and the plan, if nothing is wrong with it."""
+
+    problems: tuple[Problem, ...]
+    lab: Lab
+    plan: Plan | None
+
+    @property
+    def errors(self) -> tuple[Problem, ...]:
+        return tuple(problem for problem in self.problems if not problem.is_warning)
+
+
+def check(folder: Path, recipe: Path | None, *, fast: bool = False) -> Checked:
+    """Check a lab, and a recipe of it; `fast` leaves out the planning of the arm's ways.
+
+    SourceError for a folder that is no lab.
+    """
+    lab = read_lab(folder)
+    of_lab = Problems(list(lab.problems))
+    check_workflows(lab.library, lab.library.workflows, of_lab)
+    of_recipe = Problems()
+    read = _read(recipe, lab, of_recipe) if recipe is not None else None
+    lint = Lint(lab.library, lab.cell, SERVICE, of_lab)
+    used = {sample.workflow for sample in read.samples} if read is not None else set()
+    sound = _sound(lab, of_lab.errors)
+    lint.check(sorted(sound), _uncalled(lab) if recipe is None else used)
+    plan = None
+    if read is not None:
+        if used and used <= sound:
+            _check_on_failure(read, lint, used, of_recipe)
+        check_service_workflows(read, lab, of_recipe)
+        if lab.has_cell and not of_recipe.errors:
+            plan = _plan(read, lab, of_recipe, fast=fast)
+    problems = _merged(lab, of_lab.found, of_recipe.found, has_recipe=recipe is not None)
+    files = [*files_of(lab.folder / "trees", "*.yaml"), *files_of(lab.folder / "skills", "*.py")]
+    files += [*files_of(lab.folder / "robot", "*.yaml"), *([recipe] if recipe is not None else [])]
+    unsure = OF_ROOTS if recipe is None else ()
+    found = SourceError(without_silenced(problems, files, unsure)).problems
+    return Checked(tuple(found), lab, plan)
+
+
+def _merged(lab: Lab, of_lab: list[Problem], of_recipe: list[Problem], *, has_recipe: bool) -> Iterator[Problem]:
+    """The problems of both; an error of the lab that breaks nothing of the recipe is a warning."""
+    yield from of_recipe
+    cell = str(lab.folder / CELL_FILE)
+    told = {(problem.mark, problem.message) for problem in of_recipe}
+    for problem in of_lab:
+        if (problem.mark, problem.message) not in told:
+            is_error = not has_recipe or (not lab.has_cell and problem.mark.file == cell)
+            yield problem if is_error else replace(problem, is_warning=True)
+
+
+def _read(path: Path, lab: Lab, problems: Problems) -> Recipe | None:
+    try:
+        return read_recipe(path, lab, problems)
+    except SourceError as error:
+        problems.found += error.problems
+        return None
+
+
+def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan | None:
+    try:
+        plan = make_plan(recipe, lab)
+    except SourceError as error:
+        problems.found += error.problems
+        return None
+    if not fast:
+        _check_ways(plan, lab, problems)
+    return plan
+
+
+def _sound(lab: Lab, errors: Collection[Problem]) -> set[str]:
+    """The workflows in which, and in all that they call, nothing is wrong."""
+    library, trees = lab.library, lab.folder / "trees"
+    wrong = {Path(problem.mark.file).stem for problem in errors if Path(problem.mark.file).parent == trees}
+    calls = {name: _called(lab, name) for name in library.workflows}
+    known = {*library.skills, *library.workflows}
+    wrong |= {name for name, called in calls.items() if called - known}
+    while more := {name for name, called in calls.items() if name not in wrong and called & wrong}:
+        wrong |= more
+    return set(library.workflows) - wrong
+
+
+def _called(lab: Lab, name: str) -> set[str]:
+    return {part.name for part in walk(lab.library.workflows[name].tree) if isinstance(part, Call)}
+
+
+def _uncalled(lab: Lab) -> set[str]:
+    """The workflows that no other calls: they are meant to be run as they are."""
+    workflows = lab.library.workflows
+    return set(workflows).difference(*(_called(lab, name) - {name} for name in workflows))
+
+
+def _check_on_failure(recipe: Recipe, lint: Lint, used: Collection[str], problems: Problems) -> None:
+    library = lint.library
+    trees = [library.workflows[name].tree for name in (*used, *SERVICE) if name in library.workflows]
+    raised = frozenset[str]().union(*map(lint.codes, trees))
+    for code in recipe.on_failure:
+        mark = recipe.marks.get(f"on_failure.{code}")
+        if mark is not None and code != "otherwise" and code in library.failures() and code not in raised:
+            what = f"nothing in this recipe's workflows fails with {code}"
+            problems.warn(mark, what, "leave it out, or look for the code that was meant", code="on-failure-never")
+
+
+# --- the ways of the arm
+
+
+def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
+    """Find all ways between the plan's places, as a run does; what was found before is not looked for again."""
+    key = _key(plan, lab)
+    if key in _planned(lab):
+        return
+    from scuhand_bt.run.make_cell import prepared_motion
+
+    try:
+        prepared_motion(plan, lab, for_real=True)
+    except SourceError as error:
+        problems.found += error.problems
+    except SkillFailed as failure:
+        blocked = list(_blocked(plan, lab)) or [Problem(cell_mark(lab), failure.detail, "no-path")]
+        problems.found += blocked
+    else:
+        _note_planned(lab, key)
+
+
+def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
+    """Each place that cannot be reached from the park station, where it is written."""
+    import numpy as np
+
+    from scuhand_bt.motion import ApexPose
+    from scuhand_bt.run.make_cell import places_of
+
+    mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
+    park = lab.cell.station_of_kind("park").name
+    places = places_of(plan, lab)
+    for name in places:
+        motion = lab.motion_planner(mortars)
+        try:
+            for place in dict.fromkeys((park, name)):
+                motion.add_place(place, ApexPose(np.array(places[place]) / 1000))
+            motion.home()
+            motion.prepare()
+        except SkillFailed as failure:
+            station = name.split("+")[0]
+            mark = cell_mark(lab, "stations", station, "position")
+            yield Problem(mark, f"{failure.detail}; move the station, or what is in the way", "no-path")
+
+
+def _key(plan: Plan, lab: Lab) -> str:
+    """What the ways depend on, as a hash."""
+    kinds = sorted({repr(kind.kind) for sample in plan.recipe.samples for kind in sample.all_containers})
+    sources = [
+        (
+            source.station,
+            source.mortar,
+            source.powder.load_limit_mg,
+            source.powder.repose_deg,
+            source.powder.wall_friction_deg,
+        )
+        for source in plan.recipe.sources.values()
+    ]
+    depends = (scuhand_bt.__version__, lab.urdf, lab.cell, sorted(map(repr, sources)), kinds)
+    return hashlib.sha256(repr(depends).encode()).hexdigest()
+
+
+def _planned(lab: Lab) -> list[str]:
+    with suppress(OSError, ValueError):
+        found = json.loads((state_folder(lab) / PLANNED).read_text(encoding="utf-8"))
+        return [key for key in found if isinstance(key, str)] if isinstance(found, list) else []
+    return []
+
+
+def _note_planned(lab: Lab, key: str) -> None:
+    """For the next check; a lab that cannot be written is planned anew each time."""
+    with suppress(OSError):
+        folder = state_folder(lab)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / PLANNED).write_text(json.dumps([*_planned(lab), key][-MOST_PLANNED:]), encoding="utf-8")

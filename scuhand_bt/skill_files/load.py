@@ -1,0 +1,156 @@
+"""A lab's skills, imported from its files under one constant package name, `scuhand_lab`, whose `__path__` is the lab.
+
+A file that is wrong takes its own skill away and no other.
+"""
+
+import importlib
+import inspect
+import sys
+import traceback
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from scuhand_bt.failures import CATALOGUE, Failure
+from scuhand_bt.problems import Broken, Mark, Problems, shorten
+from scuhand_bt.skill import DEVICES, Condition, Skill
+from scuhand_bt.skill_files.facts import SkillFacts, facts_of, parsed, raised_codes
+from scuhand_bt.skill_files.source_check import check_source
+
+PACKAGE = "scuhand_lab"
+
+
+@dataclass
+class LoadedSkills:
+    """The skills that can be used, and what their files say of them."""
+
+    skills: dict[str, type[Skill[Any]]] = field(default_factory=dict)
+    facts: dict[str, SkillFacts] = field(default_factory=dict)
+
+
+def load_skills(folder: Path, paths: list[Path], problems: Problems, broken: Broken) -> LoadedSkills:
+    """Import the skills of a lab's folder from these files; what is wrong with one is noted, and the skill `broken`."""
+    _mount(folder)
+    loaded = LoadedSkills()
+    shared = {code for path in paths if path.stem.startswith("_") for code in _codes_in(path)}
+    for path in (path for path in paths if not path.stem.startswith("_")):
+        of_file = Problems()
+        skill = _load(path, of_file)
+        if skill is not None:
+            _check_class(skill, Mark(str(path), inspect.findsource(skill)[1] + 1), of_file)
+        if skill is not None and not of_file.errors:
+            tree = parsed(path)
+            of_file.found += check_source(skill, tree, sys.modules[f"{PACKAGE}.skills.{path.stem}"], str(path)).found
+            _check_codes(skill, raised_codes(tree, str(path)), of_file)
+            loaded.facts[path.stem] = facts_of(skill, tree, shared)
+        problems.found += of_file.found
+        if of_file.errors or skill is None:
+            broken.add("skill", path.stem, of_file.errors)
+        else:
+            loaded.skills[path.stem] = skill
+    return loaded
+
+
+def _codes_in(path: Path) -> Iterator[str]:
+    try:
+        yield from raised_codes(parsed(path), "")
+    except (SyntaxError, ValueError, OSError):  # said of each skill that imports it
+        return
+
+
+def _load(path: Path, problems: Problems) -> type[Skill[Any]] | None:
+    module_name = f"{PACKAGE}.skills.{path.stem}"
+    try:
+        module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as error:  # a lab's file may fail in any way; the user is told where
+        what = f"the skill cannot be loaded: {type(error).__name__}: {error}"
+        problems.add(_where(error, path), what, code="skill-import")
+        return None
+    found = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type)
+        and issubclass(value, Skill)
+        and value.__module__ == module_name
+        and not value.__pydantic_generic_metadata__["args"]  # pydantic's own class for Skill[Dose]
+    ]
+    if len(found) != 1:
+        names = ", ".join(cls.__name__ for cls in found) or "none"
+        problems.add(Mark(str(path)), f"a skill's file holds one Skill class; here: {names}", code="skill-class")
+        return None
+    return found[0]
+
+
+def _check_class(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> None:
+    """What Python does not check of a skill's class, and would otherwise come up in the middle of a run."""
+    name = skill.__name__
+    if not skill.__doc__:
+        problems.add(mark, f"{name} has no docstring", "one line that says what it is for", code="skill-docstring")
+    if inspect.isabstract(skill):
+        missing = ", ".join(sorted(skill.__abstractmethods__))
+        problems.add(mark, f"{name} has no '{missing}'", f"def {missing}(self, cell: Cell)", code="skill-class")
+    for code, failure in skill.failures.items() if isinstance(skill.failures, Mapping) else [("", None)]:
+        if not isinstance(failure, Failure):
+            what, fix = f"'failures' of {name} is wrong", 'failures = {"device.what": Failure(meaning, remedy)}'
+            problems.add(mark, what, fix, code="skill-failures")
+        elif code in CATALOGUE:
+            what = f"'failures' of {name} has '{code}', which the catalogue has already"
+            problems.add(mark, what, "name another", code="skill-failures")
+    own = skill.failures if isinstance(skill.failures, Mapping) else {}
+    for code in skill.raises if isinstance(skill.raises, tuple) else (None,):
+        if code not in CATALOGUE and code not in own:
+            what = f"'raises' of {name} is wrong: {shorten(str(code))} is no code of the catalogue or of 'failures'"
+            problems.add(mark, what, "raises = (Code.HAND_CONE_EMPTY,), with the comma", code="skill-failures")
+    listed = {"devices": skill.devices}
+    if issubclass(skill, Condition):
+        listed["watches"] = skill.watches
+        if skill.devices:
+            what = f"{name} is a condition and commands nothing, but has devices"
+            problems.add(mark, what, "use 'watches'", code="skill-devices")
+    for key, devices in listed.items():
+        if not isinstance(devices, tuple):
+            what = f"'{key}' of {name} is no tuple"
+            problems.add(mark, what, f'{key} = ("hand",), with the comma', code="skill-devices")
+            continue
+        for device in devices:
+            if device not in DEVICES:
+                what = f"'{key}' of {name} names an unknown device '{shorten(str(device))}'"
+                problems.add(mark, what, unknown=str(device), known=DEVICES, code="skill-devices")
+
+
+def _check_codes(skill: type[Skill[Any]], codes: Mapping[str, Mark], problems: Problems) -> None:
+    """A skill may fail with what the catalogue or its own `failures` has, and with nothing else."""
+    for code, mark in codes.items():
+        if code not in CATALOGUE and code not in skill.failures:
+            what = f"'{shorten(code)}' is no failure code of the catalogue, nor of this skill's own 'failures'"
+            hint = "`scuhand-bt explain` lists the catalogue; a code of its own stands in the skill's 'failures'"
+            known = [*CATALOGUE, *skill.failures]
+            problems.add(mark, what, hint, unknown=code, known=known, code="skill-failures")
+        elif code not in skill.raises:
+            what = f"it fails with {code}, which 'raises' does not name"
+            problems.warn(mark, what, "`explain` and the checks go by 'raises'", code="skill-raises")
+
+
+def _mount(folder: Path) -> None:
+    """Make `scuhand_lab` this folder, forgetting any other lab's modules."""
+    home = str(folder.absolute())
+    package = sys.modules.get(PACKAGE)
+    if package is not None and list(package.__path__) == [home]:
+        return
+    for name in [name for name in sys.modules if name == PACKAGE or name.startswith(PACKAGE + ".")]:
+        del sys.modules[name]
+    package = types.ModuleType(PACKAGE)
+    package.__path__ = [home]
+    sys.modules[PACKAGE] = package
+    importlib.invalidate_caches()
+
+
+def _where(error: BaseException, path: Path) -> Mark:
+    """The line of the lab's file that an import failed at."""
+    file = str(path.absolute())
+    if isinstance(error, SyntaxError) and error.filename == file:
+        return Mark(str(path), error.lineno or 1, error.offset or 1)
+    lines = [frame.lineno or 1 for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    return Mark(str(path), lines[-1] if lines else 1)

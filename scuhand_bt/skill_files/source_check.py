@@ -1,0 +1,307 @@
+"""What is wrong in a skill's file and would only come up in the middle of a run, found in its text by `ast`.
+
+Names are followed by their annotations, from `cell` on: `cell.hand.pulse(…)` is `Hand.pulse`, which returns `Steps`
+and so does nothing without `yield from`. What cannot be followed is taken for right.
+"""
+
+import ast
+import collections.abc
+import inspect
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.leased import DEVICE_NAMES, of_arm
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.clock import Wake
+from scuhand_bt.problems import Mark, Problems
+from scuhand_bt.skill import Condition, Skill
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+CLOCKS = {"time": ("sleep", "time", "monotonic", "perf_counter"), "asyncio": ("sleep",)}
+RESUMING = "settle"
+"""The method that has the arm and the balance, too: by them an interrupted action is taken up."""
+
+
+def check_source(skill: type[Skill[Any]], tree: ast.Module, module: types.ModuleType, file: str) -> Problems:
+    """All that can be told of a skill by the text of its file."""
+    problems = Problems()
+    body = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == skill.__name__)
+    generators = {node.name for node in ast.walk(tree) if isinstance(node, Function) and _yields(node)}
+    leased = {*skill.devices, *(skill.watches if issubclass(skill, Condition) else ())}
+    for function in (node for node in ast.walk(tree) if isinstance(node, Function)):
+        own = leased | ({"arm", "balance"} if function.name == RESUMING else set())
+        _FunctionCheck(function, vars(module), generators, own, problems, file).check()
+    _check_body(skill, body, problems, file)
+    return problems
+
+
+def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems, file: str) -> None:
+    methods = {node.name: node for node in body.body if isinstance(node, Function)}
+    wanted = {"run": ("self", "cell"), RESUMING: ("self", "cell"), "check": ("self", "cell")}
+    for name, parameters in {**wanted, "forecast": ("cls", "inputs", "cell")}.items():
+        method = methods.get(name)
+        if method is None or (name == "check" and not issubclass(skill, Condition)):
+            continue
+        given = [argument.arg for argument in (*method.args.posonlyargs, *method.args.args)]
+        needed = len(given) - len(method.args.defaults)
+        if method.args.vararg is None and not needed <= len(parameters) <= len(given):
+            what = (
+                f"'{name}' takes {', '.join(given) or 'nothing'}; the engine calls it with the {len(parameters) - 1} "
+            )
+            what += f"value{'s' if len(parameters) > 2 else ''} {', '.join(parameters[1:])}"
+            problems.add(_mark(file, method), what, f"def {name}({', '.join(parameters)})", code="skill-signature")
+    if "forecast" in methods and not isinstance(inspect.getattr_static(skill, "forecast"), classmethod):
+        problems.add(
+            _mark(file, methods["forecast"]), "'forecast' is no class method", "@classmethod", code="skill-signature"
+        )
+    run = methods.get("run")
+    if run is not None and not _yields(run) and not _returns_a_call(run):
+        what = "'run' is no generator: it has no `yield`, and so cannot be waited for or halted"
+        problems.add(_mark(file, run), what, "`yield from pause(cell, …)`, or `yield from ()`", code="skill-generator")
+    interrupted = typing.get_args(typing.get_args(Skill.__annotations__["interrupted"])[0])
+    for node in body.body:
+        target = _target(node)
+        if target == "interrupted" and skill.interrupted not in interrupted:
+            what = f"'interrupted' is {skill.interrupted!r}, which is no way to take up an action"
+            problems.add(_mark(file, node), what, " or ".join(map(repr, interrupted)), code="skill-interrupted")
+        info = skill.model_fields.get(target) if target is not None else None
+        is_float = info is not None and float in (info.annotation, *typing.get_args(info.annotation))
+        if info is not None and is_float and not any(hasattr(m, "dimension") for m in info.metadata):
+            what = f"'{target}' is a bare float: in a workflow nobody sees its unit, and none is checked"
+            remedy = "Milligrams, Seconds, Millimetres, …, or Ratio for a share"
+            problems.warn(_mark(file, node), what, remedy, code="skill-unit")
+
+
+class _FunctionCheck:
+    """One function of a skill's file."""
+
+    def __init__(
+        self,
+        function: Function,
+        names: Mapping[str, Any],
+        generators: set[str],
+        leased: set[str],
+        problems: Problems,
+        file: str,
+    ) -> None:
+        self._function = function
+        self._names = names
+        self._generators = generators
+        self._leased = leased
+        self._problems = problems
+        self._file = file
+        self._local = dict(self._parameters())
+
+    def _parameters(self) -> Iterator[tuple[str, Any]]:
+        arguments = self._function.args
+        for argument in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
+            said = ast.unparse(argument.annotation) if argument.annotation is not None else ""
+            if said == "CellSpec" or (argument.arg == "cell" and self._function.name == "forecast"):
+                yield argument.arg, CellSpec
+            elif said == "Cell" or (argument.arg == "cell" and not said):
+                yield argument.arg, Cell
+
+    def check(self) -> None:
+        nodes = list(_within(self._function))
+        for node in nodes:
+            self._follow(node)
+        for node in nodes:
+            if isinstance(node, ast.Attribute):
+                self._check_member(node)
+            elif isinstance(node, ast.Yield):
+                self._check_yield(node, nodes)
+            elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) and self._is_steps(node.value):
+                what = f"`{ast.unparse(node.value.func)}(…)` does nothing by itself: it is waited for"
+                self._add(node, what, f"`yield from {ast.unparse(node.value.func)}(…)`", "skill-not-waited")
+            elif isinstance(node, ast.Try):
+                self._check_finally(node)
+            elif isinstance(node, ast.Call):
+                self._check_clock(node)
+
+    def _add(self, node: ast.AST, what: str, remedy: str, code: str, **names: Any) -> None:
+        self._problems.add(_mark(self._file, node), what, remedy, code=code, **names)
+
+    def _follow(self, node: ast.AST) -> None:
+        """`hand = cell.hand` and `a, b = cell.a, cell.b` are followed; a name that is given twice is not."""
+        if not isinstance(node, ast.Assign) or len(node.targets) != 1:
+            return
+        target, value = node.targets[0], node.value
+        pairs = [(target, value)]
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+            pairs = list(zip(target.elts, value.elts, strict=True))
+        for name, given in pairs:
+            if isinstance(name, ast.Name):
+                self._local[name.id] = None if name.id in self._local else self._type_of(given)
+
+    def _check_member(self, node: ast.Attribute) -> None:
+        owner = self._type_of(node.value)
+        if owner is None:
+            return
+        if not _has(owner, node.attr):
+            known = [name for name in dir(owner) if not name.startswith(("_", "model_"))]
+            known += [name for name in _fields(owner) if name not in known]
+            what = f"a {owner.__name__} has no '{node.attr}'"
+            self._add(node, what, "", "skill-unknown-member", unknown=node.attr, known=known)
+        elif owner is Cell:
+            device = node.attr if node.attr in DEVICE_NAMES else "arm" if of_arm(node.attr) else None
+            if device is not None and device not in self._leased:
+                what = f"the {device} is used here, and 'devices' does not lease it"
+                self._add(node, what, f'devices = (…, "{device}")', "skill-lease")
+
+    def _check_yield(self, node: ast.Yield, nodes: list[ast.AST]) -> None:
+        value = node.value
+        if value is None:
+            if not _is_never_reached(node, self._function):
+                what = "this yields nothing, and a skill yields `Wake`s: when it wants to go on"
+                self._add(
+                    node, what, "`yield from pause(cell, 1.0)`, `yield Wake(cell.clock.now_s + 1.0)`", "skill-yield"
+                )
+        elif isinstance(value, ast.Call) and self._is_steps(value):
+            call = ast.unparse(value.func)
+            self._add(
+                node,
+                f"this yields the steps of `{call}(…)`, not each of them",
+                f"`yield from {call}(…)`",
+                "skill-yield",
+            )
+        elif not isinstance(value, ast.Call | ast.Name | ast.Attribute | ast.Subscript | ast.IfExp | ast.Await):
+            what = f"this yields `{ast.unparse(value)}`, and a skill yields `Wake`s: when it wants to go on"
+            self._add(node, what, f"`yield from pause(cell, {ast.unparse(value)})`", "skill-yield")
+
+    def _check_finally(self, node: ast.Try) -> None:
+        for statement in node.finalbody:
+            for inner in (statement, *_within(statement)):
+                if isinstance(inner, ast.Yield | ast.YieldFrom):
+                    what = "this waits in `finally`, where a skill that is halted only sends safe commands"
+                    self._add(inner, what, "send what makes it safe; the engine waits until it is", "skill-finally")
+
+    def _check_clock(self, node: ast.Call) -> None:
+        called = self._object(node.func)
+        for module, functions in CLOCKS.items():
+            if called is not None and getattr(called, "__module__", None) == module and called.__name__ in functions:
+                what = (
+                    f"`{ast.unparse(node.func)}` is the computer's time, not the run's: nothing else goes on meanwhile"
+                )
+                if called.__name__ != "sleep":
+                    what = f"`{ast.unparse(node.func)}` is the computer's time, not the run's"
+                remedy = "`yield from pause(cell, …)`" if called.__name__ == "sleep" else "`cell.clock.now_s`"
+                self._add(node, what, remedy, "skill-clock")
+
+    def _object(self, node: ast.expr) -> Any:
+        """What a name of the module, or an attribute of one, stands for."""
+        if isinstance(node, ast.Name):
+            return None if node.id in self._local else self._names.get(node.id)
+        if isinstance(node, ast.Attribute) and isinstance(owner := self._object(node.value), types.ModuleType):
+            return getattr(owner, node.attr, None)
+        return None
+
+    def _is_steps(self, call: ast.Call) -> bool:
+        function = call.func
+        if isinstance(function, ast.Attribute) and isinstance(function.value, ast.Name) and function.value.id == "self":
+            return function.attr in self._generators
+        if isinstance(function, ast.Name) and function.id in self._generators:
+            return True
+        returned = self._returned(function)
+        return typing.get_origin(returned) is collections.abc.Generator
+
+    def _returned(self, function: ast.expr) -> Any:
+        called = self._object(function)
+        if called is None and isinstance(function, ast.Attribute):
+            owner = self._type_of(function.value)
+            called = inspect.getattr_static(owner, function.attr, None) if owner is not None else None
+        return _hints(called).get("return") if isinstance(called, types.FunctionType) else None
+
+    def _type_of(self, node: ast.expr) -> type | None:
+        """The class of an expression, by annotations; None where it cannot be told."""
+        if isinstance(node, ast.Name):
+            return self._local.get(node.id)
+        if isinstance(node, ast.Attribute):
+            owner = self._type_of(node.value)
+            return _class(_member_type(owner, node.attr)) if owner is not None else None
+        if isinstance(node, ast.Call):
+            return _class(self._returned(node.func))
+        return None
+
+
+def _has(owner: type, name: str) -> bool:
+    return hasattr(owner, name) or name in _fields(owner)
+
+
+def _fields(owner: type) -> set[str]:
+    return {name for cls in owner.__mro__ for name in getattr(cls, "__annotations__", {})}
+
+
+def _member_type(owner: type, name: str) -> Any:
+    if issubclass(owner, BaseModel) and name in owner.model_fields:
+        return owner.model_fields[name].annotation
+    member = inspect.getattr_static(owner, name, None)
+    if isinstance(member, property):
+        return _hints(member.fget).get("return")
+    for cls in owner.__mro__:
+        said = getattr(cls, "__annotations__", {}).get(name)
+        if said is not None:
+            return said if not isinstance(said, str) else _named(said, cls)
+    return None
+
+
+def _named(said: str, cls: type) -> Any:
+    return vars(inspect.getmodule(cls)).get(said.strip("\"'"))
+
+
+def _hints(function: Any) -> Mapping[str, Any]:
+    try:
+        return typing.get_type_hints(function)
+    except (NameError, TypeError):  # a name that is imported for type checkers only
+        return {}
+
+
+def _class(annotation: Any) -> type | None:
+    """One of the engine's classes; of `X | None` the class X, as nobody reads an attribute of nothing."""
+    members = [member for member in typing.get_args(annotation) if member is not type(None)]
+    if isinstance(annotation, types.UnionType) and len(members) == 1:
+        annotation = members[0]
+    is_ours = isinstance(annotation, type) and annotation.__module__.startswith("scuhand_bt.")
+    return annotation if is_ours and annotation is not Wake else None
+
+
+def _within(function: ast.AST) -> Iterator[ast.AST]:
+    """All below a node, in the order of the file; not what is in functions of its own."""
+    for child in ast.iter_child_nodes(function):
+        if not isinstance(child, Function | ast.Lambda | ast.ClassDef):
+            yield child
+            yield from _within(child)
+
+
+def _yields(function: Function) -> bool:
+    return any(isinstance(node, ast.Yield | ast.YieldFrom) for node in _within(function))
+
+
+def _returns_a_call(function: Function) -> bool:
+    return any(isinstance(node, ast.Return) and isinstance(node.value, ast.Call) for node in _within(function))
+
+
+def _is_never_reached(node: ast.Yield, function: Function) -> bool:
+    """A `yield` behind a `return` or a `raise` only makes a generator of the function."""
+    for block in (part for part in (function, *_within(function)) if hasattr(part, "body")):
+        ended = False
+        for statement in block.body if isinstance(block.body, list) else ():
+            if ended and any(inner is node for inner in ast.walk(statement)):
+                return True
+            ended = ended or isinstance(statement, ast.Return | ast.Raise)
+    return False
+
+
+def _target(node: ast.stmt) -> str | None:
+    target = (
+        node.targets[0] if isinstance(node, ast.Assign) else node.target if isinstance(node, ast.AnnAssign) else None
+    )
+    return target.id if isinstance(target, ast.Name) else None
+
+
+def _mark(file: str, node: ast.AST) -> Mark:
+    return Mark(file, node.lineno, node.col_offset + 1)  # type: ignore[attr-defined]

@@ -1,0 +1,131 @@
+"""What to expect of a run, by trials of it: how long it takes, how its samples come out, what it uses.
+
+Each trial has a cell of its own (`some_cell`). The interval of a duration is that of Student's t for the logarithm of
+one more run like these, widened by `MODEL_SHARE` for what persons, carousels and arms differ by; `benchmarks.forecasts`
+holds it against runs on plants that no trial has had.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta, t
+
+from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.study.trial import SampleTrial, Trial
+
+COVERED = 0.9
+"""Of the intervals."""
+MODEL_SHARE = 0.05
+"""Standard deviation of that, as a share of a time."""
+WIDE = 1.645
+"""Standard deviations that hold `COVERED` of a normal distribution."""
+PRIOR = 4.0
+"""Trials that what came of the whole batch counts for, beside those of a sample's own kind."""
+LIKELY = 0.9
+"""A sample that is less likely in tolerance than this is warned of."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """What to expect of a figure: its median, and an interval."""
+
+    low: float
+    middle: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Chance:
+    """How likely a sample is in tolerance: by all trials of samples like it, with an interval."""
+
+    probability: float
+    low: float
+    high: float
+    tried: int
+
+
+@dataclass(frozen=True)
+class Odds:
+    """What a plan's trials came to."""
+
+    trials: int
+    duration_s: Range
+    began_s: Mapping[str, Range]
+    """When each job begins, by its name; of those that any trial has begun."""
+    samples: Mapping[str, Chance]
+    scoops: Mapping[str, Range]
+    """By source."""
+    used_mg: Mapping[str, Range]
+    codes: Mapping[str, float]
+    """How many samples of a run fail so, on average; the most frequent first."""
+
+    @property
+    def unlikely(self) -> list[str]:
+        """The samples that are to be warned of."""
+        return [name for name, chance in self.samples.items() if chance.probability < LIKELY]
+
+
+def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
+    """The odds of a plan by its trials, at least one."""
+    codes = Counter(one.code or one.verdict for trial in found for one in trial.samples if not one.good)
+    return Odds(
+        trials=len(found),
+        duration_s=_of_times([trial.duration_s for trial in found]),
+        began_s={
+            job.name: _of_times(began_s)
+            for job in plan.jobs
+            if (began_s := [trial.began_s[job.name] for trial in found if job.name in trial.began_s])
+        },
+        samples=_chances(plan, found),
+        scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
+        used_mg={name: _seen([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
+        codes={code: count / len(found) for code, count in codes.most_common()},
+    )
+
+
+def _of_times(times_s: Sequence[float]) -> Range:
+    """Of one more run like these: times differ by factors."""
+    many = len(times_s)
+    if min(times_s) <= 0.0:
+        return _seen(times_s)
+    logs = np.log(times_s)
+    chance = float(np.std(logs, ddof=1)) * math.sqrt(1.0 + 1.0 / many) if many > 1 else 0.0
+    half = math.hypot(float(t.ppf(0.5 + COVERED / 2.0, max(many - 1, 1))) * chance, WIDE * MODEL_SHARE)
+    middle = float(np.mean(logs))
+    return Range(*(math.exp(at) for at in (middle - half, middle, middle + half)))
+
+
+def _seen(values: Sequence[float]) -> Range:
+    low, middle, high = np.quantile(values, ((1.0 - COVERED) / 2.0, 0.5, (1.0 + COVERED) / 2.0))
+    return Range(float(low), float(middle), float(high))
+
+
+def _chances(plan: Plan, found: Sequence[Trial]) -> dict[str, Chance]:
+    """Samples that ask for the same are one: the trials of all of them tell of each (a beta distribution)."""
+    came: dict[object, list[bool]] = {}
+    by_id = [{one.id: one for one in trial.samples} for trial in found]
+    for sample in plan.recipe.samples:
+        came.setdefault(_alike(sample), []).extend(_good(names.get(sample.id)) for names in by_id)
+    every = [good for kind in came.values() for good in kind]
+    overall = (sum(every) + 0.5) / (len(every) + 1.0)
+    chances = {}
+    for sample in plan.recipe.samples:
+        good, tried = sum(came[_alike(sample)]), len(came[_alike(sample)])
+        a, b = good + PRIOR * overall, tried - good + PRIOR * (1.0 - overall)
+        low, high = beta.ppf(((1.0 - COVERED) / 2.0, (1.0 + COVERED) / 2.0), a, b)
+        chances[sample.id] = Chance(a / (a + b), float(low), float(high), tried)
+    return chances
+
+
+def _good(one: SampleTrial | None) -> bool:
+    return one is not None and one.good
+
+
+def _alike(sample: Sample) -> object:
+    container = sample.container.name if sample.container is not None else None
+    powders = tuple(source.sheet_key for source in sample.sources)
+    return sample.workflow, powders, container, sample.mass_mg, sample.tolerance_mg

@@ -1,0 +1,47 @@
+"""What runs trials: processes of this computer, or the workers of a Dask cluster."""
+
+import multiprocessing
+import os
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.study.store import Store
+from scuhand_bt.study.trial import Task, Trial, trials
+
+
+@contextmanager
+def executor_of(workers: int | None, dask: str | None) -> Iterator[Executor]:
+    """So many new processes, as many as there are cores if None; or the Dask scheduler at an address.
+
+    SourceError where Dask is not installed or does not answer.
+    """
+    if dask is None:
+        with ProcessPoolExecutor(workers or os.cpu_count() or 1, multiprocessing.get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+
+        client = Client(dask, timeout="10s")
+    except (ImportError, OSError, ValueError) as error:
+        problem = (
+            f"no Dask scheduler: {error}; `pip install 'scuhand-bt[dask]'`, and start `dask scheduler` and workers"
+        )
+        raise SourceError([Problem(Mark(f"--dask {dask}", 0), problem)]) from None
+    with client, client.get_executor() as pool:
+        yield pool
+
+
+def all_trials(tasks: Iterable[Task], executor: Executor, store: Store | None = None) -> Iterator[tuple[Task, Trial]]:
+    """Every task's trial: first those that were kept, then the others as they end, each of which is kept at once."""
+    wanted = dict.fromkeys(tasks)
+    if store is not None:
+        for task, kept in store.found(tuple(wanted)):
+            del wanted[task]
+            yield task, kept
+    for (setup, seed), one in trials(wanted, executor):
+        if store is not None:
+            store.keep(setup, one)
+        yield (setup, seed), one

@@ -1,0 +1,64 @@
+"""Trials on disk, by what was tried and with which seed: a study that breaks off goes on, and can be enlarged."""
+
+import hashlib
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import scuhand_bt
+from scuhand_bt.lab import load_lab
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.resume import lab_files
+from scuhand_bt.study.trial import SampleTrial, Setup, Task, Trial
+
+_SCHEMA = "CREATE TABLE IF NOT EXISTS trial (tried TEXT, seed INTEGER, figures TEXT, PRIMARY KEY (tried, seed))"
+
+
+class Store:
+    """Trials in one SQLite file."""
+
+    def __init__(self, database: sqlite3.Connection, setup: Setup) -> None:
+        self._database = database
+        lab = load_lab(setup.lab)
+        files = [load_recipe(setup.recipe, lab).hash, lab_files(lab), scuhand_bt.__version__]
+        self._files = json.dumps(files, sort_keys=True)
+
+    def found(self, tasks: Iterable[Task]) -> Iterator[tuple[Task, Trial]]:
+        """Those of the tasks that were tried before, with the very files and program of today."""
+        for setup, seed in tasks:
+            row = self._database.execute(
+                "SELECT figures FROM trial WHERE tried = ? AND seed = ?", (self._key(setup), seed)
+            ).fetchone()
+            if row is not None:
+                figures = json.loads(row[0])
+                trial = Trial(**figures)
+                yield (setup, seed), replace(trial, samples=tuple(SampleTrial(**one) for one in figures["samples"]))
+
+    def keep(self, setup: Setup, trial: Trial) -> None:
+        """Write it down, at once."""
+        row = self._key(setup), trial.seed, json.dumps(asdict(trial))
+        self._database.execute("INSERT OR REPLACE INTO trial VALUES (?, ?, ?)", row)
+        self._database.commit()
+
+    def _key(self, setup: Setup) -> str:
+        tried = json.dumps([self._files, setup.controller, setup.plant, setup.changes])
+        return hashlib.sha256(tried.encode()).hexdigest()
+
+
+@contextmanager
+def open_store(path: Path, setup: Setup) -> Iterator[Store]:
+    """The store of a file, made where there is none; SourceError for one that cannot be used."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        database = sqlite3.connect(path)
+        try:
+            database.execute(_SCHEMA)
+            yield Store(database, setup)
+        finally:
+            database.close()
+    except (sqlite3.Error, OSError) as error:
+        raise SourceError([Problem(Mark(str(path)), f"the study cannot be kept there: {error}")]) from None

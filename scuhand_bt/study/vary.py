@@ -1,0 +1,133 @@
+"""What a study varies: figures of the recipe and its lab, over ranges or lists, by a design.
+
+design: latin_hypercube      # or sobol, or grid
+draws: 64                    # of a grid the steps of each range; of sobol a power of two
+vary:
+  powders.glass_beads.simulation.flow_coefficient: {from: 50, to: 100}
+  recipe.samples.0.mass: {from: 20 mg, to: 60 mg}
+  recipe.controller: [paper, adaptive]
+"""
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, model_validator
+from scipy.stats import qmc, sobol_indices, spearmanr
+
+from scuhand_bt.problems import Problems
+from scuhand_bt.specs import Spec
+from scuhand_bt.study.change import Changes
+from scuhand_bt.study.trial import Setup
+from scuhand_bt.validation import validate
+from scuhand_bt.yaml_source import load
+
+_NUMBER = re.compile(r"([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
+
+
+class Between(Spec):
+    """A range: numbers with the same unit, or none."""
+
+    from_: Annotated[str, Field(alias="from")]
+    to: str
+
+    @model_validator(mode="after")
+    def _is_a_range(self) -> "Between":
+        low, high = _NUMBER.fullmatch(self.from_.strip()), _NUMBER.fullmatch(self.to.strip())
+        if low is None or high is None or low[2].strip() != high[2].strip() or not float(low[1]) < float(high[1]):
+            raise ValueError(
+                "a range goes from a smaller to a larger number of the same unit, such as {from: 20 mg, to: 60 mg}"
+            )
+        return self
+
+    def at(self, share: float) -> str:
+        """The value at a share of the way."""
+        low, high = _NUMBER.fullmatch(self.from_.strip()), _NUMBER.fullmatch(self.to.strip())
+        assert low is not None
+        assert high is not None
+        return f"{float(low[1]) + share * (float(high[1]) - float(low[1])):.9g}{low[2]}"
+
+
+Given: TypeAlias = Annotated[
+    Annotated[Between, Tag("a range")] | Annotated[list[str], Tag("a list")],
+    Discriminator(lambda given: "a list" if isinstance(given, list) else "a range"),
+]
+
+
+class Vary(Spec):
+    """What is varied, and how."""
+
+    design: Literal["latin_hypercube", "sobol", "grid"] = "latin_hypercube"
+    draws: Annotated[int, Field(gt=0, le=65_536)] = 64
+    vary: Annotated[dict[str, Given], Field(min_length=1)]
+
+    def changes(self, seed: int = 0) -> list[Changes]:
+        """The draws, each with a value for every place; the same ones for the same seed.
+
+        Of `sobol`, (d + 2) n draws of d places: the matrices A and B, and A with each column of B in turn (Saltelli et
+        al., Comput. Phys. Commun. 181, 259, 2010, with scipy.stats.sobol_indices' order).
+        """
+        if self.design == "grid":
+            steps = [self._steps(given) for given in self.vary.values()]
+            return [tuple(zip(self.vary, values, strict=True)) for values in itertools.product(*steps)]
+        places = len(self.vary)
+        if self.design == "latin_hypercube":
+            shares = qmc.LatinHypercube(places, rng=np.random.default_rng(seed)).random(self.draws)
+        else:
+            both = qmc.Sobol(2 * places, rng=np.random.default_rng(seed)).random(self.draws)
+            first, second = both[:, :places], both[:, places:]
+            mixed = [np.where(np.arange(places) == place, second, first) for place in range(places)]
+            shares = np.concatenate([first, second, *mixed])
+        return [self._at(row) for row in shares]
+
+    def _steps(self, given: Between | list[str]) -> list[str]:
+        return given if isinstance(given, list) else [given.at(share) for share in np.linspace(0.0, 1.0, self.draws)]
+
+    def _at(self, shares: Any) -> Changes:
+        return tuple(
+            (place, given.at(share) if isinstance(given, Between) else given[int(share * len(given))])
+            for (place, given), share in zip(self.vary.items(), shares, strict=True)
+        )
+
+    def indices(self, figures: Sequence[float]) -> Mapping[str, tuple[float, float]]:
+        """Of a figure that each draw of `sobol` came to: first-order and total Sobol indices by place."""
+        values, places = np.asarray(figures, dtype=float).reshape(-1, self.draws), len(self.vary)
+        if np.ptp(values) == 0.0:
+            return dict.fromkeys(self.vary, (0.0, 0.0))
+        found = sobol_indices(
+            func={"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:].reshape(places, 1, self.draws)},
+            n=self.draws,
+        )
+        return {
+            place: (float(first), float(total))
+            for place, first, total in zip(
+                self.vary, np.ravel(found.first_order), np.ravel(found.total_order), strict=True
+            )
+        }
+
+
+def read_vary(path: Path) -> Vary:
+    """Read and check such a file; SourceError with every mistake found."""
+    problems = Problems()
+    root = load(path, "a file of what to vary")
+    vary = validate(Vary, root, problems, "such as {vary: {cell.balance.readability: [0.1 mg, 1 mg]}},")
+    if vary is not None and vary.design == "sobol" and vary.draws & (vary.draws - 1):
+        problems.add(root.mark, f"{vary.draws} draws", "a sobol design takes a power of two")
+    problems.raise_any()
+    assert vary is not None
+    return vary
+
+
+def goes_with(draws: Sequence[Setup], figures: Sequence[float]) -> Mapping[str, float]:
+    """Spearman's rank correlation of a figure with each place that has numbers; 0 where nothing changes."""
+    found: dict[str, float] = {}
+    for place in dict(draws[0].changes) if draws else ():
+        numbers = [_NUMBER.fullmatch(str(dict(draw.changes)[place])) for draw in draws]
+        values = [float(number[1]) for number in numbers if number is not None]
+        if len(values) == len(figures):
+            is_flat = np.ptp(values) == 0.0 or np.ptp(figures) == 0.0
+            found[place] = 0.0 if is_flat else float(spearmanr(values, figures).statistic)
+    return found

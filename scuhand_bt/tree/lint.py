@@ -1,0 +1,301 @@
+"""What in a workflow is most likely not meant, though it would run: warnings, each with a code (`findings.py`).
+
+Everything here follows from types, from what skills' files say of them (`skill_files/facts.py`) and from what they
+forecast; a workflow that is wrong is not looked at. Where something cannot be told, nothing is said.
+"""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.problems import Problems
+from scuhand_bt.skill import Condition, Skill
+from scuhand_bt.skill_files.facts import codes_of
+from scuhand_bt.tree.check import Library, devices_of, literal
+from scuhand_bt.tree.grammar import PARAMETERS, Branch, Call, Decorator, Reference, TreeNode, Workflow, walk
+
+DOSING = {"hand", "balance"}
+HASTE = 4.0
+"""No action is so many times as quick as it forecasts."""
+LASTING = "duration"
+"""A skill lasts at least as long as its parameter of this name."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What must come before a part of a dose."""
+
+    of: str
+    before: str
+    code: str
+    what: str
+    remedy: str
+
+
+NEEDS = (
+    Need(
+        "tare",
+        "place",
+        "no-container",
+        "'{}' weighs a container, and none was put on the pan",
+        "`place_container:` before it",
+    ),
+    Need(
+        "dose",
+        "tare",
+        "no-tare",
+        "'{}' doses into a container that was not weighed empty",
+        "`tare:` after `place_container`, and before it",
+    ),
+    Need(
+        "dose", "hover", "not-over-pan", "'{}' opens the valve, and the arm was not sent over the pan", "`move_over:`"
+    ),
+)
+
+
+class Lint:
+    """The warnings of a lab's workflows. `roots` are run as they are: by a recipe, or by nobody else."""
+
+    def __init__(self, library: Library, cell: CellSpec, service: Collection[str], problems: Problems) -> None:
+        self.library = library
+        self._cell = cell
+        self._service = service
+        self._problems = problems
+        self._codes: dict[str, frozenset[str]] = {}
+        self._sure: dict[str, bool] = {}
+        self._least: dict[str, float] = {}
+
+    def check(self, sound: Collection[str], roots: Collection[str]) -> None:
+        """Warn of these workflows; they, and all that they call, are sound."""
+        for name in sound:
+            workflow = self.library.workflows[name]
+            self._check_names(workflow)
+            for node in walk(workflow.tree):
+                if isinstance(node, Decorator) and node.kind == "retry":
+                    self._check_retry(node)
+                elif isinstance(node, Decorator) and node.kind == "timeout":
+                    self._check_timeout(node)
+                elif isinstance(node, Branch) and node.kind == "fallback":
+                    self._check_fallback(node)
+            if name in roots:
+                self._check_root(workflow)
+
+    # --- names
+
+    def _check_names(self, workflow: Workflow) -> None:
+        read = {ref.name for ref in _references(workflow)}
+        for declared in workflow.inputs.values():
+            if declared.name not in read and workflow.name not in self._service:
+                what = f"the input '{declared.name}' is not used"
+                self._problems.warn(declared.mark, what, f"${declared.name}, or leave it out", code="unused-input")
+        given: set[str] = set()
+        for node in walk(workflow.tree):
+            if isinstance(node, Call) and node.result is not None:
+                if node.result not in read and node.result not in given:
+                    remedy = f"${node.result}, or leave 'as' out"
+                    what = f"the result '{node.result}' is not used"
+                    self._problems.warn(node.result_mark, what, remedy, code="unused-result")
+                given.add(node.result)
+        self._check_shadowed(workflow.tree, frozenset())
+
+    def _check_shadowed(self, node: TreeNode, defined: frozenset[str]) -> frozenset[str]:
+        """Warn of a result that takes the place of one before it; of alternatives each may give it."""
+        if isinstance(node, Call):
+            if node.result is None:
+                return defined
+            if node.result in defined:
+                what = f"'{node.result}' has a value already, which is lost here"
+                self._problems.warn(node.result_mark, what, "a name of its own", code="shadowed-name")
+            return defined | {node.result}
+        if isinstance(node, Decorator):
+            return self._check_shadowed(node.child, defined)
+        if node.kind == "fallback":
+            return defined.union(*(self._check_shadowed(child, defined) for child in node.children))
+        for child in node.children:
+            defined = self._check_shadowed(child, defined)
+        return defined
+
+    # --- failures
+
+    def codes(self, node: TreeNode) -> frozenset[str]:
+        """All that a node may fail with."""
+        if isinstance(node, Branch):
+            return frozenset[str]().union(*map(self.codes, node.children))
+        if isinstance(node, Decorator):
+            own = {"timeout": {"workflow.timeout"}, "invert": {"workflow.inverted"}}.get(node.kind, set())
+            guards = frozenset[str]().union(*map(self.codes, node.guards))
+            return self.codes(node.child) | guards | own
+        if node.name not in self._codes:
+            self._codes[node.name] = frozenset()
+            if node.name in self.library.skills:
+                skill = self.library.skills[node.name]
+                self._codes[node.name] = codes_of(skill, self.library.facts.get(node.name))
+            else:
+                self._codes[node.name] = self.codes(self.library.workflows[node.name].tree)
+        return self._codes[node.name]
+
+    def _check_retry(self, node: Decorator) -> None:
+        raised = self.codes(node.child)
+        for code, mark in node.codes.items():
+            if code not in raised:
+                what = f"nothing here fails with {code}, and so it is never tried again for it"
+                self._problems.warn(mark, what, "leave it out, or look at what the child calls", code="retry-never")
+
+    def _is_sure(self, node: TreeNode) -> bool:
+        """Whether a node can be told never to fail."""
+        if isinstance(node, Branch):
+            found = [self._is_sure(child) for child in node.children]
+            return any(found) if node.kind == "fallback" else all(found)
+        if isinstance(node, Decorator):
+            return node.kind == "optional" or (node.kind in ("retry", "repeat") and self._is_sure(node.child))
+        if node.name not in self._sure:
+            self._sure[node.name] = False
+            skill, facts = self.library.skills.get(node.name), self.library.facts.get(node.name)
+            if skill is not None:
+                can_fail = bool(skill.devices) or issubclass(skill, Condition) or facts is None or bool(facts.raised)
+                self._sure[node.name] = not can_fail and not (facts is not None and facts.asks)
+            else:
+                self._sure[node.name] = self._is_sure(self.library.workflows[node.name].tree)
+        return self._sure[node.name]
+
+    def _check_fallback(self, node: Branch) -> None:
+        for number, child in enumerate(node.children[:-1], 1):
+            if self._is_sure(child):
+                what = f"this is never reached: child {number} of the fallback, before it, does not fail"
+                remedy = "put what can fail first, or leave this out"
+                self._problems.warn(node.children[number].mark, what, remedy, code="unreachable-branch")
+                return
+
+    # --- times
+
+    def _check_timeout(self, node: Decorator) -> None:
+        argument = node.arguments["duration"]
+        if isinstance(argument, Reference):
+            return
+        duration_s = float(literal("duration", PARAMETERS["duration"], argument, self.library))
+        least_s = self.least_s(node.child)
+        if duration_s < least_s:
+            what = f"{duration_s:g} s are over before this can be done: it takes at least {least_s:g} s"
+            self._problems.warn(argument.mark, what, "a longer time", code="short-timeout")
+
+    def least_s(self, node: TreeNode) -> float:
+        """So long a node lasts at least, if it succeeds."""
+        if isinstance(node, Branch):
+            found = [self.least_s(child) for child in node.children]
+            return sum(found) if node.kind == "sequence" else max(found) if node.kind == "parallel" else min(found)
+        if isinstance(node, Decorator):
+            if node.kind in ("optional", "invert"):
+                return 0.0
+            times = node.arguments.get("times")
+            count = (
+                1
+                if times is None or isinstance(times, Reference)
+                else int(literal("times", PARAMETERS["times"], times, self.library))
+            )
+            return count * self.least_s(node.child)
+        if node.name in self.library.skills:
+            return self._least_of_skill(node, self.library.skills[node.name])
+        if node.name not in self._least:
+            self._least[node.name] = 0.0
+            self._least[node.name] = self.least_s(self.library.workflows[node.name].tree)
+        return self._least[node.name]
+
+    def _least_of_skill(self, node: Call, skill: type[Skill[Any]]) -> float:
+        if issubclass(skill, Condition):
+            return 0.0
+        given = self._literals(node)
+        wire = self.library.parameters(node.name).get(LASTING)
+        if wire is not None and wire.wire.name == "Duration":
+            if LASTING in node.arguments:
+                return float(given.get(LASTING, 0.0))
+            default = next(i.default for n, i in skill.model_fields.items() if (i.alias or n) == LASTING)
+            return float(default) if isinstance(default, int | float) else 0.0
+        try:
+            return skill.forecast(given, self._cell).duration_s / HASTE
+        except (Exception, SystemExit):  # the lab's own code; that it breaks is told where a plan is made
+            return 0.0
+
+    def _literals(self, node: Call) -> Mapping[str, Any]:
+        parameters = self.library.parameters(node.name)
+        return {
+            key: literal(key, parameters[key].wire, argument, self.library)
+            for key, argument in node.arguments.items()
+            if not isinstance(argument, Reference)
+        }
+
+    # --- a whole job
+
+    def _check_root(self, workflow: Workflow) -> None:
+        if workflow.name in self._service:
+            return
+        if "arm" in devices_of(workflow.tree, self.library) and self._ends_parked(workflow.tree) is False:
+            what = f"'{workflow.name}' does not leave the arm parked: it may stand over the pan, or a mortar"
+            self._problems.warn(_last(workflow.tree).mark, what, "`park:` at the end", code="no-park")
+        self._check_ready(workflow.tree, frozenset())
+
+    def _ends_parked(self, node: TreeNode) -> bool | None:
+        """Whether the arm is parked by what moves it last; None where nothing moves it."""
+        if isinstance(node, Call):
+            if node.name in self.library.skills:
+                facts = self.library.facts.get(node.name)
+                is_mover = "arm" in self.library.skills[node.name].devices and facts is not None
+                return facts.parks if is_mover and facts is not None else None
+            return self._ends_parked(self.library.workflows[node.name].tree)
+        if isinstance(node, Decorator):
+            return self._ends_parked(node.child)
+        ends = [end for end in map(self._ends_parked, node.children) if end is not None]
+        if not ends:
+            return None
+        return ends[-1] if node.kind == "sequence" else all(ends)
+
+    def _check_ready(self, node: TreeNode, ready: frozenset[str]) -> frozenset[str]:
+        """Warn of the calls of a job that come before what they need; returns what holds after the node."""
+        if isinstance(node, Branch):
+            if node.kind == "sequence":
+                for child in node.children:
+                    ready = self._check_ready(child, ready)
+                return ready
+            return frozenset.intersection(*[self._check_ready(child, ready) for child in node.children])
+        if isinstance(node, Decorator):
+            after = self._check_ready(node.child, ready)
+            return ready if node.kind in ("optional", "invert") else after
+        for name in self._skills_of(node):
+            does = self._does(name)
+            for need in NEEDS:
+                if need.of in does and need.before not in ready:
+                    self._problems.warn(node.mark, need.what.format(node.name), need.remedy, code=need.code)
+                    ready |= {need.before}  # said once
+            ready |= does
+        return ready
+
+    def _does(self, name: str) -> frozenset[str]:
+        """What of a dose a skill does, by what its file says."""
+        facts = self.library.facts.get(name)
+        if facts is None:
+            return frozenset()
+        does = {"place": facts.places, "tare": facts.tares, "hover": facts.hovers}
+        doses = DOSING.issubset(self.library.skills[name].devices)
+        return frozenset(word for word, is_done in {**does, "dose": doses}.items() if is_done)
+
+    def _skills_of(self, node: TreeNode) -> Iterator[str]:
+        """The skills of a tree in its order, through all that it calls."""
+        for part in walk(node):
+            if isinstance(part, Call) and part.name in self.library.skills:
+                yield part.name
+            elif isinstance(part, Call):
+                yield from self._skills_of(self.library.workflows[part.name].tree)
+
+
+def _references(workflow: Workflow) -> Iterator[Reference]:
+    if workflow.result is not None:
+        yield workflow.result
+    for node in walk(workflow.tree):
+        if not isinstance(node, Branch):
+            yield from (argument for argument in node.arguments.values() if isinstance(argument, Reference))
+
+
+def _last(node: TreeNode) -> TreeNode:
+    if isinstance(node, Branch) and node.children:
+        return _last(node.children[-1])
+    return node

@@ -1,0 +1,274 @@
+"""The dashboard: what its page is told is what the journal has, then and now, and a person answers by it."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Call
+from dashboard_client import Client, serving
+from running import dry_run, make_lab
+from test_answers import ASK, RECIPE, Run, told
+
+from scuhand_bt.dashboard.page_state import Page, banner
+from scuhand_bt.journal.events import Asked, JobStarted, RunBegun
+from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.presence import Presence
+from scuhand_bt.journal.reader import read
+from scuhand_bt.journal.writer import Journal
+from scuhand_bt.run.control import Control, WishListener
+from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.questions import MEANINGS
+from tests.test_journal import HEADER
+from tests.test_resume import Watch
+
+TWO = """
+recipe: two
+workflow: fill_xrd_holder
+defaults: {source: beads, container: xrd_holder, tolerance: 2 mg}
+samples: [{id: a, mass: 20 mg}, {id: b, mass: 50 mg}]
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    return dry_run(tmp_path_factory.mktemp("lab"), TWO, controller=None)
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Any:
+    """A journal that is being written, and whose run listens."""
+    path = tmp_path / "lab" / "runs" / "one.sqlite"
+    path.parent.mkdir(parents=True)
+    written, control = Journal(path, durable=False), Control()
+    written.event(RunBegun.model_validate({**HEADER, "mode": "real devices", "simulated": False}))
+    listener = WishListener(path, control)
+    try:
+        with Presence(path):
+            yield written, control
+    finally:
+        listener.end()
+        written.close()
+
+
+def test_the_page_of_a_run_that_has_ended_says_what_its_samples_came_to(finished: Any) -> None:
+    run, folder = finished.journal.stem, finished.journal.parent.parent
+    with serving(folder) as page:
+        listed = page.get("/api/runs").values
+        shown = page.get(f"/api/runs/{run}").values
+        assert page.get("/").status == page.get(f"/runs/{run}").status == 200
+    assert [(one["id"], one["state"], one["good"], one["total"]) for one in listed] == [(run, "complete", 2, 2)]
+    rows = {row["id"]: row for row in shown["rows"]}
+    for sample in finished.result.samples:
+        assert (rows[sample.id]["verdict"], rows[sample.id]["tone"]) == (sample.verdict, "good")
+        assert f"({sample.error_mg:+.1f} mg)" in rows[sample.id]["told"]
+    assert (shown["run"]["banner"], shown["state"]) == ("SIMULATED", "complete")
+    assert [node["state"] for node in shown["tree"]] == ["done"] * len(shown["tree"])
+    assert shown["ends_s"] == finished.result.duration_s
+    assert ["cone", "0.0 mg"] in shown["holds"]
+
+
+def test_a_replay_shows_what_a_page_was_shown_then(finished: Any) -> None:
+    last_s = finished.result.duration_s
+    live, samples = Page(Follower(finished.journal, until_s=0.0)), {}
+    for step in range(21):
+        time_s = last_s * step / 20
+        live.now.until_s = time_s
+        for row in (then := live.news(is_held=True))["rows"]:
+            samples[row["id"]] = {**samples.get(row["id"], {}), **row}
+        again = Page(Follower(finished.journal, until_s=time_s)).news(is_held=True)
+        replayed: dict[str, Any] = {}
+        for row in again["rows"]:
+            replayed[row["id"]] = {**replayed.get(row["id"], {}), **row}
+        assert replayed == samples
+        for name in ("state", "time_s", "job", "tree", "dose", "holds", "joints_rad", "pan", "question"):
+            assert again[name] == then[name], name
+
+
+def test_within_a_dose_a_replay_shows_its_course_until_then_and_no_further(finished: Any) -> None:
+    dose = next(row for row in read(finished.journal, "action") if row["skill"] == "dispense")
+    time_s = (dose["started_s"] + dose["ended_s"]) / 2
+    whole = Follower(finished.journal, until_s=time_s)
+    whole.look()
+    begun = next(one for one in whole.actions.values() if one.skill == "dispense")
+    assert begun.outcome is None
+    assert len(whole.course) > 20
+    assert time_s - 1.0 < whole.course[-1][0] <= time_s
+    assert whole.reading is not None
+    assert time_s - 1.0 < whole.reading[0] <= time_s
+    told = Page(Follower(finished.journal, until_s=time_s)).news(is_held=True)
+    states = {node["name"]: node["state"] for node in told["tree"]}
+    assert (states["dispense"], states["scoop"], states["park"]) == ("running", "done", "to come")
+    failed = next(node for node in told["tree"] if node["name"] == "cone_holds")
+    assert (failed["state"], failed["why"][:15]) == ("failed", "hand.cone_empty")
+    assert told["dose"] == {"target_mg": 20.0, "tolerance_mg": 2.0}
+
+
+def test_a_motion_is_told_as_it_begins_with_where_it_leads(finished: Any) -> None:
+    now = Follower(finished.journal)
+    now.look()
+    assert now.move is not None
+    began_s, move = now.move
+    assert began_s + move.step_s * (len(move.joints_rad) - 1) <= now.time_s
+    assert move.joints_rad[-1] == pytest.approx(now.state["joints_rad"], abs=1e-4)
+    before = Page(Follower(finished.journal, until_s=began_s - 1.0)).news(is_held=True)
+    assert before["move"]["at_s"] < began_s
+
+
+def test_what_is_written_is_on_the_page_at_once_and_a_page_that_stays_is_told_only_what_changed(journal: Any) -> None:
+    written, _ = journal
+    with serving(written.path.parent.parent) as client:
+        news = client.news("one")
+        first = next(news)
+        assert (first["run"]["banner"], first["state"], first["job"]) == ("REAL", "running", None)
+        written.job_started(JobStarted(name="a", sample="a", attempt=1, workflow="w"))
+        began_s = time.monotonic()
+        told = next(news)
+        assert time.monotonic() - began_s < 1.0
+        assert told["job"]["name"] == "a"
+        assert "run" not in told
+        news.close()
+
+
+def test_a_question_is_answered_on_the_page_and_once(journal: Any) -> None:
+    written, control = journal
+    with serving(written.path.parent.parent) as client:
+        news = client.news("one")
+        next(news)
+        asked = control.questions.ask("Is the <b>shield</b> shut?", ("done", "stop"))
+        written.event(Asked(question=asked.text, choices=list(asked.choices)))
+        question = next(news)["question"]
+        assert (question["number"], question["text"]) == (asked.number, asked.text)
+        assert question["choices"][0] == {"answer": "done", "meaning": MEANINGS["done"]}
+        there = "/api/runs/one/answer"
+        assert client.post(there, {"number": asked.number, "answer": "maybe"}).status == 409
+        given = client.post(there, {"number": asked.number, "answer": "done", "name": "Eve"})
+        late = client.post(there, {"number": asked.number, "answer": "stop", "name": "Bob"})
+        news.close()
+    assert given.status == 200
+    assert (late.status, late.values["detail"]) == (409, "it was answered already")
+    answer = control.questions.given()
+    assert (answer.answer, answer.who.name) == ("done", "Eve")
+
+
+@pytest.mark.parametrize("wish", ["pause", "pause_now", "continue", "stop", "stop_now"])
+def test_what_is_wished_on_the_page_the_run_hears(journal: Any, wish: str) -> None:
+    written, control = journal
+    control.is_pausing = wish == "continue"
+    with serving(written.path.parent.parent) as client:
+        assert client.post("/api/runs/one/wish", {"wish": wish, "name": "Eve"}).status == 200
+    assert (control.is_pausing, control.is_stopping, control.halts) == (
+        wish.startswith("pause"),
+        wish.startswith("stop"),
+        wish.endswith("_now"),
+    )
+    assert "Eve" in {control.paused_by.name, control.continued_by.name, control.stopped_by.name}
+
+
+def test_of_a_run_that_nobody_has_nothing_can_be_wished(finished: Any) -> None:
+    with serving(finished.journal.parent.parent) as client:
+        answer = client.post(f"/api/runs/{finished.journal.stem}/wish", {"wish": "stop"})
+    assert (answer.status, answer.values["detail"]) == (409, "the run is not running")
+
+
+def test_a_run_waits_for_the_page_and_goes_on_by_its_answer(tmp_path: Path) -> None:
+    run = Run(tmp_path, make_lab(tmp_path / "lab", trees__ask=ASK), RECIPE)
+    run.folder = run.lab_folder / ".scuhand" / "runs"
+
+    class Answering(Watch):
+        is_done = False
+
+        def ticked(self, root: Any) -> None:
+            if not self.is_done and self.session.control.questions.waiting is not None:
+                self.is_done = True
+                with serving(run.folder.parent) as client:
+                    question = next(client.news(run.journal.stem))["question"]
+                    body = {"number": question["number"], "answer": "done", "name": "Eve"}
+                    assert client.post(f"/api/runs/{run.journal.stem}/answer", body).status == 200
+
+    assert run.go(Answering(), simulation=DryRun(asks=True)).exit_code == 0
+    (answered,) = told(run, "answered")
+    assert (answered["answer"], answered["by"]) == ("done", "Eve")
+
+
+@pytest.mark.parametrize(
+    ("changed", "word"),
+    [
+        ({"mode": "SIMULATED", "simulated": True}, "SIMULATED"),
+        ({"mode": "REHEARSAL (simulated matter, real drivers)", "simulated": True}, "REHEARSAL"),
+        ({"mode": "real devices", "simulated": False, "devices": {"balance": {"port": "/dev/pts/4"}}}, "TWIN"),
+        ({"mode": "real devices", "simulated": False, "devices": {"balance": {"port": "/dev/ttyUSB0"}}}, "REAL"),
+    ],
+)
+def test_the_banner_says_what_a_run_moves(changed: dict[str, Any], word: str) -> None:
+    assert banner(RunBegun.model_validate({**HEADER, **changed}))[0] == word
+
+
+def test_a_page_is_told_of_a_journal_that_cannot_be_read(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "bad.sqlite").write_bytes(b"no journal at all" * 100)
+    with serving(tmp_path) as client:
+        answer = client.get("/api/runs/bad")
+        assert client.get("/api/runs").values[0]["state"] == "unreadable"
+    assert answer.status == 409
+    assert "damaged" in answer.values["detail"]
+
+
+def test_the_cell_is_drawn_as_motions_are_planned_in_it(finished: Any) -> None:
+    with serving(finished.journal.parent.parent) as client:
+        scene = client.get(f"/api/runs/{finished.journal.stem}/scene").values
+    assert len(scene["joints"]) == 7
+    assert scene["joints"][0]["axis"] == [0.0, 0.0, 1.0]
+    names = {one["name"] for one in scene["solids"]}
+    assert {"balance_body", "mortar_bay", "shield_left"} <= names
+    assert len({one["mm"] for one in scene["cones"]}) > 1
+    assert all(one["solids"] for one in (*scene["cones"], *scene["containers"]))
+    assert {one["name"] for one in scene["containers"]} >= {"xrd_holder", "pellet_die_13mm"}
+
+
+def test_a_run_brings_its_dashboard_along_and_takes_it_with_it(
+    command: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from scuhand_bt.cli import serve
+
+    seen = []
+
+    class Looking(Client):
+        def look(self, address: str) -> None:
+            deadline_s = time.monotonic() + 20.0
+            while time.monotonic() < deadline_s:
+                try:
+                    seen.append(self.get(f"/api{address[address.index('/runs') :]}").status)
+                    return
+                except OSError:
+                    time.sleep(0.05)
+
+    beside = serve.dashboard_beside
+
+    def looked_at(journal: Path) -> Any:
+        class Both:
+            def __enter__(self) -> str:
+                self.inner = beside(journal)
+                address = self.inner.__enter__()
+                port = int(address.split(":")[2].split("/")[0])
+                Looking(port, None).look(address)
+                self.port = port
+                return address
+
+            def __exit__(self, *error: Any) -> None:
+                self.inner.__exit__(*error)
+                with pytest.raises(OSError, match="refused"):
+                    Client(self.port, None).get("/")
+
+        return Both()
+
+    monkeypatch.setattr(serve, "dashboard_beside", looked_at)
+    lab = make_lab(tmp_path / "lab")
+    (tmp_path / "lab" / "recipes").mkdir()
+    recipe = lab / "recipes" / "park.yaml"
+    (lab / "trees" / "stay.yaml").write_text("workflow: stay\ntree: {sequence: [{park: }]}\n")
+    recipe.write_text("recipe: stay\nworkflow: stay\nsamples: [{id: a}]\n")
+    ended = command("run", recipe, "--dry-run", "--dashboard", "--lab", lab)
+    assert ended.returncode == 0, ended.stderr
+    assert "Dashboard: http://127.0.0.1:" in ended.stdout
+    assert seen == [200]

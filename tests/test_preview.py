@@ -1,0 +1,91 @@
+"""The plan as a page: order and needs are the plan's, what to expect its odds', the motions a dry run's."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import REPOSITORY, Call
+from page_text import Tables
+from running import HEAD, make_lab
+from test_show_move import packed
+
+from scuhand_bt.lab import load_lab
+from scuhand_bt.quantity import format_duration, format_mass
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.report.preview import preview
+from scuhand_bt.study.odds import odds_of
+from scuhand_bt.study.trial import Setup, trial
+
+RECIPE = """
+recipe: "two"
+workflow: fill_xrd_holder
+defaults: {container: xrd_holder, tolerance: 2 mg}
+samples:
+  - {id: a, mass: 20 mg, source: beads}
+  - {id: b, mass: 50 mg, source: msg}
+on_failure: {dose.overshoot: ask, otherwise: stop}
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    recipe = tmp_path_factory.mktemp("preview") / "recipe.yaml"
+    recipe.write_text(RECIPE + HEAD, encoding="utf-8")
+    lab = load_lab(REPOSITORY)
+    plan = make_plan(load_recipe(recipe, lab), lab)
+    odds = odds_of(plan, [trial(Setup(recipe, REPOSITORY), seed) for seed in range(2)])
+    return plan, odds, preview(plan, lab, odds)
+
+
+def test_the_page_has_the_plans_order_and_when_each_job_is_to_begin(made: Any) -> None:
+    plan, odds, page = made
+    tables = Tables(page)
+    order = tables.found["The order"][1:]
+    assert [row[1] for row in order] == [job.name for job in plan.jobs]
+    assert [row[3] for row in order if row[3]] == ["beads", "msg"]
+    for row, job in zip(order, plan.jobs, strict=True):
+        began = odds.began_s[job.name]
+        for bound_s in (began.low, began.middle, began.high):
+            assert format_duration(bound_s) in row[7]
+    assert [row[8] for row in order if row[8]] == [
+        f"{chance.probability:.0%} ({chance.low:.0%} to {chance.high:.0%})" for chance in odds.samples.values()
+    ]
+    assert f"{format_duration(odds.duration_s.low)} to {format_duration(odds.duration_s.high)}" in tables.text
+    assert tables.fetched == []
+
+
+def test_the_page_says_how_much_powder_is_used_and_when_a_person_is_needed(made: Any) -> None:
+    plan, odds, page = made
+    tables = Tables(page)
+    columns = "source, powder, station, samples, scoops, needed with losses, used, amount"
+    for row, demand in zip(tables.found[columns][1:], plan.demands, strict=True):
+        name = demand.source.name
+        assert (row[0], row[4]) == (name, f"{odds.scoops[name].middle:.0f}")
+        assert format_mass(odds.used_mg[name].middle) in row[6]
+        assert row[5] == format_mass(demand.needed_mg)
+    persons = tables.found["run time, job, what"][1:]
+    assert persons[0][0] == "before the start"
+    swap = next(row for row in persons if "change powder" in row[1])
+    assert format_duration(odds.began_s[swap[1]].middle) in swap[0]
+    assert any(row[0] == "if a sample fails" and "dose.overshoot" in row[2] for row in persons)
+
+
+def test_the_motions_of_a_dry_run_are_in_the_page_job_by_job(made: Any) -> None:
+    plan, _, page = made
+    shown = packed(page, "shown")
+    assert list(dict.fromkeys(one["job"] for one in shown["motions"])) == [job.name for job in plan.jobs]
+    assert {one["pan"] for one in shown["motions"]} == {"xrd_holder"}
+    assert len(shown["scene"]["cones"]) > 1
+
+
+def test_the_command_writes_the_page_and_refuses_another_kind_of_file(command: Call, tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab", trees__stay="workflow: stay\ntree: {sequence: [{park: }]}\n")
+    recipe = lab / "stay.yaml"
+    recipe.write_text("recipe: stay\nworkflow: stay\nsamples: [{id: a}]\n", encoding="utf-8")
+    assert command("plan", recipe, "--html", tmp_path / "plan.txt").returncode == 2
+    assert command("plan", recipe, "--html", tmp_path / "plan.html", "--trials", "0").returncode == 2
+    ended = command("plan", recipe, "--html", tmp_path / "plan.html", "--trials", "1")
+    assert ended.returncode == 0, ended.stderr
+    assert "stay: the plan" in (tmp_path / "plan.html").read_text(encoding="utf-8")
+    assert not list(lab.glob(".scuhand/runs/*"))

@@ -1,0 +1,242 @@
+"""Many dry runs of a recipe: the same trials anywhere, kept, varied, and what they say of a plan."""
+
+import csv
+import json
+from concurrent.futures import Executor, Future
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scuhand_bt.lab import load_lab
+from scuhand_bt.problems import SourceError
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.study.odds import Chance, odds_of
+from scuhand_bt.study.pool import all_trials, executor_of
+from scuhand_bt.study.store import open_store
+from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
+from scuhand_bt.study.vary import Vary, goes_with, read_vary
+from tests.conftest import Call, LabFolder
+
+RECIPE = """recipe: two
+workflow: fill_xrd_holder
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+samples:
+  - {id: a, source: beads, container: xrd_holder, mass: 50 mg}
+  - {id: b, source: beads, container: xrd_holder, mass: 50 mg}
+  - {id: c, source: beads, container: xrd_holder, mass: 30 mg}
+"""
+FLOW = "powders.glass_beads.simulation.flow_coefficient"
+
+
+@pytest.fixture
+def setup(lab_folder: LabFolder) -> Setup:
+    return Setup(lab_folder.write("recipes/two.yaml", RECIPE), lab_folder.folder)
+
+
+class Inline(Executor):
+    """Runs what it is given at once, and counts it."""
+
+    def __init__(self) -> None:
+        self.ran = 0
+
+    def submit(self, fn, /, *arguments, **named):  # type: ignore[no-untyped-def]
+        self.ran += 1
+        future: Future[object] = Future()
+        future.set_result(fn(*arguments, **named))
+        return future
+
+
+def test_a_trial_is_the_same_in_any_process_and_after_any_other(setup: Setup) -> None:
+    here = [trial(setup, 3), trial(setup, 4), trial(setup, 3)]
+    assert here[0] == here[2] != here[1]
+    with executor_of(1, None) as executor:
+        assert dict(all_trials([(setup, 3)], executor)) == {(setup, 3): here[0]}
+    assert not (setup.lab / ".scuhand").exists(), "it leaves nothing behind"
+
+
+def test_a_trial_says_what_came_of_the_run(setup: Setup) -> None:
+    one = trial(setup, 1)
+    assert [sample.id for sample in one.samples] == ["a", "b", "c"]
+    assert [sample.target_mg for sample in one.samples] == [50.0, 50.0, 30.0]
+    dosed_mg = sum(sample.true_mg or 0.0 for sample in one.samples)
+    assert dosed_mg == pytest.approx(130.0, abs=9.0)
+    assert dosed_mg <= one.used_mg["beads"] < 500.0
+    assert one.scoops["beads"] >= 1
+    assert one.began_s["a"] == 0.0 < one.began_s["b"] < one.began_s["c"] < one.duration_s
+
+
+def test_a_study_that_broke_off_goes_on_and_one_of_other_files_begins_anew(setup: Setup, tmp_path: Path) -> None:
+    kept, inline = tmp_path / "s.sqlite", Inline()
+    tasks = [(setup, seed) for seed in range(3)]
+    with open_store(kept, setup) as store:
+        first = dict(all_trials(tasks[:2], inline, store))
+    with open_store(kept, setup) as store:
+        again = dict(all_trials(tasks, inline, store))
+    assert (inline.ran, list(again)) == (3, tasks)
+    assert all(again[task] == one for task, one in first.items())
+    other = replace(setup, controller="paper")
+    with open_store(kept, setup) as store:
+        dict(all_trials([(other, 0)], inline, store))
+    assert inline.ran == 4
+    setup.recipe.write_text(RECIPE.replace("30 mg", "31 mg"), encoding="utf-8")
+    with open_store(kept, setup) as store:
+        dict(all_trials([(setup, 0)], inline, store))
+    assert inline.ran == 5
+
+
+def test_a_file_that_is_no_store_is_refused(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "s.sqlite"
+    path.write_text("no database, and long enough not to be taken for one", encoding="utf-8")
+    with pytest.raises(SourceError, match="cannot be kept there"), open_store(path, setup):
+        pass
+
+
+def test_what_is_varied_is_what_is_run(setup: Setup) -> None:
+    slow, quick = (replace(setup, changes=((FLOW, flow), ("recipe.samples.2.mass", "90 mg"))) for flow in ("20", "300"))
+    assert trial(slow, 0).samples[2].target_mg == 90.0
+    assert trial(slow, 0).duration_s > trial(quick, 0).duration_s
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("powders.glass_beads.simulation.flow", "'flow' is not there; known: flow_coefficient"),
+        ("powders.beads.repose", "'beads' is not there; known: glass_beads"),
+        ("recipe.samples.3.mass", "'3' is not there; known: 0, 1, 2"),
+        ("robot.balance", "a place begins with its file; known: recipe, powders, containers, cell"),
+    ],
+)
+def test_a_place_that_there_is_not_is_told_with_those_that_there_are(setup: Setup, place: str, said: str) -> None:
+    with pytest.raises(SourceError) as wrong:
+        trial(replace(setup, changes=((place, "1"),)), 0)
+    assert str(wrong.value).startswith(f"{place}: {said}")
+
+
+def test_a_change_that_no_lab_may_have_is_refused_as_in_any_lab(setup: Setup) -> None:
+    with pytest.raises(SourceError, match="flow_coefficient"):
+        trial(replace(setup, changes=((FLOW, "-3"),)), 0)
+
+
+RANGES = {FLOW: {"from": "50", "to": "100"}, "recipe.samples.0.mass": {"from": "20 mg", "to": "60 mg"}}
+
+
+def test_designs_stay_in_their_ranges_and_are_the_same_each_time() -> None:
+    grid = Vary.model_validate({"design": "grid", "draws": 3, "vary": {**RANGES, "recipe.order": ["x", "y"]}})
+    assert len(grid.changes()) == 3 * 3 * 2
+    assert grid.changes()[0] == ((FLOW, "50"), ("recipe.samples.0.mass", "20 mg"), ("recipe.order", "x"))
+    for design, many in (("latin_hypercube", 16), ("sobol", 16 * 4)):
+        vary = Vary.model_validate({"design": design, "draws": 16, "vary": RANGES})
+        draws = vary.changes()
+        assert len(draws) == many
+        assert draws == vary.changes() != vary.changes(1)
+        flows = [float(dict(draw)[FLOW]) for draw in draws]
+        assert 50.0 <= min(flows) < 58.0 < 92.0 < max(flows) <= 100.0
+        assert all(dict(draw)["recipe.samples.0.mass"].endswith(" mg") for draw in draws)
+
+
+def test_sobol_indices_tell_what_a_figure_depends_on() -> None:
+    vary = Vary.model_validate({"design": "sobol", "draws": 512, "vary": RANGES})
+    flows = [float(dict(draw)[FLOW]) / 50.0 for draw in vary.changes()]
+    masses = [float(dict(draw)["recipe.samples.0.mass"].split()[0]) / 40.0 for draw in vary.changes()]
+    found = vary.indices([2.0 * flow + mass for flow, mass in zip(flows, masses, strict=True)])
+    assert found[FLOW] == pytest.approx((0.8, 0.8), abs=0.05)
+    assert found["recipe.samples.0.mass"] == pytest.approx((0.2, 0.2), abs=0.05)
+    assert vary.indices([1.0] * len(flows))[FLOW] == (0.0, 0.0)
+
+
+def test_ranks_tell_what_goes_with_a_figure() -> None:
+    draws = [Setup(Path("r"), Path("l"), changes=((FLOW, str(flow)), ("recipe.order", "x"))) for flow in (1, 2, 3)]
+    assert goes_with(draws, [9.0, 5.0, 1.0]) == {FLOW: pytest.approx(-1.0)}
+    assert goes_with(draws, [1.0, 1.0, 1.0]) == {FLOW: 0.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("vary: {a.b: {from: 20 mg, to: 60 g}}", "a range goes from a smaller to a larger number of the same unit"),
+        ("vary: {a.b: {from: 60 mg, to: 20 mg}}", "a range goes from a smaller to a larger number"),
+        ("{design: sobol, draws: 12, vary: {a.b: [x]}}", "a sobol design takes a power of two"),
+        ("{design: random, vary: {a.b: [x]}}", "design"),
+        ("vary: {}", "vary"),
+    ],
+)
+def test_a_file_that_varies_nothing_sensible_is_told_where(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "vary.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SourceError) as wrong:
+        read_vary(path)
+    assert str(wrong.value).startswith(f"{path}:1:")
+    assert said in str(wrong.value)
+
+
+def fake(seed: int, duration_s: float, good: str) -> Trial:
+    """A trial of the three samples of which these are good."""
+    samples = tuple(
+        SampleTrial(name, name in good, name in good, "in tolerance" if name in good else "over",
+                    None if name in good else "dose.overshoot", 50.0, 50.0, 50.0, 10.0)
+        for name in "abc"
+    )  # fmt: skip
+    return Trial(seed, 0, duration_s, {"a": 0.0, "b": 100.0}, samples, {"beads": 1 + seed % 2}, {"beads": 200.0})
+
+
+def test_odds_hold_alike_samples_together_and_warn_of_those_that_fail(setup: Setup) -> None:
+    lab = load_lab(setup.lab)
+    plan = make_plan(load_recipe(setup.recipe, lab), lab)
+    times_s = np.random.default_rng(1).normal(600.0, 30.0, 40)
+    odds = odds_of(plan, [fake(seed, time_s, "a" if seed % 2 else "ab") for seed, time_s in enumerate(times_s)])
+    assert (odds.trials, odds.samples["a"].tried, odds.samples["c"].tried) == (40, 80, 40)
+    assert odds.samples["a"] == odds.samples["b"]
+    assert odds.samples["a"].probability == pytest.approx(0.75, abs=0.02)
+    assert odds.samples["c"].probability < 0.06
+    assert odds.samples["c"].low < odds.samples["c"].probability < odds.samples["c"].high
+    assert odds.unlikely == ["a", "b", "c"]
+    assert odds.codes == {"dose.overshoot": 1.5}
+    assert odds.duration_s.low < 550.0 < 600.0 == pytest.approx(odds.duration_s.middle, abs=15.0)
+    assert odds.duration_s.high > 650.0
+    assert odds.scoops["beads"].low == 1.0 < odds.scoops["beads"].high == 2.0
+
+
+def test_a_sample_that_never_failed_in_a_few_trials_is_not_warned_of(setup: Setup) -> None:
+    lab = load_lab(setup.lab)
+    plan = make_plan(load_recipe(setup.recipe, lab), lab)
+    odds = odds_of(plan, [fake(seed, 600.0, "abc") for seed in range(4)])
+    assert isinstance(odds.samples["c"], Chance)
+    assert 0.9 < odds.samples["c"].probability < 1.0
+    assert (odds.unlikely, odds.codes) == ([], {})
+
+
+def test_the_command_tells_the_odds_and_writes_every_sample(setup: Setup, command: Call, tmp_path: Path) -> None:
+    vary = tmp_path / "vary.yaml"
+    vary.write_text(f"{{design: grid, draws: 2, vary: {{{FLOW}: {{from: 40, to: 150}}}}}}", encoding="utf-8")
+    rows, kept = tmp_path / "rows.csv", tmp_path / "s.sqlite"
+    asked = ("study", setup.recipe, "--trials", 2, "--vary", vary, "--store", kept, "-o", rows, "--workers", 2)
+    found = json.loads(command(*asked, "--json").stdout)
+    assert (found["draws"], found["trials"]) == (2, 4)
+    assert found["indices"]["duration_s"][FLOW]["rank"] == pytest.approx(-1.0)
+    with rows.open(encoding="utf-8", newline="") as file:
+        written = list(csv.DictReader(file))
+    assert len(written) == 4 * 3
+    assert {row[FLOW] for row in written} == {"40", "150"}
+    shown = command(*asked).stdout
+    assert "By 4 dry runs" in shown
+    assert "what duration_s depends on" in shown
+    assert command("study", setup.recipe, "-o", "rows.txt").returncode == 2
+
+
+def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, command: Call) -> None:
+    setup.recipe.write_text(
+        RECIPE.replace("samples:", "  msg: {station: mortar_bay_2, container: agate_mortar, "
+                       "powder: monosodium_glutamate, amount: 5 g}\nsamples:").replace(
+                           "{id: c, source: beads", "{id: c, source: msg"), encoding="utf-8"
+    )  # fmt: skip
+    shown = command("plan", setup.recipe, "--trials", 2).stdout
+    assert "By 2 dry runs (intervals of 90 %): it takes " in shown
+    assert "swap the sheet (two screws) (after " in shown
+    found = json.loads(command("plan", setup.recipe, "--trials", 2, "--json").stdout)
+    assert found["odds"]["trials"] == 2
+    assert set(found["odds"]["samples"]) == {"a", "b", "c"}
+    assert json.loads(command("plan", setup.recipe, "--trials", 0, "--json").stdout)["odds"] is None
