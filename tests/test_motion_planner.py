@@ -227,6 +227,7 @@ def test_a_contact_path_passes_its_waypoints_at_its_speed_without_a_jump(planner
 
 
 def test_only_the_named_mortar_may_be_touched(planner):
+    planner.set_geometry(0.070)  # its handle is steep enough to pass the mortar's edge
     start = posture(planner, "mortar_bay")
     x, y, _ = above("mortar_bay", 0).position_m
     down = [ApexPose(np.array([x, y, 0.043]))]
@@ -236,6 +237,7 @@ def test_only_the_named_mortar_may_be_touched(planner):
     assert failed.value.code == "arm.no_path"
     with pytest.raises(SkillFailed, match="table"):
         planner.contact(start, [ApexPose(np.array([x + 0.12, y, 0.0]))], 0.04, touching="mortar_bay")
+    planner.set_geometry()
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
@@ -263,3 +265,25 @@ def test_what_stands_on_the_pan_is_in_the_way():
         planner.move(planner.home(), low)
     planner.set_geometry()
     assert planner.move(planner.home(), low).duration_s > 0
+
+
+def test_a_load_is_carried_from_a_cone_that_lies_below_its_handle_too(planner):
+    """The level coordinates do not hold such a posture: a motion planned in them would begin in another."""
+    start = np.radians([27.0, -42.0, 15.0, -84.0, 23.0, -87.0, -137.0])
+    motion = planner.move(start, posture(planner, "mortar_bay"), spill_limit_deg=50.0)
+    assert np.abs(motion.start - start).max() < 1e-9
+
+
+def test_straight_down_to_a_place_every_height_over_the_pan_lets_the_arm(planner):
+    """Where joint 2 or joint 6 passes through zero on the way, too."""
+    x_mm, y_mm, _ = LAB.cell.stations["balance"].position_mm
+    for height_mm in range(120, 200, 10):
+        place = ApexPose(np.array([x_mm, y_mm, height_mm]) / 1e3)
+        planner.add_place("over the pan", place)
+        down = planner.descent("over the pan", 0.06, 0.06, spill_limit_deg=20.0)
+        mount = Mount.of(LAB.cell.hand)
+        ways = [apex(down.sample(share * down.duration_s), mount) for share in np.linspace(0.0, 1.0, 30)]
+        assert np.linalg.norm(ways[-1].position_m - place.position_m) < 1e-4
+        assert max(np.linalg.norm(way.position_m[:2] - place.position_m[:2]) for way in ways) < 5e-4
+        assert ways[0].position_m[2] - ways[-1].position_m[2] == pytest.approx(0.06, abs=1e-4)
+        assert max(way.tilt_deg for way in ways) < 0.5

@@ -1,20 +1,25 @@
 """A stroke of arm and roller at a mortar of the starter lab: one motion, proven, along the wall."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.dosing.strokes import Bed, chosen
 from scuhand_bt.dosing.swing import Ladle, Stroke, StrokePath, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, Mount, apex
 from scuhand_bt.motion.axes import of_arm, of_roller
+from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import with_roller
+from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.trajectory import through
 
 LAB = load_lab(starter_lab())
 HAND = LAB.cell.hand
@@ -124,3 +129,35 @@ def test_a_cone_that_opens_where_it_stands_stays_upright_about_its_apex(planner:
     assert rims_mm[[0, -1]] == pytest.approx([70.0, 90.0], abs=0.05)
     assert max(pose.tilt_deg for pose in poses) < 0.5
     assert max(np.linalg.norm(pose.position_m - place.position_m) for pose in poses) < 5e-4
+
+
+@pytest.mark.parametrize(("name", "mortar"), [("mortar_bay", "agate_mortar"), ("mortar_bay_2", "small_agate_mortar")])
+def test_the_arm_can_swing_to_and_fro_at_a_station_with_either_mortar(name: str, mortar: str) -> None:
+    kind, station = LAB.library.mortars[mortar], LAB.cell.stations[name]
+    planner = LAB.motion_planner({name: kind})
+    bed = Bed(kind, 6000.0, 1.5)
+    outward_deg = math.degrees(math.atan2(station.position_mm[1], station.position_mm[0]))
+    for wanted_mg in (2000.0, 6000.0):
+        stroke, possible = chosen(bed, HAND.sheet_radius_mm, wanted_mg), []
+        for aside_deg in (90.0, 240.0, 270.0, 300.0):
+            path = stroke_path(Vessel.of(kind), replace(stroke, heading_deg=outward_deg + aside_deg), Ladle.of(HAND))
+            try:
+                possible.append(planned_stroke(planner, planner.home(), path, LAB.cell, name, kind).duration_s)
+            except SkillFailed:
+                continue
+        assert len(possible) >= 2
+        assert min(possible) < 9.0
+
+
+def test_a_course_is_slower_only_where_a_joint_is_too_quick() -> None:
+    rates = RateLimits(np.array([1.0, 1.0]), np.array([4.0, 4.0]), np.array([40.0, 40.0]))
+    times_s = np.linspace(0.0, 4.0, 161)
+    share = times_s / 4.0
+    even = share**3 * (10 - 15 * share + 6 * share**2)
+    quick = 1.2 / (1 + np.exp(-(times_s - 2.0) / 0.1))
+    samples = np.column_stack([even, quick])
+    motion = slowed(times_s, samples, rates)
+    whole = through(times_s, samples)
+    assert rates.stretch_for(motion) <= 1 + 1e-6
+    assert motion.duration_s < 0.75 * rates.stretch_for(whole) * whole.duration_s
+    assert np.abs(motion.at(motion.knots_s) - samples).max() < 1e-9, "it is where it was asked to be"
