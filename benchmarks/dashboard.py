@@ -59,8 +59,11 @@ def serving(folder: Path) -> Iterator[tuple[str, int]]:
             pass_fds=[listener.fileno()],
         )
     assert process.stdin is not None
+    address = f"http://127.0.0.1:{port}"
+    with urllib.request.urlopen(address, timeout=60):  # it has begun
+        pass
     try:
-        yield f"http://127.0.0.1:{port}", process.pid
+        yield address, process.pid
     finally:
         process.stdin.close()
         process.wait(20)
@@ -108,11 +111,12 @@ def make_lab(folder: Path) -> Path:
     return folder
 
 
-def many_samples(folder: Path, samples: int) -> dict[str, float]:
-    """A page of a run of many samples that goes on at the pace of a real one."""
-    lab = make_lab(folder / "many")
-    assert dry_run(generated_recipe(lab, samples), lab).wait() <= 1
-    (whole,) = (lab / ".scuhand" / "runs").glob("*.sqlite")
+def many_samples(folder: Path, samples: int, whole: Path | None) -> dict[str, float]:
+    """A page of a run of many samples that goes on at the pace of a real one; `whole` is the journal of such a run."""
+    if whole is None:
+        lab = make_lab(folder / "many")
+        dry_run(generated_recipe(lab, samples), lab).wait()
+        (whole,) = (lab / ".scuhand" / "runs").glob("*.sqlite")
     path = folder / "fed" / "runs" / "many.sqlite"
     path.parent.mkdir(parents=True)
     shutil.copy(whole, path)
@@ -242,6 +246,7 @@ GOALS = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, default=1000)
+    parser.add_argument("--journal", type=Path, help="of a dry run of so many generated samples; else one is made")
     parser.add_argument("--pairs", type=int, default=5)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
@@ -249,7 +254,7 @@ def main() -> None:
         folder = Path(name)
         figures = {
             **latency(folder),
-            **many_samples(folder, options.samples),
+            **many_samples(folder, options.samples, options.journal),
             **slower(folder, options.pairs),
             **flooded(folder),
         }

@@ -69,7 +69,7 @@ TARGETS = (
     Target("weighing", "scuhand_bt/cell/weighing.py", (), ("weighing",)),
     Target("outcome", "scuhand_bt/run/outcome.py", (), ("outcome",)),
     Target("dispense", "skills/dispense.py", ("Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
-    Target("verdict of a controller", "scuhand_bt/dosing/dose_state.py", ("Knowledge.verdict",), ("dispense",)),
+    Target("verdict of a controller", "scuhand_bt/dosing/knowledge.py", ("Knowledge.verdict",), ("dispense",)),
     Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop",)),
     Target("guards", "scuhand_bt/run/guards.py", (), ("guard_limits", "guards")),
     Target("spill", "scuhand_bt/motion/spill.py", (), ("motion_spill",)),

@@ -17,7 +17,7 @@ import yaml
 from benchmarks.oracle import run_oracle
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
-from scuhand_bt.cell.weighing import weighing_of
+from scuhand_bt.cell.weighing import require_known_delay, shown_step, weigh_changed, weighing_of
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
@@ -40,6 +40,8 @@ DOSES_PER_RUN = 10
 TOLERANCE_MG = 2.0
 WAY_S = 4.0
 """From the tare to the dose: the arm's way over the balance; it is not counted."""
+CHANGE_S = 1.0
+"""From the bare pan's weighing to the dish."""
 UNWAITING = "paper_unwaiting"
 """`paper` on a rig that asks its balance at once, without the fixed wait of the paper's."""
 PAPERS = ("paper", UNWAITING, "direct_pid")
@@ -160,14 +162,20 @@ class Bench:
         )
         self.clock.process = self.world
         self.world.begin_sample(f"{powder.name} {target_mg:g}", dose)
-        self.world.place(DISH)
         self.world.load_cone("store", load_mg)
         self.cell.spec = spec.model_copy(update={"hand": setting.believed_hand or setting.hand})
         believed = self.cell.believed
         believed.cone_holds(source, load_mg)
-        believed.brought(DISH, from_changer=False)
-        gross = weighing_of(self.drive(self.cell.balance.stable_mean(60.0)))
-        believed.placed(gross, gross)
+        self.cell.balance.on_reading = self.cell.readings.append
+        bare = self.drive(self.cell.balance.stable_mean(60.0))
+        self.drive(pause(self.cell, CHANGE_S))
+        self.world.place(DISH)
+        believed.brought(DISH, from_changer=True)
+        brought_s = self.clock.now_s
+        loaded = self.drive(weigh_changed(self.cell, bare.value_mg))
+        self.cell.balance.on_reading = None
+        self.step = shown_step(self.cell, bare, loaded, brought_s)
+        believed.placed(weighing_of(bare), weighing_of(loaded))
 
     def drive(self, steps: Steps[T]) -> T:
         """Run a generator to its end."""
@@ -190,6 +198,8 @@ class Bench:
         )
         reason: str = "reached"
         try:
+            if self.step is not None:
+                require_known_delay(cell, self.step)
             if name == "oracle":
                 reason = self._keep(name, self.drive(self._oracle(dispense)))
             elif name in PAPERS:

@@ -36,6 +36,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
 from scuhand_bt.events import (
+    BalanceDoubted,
     BalanceWatched,
     ContainerPlaced,
     Discarded,
@@ -66,6 +67,7 @@ from scuhand_bt.quantity import (
 from scuhand_bt.specs import Container, Powder, Source
 
 __all__ = [
+    "BalanceDoubted",
     "BalanceWatched",
     "Believed",
     "Cell",

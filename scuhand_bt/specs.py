@@ -85,31 +85,37 @@ class PowderBelief(Spec):
     coefficient: PositiveFloat = 70.0
     threshold_mm: Annotated[Millimetres, NotNegative] = 0.1
     exponent: Annotated[float, Field(gt=0, le=10)] = 2.5
+    gap_mm: Annotated[Millimetres, Field(gt=0)] = 0.5
+    """The opening above the threshold that the coefficient was seen at: at others the exponent counts, too."""
+    narrowest_mm: Annotated[Millimetres, Field(gt=0)] = 0.05
+    """Above the threshold: from less, little comes."""
     spread: Annotated[Ratio, Field(gt=0, le=3)] = 0.5
     """Relative standard deviation of the flow about that law, from one opening to the next."""
     surge_mg: Annotated[Milligrams, NotNegative] = 0.3
     """Mass that may come at once, unasked."""
+    erratic: Annotated[float, Field(ge=1)] = 3.0
+    """By what factor the variance of the predictions of its mass turned out to be too small."""
     vibration: Annotated[Ratio, Field(ge=0, le=1)] = 0.0
     """The level this powder needs to flow at all; 0 for one that flows by gravity."""
-    pauses: bool = True
-    """Whether a powder that is to be shaken stops when it is not."""
     doses: Annotated[int, Field(ge=0)] = 0
     """How many doses it was learnt from."""
 
 
 class BalanceBelief(Spec):
-    """What controllers believe of a balance: pessimistic until learnt from a run's first good dose."""
+    """What controllers believe of a balance: pessimistic until a container's step or a good opening has shown it."""
 
     lag_s: Annotated[Seconds, Field(gt=0, le=5)] = 0.6
     """Half the time that the reading of a steadily growing mass is behind it."""
-    poles: Annotated[int, Field(ge=1, le=20)] = 2
-    """How many equal poles, which share that time, the reading follows the mass with."""
-    misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.1
-    """The largest share of a sudden mass that this model of the balance was off by, noise apart."""
+    doubt: Annotated[Ratio, Field(ge=0)] = 1.0
+    """Standard deviation of that time's logarithm."""
+    shape: str = "two poles"
+    """The kind of filter that delays it so: one of `scuhand_bt.dosing.estimation.SHAPES`."""
+    misfit: Annotated[Ratio, Field(ge=0, le=1)] = 0.02
+    """The share of what was not yet read that this model of the balance was off by, noise apart."""
     noise_mg: Annotated[Milligrams, NotNegative] = 0.1
     """Standard deviation of a single reading on a quiet pan."""
     fits: Annotated[int, Field(ge=0)] = 0
-    """How many openings the lag was learnt from; 0 while it is only assumed."""
+    """How many steps and openings the lag was learnt from; 0 while it is only assumed."""
 
 
 class Departure(StrEnum):

@@ -4,7 +4,7 @@ A file becomes a tree of `Node`s. Scalars stay text: the *field* a value is for 
 never its spelling (`id: 007` is "007", `on:` is a key, `no` is a word).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
@@ -85,6 +85,18 @@ def plain(node: Node) -> Any:
         return {key: plain(value) for key, value in node.values.items()}
     assert isinstance(node, Scalar)
     return node.text
+
+
+def from_plain(value: Any, name: str) -> Node:
+    """Plain values as nodes: those of a recipe that was made by a program, which has a name and no lines."""
+    mark = Mark(name, 0)
+    if isinstance(value, Mapping):
+        values = {str(key): from_plain(one, f"{name}.{key}") for key, one in value.items()}
+        return Entries(mark, {key: node.mark for key, node in values.items()}, values)
+    if isinstance(value, list | tuple):
+        return Items(mark, [from_plain(one, f"{name}[{number}]") for number, one in enumerate(value)])
+    text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else None if value is None else str(value)
+    return Scalar(mark, text)
 
 
 def read_text(path: Path, what: str, asked_at: Mark | None = None) -> str:

@@ -8,7 +8,6 @@ from pydantic import AfterValidator, Field
 
 from scuhand_bt.cell.believed import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
-from scuhand_bt.cell.doubt import doubt_balance
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import (
     SCOOP_DOUBT,
@@ -33,6 +32,7 @@ from scuhand_bt.dosing.bracket import (
 from scuhand_bt.dosing.characteristic import held_mg, is_frozen
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
+    BalanceDoubted,
     Cell,
     Code,
     Dose,
@@ -133,7 +133,6 @@ class Dispense(Skill[Dose]):
             believed.dosing_ended(gross_mg - before.gross_mg, gross_mg)
         self._require_readability(cell, run)
         self._learn(cell, run)
-        doubt_balance(cell, request.balance, run.curve)
         for pair in run.watched:
             note_moved(cell, *pair)
         fell_mg = fallen_mg([point.net_mg for point in run.curve if not point.stable and point.vibration == 0.0])
@@ -275,6 +274,11 @@ class Dispense(Skill[Dose]):
         source = self._source(cell)
         if run.finish.powder is not None:
             cell.powder_beliefs[source.sheet_key] = run.finish.powder
+        if (doubt := run.finish.doubt) is not None and cell.balance_belief.fits > 0:
+            lag_s = cell.balance_belief.lag_s
+            cell.record.event(
+                BalanceDoubted(difference_mg=doubt.difference_mg, allowed_mg=doubt.allowed_mg, lag_s=lag_s)
+            )
         if run.finish.balance is not None:
             cell.balance_belief = run.finish.balance
 

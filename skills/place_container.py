@@ -6,7 +6,7 @@ from typing import Any
 from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.weighing import (
     require_known_delay,
-    step_delay,
+    shown_step,
     take_container_away,
     watched,
     weigh_changed,
@@ -46,7 +46,7 @@ class PlaceContainer(Skill[None]):
         brought_s = cell.clock.now_s
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
         loaded = yield from weigh_changed(cell, bare.value_mg)
-        delay_s = step_delay(cell, bare, loaded, brought_s)
+        step = shown_step(cell, bare, loaded, brought_s)
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
         cell.record.event(
@@ -57,7 +57,7 @@ class PlaceContainer(Skill[None]):
                 balance=cell.balance.identity,
                 bare=bare.written(),
                 loaded=loaded.written(),
-                delay_s=delay_s,
+                delay_s=step.delay_s if step is not None else None,
             )
         )
         if mass_mg < container.empty_mass_mg / 10:
@@ -70,8 +70,8 @@ class PlaceContainer(Skill[None]):
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
-        if delay_s is not None:
-            require_known_delay(cell, delay_s)
+        if step is not None:
+            require_known_delay(cell, step)
         believed.placed(weighing_of(bare), weighing_of(loaded))
 
     @staticmethod

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime, timedelta
+from math import exp
 from pathlib import Path
 from statistics import stdev
 from types import SimpleNamespace
@@ -18,10 +19,11 @@ from running import Ran, dry_run, shared_planner
 from harness.falsify import Falsifier
 from harness.worlds import BY_NAME
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.weighing import require_known_delay, step_delay
+from scuhand_bt.cell.weighing import require_known_delay, shown_step
 from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.dosing.characteristic import STILL_KNOWN, STILL_READINGS, held_mg, is_frozen
+from scuhand_bt.dosing.characteristic import STILL_KNOWN, STILL_READINGS, Step, held_mg, is_frozen
+from scuhand_bt.dosing.estimation import balance_of
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab
@@ -88,6 +90,12 @@ class LittleSlower(Slower):
     lag_s = 0.36
 
 
+def late_by(delay_s: float) -> Step:
+    """How a balance of two poles shows 25 g."""
+    times_s = [0.02 * number for number in range(1, 2000)]
+    return Step(25_000.0, tuple(times_s), tuple((1.0 + 2.0 * t / delay_s) * exp(-2.0 * t / delay_s) for t in times_s))
+
+
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Cell:
     """A cell that has dosed, and knows its balance."""
@@ -124,14 +132,15 @@ def test_slower_is_a_quarter_more_than_was_measured_or_else_learnt_and_a_person_
     sound: Cell, known_s: float | None, by_hand: bool, delay_s: float, is_slower: bool
 ) -> None:
     events: list[Any] = []
-    learnt = BalanceBelief(lag_s=0.3, poles=4, misfit=0.01, fits=3)
+    learnt = BalanceBelief(lag_s=0.3, misfit=0.01, fits=3)
     changer = SimpleNamespace(needs_person=by_hand)
     changes: dict[str, Any] = {"changer": changer, "record": Record(events.append), "known_delay_s": known_s}
     cell = replace(sound, balance_belief=learnt, **changes)
-    require_known_delay(cell, delay_s)
+    step = late_by(delay_s)
+    require_known_delay(cell, step)
     assert len(events) == is_slower
-    assert cell.balance_belief == (BalanceBelief(lag_s=delay_s / 2.0) if is_slower else learnt)
-    assert cell.known_delay_s == (delay_s if is_slower or known_s is None else known_s)
+    assert cell.balance_belief == (balance_of(step) if is_slower else learnt)
+    assert cell.known_delay_s == (step.delay_s if is_slower or known_s is None else known_s)
 
 
 @pytest.mark.parametrize(
@@ -143,18 +152,18 @@ def test_a_delay_beyond_what_can_be_dosed_with_is_refused(
 ) -> None:
     changes: dict[str, Any] = {"changer": SimpleNamespace(needs_person=by_hand), "record": Record(lambda event: None)}
     with pytest.raises(SkillFailed, match=r"balance\.slow") if refused else nullcontext():
-        require_known_delay(replace(sound, **changes), delay_s)
+        require_known_delay(replace(sound, **changes), late_by(delay_s))
 
 
 def test_nothing_that_came_tells_no_delay(sound: Cell) -> None:
     bare, still = StableMean(0.0, 0.1, 1.0), StableMean(0.3, 0.1, 20.0)
     readings = deque(Reading(0.3 * (number > 100), True, 0.1 * number) for number in range(200))
-    assert step_delay(replace(sound, readings=readings), bare, still, 10.0) is None
+    assert shown_step(replace(sound, readings=readings), bare, still, 10.0) is None
     loaded, heavy = (
         StableMean(300.0, 0.1, 20.0),
         deque(replace(one, value_mg=1000.0 * one.value_mg) for one in readings),
     )
-    assert step_delay(replace(sound, readings=heavy), bare, loaded, 10.0) is not None
+    assert shown_step(replace(sound, readings=heavy), bare, loaded, 10.0) is not None
 
 
 def test_a_persons_hand_hides_a_dead_time_and_nothing_else(tmp_path: Path, lab_folder: LabFolder) -> None:
@@ -165,7 +174,8 @@ def test_a_persons_hand_hides_a_dead_time_and_nothing_else(tmp_path: Path, lab_f
 
 def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_is_scooped_for_it(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:FarSlower", controller="adaptive")
-    assert [sample.code for sample in ran.result.samples] == [None, *3 * ["balance.slow"]]
+    assert ran.sample("a").true_mg == pytest.approx(500.0, abs=3.0)
+    assert [sample.code for sample in ran.result.samples][1:] == 3 * ["balance.slow"]
     assert [sample.scoops for sample in ran.result.samples][1:] == [0, 0, 0]
     assert "it showed the container 3.6 s late; up to 3.2 s are dosed with" in (ran.sample("b").detail or "")
 

@@ -1,5 +1,7 @@
 """What is learnt of powders and balances is kept in the lab, versioned, and apart from what was simulated."""
 
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -9,6 +11,7 @@ from conftest import Call, LabFolder
 from running import dry_run
 
 from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.run.cell_state import state_of, take_up
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
 NOW = datetime.now().astimezone()
@@ -131,3 +134,30 @@ def test_a_balance_whose_teaching_is_old_is_told_to_be_learnt_anew(
         "shimadzu simulated, 0.1 mg, 10 Hz: doses taught its delay"
         in command("balance", "--lab", lab_folder.folder).stdout
     )
+
+
+def test_what_another_version_has_learnt_is_told_of_and_learnt_anew(tmp_path: Path) -> None:
+    state = LabState(tmp_path)
+    cell = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell
+    state.keep(replace(cell, simulated=False), "real")
+    assert state.unreadable() == []
+    with closing(sqlite3.connect(tmp_path / "lab.db")) as database, database:
+        database.execute("UPDATE learnt SET belief = json_insert(belief, '$.poles', 2, '$.pauses', 1)")
+    assert state.unreadable() == ["glass_beads/L7", cell.balance_name]
+    state.recall(cell, NOW)
+    assert cell.powder_beliefs == {}
+    assert cell.balance_belief == BalanceBelief()
+    fresh = replace(cell, simulated=False, balance_belief=BalanceBelief(fits=2))
+    state.keep(fresh, "again")
+    assert state.unreadable() == ["glass_beads/L7"]
+
+
+def test_a_run_of_another_version_is_resumed_with_what_can_be_read_of_its_beliefs(tmp_path: Path) -> None:
+    cell = dry_run(tmp_path, CHARACTERISE, controller="adaptive").session.cell
+    state = state_of(cell)
+    state["balance"]["poles"] = 2
+    state["powders"]["glass_beads/L7"]["pauses"] = True
+    fresh = replace(cell, powder_beliefs={}, balance_belief=BalanceBelief())
+    take_up(fresh, state)
+    assert fresh.believed == cell.believed
+    assert (fresh.powder_beliefs, fresh.balance_belief) == ({}, BalanceBelief())

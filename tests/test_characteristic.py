@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from scuhand_bt.dosing.characteristic import (
+    Curve,
     least_repeatability_mg,
     least_tolerance_mg,
     noise_and_drift,
-    step_delay_s,
+    step_of,
     usp_minimum_weight_mg,
 )
 
@@ -24,6 +25,12 @@ def curve(
     times_s = np.arange(0.0, end_s, period_s)
     step_mg = LOADED_MG - BARE_MG
     return [(float(t), BARE_MG + step_mg * (shown(float(t) - began_s) if t > began_s else 0.0)) for t in times_s]
+
+
+def delay_s_of(readings: Curve, before_mg: float, after_mg: float, latest_s: float) -> float:
+    step = step_of(readings, before_mg, after_mg, latest_s)
+    assert step is not None
+    return step.delay_s
 
 
 def two_poles(tau_s: float) -> Callable[[float], float]:
@@ -50,34 +57,34 @@ def test_the_delay_of_any_filter_is_told_by_a_step(
     shown: Callable[[float], float], delay_s: float, sign: float
 ) -> None:
     readings = [(t, sign * mg) for t, mg in curve(shown)]
-    assert step_delay_s(readings, sign * BARE_MG, sign * LOADED_MG, CAME_S) == pytest.approx(delay_s, abs=0.06)
+    assert delay_s_of(readings, sign * BARE_MG, sign * LOADED_MG, CAME_S) == pytest.approx(delay_s, abs=0.06)
 
 
 def test_a_step_at_an_unknown_moment_counts_from_where_it_shows() -> None:
     readings = curve(late(two_poles(0.3), 1.0))
-    assert step_delay_s(readings, BARE_MG, LOADED_MG, math.inf) == pytest.approx(0.6, abs=0.1)
+    assert delay_s_of(readings, BARE_MG, LOADED_MG, math.inf) == pytest.approx(0.6, abs=0.1)
 
 
 def test_a_step_that_has_shown_before_it_was_told_counts_from_where_it_shows() -> None:
     readings = curve(two_poles(0.3))
-    assert step_delay_s(readings, BARE_MG, LOADED_MG, CAME_S + 5.0) == pytest.approx(0.6, abs=0.1)
+    assert delay_s_of(readings, BARE_MG, LOADED_MG, CAME_S + 5.0) == pytest.approx(0.6, abs=0.1)
 
 
 @pytest.mark.parametrize("began_s", [-10.0, 100.0], ids=["it was over", "it never came"])
 def test_a_step_that_was_not_seen_tells_no_delay(began_s: float) -> None:
     readings = curve(two_poles(0.3), began_s=began_s)
-    assert step_delay_s(readings, BARE_MG, LOADED_MG, 0.0) is None
+    assert step_of(readings, BARE_MG, LOADED_MG, 0.0) is None
 
 
 def test_a_false_line_here_and_there_tells_no_other_delay() -> None:
     readings = [(t, 1e6 if number % 5 == 0 else mg) for number, (t, mg) in enumerate(curve(two_poles(0.3)))]
     for latest_s in (CAME_S, math.inf):
-        assert step_delay_s(readings, BARE_MG, LOADED_MG, latest_s) == pytest.approx(0.6, abs=0.2)
+        assert delay_s_of(readings, BARE_MG, LOADED_MG, latest_s) == pytest.approx(0.6, abs=0.2)
 
 
 def test_no_readings_and_no_step_tell_no_delay() -> None:
-    assert step_delay_s([], BARE_MG, LOADED_MG, CAME_S) is None
-    assert step_delay_s(curve(two_poles(0.3)), BARE_MG, BARE_MG, CAME_S) is None
+    assert step_of([], BARE_MG, LOADED_MG, CAME_S) is None
+    assert step_of(curve(two_poles(0.3)), BARE_MG, BARE_MG, CAME_S) is None
 
 
 def test_noise_is_what_scatters_about_the_drift() -> None:

@@ -141,6 +141,14 @@ def test_a_planted_mistake_in_a_skill_is_found_before_it_runs(lab: CorpusLab, nu
     assert case["says"] in message
 
 
+def test_a_mistake_in_a_file_that_skills_share_is_found_for_those_that_use_it(lab: CorpusLab) -> None:
+    shared = SKILL.split("\n\n\nclass")[0] + "\n\n\ndef knock(cell: Cell) -> Steps[None]:\n    yield 1.0\n"
+    uses = SKILL.replace("\n\n__all__", "\n\nfrom ._knock import knock\n\n__all__")
+    uses += "\n    def run(self, cell: Cell) -> Steps[None]:\n        yield from knock(cell)\n"
+    ((code, where, _),) = lab.found({"skills/_knock.py": shared, "skills/knocks.py": uses})
+    assert (code, where) == ("skill-yield", "skills/_knock.py:7:5")
+
+
 @pytest.mark.parametrize("number", range(len(CONTROLS)), ids=[case["is"] for case in CONTROLS])
 def test_where_nothing_is_wrong_nothing_is_found(lab: CorpusLab, number: int) -> None:
     case = CONTROLS[number]

@@ -1,5 +1,6 @@
 """Who may see the dashboard and speak to a run by it: nobody else, whatever is sent."""
 
+import http.client
 import os
 import socket
 import stat
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 from dashboard_client import serving
 
+from scuhand_bt.dashboard import serving as serving_module
 from scuhand_bt.dashboard.access import Access, is_loopback, kept_token, new_token, user_of
 from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.presence import Presence
@@ -248,3 +250,23 @@ def test_callers_who_hang_up_or_say_nothing_keep_nobody_from_stopping_the_run(ru
 )
 def test_loopback_is_this_computer_alone(host: str, own: bool) -> None:
     assert is_loopback(host) is own
+
+
+def test_too_much_in_parts_is_refused_too(run: Any) -> None:
+    folder, control = run
+    with serving(folder) as client:
+        line = http.client.HTTPConnection("127.0.0.1", client.port, timeout=10)
+        own = {"Origin": client.origin, "X-Dashboard": client.access.word, "Content-Type": "application/json"}
+        parts = iter([b'{"wish": "stop", "name": null, "pin": null', b" " * 100_000, b"}"])
+        line.request("POST", THERE, parts, {**own, "Transfer-Encoding": "chunked"}, encode_chunked=True)
+        assert line.getresponse().status == 400
+        line.close()
+    assert not control.is_stopping
+
+
+def test_who_connects_and_asks_for_nothing_is_hung_up_on(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, _ = run
+    monkeypatch.setattr(serving_module, "SILENT_S", 0.2)
+    with serving(folder) as client, socket.create_connection(("127.0.0.1", client.port), timeout=10) as line:
+        line.sendall(b"GET / HTTP/1.1\r\n")
+        assert line.recv(100) == b""

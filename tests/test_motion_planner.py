@@ -235,8 +235,8 @@ def test_only_the_named_mortar_may_be_touched(planner):
     with pytest.raises(SkillFailed, match="mortar_bay") as failed:
         planner.contact(start, down, 0.04)
     assert failed.value.code == "arm.no_path"
+    aside = [ApexPose(np.array([x + 0.12, y, z_m])) for z_m in (0.08, 0.0)]
     with pytest.raises(SkillFailed, match="table"):
-        aside = [ApexPose(np.array([x + 0.12, y, z_m])) for z_m in (0.08, 0.0)]
         planner.contact(start, aside, 0.04, touching="mortar_bay")
     planner.set_geometry()
 

@@ -208,7 +208,7 @@ def test_where_a_dose_was_under_way_a_person_says_whether_it_is_the_same_contain
 
 def test_all_that_ran_out_of_a_valve_without_power_is_in_the_dose(tmp_path: Path) -> None:
     run = CutRun(tmp_path, "outage.valve_open")
-    run.cut("dispense", 60)
+    run.cut("dispense", 45)
     assert run.resume() == 1
     assert run.sample()["code"] == "dose.overshoot"
     assert run.sample()["dispensed_mg"] == pytest.approx(run.sample()["true_mg"], abs=0.5)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -272,15 +273,37 @@ def shown_recipe(tmp_path: Path) -> Path:
     return recipe
 
 
-@pytest.fixture(params=SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
-def terminal(request: pytest.FixtureRequest, shown_recipe: Path) -> Iterator[Tmux]:
-    command = shlex.join([sys.executable, "-m", "scuhand_bt", "run", str(shown_recipe), "--dry-run", "--ask"])
-    width, height = request.param
-    tmux = Tmux(f"scuhand-{width}-{time.monotonic_ns()}", (width, height), f"cd {REPOSITORY}; {command}")
+@contextmanager
+def terminal_of(size: tuple[int, int], recipe: Path, *options: str) -> Iterator[Tmux]:
+    """A dry run in a terminal of this size."""
+    command = shlex.join([sys.executable, "-m", "scuhand_bt", "run", str(recipe), "--dry-run", *options])
+    tmux = Tmux(f"scuhand-{size[0]}-{time.monotonic_ns()}", size, f"cd {REPOSITORY}; {command}")
     try:
         yield tmux
     finally:
         tmux.end()
+
+
+@pytest.fixture(params=SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
+def terminal(request: pytest.FixtureRequest, shown_recipe: Path) -> Iterator[Tmux]:
+    with terminal_of(request.param, shown_recipe, "--ask") as tmux:
+        yield tmux
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("tmux") is None, reason="there is no tmux (apt install tmux)")
+@pytest.mark.parametrize("size", SIZES)
+def test_a_run_that_goes_on_shows_what_it_does_and_why_in_every_size(shown_recipe: Path, size: tuple[int, int]) -> None:
+    with terminal_of(size, shown_recipe, "--speed", "8") as terminal:
+        running = unwrapped(terminal.shows("▶ dispense", "balance ").splitlines())
+        assert "SIMULATED: shown" in running
+        assert "a: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in running
+        assert "✓ move_over ▶ dispense · park" in running
+        assert "g, stable" in running or "g, moving" in running
+        assert "valve " in running
+        assert "Ctrl-Z pauses, Ctrl-\\ stops after this sample, Ctrl-C stops now" in running
+        terminal.keys("C-c")
+        terminal.shows("samples good;", "goes on with it")
 
 
 @pytest.mark.slow

@@ -10,10 +10,10 @@ from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, moved_mg, total
-from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, step_delay_s
+from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
+from scuhand_bt.dosing.estimation import balance_of
 from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.specs import BalanceBelief
 
 PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
@@ -126,8 +126,8 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     return mean
 
 
-def step_delay(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: float) -> float | None:
-    """How late the balance has shown what came on its bare pan, by `brought_s` at the latest, where that can be told.
+def shown_step(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: float) -> Step | None:
+    """How the balance has shown what came on its bare pan, by `brought_s` at the latest, where that can be told.
 
     When a person has put it down nobody knows: it counts from where it shows, and no dead time is seen.
     """
@@ -135,23 +135,25 @@ def step_delay(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: floa
         return None
     curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if bare.time_s <= one.time_s <= loaded.time_s]
     latest_s = math.inf if cell.changer.needs_person else brought_s
-    return step_delay_s(curve, bare.value_mg, loaded.value_mg, latest_s)
+    return step_of(curve, bare.value_mg, loaded.value_mg, latest_s)
 
 
-def require_known_delay(cell: Cell, delay_s: float) -> None:
-    """Before a dose: a balance that is slower than it was is taken for that, and learnt anew by the next dose.
+def require_known_delay(cell: Cell, step: Step) -> None:
+    """Before a dose: a balance that is slower than it was, or unknown, is taken for what it has shown of a container.
 
     SkillFailed balance.slow where nothing doses safely with it.
     """
-    inexact_s = cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
+    delay_s, inexact_s = step.delay_s, cell.spec.balance.period_s + HAND_S * cell.changer.needs_person
     if delay_s > LONGEST_DELAY_S + inexact_s:
         late = f"it showed the container {delay_s:.1f} s late; up to {LONGEST_DELAY_S:g} s are dosed with"
         raise SkillFailed(Code.BALANCE_SLOW, late)
     known_s = 2.0 * cell.balance_belief.lag_s if cell.known_delay_s is None else cell.known_delay_s
-    if delay_s > SLOWER * known_s + inexact_s:
-        cell.balance_belief = BalanceBelief(lag_s=delay_s / 2.0)
+    is_slower = delay_s > SLOWER * known_s + inexact_s
+    if is_slower:
         cell.record.event(BalanceSlower(delay_s=delay_s, known_s=known_s))
-    elif cell.known_delay_s is not None:
+    if is_slower or (cell.balance_belief.fits == 0 and not cell.changer.needs_person):
+        cell.balance_belief = balance_of(step)
+    if not is_slower and cell.known_delay_s is not None:
         delay_s = min(delay_s, known_s)
     cell.known_delay_s = cell.balance_figures["delay_s"] = delay_s
 

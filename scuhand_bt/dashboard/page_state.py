@@ -71,6 +71,8 @@ class Page:
             results = list(now.samples.values())
             told["rows"] = [*_to_come(run.samples or ())]
         told["rows"] = [*told.get("rows", ()), *(_row(one) for one in results)]
+        if now.job is not None and now.job.sample is not None and now.job is not self._job and now.job_ended is None:
+            told["rows"].append({"id": now.job.sample, "verdict": "under way", "tone": ""})
         self._has_told = True
         if now.job is not self._job:
             self._job, self._points = now.job, 0

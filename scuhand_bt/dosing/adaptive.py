@@ -1,35 +1,81 @@
-"""Controller `adaptive`: one continuous opening steered by a filter, closed on the predicted final mass.
+"""Controller `adaptive`: openings steered by what the bank of filters knows, shut on the predicted final mass.
 
-A dose: a first reading; openings (`opening`); after each the tail is watched and a stable mean verifies. Under:
-open again. In tolerance, beyond two standard uncertainties of the mean: done. What keeps it safe:
+A dose is openings, each followed by a look with the valve shut, until a stable mean is in tolerance. An opening
 
-* The balance's lag decides how much falls unseen. Until it was fitted from an opening of this balance, the
-  pessimistic first guess holds and the first opening is a probe, at one opening, for a part of the dose.
-* No flow means shake, or near the target shut and open again, not open wider: while nothing comes the opening holds and
-  vibration rises. The flow's coefficient is never believed to be far below its reference when an opening is chosen
-  (`dose_state`), so that a bridge that breaks lets out little more than was allowed for.
-* Readings that are three times in a row more than five standard deviations above what was predicted shut the valve
-  until a stable mean says why. A balance that falls silent shuts it in the dose loop.
-* A hand that takes step commands only gets pulses limited by the same risk rule (`pulses`).
+* begins so narrow that the sheet may stick and it is seen in time (`begins_mm`);
+* is as wide as the chance constraint allows (`constraint`), narrower as the target comes near;
+* is shut when the expected mass has reached the aim; when more is to be feared; when readings surprise; when for a
+  while powder did not come as it should, so that either a bridge holds it back or the balance does; or when a lump's
+  share was shaken out;
+* is never widened while nothing is seen to come.
+
+Where an opening brought nothing the next one is tried again, then shaken, gently and then fully. Only a look that shows
+that nothing has come, all shaking notwithstanding, makes it believe in less flow, and so open wider.
 """
 
 import math
 from collections.abc import Generator
+from typing import Literal
 
-from scuhand_bt.dosing.controller import Command, DoseRequest, Finish, Observation, Stream, Weigh
-from scuhand_bt.dosing.dose_state import SLACK_S, Knowledge
-from scuhand_bt.dosing.opening import Opening
+import numpy as np
+
+from scuhand_bt.dosing.constraint import RISK, chance
+from scuhand_bt.dosing.controller import (
+    LONGEST_UNWEIGHED_S,
+    Command,
+    DoseRequest,
+    Doubt,
+    Finish,
+    Observation,
+    Reason,
+    Stream,
+    Weigh,
+)
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
-WATCH_LAGS = 2.0
-"""How many lags of the balance the tail is watched for, before a stable mean is asked."""
-RESTING, LONGEST_REST = 8, 200
-"""A probe's tail is watched until so many readings rise no more, if they ever do."""
+MOST_OPENINGS = 200
+"""Of a dose."""
 LISTENED = 12
 """Readings that tell an unknown balance's noise."""
-MOST_OPENINGS = 25
+PROBE_MG = 40.0
+"""The most that is let out onto a balance that is not known yet."""
+EVIDENT_S = 0.3
+"""What has come no later than this ago still comes."""
+FLOWS = 0.2
+"""Of its reference: a flow that is at least this strong is what was expected."""
+ALARM = 1.3
+"""A flow that is surely so many times the expected one, near the target, shuts the valve."""
+SURPRISE, SURPRISES = 5.0, 3
+"""So many readings in a row, so many standard deviations above prediction, shut the valve."""
+CAME_SHARE, CAME_MG = 0.2, 20.0
+"""An opening that brought this share of what was expected, or of so much, was not in vain."""
+SLOW_SHARE = 0.5
+"""An opening that brought less than this share of what was missing was too narrow."""
+LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.3
+"""Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share in
+such a time."""
+SPARED_MG = 20.0
+"""So near to the target a bridge is broken by shutting and opening the valve, while that helps: what is shaken loose
+may be too much."""
+REST_MG = 0.3
+"""The balance has seen what there is to see but for this."""
+LONGEST_LOOK_S = 25.0
+DOUBTFUL_MG = 1.0
+"""A stable mean may differ from what the readings led to expect by this, besides chance: powder drips."""
+AGAIN_S = 3.0
+"""A stable mean that surprised is taken again after this."""
 LEFT_MG = 1.0
-"""A probe that leaves at least so much is followed at once: the mean can wait."""
+"""With more than this to go the stable mean can wait."""
+SURELY, SOON_S = 2.0, 1.0
+"""What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
+PRIMES_S = 10.0
+"""A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
+EMPTY_S, DRY_S = 8.0, 60.0
+"""Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
+
+Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "long"]
+"""Why an opening ended."""
 
 
 class Adaptive:
@@ -41,10 +87,19 @@ class Adaptive:
         self._known = Knowledge(request)
         self._steps = self._stream() if request.streaming else pulses(self._known)
         self._started = False
+        self._start_mg = self._weighed_s = 0.0
+        """What was on the pan before; when there was a stable mean last."""
+        self._vibration = request.powder.vibration
+        self._barren_s = 0.0
+        """Open and fully shaken, without powder."""
+        self._fruitless = 0
+        """Openings in a row that brought nothing."""
+        self._has_come = False
+        """Whether any opening has brought something."""
 
     @property
     def estimate_mg(self) -> float:
-        return self._known.filter.mass_mg
+        return self._known.bank.mass_mg
 
     def decide(self, seen: Observation | None) -> Command:
         try:
@@ -59,51 +114,175 @@ class Adaptive:
     def _stream(self) -> Generator[Command, Observation, Finish]:
         known = self._known
         seen = yield Stream(0.0)
-        known.time_s, start_mg = seen.time_s, seen.net_mg
+        self._weighed_s = known.time_s = seen.time_s
+        self._start_mg = seen.net_mg
         if not known.knows_balance:
-            yield from self._listen()
-        known.filter.restart(seen.net_mg, 2.0 * known.noise_mg, known.reference, known.unsure)
-        for opening in range(MOST_OPENINGS):
-            before_mg = known.filter.mass_mg
-            known.begin_opening()
-            probing = opening == 0 and not known.knows_balance
-            ended = yield from Opening(known, probing).run()
-            yield from self._watch_tail()
-            if probing:
-                yield from self._watch_rest()
-            known.learn(known.filter.mass_mg - before_mg)
-            if probing and ended == "reached" and known.filter.mass_mg < known.stop_mg - LEFT_MG:
+            for _ in range(LISTENED):
+                yield from known.act(0.0, 0.0)
+        known.begin(seen.net_mg, 2.0 * known.noise_mg[False])
+        for _ in range(MOST_OPENINGS):
+            ended = yield from self._open()
+            means, variances = known.bank.coming(*known.closing(0.0))
+            predicted_mg = float(known.bank.weights @ means)
+            variances = variances / known.bank.erratic + (means - predicted_mg) ** 2
+            sd_mg = math.sqrt(float(known.bank.weights @ variances))
+            yield from self._look(REST_MG)
+            if predicted_mg - known.begin_mg > 1.0:
+                known.judge_prediction(predicted_mg, sd_mg)
+            gained_mg = known.bank.mass_mg - known.begin_mg
+            expected_mg = known.reference * sum(row.phi_s for row in known.rows)
+            came = gained_mg > max(CAME_SHARE * min(expected_mg, CAME_MG), 4.0 * known.noise_mg[False])
+            self._has_come |= came
+            if came or (self._vibration >= FULL and (self._has_come or self._barren_s > PRIMES_S)):
+                known.learn(gained_mg)
+            # Lumps come when they will: several openings must have been in vain before they say something of a width.
+            is_lumpy = known.bank.surge_mg > LUMPY_MG
+            little = gained_mg < SLOW_SHARE * (known.aim_mg - known.begin_mg)
+            in_vain = not came and self._fruitless > 1 if is_lumpy else little
+            if in_vain and ended in ("quiet", "fear", "missing"):
+                known.little_came()
+            self._shake(came)
+            is_dry = self._is_dry()
+            if not is_dry and known.bank.mass_mg < known.aim_mg - LEFT_MG and ended not in ("reached", "long"):
+                known.begin(float(np.mean([row.reading_mg for row in known.rows[-3:]])), 0.3)
                 continue
-            seen = yield Weigh()
-            known.time_s = seen.time_s
-            known.filter.restart(seen.net_mg, max(seen.uncertainty_mg, 0.05), known.reference, known.unsure)
+            seen = yield from self._weigh()
+            known.begin(seen.net_mg, max(seen.uncertainty_mg, 0.05))
             verdict = known.verdict(seen)
             if verdict is not None:
                 return known.finish(verdict, seen)
-            if ended == "dry":
-                return known.finish(known.request.given_up(seen.net_mg - start_mg), seen)
+            if is_dry:
+                return known.finish(self._given_up(seen.net_mg), seen)
         return known.finish("step_limit", seen)
 
-    def _listen(self) -> Generator[Command, Observation, None]:
-        """Valve shut: the noise of a balance that nothing is known of."""
-        for _ in range(LISTENED):
-            yield from self._known.act(0.0, 0.0)
+    def _weigh(self) -> Generator[Command, Observation, Observation]:
+        """A stable mean; again, and with doubts about the balance, while it is not what its readings led to expect."""
+        known = self._known
+        yield from self._look(0.0)
+        expected_mg, sd_mg = known.bank.mass_mg, known.bank.mass_sd_mg
+        seen = yield Weigh()
+        while abs(seen.net_mg - expected_mg) > (allowed_mg := SURPRISE * sd_mg + DOUBTFUL_MG):
+            known.doubt_balance(Doubt(seen.net_mg - expected_mg, allowed_mg))
+            expected_mg, sd_mg = seen.net_mg, seen.uncertainty_mg
+            seen = yield Weigh(AGAIN_S)
+        self._weighed_s = known.time_s = seen.time_s
+        known.uncertainty_mg = max(known.uncertainty_mg, seen.uncertainty_mg)
+        return seen
 
-    def _watch_rest(self) -> Generator[Command, Observation, None]:
-        """Valve shut: readings until they rise no more than their noise."""
-        known, half = self._known, RESTING // 2
-        for _ in range(LONGEST_REST):
-            recent = [row.reading_mg for row in known.record[-RESTING:]]
-            rise_mg = (sum(recent[half:]) - sum(recent[:half])) / half
-            if len(recent) == RESTING and rise_mg < 2.0 * known.noise_mg * math.sqrt(2.0 / half):
-                return
+    def _is_dry(self) -> bool:
+        empty = self._given_up(self._known.bank.mass_mg) == "empty"
+        return self._barren_s > (EMPTY_S if empty else DRY_S)
+
+    def _given_up(self, mass_mg: float) -> Reason:
+        return self._known.request.given_up(mass_mg - self._start_mg)
+
+    def _look(self, rest_mg: float) -> Generator[Command, Observation, None]:
+        """Valve shut: until the balance has shown what there is but for `rest_mg`."""
+        known, begin_s = self._known, self._known.time_s
+        while True:
             yield from known.act(0.0, 0.0)
+            shut = known.valve.opening_mm == 0.0
+            if shut and not known.is_rising and known.bank.unseen_mg < rest_mg + 2.0 * known.noise_mg[False]:
+                return
+            if known.time_s - begin_s > LONGEST_LOOK_S:
+                return
 
-    def _watch_tail(self) -> Generator[Command, Observation, None]:
-        """Valve shut: readings until the balance has all but followed."""
-        known, request = self._known, self._known.request
-        shut_s = request.valve_dead_time_s + known.valve.opening_mm / request.valve_speed_mm_per_s
-        wait_s = shut_s + SLACK_S + WATCH_LAGS * known.lag_s
-        while wait_s > 0.0:
-            dt_s, _, _ = yield from known.act(0.0, 0.0)
-            wait_s -= dt_s
+    def _open(self) -> Generator[Command, Observation, Ended]:
+        """One opening, until it should shut."""
+        known = self._known
+        bank = known.bank
+        most_mg = known.most_mg
+        if not known.knows_balance:
+            most_mg = min(most_mg, bank.mass_mg + PROBE_MG)
+        reference = known.reference
+        limit_mg, period_s = self._lump_mg(), known.request.balance_period_s
+        passed_s = sure_s = missing_mg = 0.0
+        quiet_s = 2.0 * EVIDENT_S
+        sure_mg = barren_mg = bank.mass_mg
+        read_mg = known.begin_mg
+        stuck_seen_s, begins_mm = known.time_s + known.seen_s, known.begins_mm(most_mg - bank.mass_mg)
+        # A lump cannot be let out in part: where it is shaken for, it may come.
+        shaken_mm = min(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.request.max_opening_mm)
+        surprises, opening_mm = 0, shaken_mm if limit_mg else known.widest_mm(most_mg)
+        if known.aim_mg <= bank.mass_mg:
+            return "reached"
+        while True:
+            wanted_mm = shaken_mm if limit_mg else known.widest_mm(most_mg)
+            # What does not come yet, or no more, may come at any moment: no reason to open wider.
+            opening_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
+            may_stick = not limit_mg and known.time_s < stuck_seen_s
+            score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)
+            dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
+            passed_s += phi_s
+            surprises = surprises + 1 if score > SURPRISE else 0
+            if surprises >= SURPRISES:
+                return "surprise"
+            flows = bank.coefficient - 1.5 * bank.coefficient_sd
+            if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
+                return "surprise"
+            means, variances = bank.coming(*np.array((known.closing(period_s / 2.0), known.closing(period_s))).T)
+            if self._will_reach(float(bank.weights @ means[0])):
+                return "reached"
+            if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:
+                return "fear"
+            mass_mg = bank.mass_mg
+            reading_mg = known.rows[-1].reading_mg
+            expected_mg = known.reference * (passed_s - sure_s)
+            risen = reading_mg - read_mg > 3.0 * known.rows[-1].noise_mg
+            if risen and mass_mg - sure_mg > FLOWS * expected_mg:
+                if quiet_s > bank.delay_s + 0.5:
+                    missing_mg += max(0.0, expected_mg - (mass_mg - sure_mg))
+                sure_s, sure_mg, read_mg, quiet_s = passed_s, mass_mg, reading_mg, 0.0
+                known.follow()
+            elif not may_stick or opening_mm <= begins_mm:
+                quiet_s += dt_s
+            if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
+                return "missing"
+            if quiet_s > self._patience_s:
+                return "quiet"
+            if limit_mg and known.reference * passed_s > limit_mg:
+                return "lump"
+            if self._vibration >= FULL:
+                self._barren_s += dt_s
+            if mass_mg - barren_mg > max(1.0, 3.0 * bank.mass_sd_mg):
+                self._barren_s, barren_mg = 0.0, mass_mg
+            if self._is_dry():
+                return "dry"
+            if known.time_s - self._weighed_s > LONGEST_UNWEIGHED_S:
+                return "long"
+
+    def _unseen_mg(self) -> float:
+        """What flows while it cannot be seen yet, and until the valve is shut."""
+        known, bank = self._known, self._known.bank
+        tail, _ = known.closing(known.request.balance_period_s + bank.delay_s)
+        return bank.coefficient * tail
+
+    def _will_reach(self, predicted_mg: float) -> bool:
+        """Shut now, with so much to be expected then, the mass ends where it should."""
+        known, bank = self._known, self._known.bank
+        if predicted_mg >= known.aim_mg:
+            return True
+        flow = bank.coefficient * known.shape.value(known.valve.opening_mm)
+        slow = known.aim_mg - predicted_mg > SOON_S * flow
+        return slow and predicted_mg - SURELY * bank.mass_sd_mg >= known.least_mg
+
+    def _lump_mg(self) -> float:
+        """What an opening should bring where lumps are shaken out singly; 0 elsewhere."""
+        known = self._known
+        surge_mg, left_mg = known.bank.surge_mg, known.aim_mg - known.bank.mass_mg
+        if surge_mg < LUMPY_MG or left_mg > LUMPS_LEFT * surge_mg + 1.0:
+            return 0.0
+        return LUMP_SHARE * max(surge_mg, left_mg / 1.5)
+
+    @property
+    def _patience_s(self) -> float:
+        """An opening from which nothing comes is shut after this."""
+        return 0.8 + min(self._known.bank.delay_s, 2.0)
+
+    def _shake(self, came: bool) -> None:
+        """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully."""
+        self._fruitless = 0 if came else self._fruitless + 1
+        near = self._known.most_mg - self._known.bank.mass_mg < SPARED_MG
+        levels = (0.0, 0.0, 0.0, 0.0, 0.0, GENTLE, GENTLE, GENTLE, FULL) if near else (0.0, 0.0, GENTLE, FULL)
+        level = levels[min(self._fruitless, len(levels) - 1)]
+        self._vibration = max(self._known.belief.vibration, level)

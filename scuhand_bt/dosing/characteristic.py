@@ -19,6 +19,7 @@ then the mass drops out, and the tolerance is to be at least k s, with a margin 
 import statistics
 from collections.abc import Sequence
 from itertools import groupby, pairwise
+from typing import NamedTuple
 
 from scuhand_bt.dosing.verdict import COVERAGE
 
@@ -28,6 +29,8 @@ USP_SHARE = 0.001
 USP_LEAST_DIGITS = 0.41
 MARGIN = 2.0
 """cg-18 has a safety factor of two or more, for a repeatability that was measured once, on a quiet day."""
+LAST_MG = 3.0
+"""The last of a step: a filter that adapts to how much changes takes it for a little thing, and its time over it."""
 STEP_SHARE = 0.01
 """A step has come when more than this share of it is shown."""
 
@@ -43,8 +46,34 @@ Curve = Sequence[tuple[float, float]]
 """Readings: times [s], growing, and masses [mg]."""
 
 
-def step_delay_s(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> float | None:
-    """T of a step between two settled weighings; None where the curve does not show it from its beginning.
+class Step(NamedTuple):
+    """How a balance has shown a step of its load."""
+
+    step_mg: float
+    """Negative where the load was taken away."""
+    times_s: tuple[float, ...]
+    """Of N readings: so long after the step came, growing."""
+    missing: tuple[float, ...]
+    """(N,) so large a share of the step they did not show yet; negative where they showed too much."""
+
+    @property
+    def delay_s(self) -> float:
+        """T: how late a steadily growing mass is read."""
+        points = zip((0.0, *self.times_s), (1.0, *self.missing), strict=True)
+        return sum((last + share) / 2.0 * (time_s - last_s) for (last_s, last), (time_s, share) in pairwise(points))
+
+    @property
+    def last_s(self) -> float:
+        """T of the last `LAST_MG` of the step, from the last reading that missed more than that."""
+        last = LAST_MG / self.step_mg
+        large = [number for number, share in enumerate(self.missing) if abs(share) > last]
+        shown = list(zip(self.times_s, self.missing, strict=True))[large[-1] if large else 0 :]
+        points = [(time_s, min(share, last)) for time_s, share in shown]
+        return sum((a + b) / 2.0 * (to_s - from_s) for (from_s, a), (to_s, b) in pairwise(points)) / last
+
+
+def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) -> Step | None:
+    """The step between two settled weighings; None where the curve does not show it from its beginning.
 
     The step came at `latest_s`, unless more than `STEP_SHARE` of it was shown earlier: then with the last reading that
     showed less. Of three readings in a row the middle one counts: a false line among them does no harm.
@@ -59,12 +88,8 @@ def step_delay_s(curve: Curve, before_mg: float, after_mg: float, latest_s: floa
     if not unmoved or unmoved[-1] == len(missing) - 1:
         return None
     begin_s = min(latest_s, missing[unmoved[-1]][0])
-    area_s, last_s, last_share = 0.0, begin_s, 1.0
-    for time_s, share in missing:
-        if time_s > begin_s:
-            area_s += (last_share + share) / 2.0 * (time_s - last_s)
-            last_s, last_share = time_s, share
-    return area_s
+    after = [(time_s - begin_s, share) for time_s, share in missing if time_s > begin_s]
+    return Step(step_mg, tuple(time_s for time_s, _ in after), tuple(share for _, share in after))
 
 
 def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:

@@ -52,6 +52,16 @@ Reason = Literal["reached", "overshoot", "empty", "no_flow", "step_limit"]
 
 
 @dataclass(frozen=True, slots=True)
+class Doubt:
+    """A stable mean that contradicts what readings led to expect: what was believed of the balance holds no more."""
+
+    difference_mg: float
+    """The mean less what was expected."""
+    allowed_mg: float
+    """By how much they may differ."""
+
+
+@dataclass(frozen=True, slots=True)
 class Finish:
     """The dose is over. `empty` asks for another scoop: the cone gave no more."""
 
@@ -62,6 +72,8 @@ class Finish:
     """What the controller now believes of the powder, where it learns."""
     balance: BalanceBelief | None = None
     """What it now believes of the balance, where it learns."""
+    doubt: Doubt | None = None
+    """The first one of this dose."""
 
 
 Command = Pulse | Stream | Weigh | Finish

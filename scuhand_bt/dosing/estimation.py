@@ -1,297 +1,414 @@
-"""What has left the nozzle, and how fast powder flows, from readings that lag behind.
+"""What has left the nozzle, how fast powder flows, and what the balance is, from readings that lag behind.
 
-State (yn, .. y1, M, k), with the balance as n equal poles of time constant tau, together a delay of n tau:
+A bank of Kalman filters (multiple-model estimation: Magill, IEEE Trans. Autom. Control 10, 1965), one for each model of
+the balance that is still thinkable, all of which see the same readings:
 
-    y1' = (M - y1) / tau,  yi' = (y(i-1) - yi) / tau,  M' = k phi(D(t)),  k' = noise;   reading = yn + noise
+    y'' = w^2 (M - y) - 2 z w y'          M' = k phi(D) + g phi'(D)          reading(t) = y(t - d) + noise
 
-M [mg] is what has left the nozzle: while powder lands steadily its momentum weighs as much as what is in
-flight (the hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/3, 2010), so the pan reads what
-has left. k [mg s^-1 mm^-n] is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`). Between two
-readings phi is taken at its mean, for which the transition is exact. No balance is just n poles: what it has not
-shown yet, M - yn, is taken to be off by a share of it, the misfit. M is disturbed by surges: lumps of
-mean mass m at a rate q/m give M the variance 2 m q dt; m is tuned until the innovations have the size that
-they claim (adaptive Kalman filtering, Mehra, IEEE Trans. Autom. Control 17, 1972).
+M [mg] is what has left the nozzle: while powder lands steadily its momentum weighs as much as what is in flight (the
+hourglass problem, Tuinstra & Tuinstra, Europhysics News 41/3, 2010), so the pan reads what has left. k [mg s^-1 mm^-n]
+is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`), and g = k e, with e [mm] what the real opening
+is off by. w, z and d are the balance's: natural frequency, damping and pure delay. Each filter runs d behind, and what
+the valve let out since is added with its own uncertainty; between two readings phi is taken at its mean, for which
+the transition is exact. A model's weight is how likely it makes the readings.
+
+A balance is known without a model: by a step of its load (`balance_of`), and by an opening and its tail (`balance_by`),
+
+    T = 1 / m  integral of (M - r) dt,     M = m Phi(t) / Phi(end),     Phi the integral of phi,
+
+where m is what came of it and r the readings. How far the nearest shape of that T is off says how sure that is.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Values = Any
-"""A float, or an array of them for as many filters side by side."""
+from scuhand_bt.dosing.characteristic import Step
+from scuhand_bt.specs import BalanceBelief
 
+Array = NDArray[np.float64]
+
+SHAPES = {
+    "ringing": (0.0, 0.5),
+    "lively": (0.0, 0.75),
+    "two poles": (0.0, 1.0),
+    "one pole": (0.0, 2.5),
+    "mean": (0.2, 1.0),
+    "late": (0.55, 1.0),
+    "delay": (0.9, 1.0),
+}
+"""Kinds of balances: the share of their delay that is pure, d / T, and the damping z of the rest, 2 z / w = T - d."""
+DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 14))
+"""Mean delays that a balance nothing is known of may have."""
+NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
+"""Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
+LEAST_DOUBT = 0.08
+"""That standard deviation, at least."""
+SAME_SHAPE = 0.98
+"""Probability that the kind of filter was identified rightly."""
+STEP_DOUBT, OPENING_DOUBT = 0.12, 0.2
+"""Standard deviation of the delay's logarithm where a step has shown it; and an opening, at least: phi is a guess."""
+ADAPTS, SLOWEST = 0.2, 6.0
+"""The last of a step that takes this share of the delay longer than it should shows a filter that adapts; it is at most
+so many times slower when little changes."""
+LEAST_LAST = 0.3
+"""Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
+LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
+"""Delays that an opening may show."""
+BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
+"""Powder may begin to come so long after the valve was told to open."""
+INDEPENDENT = 10.0
+"""Of the differences between readings and a model, as many are independent of each other."""
+MASS_ERROR_MG, SETTLED = 0.1, 3.0
+"""What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
+CHANGED, SLOWER = 0.01, 1.5
+"""Probability that the balance has been set slower than in the opening before; by this factor at least."""
 K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
-BRIDGED_WALK_PER_S = 1.0
-"""The same where bridges form and break."""
 BRIDGES_PER_S = 2.0
 """How often a bridge may form or break: where k is below its reference, it may return to it at any moment."""
+OPENING_ERROR_MM, UNKNOWN_ERROR_MM = 0.05, 0.15
+"""Standard deviation of what the real opening is off by: the sheet buckles a little differently each time. At
+first the threshold is a guess as well."""
 UNSTEADY_S = 0.05
 """While the flow changes, what lands weighs otherwise than what is in flight: so many seconds of the change."""
-SURGE_GAIN = 0.03
-LARGEST_SURGE_MG = 12.0
-SMALLEST_SURGE_MG = 0.01
+LEAST_MISFIT = 0.01
+"""No balance is just its model: the share of what is unseen that every model is taken to be off by, at least."""
+UNEVEN = 0.1
+"""How unevenly powder flows: the relative standard deviation of what comes in a second."""
+TEMPER = 0.2
+"""What a reading tells of the balance, as a share of what it would if errors were independent of each other."""
+CHANGE_S = (0.3, 3.0)
+"""A steady flow tells nothing of the balance: means of phi over these times must differ."""
+LEAST_SPREAD = 0.5
+"""Of k, relative to its reference: how unsure it can become while powder flows, at least."""
+EXPONENT_ERROR = 0.5
+"""What a powder's exponent may be off by: k holds the less, the more the opening has changed."""
+SURGE_GAIN, LEAST_SURGE_MG, MOST_SURGE_MG = 0.03, 0.01, 12.0
+"""How fast the lumps' mean mass follows the innovations while powder flows; and its bounds."""
+AS_EXPECTED, SURPRISING = 0.9, 4.0
+"""A squared innovation, in variances, that leaves it as it is; and from where on it counts no more."""
+FARTHEST = 5.0
+"""An innovation of more standard deviations tells no more: one lump or one knock rules out no model."""
+LEAST_WEIGHT = 1e-3
+"""Models less likely than this are dropped until the valve has been shut."""
+UNKNOWN_SPREAD = 1.5
+"""Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
+READING, RATE, MASS, K, G = range(5)
 
 
-def transition(dt_s: float, lag_s: Values, poles: int) -> tuple[Array, Array]:
-    """(..., n + 2, n + 2) of the state over `dt_s` but for k's column; that column, per unit of phi's integral.
+class Model(NamedTuple):
+    """A balance: its mean delay and its shape, one of `SHAPES`."""
 
-    What enters one pole passes i poles in dt with the probability of i events of a Poisson process of rate 1/tau.
+    delay_s: float
+    shape: str
+
+
+class Row(NamedTuple):
+    """One reading of an opening and its tail, as `Bank.update` takes it."""
+
+    dt_s: float
+    phi_s: float
+    slope_s: float
+    reading_mg: float
+    noise_mg: float
+    changed: float = 0.0
+    """By how much the opening was changed before it, as the logarithm of what lies above the threshold."""
+
+
+def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tuple[Array, Array]:
+    """(H, 5, 5) over `dt_s` with the valve shut; (H, 5) what k adds per unit of phi's integral.
+
+    In closed form: (y - M, y') decays by exp(A t), A = ((0, 1), (-w^2, -2 z w)), and M grows linearly.
     """
-    tau = np.asarray(2.0 * np.asarray(lag_s) / poles)
-    passes, arrived, ramp = np.exp(-dt_s / tau), np.ones_like(tau), np.full_like(tau, dt_s)
-    f = np.zeros((*tau.shape, poles + 2, poles + 2))
-    f[..., -2, -2] = f[..., -1, -1] = 1.0
-    column = np.zeros((*tau.shape, poles + 2))
-    column[..., -2] = 1.0
-    for i in range(poles):
-        for row in range(poles - i):
-            f[..., row, row + i] = passes
-        arrived = arrived - passes
-        ramp = ramp - tau * arrived
-        f[..., poles - 1 - i, -2] = arrived
-        column[..., poles - 1 - i] = ramp / dt_s
-        passes = passes * dt_s / tau / (i + 1)
-    return f, column
+    w = 2.0 * damping / np.maximum((1.0 - pure) * delays_s, 0.02)
+    s = damping * w
+    root = np.sqrt((s * s - w * w + 1e-9).astype(complex))
+    slow, fast = np.exp((root - s) * dt_s), np.exp(-(root + s) * dt_s)
+    cosh, sinh = ((slow + fast) / 2.0).real, ((slow - fast) / (2.0 * root)).real
+    e00, e01, e10, e11 = cosh + s * sinh, sinh, -w * w * sinh, cosh - s * sinh
+    still = np.zeros((len(w), 5, 5))
+    still[:, READING, READING], still[:, READING, RATE], still[:, READING, MASS] = e00, e01, 1.0 - e00
+    still[:, RATE, READING], still[:, RATE, RATE], still[:, RATE, MASS] = e10, e11, -e10
+    still[:, MASS, MASS] = still[:, K, K] = still[:, G, G] = 1.0
+    adds = np.zeros((len(w), 5))
+    adds[:, READING] = 1.0 + (2.0 * s * (e00 - 1.0) + e10) / (w * w * dt_s)
+    adds[:, RATE] = (1.0 - e00) / dt_s
+    adds[:, MASS] = 1.0
+    return still, adds
 
 
-class FlowFilter:
-    """A Kalman filter over the balance's lag and the powder's flow.
+def balance_of(step: Step) -> BalanceBelief:
+    """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
 
-    `surge_mg`, `lag_s` and `walk_per_s` may be arrays that broadcast: as many filters side by side, which see the same.
+    A filter that adapts hurries for a step, and takes its time over the last of it: then its delay is taken to be the
+    geometric mean of what it is in a hurry and what it is otherwise, and may be either.
     """
+    delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
+    for shape, (pure, damping) in SHAPES.items():
+        model = np.array([delay_s]), np.array([pure]), np.array([damping])
+        times_s = [max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s]
+        missing = tuple(float(transitions(*model, time_s)[0][0, READING, READING]) for time_s in times_s)
+        far[shape] = math.dist(missing, step.missing)
+        last_s[shape] = step._replace(missing=missing).last_s
+    shape = min(far, key=far.__getitem__)
+    slower = 1.0
+    if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
+        slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
+    doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
+    misfit = min(far[shape] / math.hypot(*step.missing), 1.0)
+    return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, misfit=misfit, fits=1)
 
-    def __init__(
-        self,
-        net_mg: float,
-        coefficient: float,
-        spread: float,
-        surge_mg: Values,
-        lag_s: Values,
-        poles: int = 2,
-        misfit: float = 0.0,
-        walk_per_s: Values = K_WALK_PER_S,
+
+def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
+    """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
+
+    Each shape is tried, with powder that began to come as phi has it or later; the one that is nearest to the readings
+    counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between,
+    and the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
+    """
+    dt_s, phi_s, readings_mg, noise_mg = np.array(
+        [(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]
+    ).T
+    ends_s, shown_mg = np.cumsum(dt_s), readings_mg - begin_mg
+    came_s = np.cumsum([phi_s * (ends_s > late_s) for late_s in BEGINS_S], axis=1)
+    came_mg = (came_s / np.maximum(came_s[:, -1:], 1e-9) * gained_mg).repeat(len(SHAPES), axis=0)
+    delays_s = (came_mg - shown_mg) @ dt_s / gained_mg
+    possible = (delays_s > LEAST_DELAY_S) & (came_mg[:, -1] > 0.0)
+    if not possible.any():
+        return None
+    shapes = np.array(list(SHAPES) * len(BEGINS_S))[possible]
+    delays_s, came_mg = delays_s[possible], came_mg[possible]
+    off_mg = shown_mg - _shown_mg(delays_s, shapes, dt_s, came_mg)
+    squares = np.sum(off_mg**2, axis=1)
+    best = int(np.argmin(squares))
+    weights = np.exp(-INDEPENDENT / 2.0 * (squares / squares[best] - 1.0))
+    spread_s = math.sqrt(weights @ (delays_s - delays_s[best]) ** 2 / weights.sum())
+    area_s = float(np.maximum(np.abs(off_mg[best]) - noise_mg, 0.0) @ dt_s) / gained_mg
+    looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delays_s[best]
+    doubt_s = math.hypot(spread_s, area_s, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
+    return BalanceBelief(
+        lag_s=min(float(delays_s[best]), LONGEST_S) / 2.0,
+        doubt=math.hypot(OPENING_DOUBT, math.log1p(doubt_s / delays_s[best])),
+        shape=str(shapes[best]),
+        misfit=min(math.sqrt(squares[best] / np.sum((came_mg[best] - shown_mg) ** 2)), 1.0),
+    )
+
+
+def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: Array, came_mg: Array) -> Array:
+    """(H, N) what balances (H,) show of masses (H, N) that come over times `dt_s` (N,)."""
+    pure, damping = np.array([SHAPES[shape] for shape in shapes]).T
+    ends_s, shown_mg = np.append(0.0, np.cumsum(dt_s)), np.zeros_like(came_mg)
+    late_mg = np.array(
+        [
+            np.interp(ends_s[1:] - late_s, ends_s, np.append(0.0, came))
+            for late_s, came in zip(pure * delays_s, came_mg, strict=True)
+        ]
+    )
+    x, steps = np.zeros((len(pure), 5)), dict[float, tuple[Array, Array]]()
+    for number, step_s in enumerate(np.round(dt_s, 3).tolist()):
+        if step_s not in steps:
+            steps[step_s] = transitions(delays_s, pure, damping, step_s)
+        still, adds = steps[step_s]
+        x = np.matmul(still, x[:, :, None])[:, :, 0] + adds * (late_mg[:, number] - x[:, MASS])[:, None]
+        shown_mg[:, number] = x[:, READING]
+    return shown_mg
+
+
+class Bank:
+    """The filters side by side, H of them: weights (H,), states (H, 5), covariances (H, 5, 5)."""
+
+    def __init__(self, models: Sequence[Model], weights: Array, surge_mg: float, misfit: float) -> None:
+        """`weights` (H,) need not add up to 1."""
+        self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
+        """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
+        self.models, self.weights = list(models), weights / weights.sum()
+        self.erratic = 1.0
+        """By what factor the variances of what is coming have turned out to be too small."""
+        self.restart(0.0, 1.0, 1.0, 1.0)
+
+    @classmethod
+    def believing(cls, balance: BalanceBelief, surge_mg: float) -> "Bank":
+        """Near what is believed of the balance; and, as it may have been set slower, a little of longer delays.
+
+        That it was set faster is never assumed: so it looks when a sheet that stuck lets out more than was expected.
+        """
+        if balance.fits == 0:
+            models = [Model(delay_s, shape) for shape in SHAPES for delay_s in DELAYS_S]
+            return cls(models, np.ones(len(models)), surge_mg, balance.misfit)
+        far = np.array(NEAR) * max(balance.doubt, LEAST_DOUBT)
+        near = [Model(2.0 * balance.lag_s * math.exp(step), shape) for shape in SHAPES for step in far]
+        others = (1.0 - SAME_SHAPE) / (len(SHAPES) - 1)
+        shares = np.array([SAME_SHAPE if shape == balance.shape else others for shape in SHAPES])
+        ours = np.outer(shares, np.exp(-0.5 * np.square(NEAR))).ravel()
+        slower = [Model(delay_s, balance.shape) for delay_s in DELAYS_S if delay_s > 2.0 * balance.lag_s * SLOWER]
+        weights = np.append((1.0 - CHANGED) * ours / ours.sum(), np.full(len(slower), CHANGED / max(len(slower), 1)))
+        return cls([*near, *slower], weights, surge_mg, balance.misfit)
+
+    def restart(
+        self, mass_mg: float, sd_mg: float, coefficient: float, spread: float, error_mm: float = OPENING_ERROR_MM
     ) -> None:
-        self._shape = np.broadcast_shapes(np.shape(surge_mg), np.shape(lag_s), np.shape(walk_per_s))
-        self._walk_per_s = walk_per_s
-        self.log_likelihood: Values = 0.0
-        self.surge_mg: Values = np.maximum(surge_mg, SMALLEST_SURGE_MG)
-        self.set_balance(lag_s, poles, misfit)
-        self._mean_phi = 0.0
-        self.restart(net_mg, math.sqrt(0.02), coefficient, spread)
+        """A balance at rest, valve shut: the mass is known to `sd_mg`, k is what a new opening may be expected to show.
 
-    def set_balance(self, lag_s: Values, poles: int, misfit: float) -> None:
-        """Half the balance's delay, the poles that share it, and the misfit; `restart` must follow."""
-        self.lag_s, self.poles, self.misfit = lag_s, poles, misfit
+        `spread` is k's standard deviation relative to `coefficient`, `error_mm` the opening's. The weights stay.
+        """
+        x, p = np.zeros(5), np.zeros((5, 5))
+        x[[READING, MASS]], x[K] = mass_mg, coefficient
+        p[np.ix_((READING, MASS), (READING, MASS))] = sd_mg**2
+        self._most_sd = max(spread, LEAST_SPREAD)
+        p[K, K], p[G, G] = (spread * coefficient) ** 2, (error_mm * coefficient) ** 2
+        many = len(self.models)
+        self._x, self._p = np.tile(x, (many, 1)), np.tile(p, (many, 1, 1))
+        self._phi = np.zeros(many)
+        self._unseen = np.zeros((2, many))
+        self._means, self._changing = [0.0, 0.0], 0.0
+        self._passed, self._readings = np.zeros((2, 256)), 0
+        self._left: tuple[Array, Array] | None = None
+        self._look_up()
+
+    def _look_up(self) -> None:
+        """What depends on which models there are."""
+        self.delays_s = np.array([model.delay_s for model in self.models])
+        self._pure, self._damping = np.array([SHAPES[model.shape] for model in self.models]).T
         self._transitions: dict[float, tuple[Array, Array]] = {}
+
+    def _transition(self, dt_s: float) -> tuple[Array, Array]:
+        dt_s = round(dt_s, 3)
+        if dt_s not in self._transitions:
+            self._transitions[dt_s] = transitions(self.delays_s, self._pure, self._damping, dt_s)
+        return self._transitions[dt_s]
+
+    def _late(self, dt_s: float, phi_s: float, slope_s: float) -> Array:
+        """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see."""
+        if self._readings + 1 == self._passed.shape[1]:
+            self._passed = np.append(self._passed, np.zeros_like(self._passed), axis=1)
+        self._readings += 1
+        for mean, over_s in enumerate(CHANGE_S):
+            self._means[mean] += (phi_s / dt_s - self._means[mean]) * -math.expm1(-dt_s / over_s)
+        self._changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
+        now = self._passed[:, self._readings] = self._passed[:, self._readings - 1] + (phi_s, slope_s)
+        seen = np.maximum(self._readings - np.rint(self._pure * self.delays_s / dt_s).astype(int), 0)
+        self._unseen = now[:, None] - self._passed[:, seen]
+        return self._passed[:, seen] - self._passed[:, np.maximum(seen - 1, 0)]
+
+    def update(self, row: Row, reference: float) -> float:
+        """Take in a reading; `reference` is k where nothing is in the powder's way.
+
+        Returns the likeliest model's innovation in standard deviations.
+        """
+        dt_s, self._left = row.dt_s, None
+        self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
+        phi_s, slope_s = self._late(dt_s, row.phi_s, row.slope_s)
+        still, adds = self._transition(dt_s)
+        f = still.copy()
+        f[:, :, K] += adds * phi_s[:, None]
+        f[:, :, G] += adds * slope_s[:, None]
+        x = np.matmul(f, self._x[:, :, None])[:, :, 0]
+        p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
+        k = np.maximum(self._x[:, K], 0.0)
+        flow_mg = np.maximum(k, 0.1 * reference) * phi_s
+        p[:, MASS, MASS] += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s + 1e-6
+        bridged = np.maximum(reference - k, 0.0)
+        walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
+        p[:, K, K] = np.minimum(p[:, K, K] + walk, np.maximum(p[:, K, K], (self._most_sd * reference) ** 2))
+        changed_mg = UNSTEADY_S * k * (phi_s / dt_s - self._phi)
+        self._phi = phi_s / dt_s
+        unseen_mg = x[:, MASS] - x[:, READING]
+        unexplained = row.noise_mg**2 + changed_mg**2 + (self.misfit * unseen_mg) ** 2
+        variance = p[:, READING, READING] + unexplained
+        innovation_mg = row.reading_mg - x[:, READING]
+        gain = p[:, :, READING] / variance[:, None]
+        self._x = x + gain * innovation_mg[:, None]
+        self._x[:, K] = np.maximum(self._x[:, K], 0.0)
+        self._p = p - gain[:, :, None] * p[:, None, READING, :]
+        best = int(np.argmax(self.weights))
+        score = float(innovation_mg[best] / math.sqrt(variance[best]))
+        if k[best] * phi_s[best] > 0.01:
+            told = float(1.0 - unexplained[best] / variance[best])  # noise alone says nothing about lumps
+            self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, SURPRISING) - AS_EXPECTED))
+            self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
+        # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
+        common = float(self.weights @ p[:, READING, READING]) + row.noise_mg**2 + float(self.weights @ changed_mg**2)
+        self._weigh(innovation_mg**2 / common)
+        return score
+
+    def _weigh(self, squares: Array) -> None:
+        """The models' weights after a reading; those that are out of the question are dropped."""
+        told = 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
+        logs = np.log(np.maximum(self.weights, 1e-300)) - told
+        weights = np.exp(logs - logs.max())
+        kept = weights > LEAST_WEIGHT
+        self.weights = weights[kept] / weights[kept].sum()
+        if not kept.all():
+            self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
+            self._x, self._p, self._phi = self._x[kept], self._p[kept], self._phi[kept]
+            self._unseen = self._unseen[:, kept]
+            self._look_up()
+
+    # --- what is known ---
+
+    def coming(self, phi_s: Array | float = 0.0, slope_s: Array | float = 0.0) -> tuple[Array, Array]:
+        """Mean [mg] and variance [mg^2] of the mass that will have left, by model, (..., H).
+
+        Until then the integrals of phi and of its slope, (...), grow by as much.
+        """
+        phi_s = self._unseen[0] + np.asarray(phi_s)[..., None]
+        slope_s = self._unseen[1] + np.asarray(slope_s)[..., None]
+        p, k = self._p, np.maximum(self._x[:, K], 0.0)
+        mean = self._x[:, MASS] + np.maximum(k * phi_s + self._x[:, G] * slope_s, 0.0)
+        variance = p[:, MASS, MASS] + 2.0 * (p[:, MASS, K] * phi_s + p[:, MASS, G] * slope_s)
+        variance += p[:, K, K] * phi_s**2 + 2.0 * p[:, K, G] * phi_s * slope_s + p[:, G, G] * slope_s**2
+        variance += (self.misfit * (mean - self._x[:, READING])) ** 2
+        return mean, (np.maximum(variance, 0.0) + 2.0 * self.surge_mg * k * phi_s) * self.erratic
+
+    def flow(self, phi: Array, slope: Array) -> tuple[Array, Array]:
+        """Mean and standard deviation of the flow [mg/s], by model, (..., H), at an opening's phi and slope."""
+        phi, slope = phi[..., None], slope[..., None]
+        p = self._p
+        variance = p[:, K, K] * phi**2 + 2.0 * p[:, K, G] * phi * slope + p[:, G, G] * slope**2
+        return np.maximum(self._x[:, K] * phi + self._x[:, G] * slope, 0.0), np.sqrt(np.maximum(variance, 0.0))
+
+    @property
+    def left(self) -> tuple[Array, Array]:
+        """Mean [mg] and variance [mg^2] of what has left the nozzle by now, by model, (H,)."""
+        if self._left is None:
+            self._left = self.coming()
+        return self._left
 
     @property
     def mass_mg(self) -> float:
         """What has left the nozzle."""
-        return float(self._x[-2])
+        return float(self.weights @ self.left[0])
 
     @property
     def mass_sd_mg(self) -> float:
-        return math.sqrt(max(float(self._p[-2, -2]), 0.0))
+        """Its standard deviation, with what the models differ by."""
+        means, variances = self.left
+        return math.sqrt(float(self.weights @ (variances + (means - self.weights @ means) ** 2)))
 
     @property
     def coefficient(self) -> float:
-        """k, never negative."""
-        return max(float(self._x[-1]), 0.0)
+        """k, in mg s^-1 mm^-n."""
+        return float(self.weights @ self._x[:, K])
 
     @property
     def coefficient_sd(self) -> float:
-        return math.sqrt(max(float(self._p[-1, -1]), 0.0))
+        """Its standard deviation, with what the models differ by."""
+        spread = self.weights @ (self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2)
+        return math.sqrt(max(float(spread), 0.0))
 
-    def widen(self, relative_sd: float, reference: float) -> None:
-        """The opening has changed: what was learnt of k holds a little less."""
-        self._p[..., -1, -1] += (relative_sd * reference) ** 2
+    @property
+    def delay_s(self) -> float:
+        """The balance's mean delay."""
+        return float(self.weights @ self.delays_s)
 
-    def expect(self, coefficient: float) -> None:
-        """Powder may begin to flow at any moment: nothing is known but the reference."""
-        self._x[-1] = coefficient
-        self._p[-1, :] = self._p[:, -1] = 0.0
-        self._p[-1, -1] = (0.5 * coefficient) ** 2
-
-    def rescale(self, ratio: float) -> None:
-        """phi was `ratio` times too small: so was k too large."""
-        self._x[-1] /= ratio
-        self._p[-1, :] /= ratio
-        self._p[:, -1] /= ratio
-
-    def restart(self, net_mg: float, sd_mg: Values, reference: float, spread: float) -> None:
-        """A stable mean, valve shut: the masses are known, k is what a new opening may be expected to show."""
-        size = self.poles + 2
-        self._x = np.full((*self._shape, size), net_mg)
-        self._x[..., -1] = reference
-        self._p = np.eye(size) * np.broadcast_to(np.square(sd_mg), self._shape)[..., None, None]
-        self._p[..., -1, -1] = (spread * reference) ** 2
-
-    def _transition(self, dt_s: float) -> tuple[Array, Array]:
-        dt_s = round(dt_s, 6)
-        if dt_s not in self._transitions:
-            self._transitions[dt_s] = transition(dt_s, self.lag_s, self.poles)
-        return self._transitions[dt_s]
-
-    def update(self, dt_s: float, phi_s: float, reading_mg: float, noise_mg: float, reference: float) -> Values:
-        """Take in a reading `dt_s` after the last, over which phi integrated to `phi_s`.
-
-        Returns the innovation in standard deviations.
-        """
-        mean_phi = phi_s / dt_s
-        f, column = self._transition(dt_s)
-        f = f.copy()
-        f[..., :-1, -1] = column[..., :-1] * phi_s
-        x = (f @ self._x[..., None])[..., 0]
-        p = f @ self._p @ np.swapaxes(f, -1, -2)
-        k = np.maximum(self._x[..., -1], 0.0)
-        flow_mg = np.maximum(k, 0.1 * reference) * phi_s
-        p[..., -2, -2] += 2.0 * self.surge_mg * flow_mg + 1e-6
-        p[..., -3, -3] += (UNSTEADY_S * k * (mean_phi - self._mean_phi)) ** 2
-        self._mean_phi = mean_phi
-        if phi_s > 0.0:
-            bridged = np.maximum(reference - x[..., -1], 0.0)
-            p[..., -1, -1] += ((self._walk_per_s * reference) ** 2 + BRIDGES_PER_S * bridged * bridged) * dt_s
-        unexplained = noise_mg * noise_mg + np.square(self.misfit * (x[..., -2] - x[..., 0]))
-        variance = p[..., 0, 0] + unexplained
-        innovation_mg = reading_mg - x[..., 0]
-        gain = p[..., :, 0] / variance[..., None]
-        self._x = x + gain * innovation_mg[..., None]
-        self._p = p - gain[..., :, None] * p[..., None, 0, :]
-        self._x[..., -1] = np.maximum(self._x[..., -1], 0.0)
-        score = innovation_mg / np.sqrt(variance)
-        self.log_likelihood = self.log_likelihood - 0.5 * (np.log(variance) + score * score)
-        if self._shape == () and flow_mg > 0.01:
-            told = 1.0 - unexplained / variance  # noise alone says nothing about surges
-            self.surge_mg = self.surge_mg * math.exp(SURGE_GAIN * told * (min(score * score, 4.0) - 0.9))
-            self.surge_mg = min(max(float(self.surge_mg), SMALLEST_SURGE_MG), LARGEST_SURGE_MG)
-        return score
-
-
-FIT_SPREAD = 3.0
-"""How little is known of k when an opening is looked at afterwards."""
-
-
-class Row(NamedTuple):
-    """One reading of an opening and its tail, as `FlowFilter.update` takes it."""
-
-    dt_s: float
-    phi_s: float
-    reading_mg: float
-    noise_mg: float
-    widened: float = 0.0
-    """What k was widened by before it, relative to the reference."""
-
-
-def likelihood(
-    rows: Sequence[Row], coefficient: float, surge_mg: Values, lag_s: Values, poles: int
-) -> tuple[Array, Array]:
-    """How likely (natural logarithm) an opening's readings are, and the mean square of their innovations.
-
-    Steady flow or one that stops and starts: the better of the two tells, so that a bridge passes neither for a
-    lag nor for lumps.
-    """
-    walks = np.array([[K_WALK_PER_S], [BRIDGED_WALK_PER_S]])
-    trial = FlowFilter(rows[0].reading_mg, coefficient, FIT_SPREAD, surge_mg, lag_s, poles, walk_per_s=walks)
-    unseen_mg = coefficient * rows[0].phi_s / rows[0].dt_s * 2.0 * np.asarray(lag_s)
-    trial.restart(rows[0].reading_mg, 0.15 + unseen_mg, coefficient, FIT_SPREAD)
-    squares = np.zeros(())
-    for row in rows:
-        if row.widened:
-            trial.widen(row.widened, coefficient)
-        squares = squares + np.square(trial.update(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg, coefficient))
-    scores = np.asarray(trial.log_likelihood)
-    better = np.argmax(scores, axis=0)[None]
-    return np.take_along_axis(scores, better, 0)[0], np.take_along_axis(squares / len(rows), better, 0)[0]
-
-
-LAST_ROWS = 150
-"""An opening is looked at from so many readings before the end of its tail."""
-LAGS_S = tuple(float(lag_s) for lag_s in np.geomspace(0.06, 1.6, 16))
-CLEARER = 3.0
-"""A lag is told when it is this much more likely (natural logarithm) than those two steps of the grid away."""
-
-
-def fit_lag(rows: Sequence[Row], coefficient: float, surge_mg: float, poles: int = 2) -> float | None:
-    """The lag that makes an opening's readings likeliest; None if they do not tell.
-
-    The maximum over a grid is refined by a parabola through its neighbours. A maximum at the end of the grid,
-    one that is not clear, or one whose innovations are still far too large is refused.
-    """
-    if len(rows) < 12:
-        return None
-    scores, squares = likelihood(rows[-LAST_ROWS:], coefficient, surge_mg, np.array(LAGS_S), poles)
-    best = int(np.argmax(scores))
-    if not 2 <= best < len(LAGS_S) - 2 or squares[best] > 3.0:
-        return None
-    if scores[best] - max(scores[best - 2], scores[best + 2]) < CLEARER:
-        return None
-    left, middle, right = scores[best - 1 : best + 2]
-    shift = 0.5 * (left - right) / (left - 2.0 * middle + right)
-    return float(LAGS_S[best] * (LAGS_S[1] / LAGS_S[0]) ** shift)
-
-
-SURGES_MG = tuple(float(surge_mg) for surge_mg in np.geomspace(SMALLEST_SURGE_MG, LARGEST_SURGE_MG, 8))
-
-
-def fit_surge(
-    rows: Sequence[Row], coefficient: float, believed_mg: float, lag_s: float, doubt: float, poles: int = 2
-) -> float:
-    """The surge scale after an opening: the mean of its logarithm, by how likely each makes the readings.
-
-    `doubt` is the standard deviation of the logarithm of what was believed before.
-    """
-    logs = np.log(SURGES_MG)
-    scores, _ = likelihood(rows[-LAST_ROWS:], coefficient, np.array(SURGES_MG), lag_s, poles)
-    scores = scores - 0.5 * ((logs - math.log(max(believed_mg, SMALLEST_SURGE_MG))) / doubt) ** 2
-    weights = np.exp(scores - scores.max())
-    return float(np.exp(weights @ logs / weights.sum()))
-
-
-POLES = (2, 3, 4, 6)
-"""A moving mean is followed best by four or more; one pole would follow a flow that stopped early."""
-SETTLED = 5
-"""Readings at the end of a tail that tell what all came to."""
-
-
-class StepFit(NamedTuple):
-    """A balance as it followed a short opening: see `BalanceBelief`."""
-
-    lag_s: float
-    poles: int
-    misfit: float
-
-
-def fit_step(rows: Sequence[Row], noise_mg: float) -> StepFit | None:
-    """How a balance followed an opening and its whole tail, if the flow was phi's; None if nothing came.
-
-    The area between what has left and what is read is the delay times the mass, whatever the balance's filter. The
-    number of poles is the one that follows the readings best.
-    """
-    before_mg, after_mg = rows[0].reading_mg, sum(row.reading_mg for row in rows[-SETTLED:]) / SETTLED
-    fell = np.cumsum([row.phi_s for row in rows])
-    if len(rows) < 2 * SETTLED or fell[-1] <= 0.0 or after_mg - before_mg < 3.0 * noise_mg:
-        return None
-    fell /= fell[-1]
-    read = (np.array([row.reading_mg for row in rows]) - before_mg) / (after_mg - before_mg)
-    lag_s = float(np.sum((fell - read) * np.array([row.dt_s for row in rows]))) / 2.0
-    if not LAGS_S[0] < lag_s < LAGS_S[-1]:
-        return None
-    noise = 2.0 * noise_mg / (after_mg - before_mg)
-    fits = ((float(np.max(np.abs(read - _followed(rows, fell, lag_s, poles)))), poles) for poles in POLES)
-    misfit, poles = min(fits)
-    return StepFit(lag_s, poles, max(0.0, misfit - noise))
-
-
-def _followed(rows: Sequence[Row], fell: Array, lag_s: float, poles: int) -> Array:
-    """What a balance of these poles reads while `fell` falls."""
-    state, readings = np.zeros(poles + 2), []
-    for row, more in zip(rows, np.diff(fell, prepend=0.0), strict=True):
-        f, column = transition(row.dt_s, lag_s, poles)
-        state = f @ state + column * more
-        readings.append(state[0])
-    return np.array(readings)
+    @property
+    def unseen_mg(self) -> float:
+        """What has left and is not read yet, with twice what that may be off by."""
+        means, _ = self.left
+        behind = means - self._x[:, READING]
+        mean = float(self.weights @ behind)
+        return abs(mean) + 2.0 * math.sqrt(float(self.weights @ ((behind - mean) ** 2)))

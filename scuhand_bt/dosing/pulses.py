@@ -1,15 +1,27 @@
-"""`adaptive` where the hand takes step commands only: pulses no larger than the risk rule allows."""
+"""`adaptive` where the hand takes step commands only: pulses, each weighed.
 
+A pulse is to bring the mean mass x [mg] of which z standard deviations of its surges, of mean mass m, stay within what
+remains (`within`), less for what the flow's coefficient may be off by.
+"""
+
+import math
 from collections.abc import Generator
 
 from scuhand_bt.dosing.controller import Command, Finish, Observation, Pulse, Weigh
-from scuhand_bt.dosing.dose_state import FULL, GENTLE, Knowledge
-from scuhand_bt.dosing.risk import within
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 
+DEVIATIONS = 2.5
+"""z."""
 BARREN_SHARE = 0.2
 """A pulse that brings less than this share of what was expected brings nothing."""
 DOUBTED_PULSES, GIVEN_UP_PULSES = 8, 20
 """After so many barren pulses in a row the coefficient is lowered, or the dose ends."""
+
+
+def within(room_mg: float, surge_mg: float) -> float:
+    """The mean mass x [mg] of which `DEVIATIONS` of its surges stay within the room: x + z sqrt(2 m x) = room."""
+    half = DEVIATIONS * math.sqrt(2.0 * surge_mg) / 2.0
+    return (math.sqrt(half * half + max(room_mg, 0.0)) - half) ** 2
 
 
 def pulses(known: Knowledge) -> Generator[Command, Observation, Finish]:
@@ -24,11 +36,10 @@ def pulses(known: Knowledge) -> Generator[Command, Observation, Finish]:
         if sizing.barren > GIVEN_UP_PULSES:
             return known.finish(known.request.given_up(seen.net_mg - start_mg), seen)
         before_mg = seen.net_mg
-        pulse = sizing.pulse(known.stop_mg - before_mg)
+        pulse = sizing.pulse(known.aim_mg - before_mg)
         seen = yield pulse
-        known.filter.restart(seen.net_mg, seen.uncertainty_mg, sizing.coefficient, sizing.unsure)
+        known.begin(seen.net_mg, seen.uncertainty_mg)
         sizing.learn(pulse, seen.net_mg - before_mg)
-        known.note_coefficient(sizing.coefficient)
     return known.finish("step_limit", seen)
 
 
@@ -36,19 +47,19 @@ class _Sizing:
     """The pulses' coefficient, how unsure it is, and the vibration."""
 
     def __init__(self, known: Knowledge) -> None:
-        self.coefficient, self.unsure = known.reference, max(known.unsure, 0.5)
+        self.coefficient, self.unsure = known.reference, max(known.spread, 0.5)
         self.barren = 0
         """Pulses in a row that brought nothing."""
         self._known = known
-        self._vibration = known.vibration
+        self._vibration = known.belief.vibration
 
     def pulse(self, remaining_mg: float) -> Pulse:
         known, request = self._known, self._known.request
-        aim_mg = max(within(remaining_mg, known.filter.surge_mg) / (1.0 + 2.0 * self.unsure), 0.3)
+        aim_mg = max(within(remaining_mg, known.bank.surge_mg) / (1.0 + 2.0 * self.unsure), 0.3)
         opening_mm = known.shape.opening_mm(aim_mg / self.coefficient / 0.4)
         opening_mm = min(max(opening_mm, known.shape.threshold_mm + 0.1), request.max_opening_mm)
         steady = (aim_mg / self.coefficient - self._ramps(opening_mm)) / known.shape.value(opening_mm)
-        return Pulse(opening_mm, max(0.05, min(3.0, steady)), self._vibration, 5.0 * known.lag_s)
+        return Pulse(opening_mm, max(0.05, min(3.0, steady)), self._vibration, 5.0 * known.balance.lag_s)
 
     def learn(self, pulse: Pulse, gained_mg: float) -> None:
         phi_s = self._ramps(pulse.opening_mm) + self._known.shape.value(pulse.opening_mm) * pulse.dwell_s
@@ -59,9 +70,10 @@ class _Sizing:
             self.coefficient *= 0.8 if self.barren > DOUBTED_PULSES else 1.0
             return
         self.barren = 0
-        trust = self.unsure**2 / (self.unsure**2 + 0.04 + 2.0 * self._known.filter.surge_mg / expected_mg)
+        trust = self.unsure**2 / (self.unsure**2 + 0.04 + 2.0 * self._known.bank.surge_mg / expected_mg)
         self.coefficient *= float((max(gained_mg, 0.1) / expected_mg) ** trust)
         self.unsure = max(0.15, self.unsure * float((1.0 - trust) ** 0.5))
+        self._known.learn_coefficient(self.coefficient)
 
     def _ramps(self, opening_mm: float) -> float:
         """Integral of phi [mm^n s] over the valve's way there and back."""

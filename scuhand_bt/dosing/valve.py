@@ -25,9 +25,10 @@ class FlowShape:
         gap_mm = opening_mm - self.threshold_mm
         return float(gap_mm**self.exponent) if gap_mm > 0.0 and opening_mm > 0.0 else 0.0
 
-    def slip_mm(self, opening_mm: float, ratio: float) -> float:
-        """How much wider than told the valve is if phi is `ratio` times what this opening should give."""
-        return max(opening_mm - self.threshold_mm, 0.0) * float(ratio ** (1.0 / self.exponent) - 1.0)
+    def slope(self, opening_mm: float) -> float:
+        """phi's derivative, in mm^(n-1)."""
+        gap_mm = opening_mm - self.threshold_mm
+        return self.exponent * self.value(opening_mm) / gap_mm if gap_mm > 0.0 else 0.0
 
     def opening_mm(self, value: float) -> float:
         """The opening with this phi."""
@@ -59,13 +60,13 @@ class ValvePath:
             self.target_mm = opening_mm
             self._commands.append((time_s + self._dead_time_s, opening_mm))
 
-    def advance(self, from_s: float, to_s: float) -> float:
-        """Move on; the integral of phi [mm^n s] over that time."""
-        if not self._commands and self.opening_mm == self._going_to:
-            return self.shape.value(self.opening_mm) * (to_s - from_s)
+    def advance(self, from_s: float, to_s: float) -> tuple[float, float]:
+        """Move on; the integrals of phi [mm^n s] and of its slope [mm^(n-1) s] over that time."""
         pieces = max(1, round((to_s - from_s) / GRAIN_S))
         dt_s = (to_s - from_s) / pieces
-        total = 0.0
+        if not self._commands and self.opening_mm == self._going_to:
+            pieces, dt_s = 1, to_s - from_s
+        phi_s = slope_s = 0.0
         for piece in range(pieces):
             end_s = from_s + (piece + 1) * dt_s
             while self._commands and self._commands[0][0] <= end_s - dt_s / 2.0:
@@ -74,7 +75,9 @@ class ValvePath:
             step_mm = self._speed_mm_per_s * dt_s
             before_mm = self.opening_mm
             self.opening_mm += min(max(way_mm, -step_mm), step_mm)
-            total += self.shape.value((before_mm + self.opening_mm) / 2.0) * dt_s
-        return total
+            middle_mm = (before_mm + self.opening_mm) / 2.0
+            phi_s += self.shape.value(middle_mm) * dt_s
+            slope_s += self.shape.slope(middle_mm) * dt_s
+        return phi_s, slope_s
 
     _going_to = 0.0

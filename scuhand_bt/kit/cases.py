@@ -30,7 +30,7 @@ from scuhand_bt.specs import Spec
 from scuhand_bt.tree.substitutes import Substitutes, Substitution
 from scuhand_bt.tree.wires import in_words, of_field
 from scuhand_bt.validation import validate
-from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, load, plain
+from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, from_plain, load, plain
 
 KEYS = ("test", "summary", "sources", "inputs", "cases")
 CASE_KEYS = ("name", "inputs", "seed", "substitute", "faults", "expect", "trace")
@@ -116,22 +116,12 @@ def case_of(workflow: str, values: Mapping[str, Any], lab: Lab) -> Case:
     """A test given in Python, by the keys of a file; SourceError with all that is wrong in it."""
     given = {key: value for key, value in values.items() if value not in (None, (), [])}
     shared = {"test": workflow, **({"sources": given.pop("sources")} if "sources" in given else {})}
-    root = _node({**shared, "cases": [{"name": workflow, **given}]})
+    root = from_plain({**shared, "cases": [{"name": workflow, **given}]}, "test")
     problems = Problems()
     read = _Reader(Path("test"), lab, problems).read(root)
     problems.raise_any()
     assert read is not None
     return read.cases[0]
-
-
-def _node(value: Any) -> Node:
-    """Plain values as the nodes of a file."""
-    mark = Mark("test", 0)
-    if isinstance(value, Mapping):
-        return Entries(mark, dict.fromkeys(value, mark), {key: _node(one) for key, one in value.items()})
-    if isinstance(value, list | tuple):
-        return Items(mark, [_node(one) for one in value])
-    return Scalar(mark, None if value is None else str(value))
 
 
 def run_case(case: Case, rehearser: Rehearser, *, update: bool = False, judged: bool = True) -> CaseResult:

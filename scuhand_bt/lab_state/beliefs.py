@@ -7,10 +7,13 @@ run: a real run must not believe a simulation, and a dry run of one seed must no
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Generic, TypeVar
+
+from pydantic import ValidationError
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import wall_time
@@ -73,6 +76,13 @@ class LabState:
     def balances(self, *, simulated: bool) -> dict[str, Learnt[BalanceBelief]]:
         """The last belief about each balance."""
         return self._latest("balance", BalanceBelief, simulated)
+
+    def unreadable(self) -> list[str]:
+        """The real powder lots and balances of which another version has learnt what this one cannot read."""
+        names = []
+        for kind, known in (("powder", self.powders(simulated=False)), ("balance", self.balances(simulated=False))):
+            names += [name for name in self._last(kind, simulated=False) if name not in known]
+        return names
 
     def figures(self, *, simulated: bool) -> dict[str, Figures]:
         """What was measured of each balance, and holds; the one that was measured last is the last."""
@@ -161,6 +171,14 @@ class LabState:
             )
 
     def _latest(self, kind: str, model: type[B], simulated: bool) -> dict[str, Learnt[B]]:
+        found = {}
+        for name, (version, run, at, belief) in self._last(kind, simulated).items():
+            with suppress(ValidationError):  # `unreadable` tells of it
+                found[name] = Learnt(version, name, simulated, run, at, model.model_validate_json(belief))
+        return found
+
+    def _last(self, kind: str, simulated: bool) -> dict[str, tuple[int, str, str, str]]:
+        """By name what was written last, where it is not that it was forgotten: version, run, time and belief."""
         with reading_lab_db(self._folder) as database:
             if database is None:
                 return {}
@@ -169,8 +187,4 @@ class LabState:
                 (kind, simulated),
             )
             last = {name: (version, run, at, belief) for version, name, run, at, belief in rows}
-            return {
-                name: Learnt(version, name, simulated, run, at, model.model_validate_json(belief))
-                for name, (version, run, at, belief) in last.items()
-                if belief != FORGOTTEN
-            }
+            return {name: written for name, written in last.items() if written[-1] != FORGOTTEN}

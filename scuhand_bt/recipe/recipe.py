@@ -1,29 +1,27 @@
 """Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
 
 import hashlib
-import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import combinations, islice
+from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from scuhand_bt.failures import Code
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
-from scuhand_bt.quantity import Milligrams
 from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.flow import Flow, flow_of
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
-from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample, check_source
-from scuhand_bt.specs import Container, Positive, Powder, Source, Spec
+from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample
+from scuhand_bt.recipe.sources import SourcesReader
+from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
 from scuhand_bt.tree.grammar import RECIPE_WORDS, Input, Workflow
-from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse, read_text
 
 Action = Literal["flag", "skip_sample", "redo", "ask", "stop"]
@@ -82,16 +80,6 @@ class Recipe:
     def action_for(self, code: str) -> Action:
         """What to do with a sample that failed with this code."""
         return self.on_failure.get(code, self.on_failure["otherwise"])
-
-
-class SourceText(Spec):
-    """A source as a recipe writes it."""
-
-    station: str
-    container: str
-    powder: str
-    amount_mg: Annotated[Milligrams, Positive]
-    lot: str = ""
 
 
 def load_recipe(path: Path, lab: Lab) -> Recipe:
@@ -156,7 +144,7 @@ class _Reader:
         controller = self._word(root, "controller")
         if controller is not None:
             self._check_controller(controller, root.values["controller"].mark)
-        sources = self._read_sources(root)
+        sources = SourcesReader(self.lab, self.problems, self.source_marks, self.marks).read(root.get("sources"))
         samples = self._read_samples(root, sources)
         needed = [
             i for workflow in self.workflows.values() for i in workflow.inputs.values() if i.type.python is Source
@@ -199,85 +187,6 @@ class _Reader:
         if name not in CONTROLLERS:
             self.problems.add(
                 mark, f"unknown controller '{shorten(name)}'", unknown=name, known=CONTROLLERS, code="unknown-name"
-            )
-
-    # --- sources
-
-    def _read_sources(self, root: Entries) -> dict[str, Source]:
-        node = root.get("sources")
-        if node is None:
-            return {}  # as a check of the cell needs none
-        if not isinstance(node, Entries) or not node.values:
-            self.problems.add(node.mark, f"'sources': {describe(node)} names no source", code="wrong-shape")
-            return {}
-        sources: dict[str, Source] = {}
-        for name, value in node.values.items():
-            self.source_marks[name] = node.keys[name]
-            source = self._read_source(name, value)
-            if source is not None:
-                sources[name] = source
-        by_station: dict[str, str] = {}
-        for name, source in sources.items():
-            if source.station in by_station:
-                self.problems.add(
-                    self.source_marks[name],
-                    f"'{by_station[source.station]}' stands at {source.station} already",
-                    code="station-taken",
-                )
-            by_station[source.station] = name
-        self._check_apart([source for name, source in sources.items() if by_station[source.station] == name])
-        return sources
-
-    def _check_apart(self, sources: Sequence[Source]) -> None:
-        """Mortars side by side must have room."""
-        for one, other in combinations(sources, 2):
-            places_mm = [self.lab.cell.stations[source.station].position_mm[:2] for source in (one, other)]
-            room_mm = (one.mortar.outer_diameter_mm + other.mortar.outer_diameter_mm) / 2
-            if (apart_mm := math.dist(*places_mm)) < room_mm:
-                what = f"the mortars of '{one.name}' and '{other.name}' stand {apart_mm:.0f} mm apart"
-                allowed = f"they need {room_mm:.0f} mm; move a station in robot/cell.yaml"
-                self.problems.add(self.source_marks[other.name], what, allowed, code="mortars-overlap")
-
-    def _read_source(self, name: str, node: Node) -> Source | None:
-        lab = self.lab
-        if isinstance(node, Entries):
-            known = [info.alias or "" for info in SourceText.model_fields.values()]
-            unknown = [key for key in node.keys if key not in known]
-            for key in unknown:
-                self.problems.add(
-                    node.keys[key], f"unknown key '{shorten(key)}'", unknown=key, known=known, code="unknown-key"
-                )
-            node = node.without(*unknown)
-        before = len(self.problems.found)
-        text = validate(SourceText, node, self.problems)
-        if not isinstance(node, Entries):
-            return None
-        mortar_stations = [s.name for s in lab.cell.stations.values() if s.kind == "mortar"]
-        self._require_known(node, "station", mortar_stations, "mortar station", "station")
-        self._require_known(node, "container", lab.library.mortars, "mortar", "mortar")
-        self._require_known(node, "powder", lab.library.powders, "powder", "powder")
-        if text is None or len(self.problems.found) > before:
-            return None
-        source = Source(
-            name=name,
-            station=text.station,
-            mortar=lab.library.mortars[text.container],
-            powder=lab.library.powders[text.powder],
-            amount_mg=text.amount_mg,
-            lot=text.lot,
-        )
-        self.marks |= {f"sources.{name}": self.source_marks[name]}
-        self.marks |= {f"sources.{name}.{key}": value.mark for key, value in node.values.items()}
-        check_source(source, node.values["amount"].mark, self.problems)
-        return source
-
-    def _require_known(self, node: Entries, key: str, known: Collection[str], what: str, kind: str) -> None:
-        value = node.get(key)
-        if not isinstance(value, Scalar) or value.text is None or value.text in known:
-            return
-        if not self.lab.library.broken.tell(kind, value.text, self.problems):
-            self.problems.add(
-                value.mark, f"unknown {what} {describe(value)}", unknown=value.text, known=known, code="unknown-name"
             )
 
     def _check_unused(self, samples: Sequence[Sample]) -> None:

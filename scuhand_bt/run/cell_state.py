@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
@@ -48,7 +49,9 @@ def take_up(cell: Cell, state: Mapping[str, Any]) -> None:
     if source is not None and cell.believed.sheet is None:  # as it could be in journals of earlier versions
         cell.believed.cone_holds(source, cell.believed.cone_mg)
     for name, belief in state["powders"].items():
-        cell.powder_beliefs[name] = PowderBelief.model_validate(belief, by_name=True, by_alias=False)
-    cell.balance_belief = BalanceBelief.model_validate(state["balance"], by_name=True, by_alias=False)
+        with suppress(ValidationError):  # of another version: it is learnt anew
+            cell.powder_beliefs[name] = PowderBelief.model_validate(belief, by_name=True, by_alias=False)
+    with suppress(ValidationError):
+        cell.balance_belief = BalanceBelief.model_validate(state["balance"], by_name=True, by_alias=False)
     cell.balance_figures = dict(state.get("balance_figures", {}))
     cell.known_delay_s = cell.balance_figures.get("delay_s", cell.known_delay_s)

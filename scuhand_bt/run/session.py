@@ -2,6 +2,7 @@
 
 import secrets
 import sqlite3
+import threading
 from contextlib import ExitStack, suppress
 from datetime import datetime
 from pathlib import Path
@@ -66,7 +67,7 @@ class Session:
         """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
-        self._lab, self._options = lab, options
+        self._lab, self._options, self._thread = lab, options, threading.get_ident()
         self._substitutes = substitutes
         self._history = resumes.history if resumes is not None else None
         if resumes is None:
@@ -173,6 +174,8 @@ class Session:
             self.cell.believed.sources_mended()
         if not self.cell.simulated:  # what was forgotten since the run broke off stays so
             self._records.learnt.recall(self.cell, datetime.now().astimezone())
+            for name in self._records.learnt.unreadable():
+                self.warnings.append(f"what another version has learnt of '{name}' cannot be read: it is learnt anew")
         if resumes is None:
             begun = described(self.plan, self._lab, self._options, self.cell, self.run_id, self._person)
             with suppress(SourceError):  # of a ledger that cannot be read: the run's first line in it will fail
@@ -214,7 +217,12 @@ class Session:
         return f"{self.plan.recipe.name}: {again}{count} samples on the cell '{self._lab.cell.cell}', {mode}"
 
     def run(self, observer: BatchObserver) -> BatchResult:
-        """Run the batch to its end; whatever happens, the cell ends safe."""
+        """Run the batch to its end; whatever happens, the cell ends safe.
+
+        RuntimeError in another thread than it was made in, to which its journal belongs.
+        """
+        if threading.get_ident() != self._thread:
+            raise RuntimeError("a session is run in the thread in which it was made: make it there")
         world, first = self.world, None
         if self._conflicts:
             first = resolve(self.cell, self._conflicts)

@@ -3,6 +3,7 @@
 A file that is wrong takes its own skill away and no other.
 """
 
+import ast
 import importlib
 import inspect
 import sys
@@ -14,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from scuhand_bt.failures import CATALOGUE, Failure
-from scuhand_bt.problems import Broken, Mark, Problems, shorten
+from scuhand_bt.problems import Broken, Mark, Problem, Problems, shorten
 from scuhand_bt.skill import DEVICES, Condition, Skill
 from scuhand_bt.skill_files.facts import SkillFacts, facts_of, parsed, raised_codes
-from scuhand_bt.skill_files.source_check import check_source
+from scuhand_bt.skill_files.source_check import check_shared, check_source
 
 PACKAGE = "scuhand_lab"
 
@@ -44,6 +45,7 @@ def load_skills(folder: Path, paths: list[Path], problems: Problems, broken: Bro
             tree = parsed(path)
             of_file.found += check_source(skill, tree, sys.modules[f"{PACKAGE}.skills.{path.stem}"], str(path)).found
             _check_codes(skill, raised_codes(tree, str(path)), of_file)
+            of_file.found += [problem for name in _shared_by(tree) for problem in _shared_problems(folder, name)]
             loaded.facts[path.stem] = facts_of(skill, tree, shared)
         problems.found += of_file.found
         if of_file.errors or skill is None:
@@ -51,6 +53,20 @@ def load_skills(folder: Path, paths: list[Path], problems: Problems, broken: Bro
         else:
             loaded.skills[path.stem] = skill
     return loaded
+
+
+def _shared_by(tree: ast.Module) -> Iterator[str]:
+    """The files beside it that a skill imports from."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level == 1 and node.module is not None:
+            yield node.module
+
+
+def _shared_problems(folder: Path, name: str) -> list[Problem]:
+    path, module = folder / "skills" / f"{name}.py", sys.modules.get(f"{PACKAGE}.skills.{name}")
+    if module is None or not name.startswith("_") or not path.is_file():
+        return []
+    return check_shared(parsed(path), module, str(path)).found
 
 
 def _codes_in(path: Path) -> Iterator[str]:

@@ -31,13 +31,25 @@ def check_source(skill: type[Skill[Any]], tree: ast.Module, module: types.Module
     """All that can be told of a skill by the text of its file."""
     problems = Problems()
     body = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == skill.__name__)
+    _check_functions(tree, module, set(skill.sees()), problems, file)
+    _check_body(skill, body, problems, file)
+    return problems
+
+
+def check_shared(tree: ast.Module, module: types.ModuleType, file: str) -> Problems:
+    """The same of a file that skills share: which devices are leased is its callers' to say."""
+    problems = Problems()
+    _check_functions(tree, module, set(DEVICE_NAMES), problems, file)
+    return problems
+
+
+def _check_functions(
+    tree: ast.Module, module: types.ModuleType, leased: set[str], problems: Problems, file: str
+) -> None:
     generators = {node.name for node in ast.walk(tree) if isinstance(node, Function) and _yields(node)}
-    leased = {*skill.devices, *(skill.watches if issubclass(skill, Condition) else ())}
     for function in (node for node in ast.walk(tree) if isinstance(node, Function)):
         own = leased | ({"arm", "balance"} if function.name == RESUMING else set())
         _FunctionCheck(function, vars(module), generators, own, problems, file).check()
-    _check_body(skill, body, problems, file)
-    return problems
 
 
 def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems, file: str) -> None:

@@ -65,7 +65,7 @@ function sample(row) {
   const before = samples.get(row.id);
   const now = {...before, ...row};
   samples.set(row.id, now);
-  const cells = [now.id, now.what ?? "", make("span", {class: now.tone}, now.verdict), now.told].map((cell) => make("td", {}, cell));
+  const cells = [now.id, now.what ?? "", make("span", {class: now.tone}, now.verdict), now.told].map((cell) => make("td", {}, cell ?? ""));
   const line = make("tr", {"data-id": now.id}, ...cells);
   now.line = line;
   if (before) before.line.replaceWith(line);

@@ -1,0 +1,94 @@
+"""How wide the valve may be, and when it must shut: one chance constraint for every opening.
+
+    P(mass that has left when the valve is shut > most) <= RISK        most = target + tolerance - guard
+
+The mass is the bank's: a mixture of normal distributions, one for each balance that is thinkable, with what each has
+not shown yet, the spread of the flow, of the opening and of the lumps.
+
+How wide: for the mean flow until the valve can answer the next reading and is shut; and, as what the flow is more than
+that stays unseen for the balance's delay T, for its spread over T:
+
+    (sigma_q^2 + walk^2 + off^2 + (UNSEEN_ERROR q)^2) T^2 + 2 m q T          [mg^2], with the lumps' mean mass m [mg]
+
+or, where that is less harmful, for its spread until it has reached the aim, at which it is shut by reckoning.
+
+When to shut: for the next reading's time.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import erfc
+
+from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Array, Bank
+from scuhand_bt.dosing.valve import FlowShape
+
+RISK = 0.005
+"""The greatest probability of too much, of every opening at every reading."""
+UNSEEN_ERROR = 0.2
+"""No balance is just its model: what a flow's unseen part is off by, relative to it."""
+CHOICES = 40
+"""Openings that are compared, from the narrowest that lets powder through to the widest."""
+NARROWEST_MM = 0.05
+"""Above the threshold: nothing is opened by less."""
+
+
+def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array:
+    """(...) probability of a mass above `most_mg` [mg], from its mean [mg] and variance [mg^2] by model, (..., H)."""
+    return np.asarray(_chances(mean_mg, variance, most_mg) @ bank.weights)
+
+
+def _chances(mean_mg: Array, variance: Array, most_mg: float) -> Array:
+    return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)))
+
+
+@lru_cache(maxsize=64)
+def _choices(
+    shape: FlowShape, narrowest_mm: float, widest_mm: float, late_s: float, dead_time_s: float, speed_mm_per_s: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Openings above the threshold [mm]; phi and its slope at each, and the integrals of both until it is shut."""
+    gaps_mm = np.geomspace(narrowest_mm, widest_mm, CHOICES)
+    phi = gaps_mm**shape.exponent
+    slope = shape.exponent * phi / gaps_mm
+    closing_s = dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
+    return gaps_mm, phi, slope, phi * (late_s + closing_s), slope * (late_s + dead_time_s) + phi / speed_mm_per_s
+
+
+def widest_mm(
+    bank: Bank,
+    shape: FlowShape,
+    aim_mg: float,
+    most_mg: float,
+    late_s: float,
+    dead_time_s: float,
+    speed_mm_per_s: float,
+    max_opening_mm: float,
+    reference: float,
+    known_gap_mm: float,
+    narrowest_mm: float,
+) -> float:
+    """The widest opening [mm] that the constraint allows; the narrowest where it allows none.
+
+    `late_s` passes between a reading and the valve's answer. `reference` [mg s^-1 mm^-n] is k where nothing is in the
+    powder's way. `known_gap_mm` is the opening above the threshold that the flow was seen at: what the powder's
+    exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
+    """
+    widest = max(max_opening_mm - shape.threshold_mm, 1.01 * narrowest_mm)
+    gaps_mm, phi, slope, phi_s, slope_s = _choices(shape, narrowest_mm, widest, late_s, dead_time_s, speed_mm_per_s)
+    mean_mg, variance = bank.coming(phi_s, slope_s)
+    flow, flow_sd = bank.flow(phi, slope)
+    off = (EXPONENT_ERROR * np.log(gaps_mm / known_gap_mm))[:, None] * flow
+    variance = variance + (off * (phi_s / phi)[:, None]) ** 2
+    lasting = flow_sd**2 + off**2 + (UNSEEN_ERROR * flow) ** 2
+    walk = (K_WALK_PER_S * reference * phi[:, None]) ** 2
+    lumps_mg = 2.0 * bank.surge_mg * flow
+
+    def too_much(mean_mg: Array, unseen_s: Array) -> Array:
+        unseen = ((lasting + walk * unseen_s) * unseen_s + lumps_mg) * unseen_s
+        return _chances(mean_mg, variance + bank.erratic * unseen, most_mg)
+
+    # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
+    left_s = np.maximum(aim_mg - mean_mg, 0.0) / np.maximum(flow, 1e-9)
+    chances = np.minimum(too_much(mean_mg, bank.delays_s), too_much(np.maximum(mean_mg, aim_mg), left_s))
+    allowed = np.nonzero(chances @ bank.weights <= RISK)[0]
+    return shape.threshold_mm + float(gaps_mm[allowed[-1]] if len(allowed) else gaps_mm[0])

@@ -1,0 +1,433 @@
+"""What `adaptive` knows during one dose, and what it keeps of it.
+
+* The bank of filters (`estimation`), begun anew with each opening, and the valve's path (`valve`).
+* The reference: the flow's coefficient k where nothing is in the powder's way. An opening shows k = gained mass over
+  the integral of phi; the reference goes at once to what is more, and little by little to what is less.
+* How wide an opening may be: the chance constraint (`constraint`), and what a sheet that sticks would let out.
+* How good its predictions turned out to be: `erratic`, by what factor their variance is too small.
+"""
+
+import math
+from collections.abc import Generator
+
+import numpy as np
+
+from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
+from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
+from scuhand_bt.dosing.estimation import (
+    EXPONENT_ERROR,
+    LEAST_DOUBT,
+    OPENING_ERROR_MM,
+    UNKNOWN_ERROR_MM,
+    UNKNOWN_SPREAD,
+    Bank,
+    Row,
+    balance_by,
+)
+from scuhand_bt.dosing.valve import FlowShape, ValvePath
+from scuhand_bt.dosing.verdict import COVERAGE, judge
+from scuhand_bt.specs import PowderBelief, Verdict
+
+TELLS = 1.0
+"""An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
+SLOWER = 0.7
+"""The reference falls to no less than this share of itself in an opening."""
+RISES, RISEN = 3, 3.0
+"""Readings whose mean is above that of as many before, by so many standard deviations, still rise."""
+PEAK = 5
+"""Readings that a flow's peak is taken over."""
+LEAST_MG = 2.0
+"""Openings that neither brought this together nor should have teach nothing yet."""
+NOTHING_TOLD = (0.0, 0.0, 0.0)
+STUCK_MM = 0.3
+"""Once in a hundred openings the sheet sticks as it bends, and lets go wider by this."""
+STRONG = 0.5
+"""How much more of the flow it is allowed for then."""
+HARDLY_EVER = 2.6
+"""Standard deviations that a flow is above its reference once in 200 times."""
+SEEN_S = 0.4
+"""So long after the balance's delay it is seen whether the sheet has stuck."""
+AIM_UNDER_MG = 0.25
+"""Too little can be corrected, too much cannot."""
+LEAST_SPARE_MG = 0.5
+"""Above the target, where the balance is too uncertain for any verdict."""
+SLACK_S = 0.1
+"""Between a reading and the command that answers it."""
+GENTLE, FULL = 0.4, 1.0
+"""Levels of vibration."""
+WIDER, MOST_NARROWEST_MM = 1.4, 0.5
+"""Where nothing comes from it, the narrowest opening grows by this factor, up to so far above the threshold."""
+ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
+"""How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
+DIFFERS = 0.5
+"""By how much the flow may differ from what is believed, as a logarithm."""
+GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
+"""What doses are taken to differ by, at least: until a second one was seen, and ever."""
+SHAKING_NOISE_MG = 0.3
+"""Of a reading while the motor runs, until it was seen."""
+NOISE_GAIN, OUTLIER = 0.05, 12.0
+"""How fast the noise is learnt; a second difference of more standard deviations is no noise."""
+FOLLOWS, FOLLOWS_SURELY = 0.04, 0.2
+"""How far the reference goes after the flow with each sight of it; where the flow is surely stronger."""
+LEAST_WEIGHT = 0.2
+"""What a dose counts beside those before, at least."""
+
+
+class Knowledge:
+    """The bank, the valve's path, and the figures learnt beside them."""
+
+    def __init__(self, request: DoseRequest) -> None:
+        self.request, self.belief, self.balance = request, request.powder, request.balance
+        self.shape = FlowShape(self.belief.threshold_mm, self.belief.exponent)
+        self.valve = ValvePath(self.shape, request.valve_dead_time_s, request.valve_speed_mm_per_s)
+        self.noise_mg = {False: max(self.balance.noise_mg, self._digit_mg), True: SHAKING_NOISE_MG}
+        """Of a reading, by whether the motor runs."""
+        self.reference = self.belief.coefficient
+        """The flow's coefficient when nothing is in its way."""
+        self.spread = UNKNOWN_SPREAD if self.belief.doses == 0 else self.belief.spread
+        """What a new opening's flow may be off by, relative to the reference."""
+        self.error_mm = UNKNOWN_ERROR_MM if self.belief.doses == 0 else OPENING_ERROR_MM
+        """What the opening is off by, and the threshold: their standard deviation."""
+        self.seen = self.reference if self.belief.doses else 0.0
+        """The greatest coefficient that powder was seen to flow with."""
+        self.seen_now = 0.0
+        """The same, in this dose."""
+        self.erratic = self.belief.erratic
+        """By what factor the variance of what was predicted is too small."""
+        self.gap_mm = self.belief.gap_mm
+        """The opening above the threshold that the reference was seen at."""
+        self.surge_mg = self.belief.surge_mg
+        self.bank = Bank.believing(self.balance, self.surge_mg)
+        self.uncertainty_mg = request.uncertainty_mg
+        """The standard uncertainty of the mass that will be judged; it grows with the time that a dose takes."""
+        self.doubt: Doubt | None = None
+        self.time_s = 0.0
+        self.rows: list[Row] = []
+        self.narrowest_mm = max(self.belief.narrowest_mm / WIDER, NARROWEST_MM)
+        """Above the threshold: from less, little comes. Each dose tries less than the one before."""
+        self._recent_mg: list[float] = []
+        self._ratios: list[tuple[float, float, float]] = []
+        """Of openings: what came [mg], the coefficient against the belief's as a logarithm, and the mean gap [mm]."""
+        self._told_of = NOTHING_TOLD
+        """Of openings that nothing was learnt from yet: what came [mg], the integral of phi, and how long [s]."""
+        self.begin(0.0, 1.0)
+
+    @property
+    def _digit_mg(self) -> float:
+        return self.request.readability_mg / math.sqrt(12.0)
+
+    # --- an opening ---
+
+    def begin(self, mass_mg: float, sd_mg: float) -> None:
+        """The balance is at rest, the valve shut, and this has been dosed, give or take `sd_mg`."""
+        self.begin_mg, self._most_phi_s = mass_mg, 0.0
+        self.surely = 0.0
+        """The coefficient that powder has surely flowed with, in this opening."""
+        self.bank = Bank.believing(self.balance, self.surge_mg)
+        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
+        self.bank.erratic = self.erratic
+        self.rows.clear()
+
+    def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
+        """Hold a command until the next reading; its innovation in standard deviations."""
+        before_mm = self.valve.target_mm
+        self.valve.command(self.time_s, opening_mm)
+        seen = yield Stream(opening_mm, vibration)
+        dt_s = seen.time_s - self.time_s
+        phi_s, slope_s = self.valve.advance(self.time_s, seen.time_s)
+        self.time_s = seen.time_s
+        shaking = vibration > 0.0
+        self._learn_noise(seen.net_mg, phi_s, shaking)
+        changed = 0.0
+        if opening_mm > 0.0:
+            gap_mm = max(opening_mm - self.shape.threshold_mm, NARROWEST_MM)
+            from_mm = max(before_mm - self.shape.threshold_mm, NARROWEST_MM) if before_mm > 0.0 else self.gap_mm
+            changed = math.log(gap_mm / from_mm)
+        row = Row(dt_s, phi_s, slope_s, seen.net_mg, self.noise_mg[shaking], changed)
+        self.rows.append(row)
+        score = self.bank.update(row, self.reference)
+        self.seen_now = max(self.seen_now, self.surely)
+        peak = 0.0 if shaking else self._peak()
+        if phi_s > 0.0:  # what rises in the tail is the balance's: one that adapts takes longer than its model
+            self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, peak)
+        return score
+
+    def _peak(self) -> float:
+        """The flow's coefficient as the steepest rise shows it, whatever the balance: it shows no rise too steep."""
+        if len(self.rows) <= PEAK:
+            return 0.0
+        rise_mg = self.rows[-1].reading_mg - self.rows[-1 - PEAK].reading_mg - 4.0 * self.rows[-1].noise_mg
+        rise_mg -= LEAST_MG + 5.0 * self.bank.surge_mg
+        self._most_phi_s = max(self._most_phi_s, sum(row.phi_s for row in self.rows[-PEAK:]))
+        return rise_mg / self._most_phi_s if rise_mg > 0.0 < self._most_phi_s else 0.0
+
+    def _learn_noise(self, reading_mg: float, phi_s: float, shaking: bool) -> None:
+        """From second differences, which a slowly changing mass leaves alone."""
+        recent = self._recent_mg
+        recent.append(reading_mg)
+        if len(recent) < 3:
+            return
+        second_mg = recent[-1] - 2.0 * recent[-2] + recent[-3]
+        del recent[0]
+        before_mg = self.noise_mg[shaking]
+        if self.bank.unseen_mg > 5.0 * before_mg or abs(second_mg) > OUTLIER * before_mg:
+            return
+        variance = (1.0 - NOISE_GAIN) * before_mg**2 + NOISE_GAIN * second_mg**2 / 6.0
+        self.noise_mg[shaking] = max(self._digit_mg, math.sqrt(variance))
+
+    @property
+    def is_rising(self) -> bool:
+        """Whether readings still go up, whatever the models of the balance say."""
+        if len(self.rows) < 2 * RISES:
+            return True
+        readings_mg = [row.reading_mg for row in self.rows[-2 * RISES :]]
+        rise_mg = sum(readings_mg[RISES:]) / RISES - sum(readings_mg[:RISES]) / RISES
+        return rise_mg > RISEN * math.sqrt(2.0 / RISES) * self.rows[-1].noise_mg
+
+    def judge_prediction(self, predicted_mg: float, sd_mg: float) -> None:
+        """What was predicted when the valve was told to shut, against what is known after the look.
+
+        Only what came more than that is held against it.
+        """
+        more = max(self.bank.mass_mg - predicted_mg, 0.0) / math.hypot(sd_mg, self.noise_mg[False])
+        self.erratic += ERRATIC_GAIN * (min(2.0 * more * more, MOST_ERRATIC) - self.erratic)
+        self.erratic = max(self.erratic, 1.0)
+
+    # --- how wide ---
+
+    @property
+    def most_mg(self) -> float:
+        """No more may leave: a stable mean would call it too much."""
+        spare_mg = self.request.tolerance_mg - COVERAGE * self.uncertainty_mg
+        return self.request.target_mg + max(spare_mg, LEAST_SPARE_MG)
+
+    @property
+    def least_mg(self) -> float:
+        """The mass that a stable mean would call in tolerance."""
+        return self.request.target_mg - self.request.tolerance_mg + COVERAGE * self.uncertainty_mg
+
+    @property
+    def aim_mg(self) -> float:
+        """The target; less by a lump where powder comes in lumps: they can be waited for, but not taken back."""
+        least_mg = min(self.least_mg + 0.1, self.request.target_mg)
+        under_mg = self.bank.surge_mg + AIM_UNDER_MG * math.sqrt(self.erratic)
+        return max(self.request.target_mg - under_mg, least_mg)
+
+    @property
+    def _late_s(self) -> float:
+        """Between a reading and the valve's answer to it."""
+        return self.request.balance_period_s + SLACK_S
+
+    def widest_mm(self, most_mg: float) -> float:
+        """The opening that the chance constraint allows, for as much mass as this."""
+        request = self.request
+        return widest_mm(
+            self.bank,
+            self.shape,
+            min(self.aim_mg, most_mg),
+            most_mg,
+            self._late_s,
+            request.valve_dead_time_s,
+            request.valve_speed_mm_per_s,
+            request.max_opening_mm,
+            self.reference,
+            self._known_gap_mm,
+            self.narrowest_mm,
+        )
+
+    def stuck_mg(self, opening_mm: float, open_s: float) -> float:
+        """What an opening lets out that is shut after so long, where the sheet has stuck."""
+        strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
+        return strong * self._passes(opening_mm + STUCK_MM, open_s)
+
+    def _passes(self, opening_mm: float, open_s: float) -> float:
+        """Integral of phi from an opening until it is shut, which it is told to be after so long."""
+        tail = self.shape.closing(opening_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
+        return self.shape.value(opening_mm) * open_s + tail
+
+    @property
+    def seen_s(self) -> float:
+        """So long after an opening began it is seen whether the sheet has stuck."""
+        return self.bank.delay_s + SEEN_S
+
+    def begins_mm(self, most_mg: float) -> float:
+        """How wide an opening may be until that: so that `most_mg` are not exceeded if it has, or the narrowest.
+
+        Nor if the sheet has not stuck, and the flow is as strong as it hardly ever is.
+        """
+        opening_mm = self.request.max_opening_mm
+        narrowest_mm = self.shape.threshold_mm + self.narrowest_mm
+        while opening_mm > narrowest_mm and self._unseen_mg(opening_mm) > most_mg:
+            opening_mm = max(narrowest_mm, 0.95 * opening_mm)
+        return opening_mm
+
+    def _unseen_mg(self, opening_mm: float) -> float:
+        """What an opening may let out before it is seen."""
+        strong_mg = self.reference * (1.0 + HARDLY_EVER * self.spread) * self._passes(opening_mm, self.seen_s)
+        return max(self.stuck_mg(opening_mm, self.seen_s), strong_mg)
+
+    @property
+    def strongest(self) -> float:
+        """What the flow's coefficient may well be where nothing is in its way, for all that is not seen of it."""
+        off = EXPONENT_ERROR * math.log(self._known_gap_mm / self.gap_mm)
+        return self.reference * (1.0 + math.hypot(self.spread, off))
+
+    @property
+    def _known_gap_mm(self) -> float:
+        """The opening above the threshold that the flow is seen at, or was when the valve was open last."""
+        told_mm = self.valve.target_mm
+        return max(told_mm - self.shape.threshold_mm, NARROWEST_MM) if told_mm > 0.0 else self.gap_mm
+
+    def closing(self, wait_s: float) -> tuple[float, float]:
+        """Integrals of phi and its slope until the valve is shut, if it is told to in `wait_s`."""
+        request, opening_mm = self.request, self.valve.opening_mm
+        phi, slope = self.shape.value(opening_mm), self.shape.slope(opening_mm)
+        tail = self.shape.closing(opening_mm, request.valve_dead_time_s, request.valve_speed_mm_per_s)
+        slope_s = slope * (request.valve_dead_time_s + wait_s) + phi / request.valve_speed_mm_per_s
+        return tail + phi * wait_s, slope_s
+
+    # --- what is learnt ---
+
+    def follow(self) -> None:
+        """The reference goes after the flow: slowly, but at once where the flow is surely stronger."""
+        bank = self.bank
+        sure = bank.coefficient - 1.5 * bank.coefficient_sd > self.reference
+        self.reference += (FOLLOWS_SURELY if sure else FOLLOWS) * (bank.coefficient - self.reference)
+
+    def learn(self, gained_mg: float) -> None:
+        """From an opening and its tail: what the balance is, and the flow."""
+        phi_s = sum(row.phi_s for row in self.rows)
+        noise_mg = self.noise_mg[False]
+        self.surge_mg = self.bank.surge_mg
+        if phi_s <= 0.0:
+            return
+        least_mg = max(LEAST_MG, 20.0 * noise_mg)
+        if gained_mg > least_mg:
+            self._learn_balance(gained_mg)
+            self.error_mm = OPENING_ERROR_MM
+        # Openings that bring little tell something together.
+        before_mg, before_phi_s, before_s = self._told_of
+        gained_mg, phi_s, open_s = before_mg + gained_mg, before_phi_s + phi_s, before_s + self._open_s
+        self._told_of = gained_mg, phi_s, open_s
+        if max(gained_mg, self.reference * phi_s) < least_mg:
+            return
+        self._told_of = NOTHING_TOLD
+        gap_mm = float((phi_s / open_s) ** (1.0 / self.shape.exponent))
+        if gained_mg > least_mg:
+            self.gap_mm = gap_mm
+        # It may have been bridged for a part of the time: what is faster than believed is believed at once, what is
+        # slower little by little; what was seen to flow may always do so again. Narrow ones tell little.
+        strongest = max(gained_mg / phi_s, noise_mg / phi_s, self.surely)
+        found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
+        if gained_mg > LEAST_MG:
+            self.seen = max(self.seen, found)
+        self.reference = max(found, SLOWER * self.reference)
+        spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
+        self.spread = min(spread, UNKNOWN_SPREAD)
+        if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
+            self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
+
+    def learn_coefficient(self, coefficient: float) -> None:
+        """From pulses, each of which was weighed: what they have come to by now."""
+        self.reference = coefficient
+        self._ratios = [(1.0, math.log(coefficient / self.belief.coefficient), self.gap_mm)]
+
+    def _told(self, gap_mm: float, phi_s: float) -> float:
+        """What an opening tells of the flow's coefficient, for what its width may be off, and for lumps by chance."""
+        width = self.shape.exponent * OPENING_ERROR_MM / gap_mm
+        lumps = 2.0 * self.surge_mg / (self.reference * phi_s)
+        return DIFFERS**2 / (DIFFERS**2 + width**2 + lumps)
+
+    @property
+    def _open_s(self) -> float:
+        """How long powder could come since the valve was told to open."""
+        return sum(row.dt_s for row in self.rows if row.phi_s > 0.0)
+
+    def little_came(self) -> None:
+        """From the last opening: the powder needs more than so narrow a one.
+
+        The next one may be wider than the constraint has it, and is shut by it at once if it flows: as wide as lets out
+        no more until then than may come.
+        """
+        tried_mm = float(max(row.phi_s / row.dt_s for row in self.rows) ** (1.0 / self.shape.exponent))
+        wider_mm = WIDER * max(tried_mm, self.narrowest_mm)
+        left_mg = self.most_mg - self.bank.mass_mg
+        if (
+            wider_mm <= MOST_NARROWEST_MM
+            and self.strongest * self._passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg
+        ):
+            self.narrowest_mm = wider_mm
+
+    def _learn_balance(self, gained_mg: float) -> None:
+        """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
+        known, found = self.balance, balance_by(self.rows, self.begin_mg, gained_mg)
+        if found is None or found.doubt > TELLS:
+            return
+        doubt = max(found.doubt, LEAST_DOUBT)
+        if known.fits == 0:
+            self.balance = found.model_copy(update={"fits": 1, "doubt": doubt})
+            return
+        # What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
+        apart = math.log(found.lag_s / known.lag_s)
+        share = known.doubt**2 / (known.doubt**2 + doubt**2)
+        agreed = doubt * math.sqrt(share)
+        contradicted = max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0)
+        self.balance = known.model_copy(
+            update={
+                "fits": known.fits + 1,
+                "lag_s": known.lag_s * math.exp(share * apart),
+                "doubt": max(LEAST_DOUBT, math.hypot(agreed, contradicted)),
+            }
+        )
+
+    @property
+    def knows_balance(self) -> bool:
+        """Whether anything has been learnt of it."""
+        return self.balance.fits > 0
+
+    def doubt_balance(self, doubt: Doubt) -> None:
+        """What a stable mean said is not what this balance was expected to say."""
+        self.doubt = self.doubt or doubt
+        self.balance = self.balance.model_copy(update={"fits": 0, "doubt": 1.0})
+
+    # --- what is kept ---
+
+    def finish(self, reason: Reason, seen: Observation) -> Finish:
+        """The dose's last word, with what was learnt."""
+        balance = self.balance.model_copy(update={"noise_mg": self.noise_mg[False]})
+        if reason in ("empty", "no_flow"):  # an empty cone says nothing of a width
+            self.narrowest_mm = self.belief.narrowest_mm
+        return Finish(reason, seen.net_mg, seen.uncertainty_mg, self._powder(), balance, self.doubt)
+
+    def _powder(self) -> PowderBelief:
+        """The belief with this dose in it; as it was where no opening has told anything."""
+        belief = self.belief
+        if not self._ratios:
+            return belief
+        came_mg, ratios, gaps_mm = zip(*self._ratios, strict=True)
+        ratio, gap_mm = np.average((ratios, gaps_mm), axis=1, weights=came_mg).tolist()
+        weight = max(LEAST_WEIGHT, 1.0 / (belief.doses + 1.0))
+        # The first dose corrects a guess; only from the second on do doses differ from what was learnt.
+        if belief.doses == 0:
+            spread = max(belief.spread, GUESSED_SPREAD)
+        else:
+            off = max(abs(ratio), math.log(max(self.seen_now, 1e-9) / belief.coefficient))
+            spread = math.sqrt((1.0 - weight) * belief.spread**2 + weight * min(off * off, 1.0))
+        return PowderBelief(
+            coefficient=belief.coefficient * math.exp(weight * ratio),
+            threshold_mm=belief.threshold_mm,
+            gap_mm=gap_mm,
+            narrowest_mm=self.narrowest_mm,
+            exponent=belief.exponent,
+            spread=min(max(spread, LEAST_KEPT_SPREAD), 1.0),
+            erratic=self.erratic,
+            surge_mg=belief.surge_mg + weight * (self.surge_mg - belief.surge_mg),
+            vibration=belief.vibration,
+            doses=belief.doses + 1,
+        )
+
+    def verdict(self, seen: Observation) -> Reason | None:
+        """What a stable mean says: done, too much, or None while there is more to dose."""
+        request = self.request
+        reasons: dict[Verdict, Reason | None] = {"in tolerance": "reached", "over": "overshoot", "under": None}
+        return reasons[judge(request.target_mg, request.tolerance_mg, seen.net_mg, seen.uncertainty_mg)]

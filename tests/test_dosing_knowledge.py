@@ -1,0 +1,370 @@
+"""What `adaptive` learns within a dose and keeps of it, and how it opens where nothing comes."""
+
+import itertools
+from collections.abc import Iterator
+
+import pytest
+from dose_bench import shipped_powders
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scuhand_bt.dosing import DoseRequest, Finish, Observation, Stream, Weigh, new_controller
+from scuhand_bt.dosing.controller import Doubt
+from scuhand_bt.dosing.knowledge import SLACK_S, STUCK_MM, Knowledge
+from scuhand_bt.specs import BalanceBelief, PowderBelief
+
+BEADS = shipped_powders()["glass_beads"].belief
+QUICK = BalanceBelief(lag_s=0.05, doubt=0.08, fits=3, noise_mg=0.05)
+PERIOD_S = 0.1
+
+
+def request(**changes: object) -> DoseRequest:
+    values: dict[str, object] = {
+        "target_mg": 500.0,
+        "tolerance_mg": 2.0,
+        "gain": 0.3,
+        "max_opening_mm": 2.4,
+        "valve_speed_mm_per_s": 4.0,
+        "readability_mg": 0.1,
+        "cone_mg": 5000.0,
+        "powder": BEADS.model_copy(update={"doses": 3}),
+        "balance": QUICK,
+    }
+    return DoseRequest(**(values | changes))  # type: ignore[arg-type]
+
+
+class Scale:
+    """A powder of this coefficient, and a balance that shows it as it leaves."""
+
+    def __init__(self, known: Knowledge, coefficient: float) -> None:
+        self.known, self.coefficient = known, coefficient
+        self.left_mg = known.begin_mg
+
+    def act(self, opening_mm: float, duration_s: float) -> None:
+        for _ in range(round(duration_s / PERIOD_S)):
+            step = self.known.act(opening_mm, 0.0)
+            next(step)
+            time_s = self.known.time_s + PERIOD_S
+            # The valve is where it is reckoned to be: the coefficient alone is in question.
+            self.left_mg += self.coefficient * PERIOD_S * self.known.shape.value(self.known.valve.opening_mm)
+            with pytest.raises(StopIteration):
+                step.send(Observation(time_s, self.left_mg, 0.05, False))
+
+    def opening(self, opening_mm: float, duration_s: float) -> float:
+        """The reference after it."""
+        self.act(opening_mm, duration_s)
+        self.act(0.0, 2.0)
+        self.known.learn(self.left_mg - self.known.begin_mg)
+        self.known.begin(self.left_mg, 0.1)
+        return self.known.reference
+
+
+def test_a_stronger_flow_is_believed_at_once_and_a_weaker_one_little_by_little() -> None:
+    known = Knowledge(request())
+    assert Scale(known, 2.0 * BEADS.coefficient).opening(1.0, 2.0) > 1.7 * BEADS.coefficient
+    known = Knowledge(request())
+    assert (
+        0.69 * BEADS.coefficient < Scale(known, 0.25 * BEADS.coefficient).opening(1.0, 3.0) < 0.75 * BEADS.coefficient
+    )
+
+
+def test_what_a_balance_shows_when_the_valve_has_long_been_shut_is_no_stronger_flow() -> None:
+    known = Knowledge(request(powder=BEADS, balance=QUICK.model_copy(update={"lag_s": 0.5})))
+    scale = Scale(known, 0.0)
+    scale.act(1.0, 0.5)
+    scale.act(0.0, 0.5)
+    surely = known.surely
+    for _ in range(20):
+        scale.left_mg += 20.0
+        scale.act(0.0, 0.1)
+    assert known.bank.coefficient - known.bank.coefficient_sd > surely
+    assert known.surely == surely
+
+
+def test_an_opening_that_need_not_have_brought_anything_teaches_nothing() -> None:
+    known = Knowledge(request())
+    assert Scale(known, 0.25 * BEADS.coefficient).opening(0.15, 0.5) == BEADS.coefficient
+    assert known.finish("reached", Observation(9.0, 0.0, 0.05, True)).powder == known.belief
+
+
+def test_narrow_openings_tell_less_of_the_flow_than_wide_ones() -> None:
+    wide, narrow = Knowledge(request()), Knowledge(request())
+    at_wide = Scale(wide, 0.8 * BEADS.coefficient).opening(1.5, 1.0)
+    at_narrow = Scale(narrow, 0.8 * BEADS.coefficient).opening(0.25, 20.0)
+    kept = narrow.finish("reached", Observation(9.0, 0.0, 0.05, True)).powder
+    assert kept is not None
+    assert at_wide < 0.85 * BEADS.coefficient < at_narrow
+    assert kept.gap_mm == pytest.approx(0.25 - BEADS.threshold_mm, abs=0.02)
+
+
+def test_lumps_that_did_not_come_tell_less_of_the_flow() -> None:
+    fine, lumpy = (
+        Knowledge(request()),
+        Knowledge(request(powder=BEADS.model_copy(update={"surge_mg": 5.0, "doses": 3}))),
+    )
+    weak = 0.8 * BEADS.coefficient
+    at_fine, at_lumpy = (Scale(known, weak).opening(0.7, 1.0) for known in (fine, lumpy))
+    assert at_fine < 0.85 * BEADS.coefficient
+    assert 0.9 * BEADS.coefficient < at_lumpy < BEADS.coefficient
+
+
+def test_what_a_dose_has_taught_is_kept_with_what_was_known_before() -> None:
+    known = Knowledge(request())
+    Scale(known, 1.5 * BEADS.coefficient).opening(1.0, 3.0)
+    finish = known.finish("reached", Observation(9.0, 500.0, 0.05, True))
+    assert finish.powder is not None
+    assert BEADS.coefficient * 1.05 < finish.powder.coefficient < BEADS.coefficient * 1.2, "one dose of four"
+    assert finish.powder.doses == 4
+    assert finish.powder.spread > BEADS.spread, "doses differ by more than was believed"
+    assert finish.powder.vibration == BEADS.vibration
+
+
+def test_the_first_dose_replaces_a_guess() -> None:
+    known = Knowledge(request(powder=BEADS))
+    Scale(known, 1.5 * BEADS.coefficient).opening(1.0, 3.0)
+    kept = known.finish("reached", Observation(9.0, 500.0, 0.05, True)).powder
+    assert kept is not None
+    assert kept.coefficient == pytest.approx(1.5 * BEADS.coefficient, rel=0.1)
+
+
+def test_only_what_came_more_than_predicted_makes_predictions_less_trusted() -> None:
+    known = Knowledge(request())
+    known.erratic = 2.0
+    known.begin(100.0, 0.1)
+    known.judge_prediction(150.0, 1.0)
+    assert known.erratic == pytest.approx(1.8)
+    known.judge_prediction(95.0, 1.0)
+    assert known.erratic > 4.0
+    for _ in range(100):
+        known.judge_prediction(100.0, 1.0)
+    assert known.erratic == 1.0
+    known.judge_prediction(0.0, 0.01)
+    assert known.erratic <= 3.5, "one bad one is not all"
+
+
+def test_predictions_that_were_wrong_narrow_the_next_opening_and_are_kept() -> None:
+    known = Knowledge(request())
+    usual_mm = known.widest_mm(30.0)
+    known.erratic = 20.0
+    known.begin(0.0, 0.1)
+    assert known.widest_mm(30.0) < usual_mm
+    Scale(known, BEADS.coefficient).opening(1.0, 2.0)
+    kept = known.finish("reached", Observation(9.0, 0.0, 0.05, True)).powder
+    assert kept is not None
+    assert kept.erratic == 20.0
+
+
+@given(st.floats(1.0, 3000.0), st.sampled_from([0.2, 0.6, 1.5]))
+def test_an_opening_begins_so_that_a_sheet_which_sticks_then_lets_out_no_more_than_may_come(
+    most_mg: float, lag_s: float
+) -> None:
+    known = Knowledge(request(balance=QUICK.model_copy(update={"lag_s": lag_s})))
+    opening_mm = known.begins_mm(most_mg)
+    assert known.stuck_mg(opening_mm, known.seen_s) <= most_mg or opening_mm <= known.shape.threshold_mm + 0.0501
+    assert known.seen_s > 2.0 * lag_s
+    assert known.stuck_mg(opening_mm, 1.0) > known.reference * known.shape.value(opening_mm + STUCK_MM)
+
+
+def test_far_from_the_target_a_sheet_that_sticks_limits_no_opening() -> None:
+    assert Knowledge(request()).begins_mm(3000.0) == 2.4
+
+
+@given(most_mg=st.floats(5.0, 500.0), spread=st.floats(0.2, 1.5))
+def test_an_opening_begins_so_narrow_that_a_flow_which_is_much_stronger_is_seen_in_time(
+    most_mg: float, spread: float
+) -> None:
+    known = Knowledge(request(balance=QUICK.model_copy(update={"lag_s": 0.4})))
+    known.spread = spread
+    gap_mm = known.begins_mm(most_mg) - known.shape.threshold_mm
+    unseen_mg = known.reference * (1.0 + 2.6 * spread) * gap_mm**known.shape.exponent * known.seen_s
+    assert unseen_mg <= most_mg or gap_mm <= 0.0501
+
+
+def test_no_more_may_leave_than_a_stable_mean_would_call_in_tolerance() -> None:
+    known = Knowledge(request(uncertainty_mg=0.3))
+    assert known.most_mg == pytest.approx(501.4)
+    assert known.least_mg == pytest.approx(498.6)
+    assert known.least_mg < known.aim_mg < 500.0
+    assert Knowledge(request(uncertainty_mg=5.0)).most_mg == pytest.approx(500.5), "doubtful: as near as it can"
+    lumpy = Knowledge(request(uncertainty_mg=0.3, powder=BEADS.model_copy(update={"surge_mg": 1.0})))
+    assert known.least_mg < lumpy.aim_mg < known.aim_mg, "a lump can be waited for"
+
+
+def test_what_contradicts_what_was_known_of_the_balance_makes_it_doubtful() -> None:
+    known = Knowledge(request())
+    known.balance = QUICK.model_copy(update={"lag_s": 1.0})
+    Scale(known, BEADS.coefficient).opening(1.0, 2.0)
+    assert known.balance.fits == QUICK.fits + 1
+    assert known.balance.doubt > 0.5
+    assert 0.05 < known.balance.lag_s < 1.0
+
+
+def test_a_balance_that_is_doubted_is_no_longer_known_and_the_next_dose_is_told() -> None:
+    known = Knowledge(request())
+    assert known.knows_balance
+    known.doubt_balance(Doubt(5.0, 1.0))
+    known.doubt_balance(Doubt(2.0, 1.0))
+    assert not known.knows_balance
+    finish = known.finish("reached", Observation(9.0, 0.0, 0.05, True))
+    kept = finish.balance
+    assert finish.doubt == Doubt(5.0, 1.0), "the first one"
+    assert kept is not None
+    assert kept.fits == 0
+    assert kept.doubt == 1.0
+
+
+FAST = BEADS.model_copy(update={"coefficient": 500.0, "doses": 3})
+
+
+def narrowest_after_nothing(target_mg: float, opening_mm: float, powder: PowderBelief = BEADS) -> float:
+    """The narrowest opening, above the threshold, when such openings have brought nothing again and again."""
+    known = Knowledge(request(target_mg=target_mg, powder=powder))
+    scale = Scale(known, 0.0)
+    for _ in range(50):
+        scale.act(max(opening_mm, known.shape.threshold_mm + known.narrowest_mm), 0.5)
+        known.little_came()
+        known.begin(0.0, 0.1)
+    return known.narrowest_mm
+
+
+def test_narrow_openings_that_bring_nothing_again_and_again_grow_wider_but_not_for_ever() -> None:
+    assert 0.3 < narrowest_after_nothing(500.0, 0.15) <= 0.5
+    assert narrowest_after_nothing(500.0, 1.5) == Knowledge(request()).narrowest_mm, "it was not for being narrow"
+
+
+def test_what_was_too_narrow_for_a_powder_is_kept_and_tried_again_a_little_narrower() -> None:
+    known = Knowledge(request())
+    scale = Scale(known, BEADS.coefficient)
+    scale.act(known.shape.threshold_mm + 0.2, 0.5)
+    known.little_came()
+    scale.opening(1.0, 2.0)
+    kept = known.finish("reached", Observation(9.0, 0.0, 0.05, True)).powder
+    assert kept is not None
+    assert kept.narrowest_mm == pytest.approx(0.28, abs=0.01)
+    assert Knowledge(request(powder=kept)).narrowest_mm == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_cone_that_ran_empty_teaches_nothing_of_the_powder() -> None:
+    """Nothing came from several openings, however wide and narrow, and another load will flow as ever."""
+    known = Knowledge(request())
+    scale = Scale(known, 0.0)
+    for width_mm in (1.0, 0.2, 0.2):
+        scale.act(width_mm, 1.0)
+        known.little_came()
+        scale.opening(width_mm, 1.0)
+    assert known.reference < 0.8 * BEADS.coefficient
+    assert known.narrowest_mm > 0.2
+    assert known.finish("empty", Observation(9.0, 0.0, 0.05, True)).powder == known.belief
+    Scale(known, BEADS.coefficient).opening(1.0, 1.0)
+    kept = known.finish("empty", Observation(9.0, 0.0, 0.05, True)).powder
+    assert kept is not None
+    assert kept.narrowest_mm == BEADS.narrowest_mm
+
+
+def test_openings_that_bring_little_teach_together() -> None:
+    known = Knowledge(request())
+    scale = Scale(known, 0.25 * BEADS.coefficient)
+    references = [scale.opening(0.3, 0.5) for _ in range(40)]
+    assert references[0] == BEADS.coefficient, "one alone is too little"
+    assert references[-1] < 0.6 * BEADS.coefficient
+    assert len(set(references)) < 20
+
+
+def test_the_nearer_the_target_is_the_less_they_grow() -> None:
+    near = Knowledge(request(target_mg=3.0, powder=FAST))
+    grown_mm = narrowest_after_nothing(3.0, 0.15, FAST)
+    assert grown_mm < narrowest_after_nothing(500.0, 0.15, FAST)
+    until_answered_s = PERIOD_S + SLACK_S + near.request.valve_dead_time_s
+    assert near.reference * grown_mm**near.shape.exponent * until_answered_s < near.most_mg
+
+
+# --- the policy
+
+
+def openings_of_nothing(target_mg: float, **changes: object) -> Iterator[tuple[float, float]]:
+    """The widest and the vibration of each opening while the balance shows nothing."""
+    controller = new_controller("adaptive", request(target_mg=target_mg, **changes))
+    command, time_s, widest_mm = controller.decide(None), 0.0, 0.0
+    while not isinstance(command, Finish):
+        if isinstance(command, Stream) and command.opening_mm > 0.0:
+            widest_mm, vibration = max(widest_mm, command.opening_mm), command.vibration
+        elif widest_mm > 0.0:
+            yield widest_mm, vibration
+            widest_mm = 0.0
+        time_s += PERIOD_S
+        command = controller.decide(Observation(time_s, 0.0, 0.05, isinstance(command, Weigh)))
+
+
+def test_where_nothing_comes_it_is_tried_again_then_shaken_and_not_opened_wider() -> None:
+    openings = [opening for _, opening in zip(range(4), openings_of_nothing(500.0), strict=False)]
+    widths_mm, vibrations = zip(*openings, strict=True)
+    assert vibrations == (0.0, 0.0, 0.4, 1.0)
+    assert max(widths_mm) <= 1.01 * widths_mm[0]
+
+
+def test_a_fresh_load_that_has_yet_to_prime_is_not_opened_wider() -> None:
+    """It may give nothing for ten seconds, open and fully shaken; after that its flow is weaker than believed."""
+    powder = BEADS.model_copy(update={"vibration": 1.0, "doses": 3, "coefficient": 20.0})
+    widths_mm = [opening[0] for _, opening in zip(range(30), openings_of_nothing(50.0, powder=powder), strict=False)]
+    assert max(widths_mm[:8]) <= 1.01 * widths_mm[0]
+    assert widths_mm[-1] > 1.3 * widths_mm[0]
+
+
+def test_near_the_target_a_bridge_is_tried_five_times_before_it_is_shaken() -> None:
+    vibrations = [opening[1] for _, opening in zip(range(9), openings_of_nothing(15.0), strict=False)]
+    assert vibrations == [0.0] * 5 + [0.4] * 3 + [1.0]
+
+
+def test_a_look_goes_on_while_readings_rise_whatever_is_believed_of_the_balance() -> None:
+    """It is believed to be quick, and creeps for three seconds."""
+    controller = new_controller("adaptive", request())
+    command, time_s, shown_mg, shut_s, looked = controller.decide(None), 0.0, 0.0, -1.0, list[object]()
+    while not 3.0 <= time_s - shut_s < 4.0 or shut_s < 0.0:
+        time_s += PERIOD_S
+        is_open = isinstance(command, Stream) and command.opening_mm > 0.0
+        shown_mg += 10.0 if is_open else 0.5 * (shown_mg > 0.0)
+        if shut_s < 0.0 < shown_mg and not is_open:
+            shut_s = time_s
+        looked += [command] * (shut_s > 0.0)
+        command = controller.decide(Observation(time_s, shown_mg, 0.05, isinstance(command, Weigh)))
+    assert set(looked) == {Stream(0.0)}
+
+
+def widths_of_nothing(**changes: object) -> list[float]:
+    """What the valve is told in the first opening, while the balance shows nothing."""
+    controller = new_controller("adaptive", request(**changes))
+    command, time_s, told_mm = controller.decide(None), 0.0, list[float]()
+    while not told_mm or (isinstance(command, Stream) and command.opening_mm > 0.0):
+        if isinstance(command, Stream) and command.opening_mm > 0.0:
+            told_mm.append(command.opening_mm)
+        time_s += PERIOD_S
+        command = controller.decide(Observation(time_s, 0.0, 0.05, isinstance(command, Weigh)))
+    return told_mm
+
+
+def test_within_an_opening_nothing_that_comes_is_no_reason_to_open_wider() -> None:
+    told_mm = widths_of_nothing()
+    assert len(told_mm) > 3
+    assert all(after <= before for before, after in itertools.pairwise(told_mm))
+
+
+def test_onto_a_balance_that_nothing_is_known_of_little_is_let_out_at_first() -> None:
+    known, unknown = (
+        next(iter(openings_of_nothing(3000.0, balance=balance)))[0] for balance in (QUICK, BalanceBelief())
+    )
+    assert unknown < 0.6 * known
+
+
+def test_a_powder_that_must_be_shaken_is_shaken_from_the_first_opening_on() -> None:
+    powder = PowderBelief(vibration=0.7, doses=3)
+    vibrations = [opening[1] for _, opening in zip(range(4), openings_of_nothing(500.0, powder=powder), strict=False)]
+    assert vibrations == [0.7, 0.7, 0.7, 1.0]
+
+
+def test_an_opening_is_no_wider_than_a_sheet_that_sticks_allows_until_that_would_be_seen() -> None:
+    settings: dict[str, object] = {"target_mg": 60.0, "balance": QUICK.model_copy(update={"lag_s": 0.3})}
+    known = Knowledge(request(**settings))
+    begins_mm, widest_mm = known.begins_mm(known.most_mg), known.widest_mm(known.most_mg)
+    told_mm = widths_of_nothing(**settings)
+    waits = round(known.seen_s / PERIOD_S)
+    assert max(told_mm[: waits - 1]) <= begins_mm < max(told_mm) <= widest_mm
