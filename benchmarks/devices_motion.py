@@ -25,7 +25,7 @@ from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion.kinematics import apex_positions_m
+from scuhand_bt.motion.kinematics import Mount, apex_positions_m
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.clock import WallClock
@@ -241,7 +241,7 @@ class Paths:
     def __exit__(self, *error: object) -> None:
         DynamixelArm.start, DynamixelTwin.hear = self._start, self._hear  # type: ignore[method-assign]
 
-    def apart(self, apex_offset_m: float) -> Figures:
+    def apart(self, mount: Mount) -> Figures:
         """The largest distances of apex and cone axis from the planned path, as a curve: from its nearest point."""
         worst_mm = worst_deg = 0.0
         for trajectory, counts in self.motions:
@@ -250,8 +250,8 @@ class Paths:
             samples = max(200, int(trajectory.duration_s * 500))
             planned = np.array([trajectory.sample(t) for t in np.linspace(0.0, trajectory.duration_s, samples)])
             seen = (np.unique(np.round(counts, 1), axis=0) - 2048) * 2 * np.pi / 4096
-            places_m, axes = apex_positions_m(planned, apex_offset_m)
-            for place_m, axis in zip(*apex_positions_m(seen, apex_offset_m), strict=True):
+            places_m, axes = apex_positions_m(planned, mount)
+            for place_m, axis in zip(*apex_positions_m(seen, mount), strict=True):
                 off_mm = 1000 * np.linalg.norm(places_m - place_m, axis=1)
                 off_deg = np.degrees(np.arccos(np.clip(axes @ axis, -1.0, 1.0)))
                 nearest = int(np.argmin(np.maximum(off_mm, 2 * off_deg)))
@@ -275,7 +275,7 @@ def rehearsal() -> Figures:
         "cpu_percent": 100 * cpu_s / wall_s,
         "verdict": real,
         "same_verdict": dry == real,
-        **paths.apart(lab.cell.hand.apex_offset_mm / 1000),
+        **paths.apart(Mount.of(lab.cell.hand)),
         **{f"{name}_with_twins": value for name, value in written.jitter().items()},
     }
 

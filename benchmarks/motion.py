@@ -24,7 +24,7 @@ import pinocchio as pin
 
 from benchmarks import motion_mplib, motion_peers
 from benchmarks.figures import spread
-from benchmarks.motion_inverse import OFFSET_M, SEED, inverse_kinematics
+from benchmarks.motion_inverse import MOUNT, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, rrt_connect, spill_limit_deg, transfer
@@ -32,7 +32,7 @@ from scuhand_bt.motion.coordinates import JointCoordinates
 from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.inverse import solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Floats, apex
-from scuhand_bt.motion.places import RELAXED_RAD
+from scuhand_bt.motion.places import RELAXED_RAD, reaching_out
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -98,7 +98,7 @@ class Bench:
         return ApexPose(np.array([x + dx, y + dy, z + height_mm]) / 1e3)
 
     def free(self, pose: ApexPose) -> Floats:
-        q = solutions(pose, OFFSET_M)
+        q = solutions(pose, MOUNT)
         return q[~self.scene.hits(q)] if len(q) else q
 
     def tasks(self, count: int) -> list[Task]:
@@ -130,9 +130,9 @@ class Bench:
             mortar = self.over(str(rng.choice(["mortar_bay", "mortar_bay_2"])), rng.uniform(75, 110), rng)
             pan = self.over("balance", rng.uniform(78, 95), rng)
             first, second = (mortar, pan) if k % 2 else (pan, mortar)
-            starts = self.free(first)
+            starts = self.free(reaching_out(first, MOUNT))
             relaxed = np.array([np.arctan2(first.position_m[1], first.position_m[0]), *RELAXED_RAD])
-            tasks.append(Task("carry", starts[np.argmin(rest_to_rest_s(starts - relaxed, self.rates))], second))
+            tasks.append(Task("carry", starts[np.argmin(np.linalg.norm(starts - relaxed, axis=1))], second))
         return tasks
 
     def run(self, task: Task, effort: transfer.Effort) -> Outcome:
@@ -241,7 +241,7 @@ def transfers(bench: Bench, tasks: list[Task], effort: transfer.Effort, audit: A
     solved = [(o, o.motion) for o in outcomes if o.motion is not None]
     direct = [motion for _, motion in solved if is_direct(motion)]
     others = [(o, motion) for o, motion in solved if not is_direct(motion)]
-    ends = [apex(motion.end, OFFSET_M).position_m - o.task.goal.position_m for o, motion in solved]
+    ends = [apex(motion.end, MOUNT).position_m - o.task.goal.position_m for o, motion in solved]
     ratios = []
     if peers:
         lines = [(motion, bench.polyline(o)) for o, motion in others]
@@ -287,9 +287,7 @@ def carrying(bench: Bench, tasks: list[Task], limit_deg: float, effort: transfer
             plan_ms.append((time.process_time() - begin_s) * 1e3)
         ratios.append(motion.duration_s / bench.planner.move(task.start, task.goal, effort=effort).duration_s)
         times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / 0.001))
-        angles = spill_angles_deg(
-            *apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), OFFSET_M)
-        )
+        angles = spill_angles_deg(*apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), MOUNT))
         worst_deg = max(worst_deg, float(angles.max()))
     return {
         "limit_deg": round(limit_deg, 2),
@@ -335,8 +333,8 @@ def main() -> None:
     if given.peers:
         rng = np.random.default_rng(SEED)
         poses = [ApexPose(rng.uniform([0.15, -0.28, 0.03], [0.42, 0.28, 0.35])) for _ in range(400)]
-        poses = [pose for pose in poses if unreachable_reason(pose, OFFSET_M) is None]
-        results["peers"] = motion_peers.pink_ik(bench.planner.urdf, poses, OFFSET_M)
+        poses = [pose for pose in poses if unreachable_reason(pose, MOUNT) is None]
+        results["peers"] = motion_peers.pink_ik(bench.planner.urdf, poses, MOUNT)
         show("peers", results["peers"])
     if given.mplib:
         results["peer mplib"] = motion_mplib.compare(bench, tasks[:PEER_TASKS], audit, given.mplib)

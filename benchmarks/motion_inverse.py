@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figures import spread
-from scuhand_bt.motion.inverse import finest, solutions, unreachable_reason
-from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, Floats, apex, apex_positions_m
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.motion.inverse import YAWS, finest, seams_of, solutions, unreachable_reason
+from scuhand_bt.motion.kinematics import COUNT_RAD, LIMITS_RAD, ApexPose, Floats, Mount, apex, apex_positions_m
 
 SEED = 20260
-OFFSET_M = 0.120
+MOUNT = Mount.of(HandSpec())
 """The starter lab's hand."""
 
 
@@ -23,33 +24,34 @@ def inverse_kinematics() -> dict[str, Any]:
     found = 0
     while found < 500:
         pose = ApexPose(rng.uniform([0.15, -0.28, 0.03], [0.42, 0.28, 0.35]))
-        if not _dense_search_reaches(pose):
+        if not any(_dense_search_reaches(ApexPose(pose.position_m, pose.axis, s)) for s in seams_of(pose, MOUNT, 12)):
             continue
         found += 1
         begin_s = time.process_time()
-        q = solutions(pose, OFFSET_M)
+        q = solutions(pose, MOUNT)
         times_ms.append((time.process_time() - begin_s) * 1e3)
         missed += len(q) == 0
         if not len(q):
             continue
-        positions_m, axes = apex_positions_m(q, OFFSET_M)
+        positions_m, axes = apex_positions_m(q, MOUNT)
         error_m = max(
             error_m, float(np.abs(positions_m - pose.position_m).max()), float(np.abs(axes - pose.axis).max())
         )
-        for store, chosen in ((rounded_mm, q[len(q) // 2]), (finest_mm, finest(pose, q[len(q) // 2], OFFSET_M))):
-            counted = apex(np.round(chosen / COUNT_RAD) * COUNT_RAD, OFFSET_M).position_m
+        for store, chosen in ((rounded_mm, q[len(q) // 2]), (finest_mm, finest(pose, q[len(q) // 2], MOUNT))):
+            counted = apex(np.round(chosen / COUNT_RAD) * COUNT_RAD, MOUNT).position_m
             store.append(float(np.linalg.norm(counted - pose.position_m)) * 1e3)
     wrong = 0
     for _ in range(10_000):
         axis = rng.normal(size=3)
         pose = ApexPose(rng.uniform([-0.3, -0.5, 0.0], [0.6, 0.5, 0.6]), axis / np.linalg.norm(axis))
+        pose = ApexPose(pose.position_m, pose.axis, seams_of(pose, MOUNT)[rng.integers(YAWS)])
         begin_s = time.process_time()
-        reason = unreachable_reason(pose, OFFSET_M)
+        reason = unreachable_reason(pose, MOUNT)
         if reason is not None:
             none_ms.append((time.process_time() - begin_s) * 1e3)
             wrong += _dense_search_reaches(pose)
         else:
-            wrong += len(solutions(pose, OFFSET_M)) == 0
+            wrong += len(solutions(pose, MOUNT)) == 0
     return {
         "poses": found,
         "missed": missed,
@@ -65,7 +67,7 @@ def inverse_kinematics() -> dict[str, Any]:
 
 def _dense_search_reaches(pose: ApexPose) -> bool:
     """Whether any of 3600 elbow positions gives joints within limits: vectors and angles only, no intervals."""
-    wrist = pose.position_m + (0.019 + OFFSET_M) * pose.axis - (0.0, 0.0, 0.105)
+    wrist = pose.position_m + MOUNT.length_m * pose.seam - (0.0, 0.0, 0.105)
     distance_m = float(np.linalg.norm(wrist))
     if distance_m > 0.5 or distance_m < 1e-6:
         return False
@@ -79,7 +81,7 @@ def _dense_search_reaches(pose: ApexPose) -> bool:
     sine = np.sqrt(1 - (distance_m / 0.5) ** 2)
     e = towards * distance_m / 0.5 + sine * (np.cos(phi) * side + np.sin(phi) * np.cross(towards, side))
     f = wrist / 0.25 - e
-    h = np.broadcast_to(-pose.axis, e.shape)
+    h = np.broadcast_to(-pose.seam, e.shape)
     for shoulder in (1.0, -1.0):
         q2 = shoulder * np.arccos(np.clip(e[:, 2], -1, 1))
         q1 = np.arctan2(-shoulder * e[:, 1], -shoulder * e[:, 0])
@@ -89,8 +91,11 @@ def _dense_search_reaches(pose: ApexPose) -> bool:
         for wrist_side in (1.0, -1.0):
             q6 = wrist_side * np.arccos(np.clip(h4[:, 2], -1, 1))
             q5 = np.arctan2(-wrist_side * h4[:, 1], -wrist_side * h4[:, 0])
-            q = np.stack([q1, q2, q3, np.full(len(q1), q4), q5, q6], axis=1)
-            if ((q >= LIMITS_RAD[0, :6]) & (q <= LIMITS_RAD[1, :6])).all(axis=1).any():
+            q = np.stack([q1, q2, q3, np.full(len(q1), q4), q5, q6, np.zeros(len(q1))], axis=1)
+            u = _into_frame(_into_frame(np.broadcast_to(pose.axis, e.shape), q1, q2), q3, np.full(len(q1), q4))
+            u = _into_frame(u, q5, q6)
+            q[:, 6] = np.angle(np.exp(1j * (np.arctan2(u[:, 1], u[:, 0]) - MOUNT.azimuth_rad)))
+            if ((q >= LIMITS_RAD[0]) & (q <= LIMITS_RAD[1])).all(axis=1).any():
                 return True
     return False
 

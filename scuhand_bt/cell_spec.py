@@ -133,6 +133,19 @@ class HandOptions(Spec):
         return self
 
 
+class MountSpec(Spec):
+    """How the handle holds the sheet: on the seam's side, as a ladle's.
+
+    Read off the published pictures of the hand, not off drawings: measure yours.
+    """
+
+    azimuth_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 180.0
+    """Which way the cone lies from the j7 axis, about it, from the flange's x. So it lies above a handle that reaches
+    forward with joint 7 at zero."""
+    clamp_radius_mm: Annotated[Millimetres, Positive] = 18.0
+    """Of what the handle carries where it holds the sheet: clamp, rollers, the valve's rack."""
+
+
 class HandSpec(Spec):
     """The SCU-Hand-SV: its sheet, roller, valve and vibration motor."""
 
@@ -141,12 +154,14 @@ class HandSpec(Spec):
     options: HandOptions = HandOptions()
     sheet_radius_mm: Annotated[Millimetres, Field(gt=45, le=500)] = 50.0
     """More than half of the cone that a mounted sheet begins as, 90 mm (paper, section V)."""
+    sheet_thickness_mm: Annotated[Millimetres, Positive] = 0.2
     roller_deg_per_mm: Annotated[float, Field(gt=0)] = 11.46
     """Roller angle per millimetre of sheet along the rim; calibrated (default: a 10 mm roller)."""
     morph_speed_mm_per_s: Annotated[MillimetresPerSecond, Positive] = 20.0
     """Speed of the sheet's edge along the rim while the cone changes its size; what the roller's servo can turn."""
     apex_offset_mm: Annotated[Millimetres, Positive] = 120.0
-    """Flange to cone apex along the j7 axis."""
+    """Flange to cone apex along the j7 axis, which the sheet's slit continues: read off a picture, measure yours."""
+    mount: MountSpec = MountSpec()
     max_opening_mm: Annotated[Millimetres, Field(gt=0, le=20)] = 2.4
     valve_speed_mm_per_s: Annotated[MillimetresPerSecond, Field(ge=0.1)] = 4.0
     valve_dead_time_s: Annotated[Seconds, NotNegative] = 0.06

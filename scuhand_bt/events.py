@@ -305,8 +305,15 @@ class Scooped(SkillEvent):
     open_mm: float
     """The rim's diameter at the stroke's beginning."""
     closed_mm: float
-    swing_deg: float
-    """How far from upright the stroke began."""
+    """And at its end."""
+    heading_deg: float
+    """The direction of the swing about the vertical."""
+    gap_mm: float
+    """Between the lip and the wall; less than 0: so far it was pressed into it."""
+    lip_force_n: float
+    """What that takes, by the sheet's bending stiffness."""
+    duration_s: float
+    """Of the motion of arm and roller."""
 
 
 class Returned(SkillEvent):

@@ -70,6 +70,10 @@ class PowderFlowSpec(Spec):
     """What the space between the sheets holds per mm of opening; squeezed out as the valve closes."""
     residue_mg: Annotated[Milligrams, NotNegative] = 3.0
     """What sticks to the sheet until it is swapped."""
+    grain_mm: Annotated[Millimetres, Positive] = 0.1
+    """Diameter: nothing passes a narrower gap under the sheet's lip."""
+    film_mm: Annotated[Millimetres, NotNegative] = 0.02
+    """Thickness of what stays on a mortar's wall, whatever scrapes over it."""
 
 
 class PowderBelief(Spec):

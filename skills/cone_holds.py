@@ -2,20 +2,28 @@
 
 from scuhand_bt.skill import Cell, Code, Condition, Milligrams, Powder, SkillFailed
 
+LAST_SHARE = 0.5
+"""Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
+
 
 class ConeHolds(Condition):
-    """Hold if the cone is believed to contain this powder, at least so much of it, and to let it out."""
+    """Hold if the cone is believed to contain this powder, enough of it, and to let it out."""
 
     raises = (Code.HAND_CONE_EMPTY, Code.HAND_WRONG_POWDER)
     watches = ("hand",)
 
     powder: Powder
     at_least_mg: Milligrams = 1.0
+    wanted_mg: Milligrams = 0.0
+    """What is to be dosed of it, without the last of its load."""
 
     def check(self, cell: Cell) -> None:
         believed = cell.believed
         source = cell.sources.get(believed.cone_source or "")
-        if source is None or believed.cone_mg < self.at_least_mg:
+        enough_mg = self.at_least_mg
+        if self.wanted_mg > 0.0:
+            enough_mg = max(enough_mg, self.wanted_mg + LAST_SHARE * believed.load.scooped_mg)
+        if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:
             raise SkillFailed(Code.HAND_CONE_EMPTY, "the cone's load was other than believed: it is let out first")

@@ -21,6 +21,7 @@ from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis
+from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import through
@@ -38,7 +39,7 @@ from scuhand_bt.sim.wire.server import TwinServer
 FIRMWARE = Path(__file__).parent.parent / "robot" / "firmware"
 READY = np.array([0.0, 0.4, 0.0, -1.6, 0.0, 0.5, 0.0])
 RATES = RateLimits(np.full(7, 3.0), np.full(7, 4.4), np.full(7, 44.0))
-APEX_OFFSET_M = 0.12
+MOUNT = Mount.of(HandSpec())
 
 
 class Sway(StoppableTrajectory):
@@ -47,7 +48,7 @@ class Sway(StoppableTrajectory):
     def __init__(self, start: Joints, swing_rad: float | Joints, duration_s: float) -> None:
         s = np.linspace(0.0, 1.0, 60)[:, None]
         positions = start + swing_rad * (10 * s**3 - 15 * s**4 + 6 * s**5)
-        super().__init__(through(s[:, 0] * duration_s, positions), RATES, APEX_OFFSET_M)
+        super().__init__(through(s[:, 0] * duration_s, positions), RATES, MOUNT)
 
 
 class Stepping:
@@ -98,7 +99,7 @@ class DeviceBench:
 class SimulatedArmBench(DeviceBench):
     def __init__(self, joints: Joints = READY, step_s: float = 0.02) -> None:
         self.clock = VirtualClock()
-        self.device = SimulatedArm(self.clock, APEX_OFFSET_M, joints)
+        self.device = SimulatedArm(self.clock, lambda: MOUNT, joints)
         self.clock.process = Stepping(lambda end_s, dt_s: self.device.advance(end_s), step_s)
 
     @contextmanager

@@ -1,6 +1,8 @@
 """The benchmarks' own code; no other test imports it."""
 
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ from benchmarks.calibration import (
     spread_interval,
 )
 from benchmarks.code_mutator import mutants_of
+from benchmarks.dem.bed import collected_mg
+from benchmarks.dem.cases import MORTARS, Case
 from benchmarks.oracle_model import SHUT, Model
 from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
 from harness.random_physics import DrawnFlow, FlowFigures
@@ -174,3 +178,17 @@ def test_a_mutant_is_the_file_with_that_one_change() -> None:
     over = next(mutant for mutant in mutants_of(CODE, ["Pan.is_over"]) if mutant.after.endswith(">= LIMIT_MG"))
     assert over.source == CODE.replace("mass_mg > LIMIT_MG", "(mass_mg >= LIMIT_MG)")
     assert {mutant.function for mutant in mutants_of(CODE, ["LIMIT_MG", "Pan.clear"])} == {"LIMIT_MG", "Pan.clear"}
+
+
+DEM = json.loads((Path(__file__).parent.parent / "benchmarks" / "dem_results.json").read_text())
+JUDGED = [name for name in DEM["cases"] if "," in name]
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_the_height_field_collects_what_the_discrete_elements_do_within_a_fifth(name: str) -> None:
+    row = DEM["cases"][name]
+    mortar = next(one for one in MORTARS if one.name == row["mortar"])
+    way = DEM["ways"][row["ways"][0]]
+    found = collected_mg(Case(name, mortar, row["fill_mg"], *row["friction_deg"], (way,)), row["fill_mg"])
+    assert found.collected_mg[0] == pytest.approx(row["collected_mg"][0], rel=0.2)
+    assert found.collected_mg == pytest.approx(row["height_field_mg"], rel=0.01), "as the docs have it"

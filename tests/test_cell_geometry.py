@@ -40,7 +40,7 @@ class Bench:
             joints=motion.home(),
         )
         self.clock.process = world
-        self.cell.places_mm = {"low": tuple(1000 * LOW_OVER_THE_PAN.position_m)}
+        motion.add_place("low", LOW_OVER_THE_PAN)
         kind = lab.library.containers["alumina_crucible"]
         self.crucible = Container.model_construct(**{**kind.__dict__, "id": "c1"})
 

@@ -12,7 +12,7 @@ from scuhand_bt.clock import Wake
 from scuhand_bt.devices.dynamixel.servo_loop import PERIOD_S
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion import ApexPose, MotionPlanner, Mount
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.stopping import HARDER, StoppableTrajectory
@@ -193,7 +193,7 @@ def test_a_fault_ends_the_motion_where_the_arm_is_and_is_told_to_whoever_follows
 
 
 LAB = load_lab(starter_lab())
-OFFSET_M = LAB.cell.hand.apex_offset_mm / 1e3
+MOUNT = Mount.of(LAB.cell.hand)
 ABOVE_MM = {"mortar_bay": 90, "balance": 80, "waste": 40, "park": 0}
 STOPS = 60
 
@@ -245,7 +245,7 @@ def worst_of(course: Floats) -> tuple[float, float]:
     course = np.vstack([course, course[-1:], course[-1:], course[-1:]])
     speed = (course[2:] - course[:-2]) / (2 * PERIOD_S)
     acceleration = (course[2:] - 2 * course[1:-1] + course[:-2]) / PERIOD_S**2
-    spill_deg = spill_angles_deg(*apex_motion(course[1:-1], speed, acceleration, OFFSET_M))
+    spill_deg = spill_angles_deg(*apex_motion(course[1:-1], speed, acceleration, MOUNT))
     return float(spill_deg.max()), float(np.abs(acceleration).max())
 
 

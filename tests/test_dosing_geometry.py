@@ -8,7 +8,6 @@ from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.dosing.flow import PulseModel, basis, fit_coefficient
 from scuhand_bt.dosing.paper import LONGEST_DWELL_S, SHORTEST_DWELL_S, solve_pulse
-from scuhand_bt.dosing.scooping import bed_diameter_mm, collected_share
 from scuhand_bt.specs import Mortar
 
 MORTAR = Mortar(name="agate", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0)
@@ -52,14 +51,6 @@ def test_a_cone_the_sheet_cannot_make_is_refused(diameter_mm: float) -> None:
 def test_a_wide_cone_rests_on_its_rim_and_a_narrow_one_on_its_apex() -> None:
     assert Cone(89.0).resting_apex_mm(MORTAR) > 3.0
     assert Cone(70.0).resting_apex_mm(MORTAR) == 0.0
-
-
-def test_a_full_stroke_takes_most_of_a_small_bed_and_less_of_a_wide_one() -> None:
-    small_mm, wide_mm = bed_diameter_mm(MORTAR, 1000.0, 1.5), bed_diameter_mm(MORTAR, 60_000.0, 1.5)
-    assert small_mm < 50.0 < wide_mm <= 90.0
-    assert collected_share(60.0, 40.0, 2.0, small_mm) == pytest.approx(0.85)
-    assert collected_share(60.0, 40.0, 2.0, wide_mm) < 0.85
-    assert collected_share(60.0, 40.0, 0.0, small_mm) == 0.0
 
 
 @given(st.floats(min_value=1e-4, max_value=50.0))

@@ -233,7 +233,10 @@ def test_a_cone_that_leaks_loses_powder_through_its_shut_valve(tmp_path: Path) -
     sound = dry_run(tmp_path, BATCH, controller="adaptive")
     assert ran.session.world is not None
     assert sound.session.world is not None
-    assert ran.session.world.masses_mg["spilled"] == 0.0 == sound.session.world.masses_mg["spilled"]
+    assert sound.session.world.masses_mg["spilled"] == 0.0
+    assert ran.session.world.masses_mg["spilled"] < 20.0, (
+        "what leaks while the cone is tilted, its apex beside the mortar"
+    )
     assert ran.session.world.ledger.total_mg == pytest.approx(sound.session.world.ledger.total_mg)
     assert all(sample.verdict == "in tolerance" for sample in ran.result.samples)
 

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from scuhand_bt.motion.kinematics import LIMITS_RAD, apex
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount, apex
 from scuhand_bt.motion.spill import (
     apex_motion,
     liquid_spill_deg,
@@ -14,7 +15,9 @@ from scuhand_bt.motion.spill import (
 )
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics
 
-OFFSET_M = 0.12
+MOUNT = Mount.of(HandSpec())
+LEVEL = np.array([0.0, 0.0, 0.0, -2.2, 0.0, 2.2 - (math.pi - MOUNT.lean_rad), 0.0])
+"""The handle straight out from the base and the cone upright."""
 
 
 def direct(law, q0, q1):
@@ -63,8 +66,8 @@ def test_apex_acceleration_is_the_second_difference_of_the_apex():
     h = 1e-4
     for time_s in (0.21, 0.4, 0.7):
         times_s = np.array([time_s])
-        axes, found = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), OFFSET_M)
-        before, now, after = (apex(motion.sample(time_s + k * h), OFFSET_M) for k in (-1, 0, 1))
+        axes, found = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), MOUNT)
+        before, now, after = (apex(motion.sample(time_s + k * h), MOUNT) for k in (-1, 0, 1))
         expected = (before.position_m - 2 * now.position_m + after.position_m) / h**2
         assert found[0] == pytest.approx(expected, abs=1e-3)
         assert axes[0] == pytest.approx(now.axis)
@@ -79,14 +82,14 @@ def test_the_spill_angle_of_a_level_cone_is_what_acceleration_makes_of_gravity()
 
 def test_slowing_keeps_the_spill_limit_and_tilt_alone_cannot_be_slowed_away():
     law = TimeLaw(RateLimits(np.full(7, 3.0), np.full(7, 4.0), np.full(7, 40.0)))
-    level = np.array([0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0])
+    level = LEVEL
     turned = level + np.array([1.0, 0, 0, 0, 0, 0, 0])
     motion = direct(law, level, turned)
-    tilt_deg = apex(level, OFFSET_M).tilt_deg
-    factor = spill_stretch(motion, OFFSET_M, tilt_deg + 3.0)
+    tilt_deg = apex(level, MOUNT).tilt_deg
+    factor = spill_stretch(motion, MOUNT, tilt_deg + 3.0)
     assert factor > 1.2
-    assert spill_stretch(motion.stretched(factor), OFFSET_M, tilt_deg + 3.0) == pytest.approx(1.0, abs=0.01)
-    assert spill_stretch(motion, OFFSET_M, max(tilt_deg - 1.0, 0.0)) is None
+    assert spill_stretch(motion.stretched(factor), MOUNT, tilt_deg + 3.0) == pytest.approx(1.0, abs=0.01)
+    assert spill_stretch(motion, MOUNT, max(tilt_deg - 1.0, 0.0)) is None
 
 
 def test_a_load_keeps_a_margin_of_five_degrees_unless_told_otherwise():
@@ -113,18 +116,18 @@ class Shove:
 
     def at(self, times_s, order=0):
         self.looked_s = times_s
-        values = {0: [0.0, 0.28, 0.0, -1.95, 0.0, -1.47, 0.0], 1: [0.0] * 7, 2: [self.acceleration, *[0.0] * 6]}
+        values = {0: LEVEL, 1: [0.0] * 7, 2: [self.acceleration, *[0.0] * 6]}
         return np.tile(values[order], (len(times_s), 1))
 
     def worst_deg(self, share):
         times_s = np.linspace(0.0, self.duration_s, 7)
-        axes, accelerations = apex_motion(self.at(times_s), self.at(times_s, 1), self.at(times_s, 2), OFFSET_M)
+        axes, accelerations = apex_motion(self.at(times_s), self.at(times_s, 1), self.at(times_s, 2), MOUNT)
         return worst_spill_deg(axes, share * accelerations)
 
 
 def test_a_motion_is_looked_at_every_five_milliseconds_from_its_begin_to_its_end():
     shove = Shove(0.1)
-    spill_stretch(shove, OFFSET_M, 30.0)
+    spill_stretch(shove, MOUNT, 30.0)
     assert (shove.looked_s[0], shove.looked_s[-1]) == (0.0, shove.duration_s)
     assert len(shove.looked_s) == 201
     assert np.diff(shove.looked_s).max() <= 0.005
@@ -132,18 +135,18 @@ def test_a_motion_is_looked_at_every_five_milliseconds_from_its_begin_to_its_end
 
 def test_a_motion_at_its_very_limit_is_not_slowed_and_beyond_it_by_the_root_of_its_share_of_acceleration():
     shove = Shove(3.0)
-    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(1.0)) == 1.0
-    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(0.5)) == pytest.approx(math.sqrt(2))
+    assert spill_stretch(shove, MOUNT, shove.worst_deg(1.0)) == 1.0
+    assert spill_stretch(shove, MOUNT, shove.worst_deg(0.5)) == pytest.approx(math.sqrt(2))
     for share in (0.5, 0.3005, 0.01):
         expected = math.sqrt(1024 / math.floor(1024 * share))
-        assert spill_stretch(shove, OFFSET_M, shove.worst_deg(share) + 1e-9) == pytest.approx(expected)
+        assert spill_stretch(shove, MOUNT, shove.worst_deg(share) + 1e-9) == pytest.approx(expected)
 
 
 def test_a_cone_whose_tilt_is_its_limit_is_not_moved_and_less_than_a_thousandth_is_no_motion():
     shove = Shove(1000.0)
-    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(0.0)) is None
-    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(1.5 / 1024)) is None
-    assert spill_stretch(shove, OFFSET_M, shove.worst_deg(2.5 / 1024)) == pytest.approx(math.sqrt(1024 / 2))
+    assert spill_stretch(shove, MOUNT, shove.worst_deg(0.0)) is None
+    assert spill_stretch(shove, MOUNT, shove.worst_deg(1.5 / 1024)) is None
+    assert spill_stretch(shove, MOUNT, shove.worst_deg(2.5 / 1024)) == pytest.approx(math.sqrt(1024 / 2))
 
 
 def test_between_two_samples_half_of_both_steps_and_a_tenth_more_may_come_on_top():

@@ -22,8 +22,8 @@ from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.sim.powder import OurPowderFlow
-from scuhand_bt.sim.scoop import BowlStroke, OurScoopYield
-from scuhand_bt.specs import Mortar, Powder
+from scuhand_bt.sim.scoop import OurScoopYield
+from scuhand_bt.specs import Powder
 
 RECIPE = """
 recipe: r
@@ -49,8 +49,8 @@ class PoorScoops:
             super().__init__(powder)
             self._share = share
 
-        def collect(self, stroke: BowlStroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
-            return self._share * super().collect(stroke, mortar, in_mortar_mg, rng)
+        def collect(self, lifted_mg: float, there_mg: float, rng: Generator) -> float:
+            return self._share * super().collect(lifted_mg, there_mg, rng)
 
     def scoop(self, powder: Powder) -> OurScoopYield:
         return self.Yield(powder, self.share)

@@ -16,7 +16,7 @@ import pytest
 from browser import browser_page, needs_browser, serious_faults
 
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion import ApexPose, MotionPlanner, Mount
 from scuhand_bt.report.cell_mesh import CellMeshes
 from scuhand_bt.report.motion_panels import spread
 from scuhand_bt.report.move_page import move_page
@@ -26,7 +26,7 @@ from scuhand_bt.report.scene3d import scene_values
 from scuhand_bt.report.show_move import ShownMove
 
 LAB = load_lab(starter_lab())
-OFFSET_M = LAB.cell.hand.apex_offset_mm / 1e3
+MOUNT = Mount.of(LAB.cell.hand)
 MORTARS = {"mortar_bay": LAB.library.mortars["agate_mortar"]}
 
 
@@ -60,8 +60,8 @@ def shown(speed_ratio: float = 1.0, spill_limit_deg: float | None = None) -> Sho
     motion = planner.move(home, ApexPose(over), spill_limit_deg=spill_limit_deg)
     places_m = {"mortar_bay": over}
     scene = planner.scene()
-    drawn = scene_values(planner, OFFSET_M, [44.0], places_m, LAB.library.containers.values())
-    return ShownMove("there </script>", motion, scene, planner.rates, OFFSET_M, places_m, drawn, "xrd_holder")
+    drawn = scene_values(planner, MOUNT.offset_m, [44.0], places_m, LAB.library.containers.values())
+    return ShownMove("there </script>", motion, scene, planner.rates, MOUNT, places_m, drawn, "xrd_holder")
 
 
 def test_the_pages_are_one_file_that_fetches_nothing_and_break_on_no_name() -> None:
@@ -182,7 +182,7 @@ def test_the_picture_is_a_png(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_station_out_of_reach_is_marked_on_the_map() -> None:
-    far = LAB.cell.stations["waste"].model_copy(update={"position_mm": (0.0, 590.0, 100.0)})
+    far = LAB.cell.stations["waste"].model_copy(update={"position_mm": (0.0, 750.0, 100.0)})
     cell = LAB.cell.model_copy(update={"stations": {**LAB.cell.stations, "waste": far}})
     assert Page(reach_page(replace(LAB, cell=cell))).text.count("cannot be reached") == 1
     assert Page(reach_page(LAB)).text.count("cannot be reached") == 0

@@ -6,7 +6,7 @@ from wire_helpers import carry_out, wait_for
 
 from scuhand_bt.devices.connect import connect_cell_devices
 from scuhand_bt.lab import load_lab, starter_lab
-from scuhand_bt.motion import ApexPose, solutions
+from scuhand_bt.motion import ApexPose, Mount, solutions
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.specs import Container, Source
@@ -27,7 +27,7 @@ def test_powder_dosed_through_the_wires_lands_in_the_container_and_is_weighed_th
     }
     x_mm, y_mm, z_mm = lab.cell.station_of_kind("balance").position_mm
     over_the_pan = ApexPose(np.array([x_mm, y_mm, z_mm + 80.0]) / 1000.0)
-    joints = solutions(over_the_pan, lab.cell.hand.apex_offset_mm / 1000.0)[0]
+    joints = solutions(over_the_pan, Mount.of(lab.cell.hand))[0]
     kind = lab.library.containers["xrd_holder"]
     clock = WallClock()
     with WireBench(lab.cell, sources, lab.folder / "robot" / "firmware", joints, clock, seed=3) as bench:

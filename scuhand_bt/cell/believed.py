@@ -16,14 +16,16 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from scuhand_bt.cell.load import Load
+from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
+from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Container, Source
 
 Counts: TypeAlias = Annotated[Mapping[str, int], READ_ONLY, AS_WRITTEN]
 Masses: TypeAlias = Annotated[Mapping[str, float], READ_ONLY, AS_WRITTEN]
 """Masses [mg], or shares of such, by name; read-only, as the rest of what is believed."""
+Layers: TypeAlias = Annotated[Mapping[str, Layer], READ_ONLY, AS_WRITTEN]
 
 BARREN_LOADS = 2
 """So many barren loads in a row, and a source is not scooped from any more: it is empty, or nothing gets out of the
@@ -53,9 +55,9 @@ class Believed:
     """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
     load: Load = field(default_factory=Load)
     is_load_doubted: bool = False
-    """The load gave no more, or more, than it was believed to hold: it is let out before the next scoop."""
+    """The load gave far less than it was believed to hold: it is let out before the next scoop."""
     yields: Masses = field(default_factory=lambda: MappingProxyType({}))
-    """By source, the share of what its scoops should bring that they were seen to; 1 where nothing else was seen."""
+    """By source, the share of what its scoops should bring that the last load was seen to; 1 until one was seen."""
     barren_loads: Counts = field(default_factory=lambda: MappingProxyType({}))
     """By source, how many loads in a row, the last ones, have brought nothing."""
     sheet: str | None = None
@@ -72,6 +74,8 @@ class Believed:
     pan_gross_mg: float | None = None
     """The last stable gross with that container; None while containers are changed."""
     sources_mg: Masses = field(default_factory=lambda: MappingProxyType({}))
+    layers: Layers = field(default_factory=lambda: MappingProxyType({}))
+    """By source, what the last stroke has left on the mortar's wall; none for a bed that nothing was scooped from."""
     dosing: DoseSoFar = field(default_factory=DoseSoFar)
     bracket: Bracket | None = None
     """The weighings about the container that stands on the pan, or stood there until the bare pan is weighed again."""
@@ -122,9 +126,10 @@ class Believed:
         self.emptied()
         self._set(sheet=source.sheet_key)
 
-    def scooped(self, source: Source, mass_mg: float) -> None:
+    def scooped(self, source: Source, mass_mg: float, layer: Layer | None = None) -> None:
         """A scoop should have brought so much of a source into the cone; it has brought what this source yields of it.
 
+        It should have left this layer; None: nobody knows how it lies.
         ValueError while the cone holds another source's powder.
         """
         if self.cone_mg > 0.0 and self.cone_source != source.name:
@@ -137,6 +142,7 @@ class Believed:
             sheet=source.sheet_key,
             load=replace(self.load, scooped_mg=self.load.scooped_mg + mass_mg),
             sources_mg={**self.sources_mg, source.name: left_mg},
+            layers={name: one for name, one in {**self.layers, source.name: layer}.items() if one is not None},
             dosing=replace(self.dosing, scoops=self.dosing.scoops + 1),
         )
 
@@ -162,9 +168,9 @@ class Believed:
         if (name := self.cone_source) is None:
             return
         load = self.load
-        if load.scooped_mg > 0.0 and not load.is_barren and (is_short or name in self.yields):
+        if load.scooped_mg > 0.0 and not load.is_barren:
             self._set(yields={**self.yields, name: load.scoops_share})
-        elif load.scooped_mg > 0.0 and load.is_barren:
+        elif load.scooped_mg > 0.0:
             self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
         if is_short:
             self._set(is_load_doubted=True)
@@ -368,10 +374,16 @@ class Believed:
         load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
         if not load.is_barren and name in self.barren_loads:
             self._set(barren_loads={one: count for one, count in self.barren_loads.items() if one != name})
-        if mass_mg > self.cone_mg and name in self.yields and load.scooped_mg > 0.0:
-            yields = {**self.yields, name: load.scoops_share}
-            self._set(yields=yields, is_load_doubted=True)  # it brought more than of late: nobody knows how much
         self._set(cone_mg=max(0.0, self.cone_mg - mass_mg), load=load)
+        more_mg = load.came_mg - self.yields.get(name, 1.0) * load.scooped_mg
+        if load.scooped_mg > 0.0 and more_mg > SURPLUS * (load.came_mg - more_mg):
+            hidden_mg = HIDDEN * load.came_mg
+            left_mg = max(0.0, self.sources_mg.get(name, 0.0) - more_mg - hidden_mg)
+            self._set(
+                cone_mg=hidden_mg,
+                yields={**self.yields, name: (1.0 + HIDDEN) * load.scoops_share},
+                sources_mg={**self.sources_mg, name: left_mg},
+            )
 
     def _weighed(self, gross_mg: float) -> None:
         """A gross belongs to a container that is known: while containers are changed it says nothing."""

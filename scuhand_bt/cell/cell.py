@@ -13,12 +13,16 @@ import numpy as np
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.places import Position
+from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
+from scuhand_bt.dosing.swing import StrokePath
+from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
+from scuhand_bt.motion.axes import of_arm, of_roller
+from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
@@ -30,6 +34,7 @@ RECENT = 4000
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
+    from scuhand_bt.motion.stopping import StoppableTrajectory
 
 
 @dataclass
@@ -59,6 +64,8 @@ class Cell:
     """Called when the operator has put a weight [mg] on the pan, or taken it off (0); the simulation follows."""
     controller: str = DEFAULT_CONTROLLER
     """The dosing controller of this run."""
+    strokes_made: dict[str, int] = field(default_factory=dict)
+    """By source, in this process: each stroke is turned from those before it."""
     powder_beliefs: dict[str, PowderBelief] = field(default_factory=dict)
     """What is learnt of powders, by `Source.sheet_key`; the powder's own `belief` until then."""
     balance_belief: BalanceBelief = field(default_factory=BalanceBelief)
@@ -94,7 +101,7 @@ class Cell:
 
     def apex(self) -> ApexPose:
         """The pose of the cone's apex now."""
-        return apex(self.arm.positions, self.spec.hand.apex_offset_mm / 1000)
+        return apex(self.arm.positions, Mount.of(self.spec.hand, self.hand.cone_diameter_mm))
 
     def aside_of_pan_mm(self) -> float:
         """How far the cone's apex is from the middle of the pan, seen from above."""
@@ -117,12 +124,10 @@ class Cell:
 
         SkillFailed as `move_to`.
         """
-        down = self.place(place)
-        yield from self.move_to(ApexPose(down.position_m + np.array([0.0, 0.0, from_above_mm / 1000]), down.axis))
-        trajectory = self._planner().contact(
-            self.arm.positions, [down], speed_mm_per_s / 1000, spill_limit_deg=self._spill_limit_deg()
-        )
-        yield from self._follow(trajectory)
+        planner, limit_deg = self._planner(), self._spill_limit_deg()
+        down = planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
+        yield from self._follow(planner.move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg))
+        yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
         """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else."""
@@ -131,6 +136,43 @@ class Cell:
     def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Trajectory:
         """The trajectory of `touch`, to be started beside another motion."""
         return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
+
+    def plan_stroke(self, path: StrokePath, source: Source) -> "StoppableTrajectory":
+        """The motion of arm and roller along a stroke in a source's mortar.
+
+        SkillFailed arm.no_path, arm.unreachable.
+        """
+        return planned_stroke(self.motion, self.arm.positions, path, self.spec, source.station, source.mortar)
+
+    def make_stroke(self, motion: "StoppableTrajectory") -> Steps[None]:
+        """To where a stroke begins, and along it: arm and roller in one motion, and if either fails both rest."""
+        trajectory = self._planner().move(self.arm.positions, motion.start[:JOINTS])
+        yield from self._follow(trajectory)
+        yield from self._together(motion)
+
+    def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
+        """Arm and roller along a motion of both."""
+        arm = self.arm.follow(of_arm(motion))
+        self.hand.start_rolling(of_roller(motion))
+        is_over = False
+        try:
+            for wake in arm:
+                if (fault := self.hand.fault) is not None:
+                    raise fault
+                yield wake
+            is_over = True
+        finally:
+            arm.close()
+            if not is_over:
+                self.hand.stop()
+
+    def form_upright(self, place: str, diameter_mm: float) -> Steps[None]:
+        """To a named place, and there give the cone another size: the handle turns with it, so that it stays upright.
+
+        SkillFailed as `move_to`.
+        """
+        yield from self.move_to(place)
+        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm))
 
     def _planner(self) -> "MotionPlanner":
         """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""

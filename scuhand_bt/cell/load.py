@@ -5,6 +5,11 @@ from dataclasses import dataclass
 BARREN_MG = 30.0
 """A load of which less than this has come in all has brought nothing worth a scoop."""
 
+SURPLUS = 0.1
+"""A load of which more has come than was thought to be in it, by this share, is a larger one."""
+HIDDEN = 0.25
+"""Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
+
 
 @dataclass(frozen=True)
 class Load:
@@ -22,5 +27,8 @@ class Load:
 
     @property
     def scoops_share(self) -> float:
-        """The share of what its scoops should have brought that has come. ZeroDivisionError where none was made."""
-        return min(1.0, self.came_mg / self.scooped_mg)
+        """What has come of what its scoops should have brought: the share that they yield, once it has given out.
+
+        ZeroDivisionError where none was made.
+        """
+        return self.came_mg / self.scooped_mg

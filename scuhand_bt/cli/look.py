@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.archive import JournalArgument, find_journal
@@ -19,8 +20,20 @@ OutputOption = Annotated[Path | None, typer.Option("-o", "--output", help="The f
 
 
 @app.command()
-def reach(output: OutputOption = None, lab: LabOption = None) -> None:
-    """Draw where the upright cone can be put, over the cell and its stations (HTML; needs the extra `plot`)."""
+def reach(
+    output: OutputOption = None,
+    task: Annotated[
+        Literal["dispense", "scoop"], typer.Option(help="The upright cone's map, or the swing at each mortar.")
+    ] = "dispense",
+    lab: LabOption = None,
+) -> None:
+    """Draw where the upright cone can be put, over the cell and its stations (HTML; needs the extra `plot`).
+
+    With --task scoop: tell in which directions the arm can swing the cone through each mortar, and what is in the way.
+    """
+    if task == "scoop":
+        _tell_directions(the_lab(lab))
+        return
     path = of_kind(output or Path("reach.html"), *PAGES)
     loaded = the_lab(lab)
 
@@ -47,6 +60,7 @@ def show_move(
 
     With -o FILE.png the PNG alone. Both need the extra `plot`.
     """
+    from scuhand_bt.motion import Mount
     from scuhand_bt.motion.scenes import CONE_DIAMETER_M
     from scuhand_bt.report.scene3d import scene_values
     from scuhand_bt.report.show_move import ShownMove
@@ -71,7 +85,8 @@ def show_move(
     scene, usual_mm = planner.scene(), 1000 * CONE_DIAMETER_M
     on_pan = [kinds[container]] if container is not None else []
     drawn = scene_values(planner, offset_m, [usual_mm], places_m, on_pan)
-    move = ShownMove(title, motion, scene, planner.rates, offset_m, places_m, drawn, container)
+    mount = Mount.of(loaded.cell.hand)
+    move = ShownMove(title, motion, scene, planner.rates, mount, places_m, drawn, container)
     picture = path.with_suffix(".png")
 
     def write_page() -> None:
@@ -169,6 +184,17 @@ def _planner(lab: "Lab", container: str | None) -> "tuple[MotionPlanner, dict[st
         places_m[station.name] = np.array(position_mm) / 1000
         planner.add_place(station.name, ApexPose(places_m[station.name]))
     return planner, places_m
+
+
+def _tell_directions(lab: "Lab") -> None:
+    from scuhand_bt.report.scoop_reach import directions
+
+    out.print("The handle's length and mount are read off a picture: measure yours, and set them in robot/cell.yaml.")
+    table = Table("station", "mortar", "direction", "tilt", "time", "what is in the way", box=None)
+    for one in directions(lab):
+        possible = (f"{one.tilt_deg:.0f}°", f"{one.duration_s:.1f} s") if one.tilt_deg is not None else ("–", "–")
+        table.add_row(one.station, one.mortar, f"{one.heading_deg:.0f}°", *possible, Text(one.why_not))
+    out.print(table)
 
 
 def _write(path: Path, write: Callable[[], object]) -> None:

@@ -20,6 +20,7 @@ from scuhand_bt.cell_spec import BalanceSpec, HandSpec
 from scuhand_bt.clock import Signal, Steps
 from scuhand_bt.events import Line, Weighing
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion.axes import SomeAxes
 from scuhand_bt.specs import Container
 
 Joints = NDArray[np.float64]
@@ -140,6 +141,13 @@ class Hand(Device, Protocol):
         """Begin to change the cone's rim diameter, over `duration_s`, but no faster than the hand's speed.
 
         ValueError for a cone that the sheet cannot make or a duration that is none, SkillFailed device.lost.
+        """
+        ...
+
+    def start_rolling(self, course: SomeAxes) -> None:
+        """Begin to turn the roller along a course, one angle [rad] counted from the flat sheet, beside the arm's.
+
+        SkillFailed device.lost. `stop` ends it as it ends the arm's part of the same motion.
         """
         ...
 

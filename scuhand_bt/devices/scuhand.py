@@ -24,6 +24,7 @@ from scuhand_bt.devices.hand_protocol import FAULTS, LONGEST_DWELL_S
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.axes import SomeAxes
 
 ROLLER_SPEED_RAD_PER_S = 0.9 * r.XM430.velocity_limit * r.RPM_PER_COUNT * 2 * math.pi / 60
 """The fastest the roller is asked to turn."""
@@ -143,6 +144,12 @@ class ScuHand:
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         servo_s = abs(end_rad - begin_rad) / ROLLER_SPEED_RAD_PER_S
         self._roller.move(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)))
+
+    def start_rolling(self, course: SomeAxes) -> None:
+        """Begin to turn the roller along a course that is counted from the flat sheet."""
+        if self._chain.lost is not None:
+            raise self._chain.lost
+        self._roller.move(course.counted_from(math.radians(self._at_zero_deg)))
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
         """Change the cone's size and wait for it; SkillFailed with what ended it early."""

@@ -7,13 +7,13 @@ Ruckig take half a second to load and checking a recipe needs none of them.
 from typing import TYPE_CHECKING
 
 from scuhand_bt.motion.inverse import solutions, unreachable_reason
-from scuhand_bt.motion.kinematics import ApexPose, apex
+from scuhand_bt.motion.kinematics import ApexPose, Mount, apex
 from scuhand_bt.motion.spill import spill_limit_deg
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.planner import MotionPlanner
 
-__all__ = ["ApexPose", "MotionPlanner", "apex", "solutions", "spill_limit_deg", "unreachable_reason"]
+__all__ = ["ApexPose", "MotionPlanner", "Mount", "apex", "solutions", "spill_limit_deg", "unreachable_reason"]
 
 
 def __getattr__(name: str) -> "type[MotionPlanner]":

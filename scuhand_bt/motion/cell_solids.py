@@ -13,8 +13,8 @@ from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.motion.collision import Solid
 from scuhand_bt.specs import ContainerKind, Mortar
 
-_RINGS = 3
-_SIDES = 16
+_RINGS = 8
+_SIDES = 24
 _CONTAINER_WALL_MM = 3.0
 
 

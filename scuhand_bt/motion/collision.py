@@ -26,18 +26,23 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, apex
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, Mount, apex
 from scuhand_bt.motion.swept_bound import SweptBound
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
 SHAPES = 10
-"""Collision shapes in our URDF, without the sheet's two."""
+"""Collision shapes in our URDF, without the clamp and the sheet."""
+CONE = "cone"
+"""What the sheet's shapes are named after."""
+CLAMP_M = 0.02
+"""How far the clamp reaches along the handle."""
 SMALLEST_MARGIN_M = 1e-4
 SHEET_M = 0.002
-"""Sheet, clamps and their play, added to the cone's radius."""
+"""Sheet and play, added to the cone's radius."""
 _FIRST_SAMPLES = 12
-_FOREMOST = ("clamps", "fore_0")
+_FOREMOST = (CONE, "fore_0")
 """The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
 _WIDE = 4.0
 """Times the margin: where a motion keeps that much from everything, so many times fewer samples prove it."""
@@ -106,8 +111,6 @@ class Arm:
             thing.geometry.computeLocalAABB()
             if not (thing.geometry.aabb_local.max_ - thing.geometry.aabb_local.min_ > 0).all():
                 raise ValueError(f"the URDF's collision shape {thing.name} has no size")
-        if not isinstance(self.shapes.geometryObjects[SHAPES - 1].geometry, coal.Cylinder):
-            raise ValueError("the URDF's last collision shape is to be the cylinder of the hand's ring")
         self._check_closed_form()
 
     def _check_closed_form(self) -> None:
@@ -115,30 +118,37 @@ class Arm:
         for q in np.linspace(LIMITS_RAD[0] * 0.9, LIMITS_RAD[1] * 0.7, 5):
             pin.forwardKinematics(self.model, data, q)
             flange = data.oMi[JOINTS]
-            pose = apex(q, 0.0)
+            pose = apex(q, Mount(0.0, 0.0))
             if (
                 max(np.abs(flange.translation - pose.position_m).max(), np.abs(flange.rotation[:, 2] + pose.axis).max())
                 > 1e-9
             ):
                 raise ValueError("the URDF's joints do not stand where this arm's do: the closed form does not fit it")
 
-    def with_sheet(self, apex_offset_m: float, sheet_radius_m: float, diameter_m: float) -> pin.GeometryModel:
-        """The arm's shapes with a cone of this rim diameter: a cone, and its clamps up to the hand's ring."""
-        if not 0 < diameter_m < 2 * sheet_radius_m:
-            raise ValueError(f"a cone of {diameter_m * 1e3:.0f} mm cannot be made of this sheet")
-        depth_m = math.sqrt(sheet_radius_m**2 - diameter_m**2 / 4)
-        ring = self.shapes.geometryObjects[SHAPES - 1]
-        ring_end_m = float(ring.placement.translation[2]) + ring.geometry.halfLength
-        clamp_m = max(apex_offset_m - depth_m - ring_end_m, 1e-3)
-        radius_m = diameter_m / 2 + SHEET_M
+    def with_sheet(
+        self, hand: HandSpec, diameters_mm: Sequence[float], margin_mm: float = 1e3 * SHEET_M
+    ) -> pin.GeometryModel:
+        """The arm's shapes with the clamp that holds the sheet, and cones of these rims, all that a motion forms."""
+        apex_m, slant_m = hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3
         shapes = pin.GeometryModel(self.shapes)
-        for name, shape, z_m in (
-            ("clamps", coal.Cylinder(radius_m, clamp_m), apex_offset_m - depth_m - clamp_m / 2),
-            ("cone", coal.Cone(radius_m, depth_m), apex_offset_m - depth_m / 2),
-        ):
-            at = pin.SE3(np.eye(3), np.array([0.0, 0.0, z_m]))
-            shapes.addGeometryObject(pin.GeometryObject(name, JOINTS, at, shape))
+        held = pin.SE3(np.eye(3), np.array([0.0, 0.0, apex_m - slant_m]))
+        clamp = coal.Cylinder(hand.mount.clamp_radius_mm / 1e3, CLAMP_M)
+        shapes.addGeometryObject(pin.GeometryObject("clamp", JOINTS, held, clamp))
+        for k, diameter_mm in enumerate(diameters_mm):
+            mount = Mount.of(hand, diameter_mm)
+            depth_m = slant_m * math.cos(mount.lean_rad)
+            placed = pin.SE3(_with_z(-mount.axis), np.array([0.0, 0.0, apex_m]) + depth_m / 2 * mount.axis)
+            cone = coal.Cone((diameter_mm / 2 + margin_mm) / 1e3, depth_m)
+            shapes.addGeometryObject(pin.GeometryObject(f"{CONE} {k}" if k else CONE, JOINTS, placed, cone))
         return shapes
+
+
+def _with_z(z: Floats) -> Floats:
+    """A turn whose third column this is."""
+    other = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    y = np.cross(z, other)
+    y /= np.linalg.norm(y)
+    return np.column_stack([np.cross(y, z), y, z])
 
 
 def _rates(root: ET.Element) -> RateLimits:
@@ -326,7 +336,6 @@ def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.Geometr
 
 def _pairs(shapes: pin.GeometryModel, moving: int, touchable: set[str]) -> Iterable[tuple[int, int]]:
     objects = shapes.geometryObjects
-    sheet = {"clamps", "cone"}
     for first in range(moving):
         joint = objects[first].parentJoint
         for second in range(first + 1, moving):
@@ -335,5 +344,5 @@ def _pairs(shapes: pin.GeometryModel, moving: int, touchable: set[str]) -> Itera
                 yield first, second
         for second in range(moving, shapes.ngeoms):
             # Base and shoulder stand or turn on the spot: the cell is built around them.
-            if joint > 1 and not (objects[first].name in sheet and objects[second].name in touchable):
+            if joint > 1 and not (objects[first].name.startswith(CONE) and objects[second].name in touchable):
                 yield first, second

@@ -20,7 +20,7 @@ from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.explain import closest_pair, require_reachable, start_in_collision
 from scuhand_bt.motion.inverse import along, swivel_of
-from scuhand_bt.motion.kinematics import ApexPose, Floats, apex
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
@@ -40,29 +40,29 @@ def contact_motion(
     speed_m_per_s: float,
     scene: Scene,
     rates: RateLimits,
-    apex_offset_m: float,
+    mount: Mount,
     spill_limit_deg: float | None,
 ) -> JointTrajectory:
     """The apex in straight lines from `start` (7,) through the waypoints, rest to rest, proven in the scene.
 
     SkillFailed arm.start_in_collision, arm.unreachable or arm.no_path.
     """
-    times_s, positions_m, axes = apex_path([apex(start, apex_offset_m), *waypoints], speed_m_per_s)
+    times_s, positions_m, axes, seams = apex_path(with_seams(apex(start, mount), waypoints), speed_m_per_s)
     if len(times_s) < 2:
         return standing(start)
     if scene.hits(start[None, :])[0]:
         raise start_in_collision(scene, start)
-    phi = swivel_of(start, apex_offset_m)
+    phi = swivel_of(start, mount)
     why = "the elbow would have to jump"
     for turn in TURNS_OF_SWIVEL_RAD:
-        course = along(positions_m, axes, swivel_course(phi, turn, len(times_s)), start, apex_offset_m)
+        course = along(positions_m, axes, seams, swivel_course(phi, turn, len(times_s)), start, mount)
         if course is None:
             continue
         course[0] = start
         motion = through(times_s, course)
         motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
         if spill_limit_deg is not None:
-            factor = spill_stretch(motion, apex_offset_m, spill_limit_deg)
+            factor = spill_stretch(motion, mount, spill_limit_deg)
             if factor is None:
                 why = f"the cone would have to lean more than {spill_limit_deg:.1f} deg"
                 continue
@@ -74,12 +74,30 @@ def contact_motion(
         if hits.any():
             why = closest_pair(scene, samples[int(np.argmax(hits))])
     for pose in waypoints:
-        require_reachable(pose, "a waypoint", apex_offset_m)
+        require_reachable(pose, "a waypoint", mount)
     raise SkillFailed(Code.ARM_NO_PATH, f"no way through the waypoints: {why}")
 
 
-def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floats, Floats, Floats]:
-    """Times (n,), positions (n, 3) and axes (n, 3) of the apex through the waypoints, rest to rest.
+def with_seams(start: ApexPose, waypoints: Sequence[ApexPose]) -> list[ApexPose]:
+    """The start and the waypoints, each with a seam: its own, or the one before it turned as the axis turns."""
+    poses = [start]
+    for pose in waypoints:
+        before = poses[-1]
+        assert before.seam is not None  # the start has one, and so all that follow
+        seam = pose.seam if pose.seam is not None else _turned_along(before.seam, before.axis, pose.axis)
+        poses.append(ApexPose(pose.position_m, pose.axis, seam))
+    return poses
+
+
+def _turned_along(v: Floats, first: Floats, second: Floats) -> Floats:
+    """A vector, turned by the shortest turn of one unit vector to another that is not opposite."""
+    about = np.cross(first, second)
+    turned: Floats = v + np.cross(about, v) + np.cross(about, np.cross(about, v)) / (1 + float(first @ second))
+    return turned
+
+
+def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Times (n,), and positions, axes and seams (n, 3) of the apex through the waypoints, rest to rest.
 
     ValueError for a speed that is not above zero.
     """
@@ -87,7 +105,8 @@ def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floa
         raise ValueError(f"a speed above zero is needed, not {speed_m_per_s!r} m/s")
     positions_m = np.array([pose.position_m for pose in waypoints])
     axes = np.array([pose.axis for pose in waypoints])
-    turns_rad = 2 * np.arcsin(np.minimum(1.0, np.linalg.norm(np.diff(axes, axis=0), axis=1) / 2))
+    seams = np.array([pose.seam for pose in waypoints])
+    turns_rad = np.maximum(_turns_rad(axes), _turns_rad(seams))
     legs_s = np.maximum(
         np.linalg.norm(np.diff(positions_m, axis=0), axis=1) / speed_m_per_s, turns_rad / TURN_RAD_PER_S
     )
@@ -98,14 +117,27 @@ def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floa
     times_s = np.arange(count) * STEP_S
     leg = np.clip(np.searchsorted(corners_s, times_s, side="right") - 1, 0, len(legs_s) - 1)
     share = np.clip((times_s - corners_s[leg]) / np.maximum(legs_s[leg], 1e-12), 0.0, 1.0)[:, None]
-    raw = np.hstack([positions_m[leg] * (1 - share) + positions_m[leg + 1] * share, _turned(axes, leg, share)])
+    raw = np.hstack(
+        [
+            positions_m[leg] * (1 - share) + positions_m[leg + 1] * share,
+            _turned(axes, leg, share),
+            _turned(seams, leg, share),
+        ]
+    )
     from scipy.ndimage import uniform_filter1d  # which not every command has to load
 
     for _ in range(2):
         raw = uniform_filter1d(raw, width, axis=0, mode="nearest")
     # The averages are taken finely; cubics through every fourth of their values follow them to micrometres.
     times_s, raw = times_s[::KEPT], raw[::KEPT]
-    return times_s, raw[:, :3], raw[:, 3:] / np.linalg.norm(raw[:, 3:], axis=1)[:, None]
+    axes, seams = (part / np.linalg.norm(part, axis=1)[:, None] for part in (raw[:, 3:6], raw[:, 6:]))
+    return times_s, raw[:, :3], axes, seams
+
+
+def _turns_rad(directions: Floats) -> Floats:
+    """By how much unit vectors (n, 3) turn from each to the next: (n - 1,)."""
+    turns: Floats = 2 * np.arcsin(np.minimum(1.0, np.linalg.norm(np.diff(directions, axis=0), axis=1) / 2))
+    return turns
 
 
 def _turned(axes: Floats, leg: np.ndarray, share: Floats) -> Floats:

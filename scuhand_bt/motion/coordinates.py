@@ -1,12 +1,13 @@
 """The coordinates a path is planned in: the joints themselves, or the arm with its cone held level.
 
-Empty cone: c = q. Loaded cone: the wrist serves the cone's axis u and the planner moves the rest,
+Empty cone: c = q. Loaded cone: the last two joints serve the cone's axis u and the planner moves the rest,
 
-    c = (q1, q2, q3, q4, ux, uy, q7),       Rz(q5) Ry(-q6) z = R(q1..q4)^T (-u)
+    c = (q1, q2, q3, q4, q5, ux, uy),       Ry(-q6) Rz(q7) a = v = R(q1..q5)^T u
 
-so that a straight line between two level configurations is level all along, and the two angles of the
-wrist follow in closed form: q6 = +-acos(z), q5 = atan2(-+y, -+x) of the vector on the right. The sign
-of q6 is the coordinates' own; a motion never changes it, as the cone would have to tip over.
+so that a straight line between two level configurations is level all along, and the two angles follow in closed form:
+with a as in `kinematics` and omega = azimuth + q7, sin(lean) sin(omega) = vy, of whose two solutions the one with
+cos(omega) < 0 is taken, in which the cone lies above its handle; then q6 turns (sin(lean) cos(omega), -cos(lean)) to
+(vx, vz). Nothing singular is near: q6 may pass through zero. There is no solution where |vy| > sin(lean).
 
 q [rad] and c shape (n, 7); u the unit axis, ux and uy its horizontal components.
 """
@@ -17,9 +18,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, apex_positions_m
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, Mount, apex_positions_m
 from scuhand_bt.motion.timelaw import RateLimits
 
+_NOWHERE_RAD = 9.0
+"""Of joint 7 where the axis cannot be served: outside its limits, so that nothing is free there."""
 _AXIS_RATES = (1.0, 4.0, 40.0)
 """Speed, acceleration and jerk of the axis' components [1/s, 1/s^2, 1/s^3]."""
 
@@ -51,10 +54,9 @@ class Coordinates(Protocol):
 class JointCoordinates:
     """The joints themselves; random points are level where `level` coordinates are given to draw them."""
 
-    def __init__(self, rates: RateLimits, q_start: Floats, level: "LevelCoordinates | None" = None) -> None:
+    def __init__(self, rates: RateLimits, level: "LevelCoordinates | None" = None) -> None:
         self.rates = rates
-        self.scatter = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
-        self._q7_rad = q_start[6]
+        self.scatter = np.ones(7)
         self._level = level
 
     def joints(self, c: Floats) -> Floats:
@@ -71,52 +73,58 @@ class JointCoordinates:
             level: Floats = self._level.joints(self._level.draw(rng)[None, :])[0]
             return level
         c: Floats = rng.uniform(LIMITS_RAD[0], LIMITS_RAD[1])
-        c[6] = self._q7_rad
         return c
 
 
 class LevelCoordinates:
-    """The first four joints and the cone's axis, on one side of the wrist."""
+    """The first five joints and the cone's axis, with the cone above its handle."""
 
-    def __init__(self, rates: RateLimits, q_start: Floats) -> None:
+    def __init__(self, rates: RateLimits, mount: Mount) -> None:
         limits = np.stack([rates.speed, rates.acceleration, rates.jerk])
-        limits[:, 4:6] = np.array(_AXIS_RATES)[:, None]
+        limits[:, 5:] = np.array(_AXIS_RATES)[:, None]
         self.rates = RateLimits(*limits)
-        self.scatter = np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-        self._side = math.copysign(1.0, q_start[5])
-        self._q7_rad = q_start[6]
+        self.scatter = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
+        self._mount = mount
 
     def joints(self, c: Floats) -> Floats:
-        cosine, sine = np.cos(c[:, :4]), np.sin(c[:, :4])
-        x, y = -c[:, 4], -c[:, 5]
-        z = -np.sqrt(np.maximum(0.0, 1 - x * x - y * y))
-        for joint in range(4):
+        cosine, sine = np.cos(c[:, :5]), np.sin(c[:, :5])
+        x, y = c[:, 5], c[:, 6]
+        z = np.sqrt(np.maximum(0.0, 1 - x * x - y * y))
+        for joint in range(5):
             cj, sj = cosine[:, joint], sine[:, joint]
             if joint % 2 == 0:
                 x, y = cj * x + sj * y, cj * y - sj * x
             else:
                 x, z = cj * x + sj * z, cj * z - sj * x
+        level, high = math.sin(self._mount.lean_rad), math.cos(self._mount.lean_rad)
+        beside = y / level
+        forward = -level * np.sqrt(np.maximum(0.0, 1 - beside * beside))
         q = c.copy()
-        q[:, 4] = np.arctan2(-self._side * y, -self._side * x)
-        q[:, 5] = self._side * np.arctan2(np.hypot(x, y), z)
+        q[:, 5] = _wrapped(np.arctan2(z, x) - np.arctan2(-high, forward))
+        turned = _wrapped(math.pi - np.arcsin(np.clip(beside, -1.0, 1.0)) - self._mount.azimuth_rad)
+        q[:, 6] = np.where(np.abs(beside) > 1, _NOWHERE_RAD, turned)
         return q
 
     def of(self, q: Floats) -> Floats:
-        _, axes = apex_positions_m(q, 0.0)
         c = q.copy()
-        c[:, 4:6] = axes[:, :2]
+        c[:, 5:] = apex_positions_m(q, self._mount)[1][:, :2]
         return c
 
     def covers(self, q: Floats) -> NDArray[np.bool_]:
-        covered: NDArray[np.bool_] = self._side * q[:, 5] > 0
+        covered: NDArray[np.bool_] = np.cos(q[:, 6] + self._mount.azimuth_rad) < 0
         return covered
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        # Of sixteen arms the first whose wrist can hold the cone level; most can not.
+        # Of sixteen arms the first that can hold the cone level; most can not.
         c = rng.uniform(LIMITS_RAD[0], LIMITS_RAD[1], (16, len(LIMITS_RAD[0])))
-        c[:, 4:6] = 0.0
-        c[:, 6] = self._q7_rad
+        c[:, 5:] = 0.0
         q = self.joints(c)
         within = ((q >= LIMITS_RAD[0]) & (q <= LIMITS_RAD[1])).all(axis=1)
         drawn: Floats = c[int(np.argmax(within))]
         return drawn
+
+
+def _wrapped(angle: Floats) -> Floats:
+    """Angles in -pi..pi."""
+    wrapped: Floats = (angle + math.pi) % (2 * math.pi) - math.pi
+    return wrapped

@@ -6,19 +6,19 @@ Configurations [rad] (7,) or (n, 7), lengths in metres.
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.inverse import unreachable_reason
-from scuhand_bt.motion.kinematics import ApexPose, Floats
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount
 from scuhand_bt.motion.nearest import nearest_reachable
 
 _LOOKED_AT = 12
 """Of a goal's configurations, about how many are looked at for the one with the most room."""
 
 
-def require_reachable(pose: ApexPose, name: str, apex_offset_m: float) -> None:
+def require_reachable(pose: ApexPose, name: str, mount: Mount) -> None:
     """SkillFailed arm.unreachable for a pose that no configuration reaches, with the nearest that one does."""
-    reason = unreachable_reason(pose, apex_offset_m)
+    reason = unreachable_reason(pose, mount)
     if reason is None:
         return
-    near = nearest_reachable(pose, apex_offset_m)
+    near = nearest_reachable(pose, mount)
     instead = "nothing near can be reached"
     if near is not None:
         x, y, z = near.position_m * 1e3

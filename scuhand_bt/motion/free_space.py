@@ -12,7 +12,7 @@ import numpy as np
 
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.coordinates import Coordinates, JointCoordinates
-from scuhand_bt.motion.kinematics import Floats, apex_positions_m
+from scuhand_bt.motion.kinematics import Floats, Mount, apex_positions_m
 
 _BATCH = 48
 _GLANCES = ((0.5,), (0.25, 0.75), (0.12, 0.37, 0.62, 0.88))
@@ -23,9 +23,12 @@ _MOST_SAMPLES = 400
 class Space:
     """What is free in one system of coordinates: what the scene does not hit and what keeps the cone upright."""
 
-    def __init__(self, coordinates: Coordinates, scene: Scene, tilt_limit_deg: float | None = None) -> None:
+    def __init__(
+        self, coordinates: Coordinates, scene: Scene, mount: Mount, tilt_limit_deg: float | None = None
+    ) -> None:
         self.coordinates = coordinates
         self.scene = scene
+        self._mount = mount
         self._upright = None if tilt_limit_deg is None else float(np.cos(np.radians(tilt_limit_deg)))
 
     def edge(self, c0: Floats, c1: Floats) -> tuple[Floats, Floats]:
@@ -60,7 +63,7 @@ class Space:
         return blocked
 
     def _leans(self, q: Floats) -> np.ndarray:
-        leans: np.ndarray = apex_positions_m(q, 0.0)[1][:, 2] < (self._upright or -1.0)
+        leans: np.ndarray = apex_positions_m(q, self._mount)[1][:, 2] < (self._upright or -1.0)
         return leans
 
     def glance(self, first: Floats, last: Floats) -> np.ndarray:

@@ -1,15 +1,19 @@
 """Every way of putting the cone's apex somewhere: the arm's closed-form inverse kinematics.
 
-In the symbols of `kinematics`, given apex p and axis u, the wrist is W = p + L u and d = W - S. The
+In the symbols of `kinematics`, given apex p, axis u and the yaw of the handle about u, the seam is
+
+    s(yaw) = u cos(lean) + (x cos(yaw) + y sin(yaw)) sin(lean),       x, y level across u
+
+the wrist W = p + L s and d = W - S. Yaw and swivel are free, and q7 follows: it turns the cone's axis to u. The
 elbow angle follows from |d|^2 = 2 l^2 (1 + cos q4); the elbow itself is free on a circle about d, by
 the swivel angle phi:
 
     e(phi) = (d/|d|) cos(q4/2) + (n cos phi + m sin phi) sin(|q4|/2)
 
 The cosine or the tangent of every other joint is a ratio of expressions *linear* in e. So each joint
-limit is a root of A + B cos phi + C sin phi = 0, the swivel circle falls into arcs between those
-roots, and one look into each arc tells exactly whether any solution exists. q7 is free (yaw of a
-round cone) and returned as 0.
+limit but q7's is a root of A + B cos phi + C sin phi = 0, the swivel circle falls into arcs between those
+roots, and one look into each arc tells exactly whether the first six joints have any solution at a yaw. Yaws are
+looked at 5 deg apart.
 
 Closed form in the manner of Shimizu et al., "Analytical inverse kinematic computation for 7-DOF
 redundant manipulators", IEEE T-RO 24(5), 2008. Lengths in metres, angles in radians, numpy only.
@@ -28,14 +32,16 @@ from scuhand_bt.motion.kinematics import (
     LIMITS_RAD,
     LINK_M,
     SHOULDER_Z_M,
-    WRIST_TO_FLANGE_M,
     ApexPose,
     Floats,
+    Mount,
     apex,
     apex_positions_m,
+    with_wrist_turned,
 )
 
 SWIVELS = 72
+YAWS = 72
 _SINGULAR = 1e-9
 _EDGE = 1e-9
 
@@ -71,9 +77,23 @@ class _Circles:
         return _Circle(self.middle[k], self.across[k], self.up[k], self.d_m[k], self.h[k], float(self.q4[k]))
 
 
-def _circle(pose: ApexPose, apex_offset_m: float) -> _Circle | str:
-    """The pose's elbow circle, or the sentence that says why it has none."""
-    d = pose.position_m + (WRIST_TO_FLANGE_M + apex_offset_m) * pose.axis - (0.0, 0.0, SHOULDER_Z_M)
+def seams_of(pose: ApexPose, mount: Mount, count: int = YAWS) -> Floats:
+    """The seams that a pose allows: its own, or as many as asked, evenly about its axis: (n, 3)."""
+    if pose.seam is not None:
+        return pose.seam[None, :]
+    u = pose.axis
+    other = np.array([1.0, 0.0, 0.0]) if abs(u[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    x = other - (other @ u) * u
+    x /= math.sqrt(float(x @ x))
+    yaws = np.linspace(0.0, 2 * math.pi, count, endpoint=False)[:, None]
+    around = np.cos(yaws) * x + np.sin(yaws) * np.cross(u, x)
+    seams: Floats = math.cos(mount.lean_rad) * u + math.sin(mount.lean_rad) * around
+    return seams
+
+
+def _circle(position_m: Floats, seam: Floats, mount: Mount) -> _Circle | str:
+    """The elbow's circle of an apex and a seam, or the sentence that says why it has none."""
+    d = position_m + mount.length_m * seam - (0.0, 0.0, SHOULDER_Z_M)
     distance_m = math.sqrt(float(d @ d))
     nearest_m = 2 * LINK_M * math.cos(LIMITS_RAD[0, 3] / 2)
     if distance_m > 2 * LINK_M + _EDGE:
@@ -96,7 +116,7 @@ def _circle(pose: ApexPose, apex_offset_m: float) -> _Circle | str:
     across = np.array([uy * tz - uz * ty, uz * tx - ux * tz, ux * ty - uy * tx])
     # sin(q4/2) from |d| loses its last digits as the arm stretches; the elbow's own triangle does not.
     sine = math.sqrt(max(0.0, 1 - (distance_m / (2 * LINK_M)) ** 2))
-    return _Circle(towards * math.cos(half), across * sine, up * sine, d, -pose.axis, -2 * half)
+    return _Circle(towards * math.cos(half), across * sine, up * sine, d, -seam, -2 * half)
 
 
 def _dot(a: Floats, b: Floats) -> Floats:
@@ -235,77 +255,110 @@ def _even_swivels() -> Floats:
     return np.linspace(0.0, 2 * math.pi, SWIVELS, endpoint=False)
 
 
-def solutions(pose: ApexPose, apex_offset_m: float, limits: Floats = LIMITS_RAD) -> Floats:
-    """Every configuration that puts the apex at the pose: shape (n, 7), q7 = 0, none for n = 0.
+def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floats:
+    """Every configuration that puts the apex at the pose: shape (n, 7).
 
-    The elbow's family is continuous; it is returned every 5 deg of swivel, and at the middle of each
-    arc, so that n = 0 exactly where there is no solution.
+    The family has two parameters: every 5 deg of swivel for a pose with its seam, every 10 deg of yaw and of swivel
+    for one whose yaw is free; where those find none, every 5 deg of yaw and the middle of each arc of swivels.
     """
-    circle = _circle(pose, apex_offset_m)
-    if isinstance(circle, str):
+    seams = seams_of(pose, mount, YAWS // 2)
+    swivels = _even_swivels()[:: 1 if len(seams) == 1 else 2]
+    found = _on_grid(pose, seams, swivels, mount, limits)
+    if not len(found):
+        circles = (_circle(pose.position_m, seam, mount) for seam in seams_of(pose, mount))
+        found = np.vstack([np.zeros((0, JOINTS)), *(_in_arcs(c, limits) for c in circles if not isinstance(c, str))])
+        found = _turned_within(found, pose.axis, mount, limits)
+    return found
+
+
+def _on_grid(pose: ApexPose, seams: Floats, swivels: Floats, mount: Mount, limits: Floats) -> Floats:
+    """Solutions at each seam (m, 3) and each swivel (k,): (n, 7)."""
+    positions_m = np.broadcast_to(pose.position_m, seams.shape)
+    reached = _has_circle(positions_m, seams, mount)
+    seams = np.repeat(seams[reached], len(swivels), axis=0)
+    if not len(seams):
         return np.zeros((0, JOINTS))
-    forms = _forms_of(circle)
-    begins, lengths = _arcs(circle, forms, limits)
-    middles = (begins + lengths / 2) % (2 * math.pi)
-    q = _configurations(circle, forms, middles if len(lengths) == 1 and not lengths[0] else _merged(middles))
+    circles = _circles(np.broadcast_to(pose.position_m, seams.shape), seams, mount)
+    assert circles is not None
+    q = _branches(circles, np.tile(swivels, len(seams) // len(swivels))).reshape(-1, JOINTS)
+    return _turned_within(q[_within(q, limits)], pose.axis, mount, limits)
+
+
+def _turned_within(q: Floats, axis: Floats, mount: Mount, limits: Floats) -> Floats:
+    """Configurations with their wrist turned for the axis, those within the limits."""
+    if not len(q):
+        return q
+    q = with_wrist_turned(q, np.broadcast_to(axis, (len(q), 3)), mount)
     return np.clip(q[_within(q, limits)], limits[0], limits[1])
 
 
-def _merged(middles: Floats) -> Floats:
-    return np.sort(np.concatenate([_even_swivels(), middles]))
+def _at_arcs(circle: _Circle, limits: Floats) -> Floats:
+    """The middle of each arc of swivels, in all branches: (n, 7), q7 = 0, limits ignored."""
+    forms = _forms_of(circle)
+    begins, lengths = _arcs(circle, forms, limits)
+    return _configurations(circle, forms, begins + lengths / 2)
 
 
-def neighbours(
-    pose: ApexPose, q: Floats, apex_offset_m: float, spread_rad: float, count: int, limits: Floats = LIMITS_RAD
-) -> Floats:
-    """Solutions of the same branch within `spread_rad` of swivel around the solution q: shape (n, 7)."""
-    circle = _circle(pose, apex_offset_m)
+def _in_arcs(circle: _Circle, limits: Floats) -> Floats:
+    """Of those, the ones whose first six joints keep their limits."""
+    q = _at_arcs(circle, limits)
+    return q[_within(q, limits)]
+
+
+def neighbours(pose: ApexPose, q: Floats, mount: Mount, spread_rad: float, count: int) -> Floats:
+    """Solutions of the same branch and yaw within `spread_rad` of swivel around the solution q: shape (n, 7)."""
+    seam = apex(q, mount).seam
+    assert seam is not None  # every configuration has one
+    circle = _circle(pose.position_m, seam, mount)
     if isinstance(circle, str):
         return np.zeros((0, JOINTS))
     swivels = _swivel_on(circle, q) + np.linspace(-spread_rad, spread_rad, count)
     around = _configurations(circle, _forms_of(circle), swivels)
     near = (np.abs(around[:, :6] - q[:6]) < 4 * spread_rad + _EDGE).all(axis=1)
-    family: Floats = around[near & _within(around, limits)]
-    return family
+    return _turned_within(around[near & _within(around, LIMITS_RAD)], pose.axis, mount, LIMITS_RAD)
 
 
-def finest(pose: ApexPose, q: Floats, apex_offset_m: float, spread_rad: float = 0.05) -> Floats:
+def finest(pose: ApexPose, q: Floats, mount: Mount, spread_rad: float = 0.05) -> Floats:
     """The neighbour of the solution q whose servo counts, once rounded, hit the pose best: shape (7,).
 
     One count is 0.09 deg; along the elbow's family some configurations lie much nearer to whole
     counts than others, which makes the commanded apex some ten times more exact at no cost.
     """
-    family = neighbours(pose, q, apex_offset_m, spread_rad, 400)
+    family = neighbours(pose, q, mount, spread_rad, 400)
     if not len(family):
         return q
-    rounded_m, _ = apex_positions_m(np.round(family / COUNT_RAD) * COUNT_RAD, apex_offset_m)
+    rounded_m, _ = apex_positions_m(np.round(family / COUNT_RAD) * COUNT_RAD, mount)
     best: Floats = family[np.argmin(((rounded_m - pose.position_m) ** 2).sum(axis=1))]
-    best[6] = q[6]
     return best
 
 
-def unreachable_reason(pose: ApexPose, apex_offset_m: float, limits: Floats = LIMITS_RAD) -> str | None:
-    """Why no configuration within the joints' limits reaches the pose, or None where one does. Exact."""
-    circle = _circle(pose, apex_offset_m)
-    if isinstance(circle, str):
-        return circle
-    forms = _forms_of(circle)
-    begins, lengths = _arcs(circle, forms, limits)
-    q = _configurations(circle, forms, begins + lengths / 2)
-    if _within(q, limits).any():
+def unreachable_reason(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> str | None:
+    """Why no configuration within the joints' limits reaches the pose, or None where one does."""
+    if len(solutions(pose, mount, limits)):
         return None
+    seams = seams_of(pose, mount)
+    wrists_m = pose.position_m + mount.length_m * seams - (0.0, 0.0, SHOULDER_Z_M)
+    distances_m = np.linalg.norm(wrists_m, axis=1)
+    off_m = np.maximum(distances_m - 2 * LINK_M, 2 * LINK_M * math.cos(LIMITS_RAD[0, 3] / 2) - distances_m)
+    circles = [_circle(pose.position_m, seams[k], mount) for k in np.argsort(off_m, kind="stable")]
+    if isinstance(circles[0], str):
+        return circles[0]
+    q = np.vstack([_at_arcs(circle, limits) for circle in circles if not isinstance(circle, str)])
+    q = with_wrist_turned(q, np.broadcast_to(pose.axis, (len(q), 3)), mount)
     excess = np.maximum(limits[0] - q, q - limits[1])
     nearest = int(np.argmin(excess.max(axis=1)))
     joint = int(np.argmax(excess[nearest]))
     return (
-        f"no swivel of the elbow keeps all joints within their limits: joint {joint + 1} would be at "
-        f"{math.degrees(q[nearest, joint]):.1f} deg, {math.degrees(excess[nearest, joint]):.1f} deg beyond"
+        f"no yaw of the handle and no swivel of the elbow keep all joints within their limits: joint {joint + 1} would "
+        f"be at {math.degrees(q[nearest, joint]):.1f} deg, {math.degrees(excess[nearest, joint]):.1f} deg beyond"
     )
 
 
-def swivel_of(q: Floats, apex_offset_m: float) -> float:
+def swivel_of(q: Floats, mount: Mount) -> float:
     """The elbow's swivel angle phi of a configuration."""
-    circle = _circle(apex(q, apex_offset_m), apex_offset_m)
+    pose = apex(q, mount)
+    assert pose.seam is not None  # every configuration has one
+    circle = _circle(pose.position_m, pose.seam, mount)
     if isinstance(circle, str):
         raise ValueError(circle)
     return _swivel_on(circle, q)
@@ -317,17 +370,40 @@ def _swivel_on(circle: _Circle, q: Floats) -> float:
     return math.atan2(float(e @ circle.up), float(e @ circle.across))
 
 
-def along(positions_m: Floats, axes: Floats, swivels: Floats, q_start: Floats, apex_offset_m: float) -> Floats | None:
-    """Configurations (n, 7) of a course of poses (n, 3), (n, 3) and swivels (n,), on q_start's branch.
+def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, mount: Mount) -> Floats | None:
+    """All configurations of poses (n, 3) three times, at each of m swivels: (n, m, 4, 7), limits ignored.
 
-    None where a pose is beyond the arm, or a joint would leave its limits or jump.
+    None where a pose is beyond the arm.
     """
-    if (circles := _circles(positions_m, axes, apex_offset_m)) is None:
+    n, m = len(positions_m), len(swivels)
+    if (circles := _circles(np.repeat(positions_m, m, axis=0), np.repeat(seams, m, axis=0), mount)) is None:
         return None
-    q = np.empty((len(positions_m), JOINTS))
+    branches = _branches(circles, np.tile(swivels, n)).reshape(-1, JOINTS)
+    return with_wrist_turned(branches, np.repeat(axes, 4 * m, axis=0), mount).reshape(n, m, 4, JOINTS)
+
+
+def within_limits(q: Floats) -> NDArray[np.bool_]:
+    """Which configurations (..., 7) keep the joints' limits."""
+    return _within(q, LIMITS_RAD)
+
+
+def along(
+    positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, q_start: Floats, mount: Mount
+) -> Floats | None:
+    """Configurations (n, 7) of a course of poses (n, 3) three times and swivels (n,), on q_start's branch.
+
+    The axes may lean from the seams as the cone's size along the course has it. None where a pose is beyond the arm,
+    or a joint would leave its limits or jump.
+    """
+    if (circles := _circles(positions_m, seams, mount)) is None:
+        return None
+    branches = _branches(circles, swivels)
+    n = len(branches)
+    turned = with_wrist_turned(branches.reshape(-1, JOINTS), np.repeat(axes, 4, axis=0), mount)
+    branches = turned.reshape(n, 4, JOINTS)
+    q = np.empty((n, JOINTS))
     previous = q_start
-    for k, four in enumerate(_branches(circles, swivels)):
-        four[:, 6] = q_start[6]
+    for k, four in enumerate(branches):
         jumps = np.abs(four - previous).max(axis=1)
         nearest = int(jumps.argmin())
         if jumps[nearest] > 0.1:
@@ -336,12 +412,20 @@ def along(positions_m: Floats, axes: Floats, swivels: Floats, q_start: Floats, a
     return q if _within(q, LIMITS_RAD).all() else None
 
 
-def _circles(positions_m: Floats, axes: Floats, apex_offset_m: float) -> _Circles | None:
-    """The elbow circles of many poses (n, 3), (n, 3), stacked; None where one has none."""
-    d = positions_m + (WRIST_TO_FLANGE_M + apex_offset_m) * axes - (0.0, 0.0, SHOULDER_Z_M)
-    share = np.linalg.norm(d, axis=1)[:, None] / (2 * LINK_M)
-    if share.max() > 1 + _EDGE or share.min() < math.cos(LIMITS_RAD[0, 3] / 2) - _EDGE:
+def _has_circle(positions_m: Floats, seams: Floats, mount: Mount) -> NDArray[np.bool_]:
+    """Which apexes and seams (n, 3) the arm is neither too short nor too folded for: (n,)."""
+    d = positions_m + mount.length_m * seams - (0.0, 0.0, SHOULDER_Z_M)
+    share = np.linalg.norm(d, axis=1) / (2 * LINK_M)
+    has: NDArray[np.bool_] = (share <= 1 + _EDGE) & (share >= math.cos(LIMITS_RAD[0, 3] / 2) - _EDGE)
+    return has
+
+
+def _circles(positions_m: Floats, seams: Floats, mount: Mount) -> _Circles | None:
+    """The elbow circles of many apexes and seams (n, 3), (n, 3), stacked; None where one has none."""
+    if not _has_circle(positions_m, seams, mount).all():
         return None
+    d = positions_m + mount.length_m * seams - (0.0, 0.0, SHOULDER_Z_M)
+    share = np.linalg.norm(d, axis=1)[:, None] / (2 * LINK_M)
     towards = d / (2 * LINK_M * share)
     upright = np.abs(towards[:, 2:]) > 0.99
     other = np.where(upright, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
@@ -349,7 +433,7 @@ def _circles(positions_m: Floats, axes: Floats, apex_offset_m: float) -> _Circle
     up /= np.linalg.norm(up, axis=1)[:, None]
     share = np.minimum(share, 1.0)
     sine = np.sqrt(1 - share**2)
-    return _Circles(towards * share, np.cross(up, towards) * sine, up * sine, d, -axes, -2 * np.arccos(share[:, 0]))
+    return _Circles(towards * share, np.cross(up, towards) * sine, up * sine, d, -seams, -2 * np.arccos(share[:, 0]))
 
 
 def _branches(stacked: _Circles, swivels: Floats) -> Floats:

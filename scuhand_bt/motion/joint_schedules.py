@@ -37,9 +37,9 @@ _FIRST_LOOKS = 4
 _NEAR_PART = 0.7
 """Share of the proposals that change the best schedule instead of being drawn anew."""
 _NEAR_SPAN = 0.6
-_TURNING = np.array([0.7, 0.8, 0.7, 0.95, 0.7, 0.7, 0.0])
+_TURNING = np.array([0.7, 0.8, 0.7, 0.95, 0.7, 0.7, 0.7])
 """How often each joint takes a turning point; the elbow does most, as opening it lifts the hand over what stands."""
-_TURN_RAD = np.array([0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.0])
+_TURN_RAD = np.array([0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.3])
 """The standard deviation of a turning point about its joint's straight way."""
 _LIFT_RAD = np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
 """And by how much it lies beside it: the elbow's towards the stretched arm."""

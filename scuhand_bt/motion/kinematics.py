@@ -1,13 +1,16 @@
 """Where the cone's apex is: the arm's forward kinematics.
 
-The CRANE-X7 is a spherical-revolute-spherical arm and the cone stands on the axis of its last joint:
+The CRANE-X7 is a spherical-revolute-spherical arm, and the hand holds its cone as a ladle's handle holds the bowl: the
+apex is on the axis of the last joint, the handle's, which the slit's edge (the seam) continues, and the cone's own axis
+leans from there by the cone's half-angle:
 
     R = Rz(q1) Ry(-q2) Rz(q3) Ry(-q4) Rz(q5) Ry(-q6) Rz(q7)
     apex = S + l e + l f + L h,      e, f, h = the third columns of R up to q2, q4, q6
+    seam s = -h,     up axis u = R a,     a = (sin(lean) cos(azimuth), sin(lean) sin(azimuth), -cos(lean))
 
 S   shoulder centre (0, 0, 0.105) m          l   upper arm = forearm = 0.250 m
-L   wrist centre to apex: 0.019 m + `apex_offset_m` (flange to apex)
-e, f, h   unit vectors along the upper arm, the forearm and the hand; the cone's up axis is u = -h
+L   wrist centre to apex: 0.019 m + `offset_m` (flange to apex)
+e, f, h   unit vectors along the upper arm, the forearm and the handle
 
 Figures: `crane-x7_links.csv` of rt-net/rt_manipulators_cpp (Apache-2.0). Lengths in metres, angles in
 radians, numpy only.
@@ -20,6 +23,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.failures import Code, SkillFailed
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -35,15 +39,49 @@ COUNT_RAD = 2 * math.pi / 4096
 
 
 @dataclass(frozen=True, slots=True)
+class Mount:
+    """How the hand holds a cone of one size: the apex on the j7 axis, the cone's axis leaning from it.
+
+    `lean_rad` is the cone's half-angle; `azimuth_rad` which way the cone lies from the j7 axis, from the flange's x.
+    """
+
+    offset_m: float
+    """Flange to apex."""
+    lean_rad: float
+    azimuth_rad: float = 0.0
+
+    @classmethod
+    def of(cls, hand: HandSpec, diameter_mm: float = MOUNTED_DIAMETER_MM) -> "Mount":
+        """This hand's, with a rim of this diameter; ValueError for one that the sheet cannot make."""
+        sine = diameter_mm / (2 * hand.sheet_radius_mm)
+        return cls(hand.apex_offset_mm / 1e3, math.asin(sine), math.radians(hand.mount.azimuth_deg))
+
+    @property
+    def length_m(self) -> float:
+        """Wrist centre to apex."""
+        return WRIST_TO_FLANGE_M + self.offset_m
+
+    @property
+    def axis(self) -> Floats:
+        """The cone's up axis in the flange's frame, (3,)."""
+        level = math.sin(self.lean_rad)
+        return np.array(
+            [level * math.cos(self.azimuth_rad), level * math.sin(self.azimuth_rad), -math.cos(self.lean_rad)]
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class ApexPose:
-    """Where the cone's apex is and which way the cone is up; yaw about the axis is free.
+    """Where the cone's apex is and which way the cone is up.
 
     `position_m` shape (3,) in the base frame; `axis` shape (3,), a unit vector, (0, 0, 1) for a cone
-    that stands level. ValueError for anything that is not finite or not a unit axis.
+    that stands level; `seam` shape (3,), a unit vector along the slit's edge to the handle, or None where the yaw about
+    the axis is free. ValueError for anything that is not finite or no unit vector.
     """
 
     position_m: Floats
     axis: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    seam: Floats | None = None
 
     def __post_init__(self) -> None:
         position_m = np.array(self.position_m, dtype=float)
@@ -56,6 +94,13 @@ class ApexPose:
         position_m.flags.writeable = axis.flags.writeable = False
         object.__setattr__(self, "position_m", position_m)
         object.__setattr__(self, "axis", axis)
+        if self.seam is not None:
+            seam = np.array(self.seam, dtype=float)
+            if seam.shape != (3,) or not np.isfinite(seam).all() or abs(float(seam @ seam) - 1) > 1e-6:
+                raise ValueError(f"a seam is a unit vector of three numbers, not {self.seam!r}")
+            seam /= math.sqrt(float(seam @ seam))
+            seam.flags.writeable = False
+            object.__setattr__(self, "seam", seam)
 
     @property
     def tilt_deg(self) -> float:
@@ -63,38 +108,70 @@ class ApexPose:
         return math.degrees(math.acos(max(-1.0, min(1.0, float(self.axis[2])))))
 
 
-def apex(q: ArrayLike, apex_offset_m: float) -> ApexPose:
-    """The apex pose of a configuration q [rad], shape (7,): a few microseconds of plain floats."""
-    q1, q2, q3, q4, q5, q6, _ = map(float, np.asarray(q, dtype=float).tolist())
+def apex(q: ArrayLike, mount: Mount) -> ApexPose:
+    """The apex pose of a configuration q [rad], shape (7,), seam included: a few microseconds of plain floats."""
+    q1, q2, q3, q4, q5, q6, q7 = map(float, np.asarray(q, dtype=float).tolist())
     c1, s1, c3, s3, c5, s5 = math.cos(q1), math.sin(q1), math.cos(q3), math.sin(q3), math.cos(q5), math.sin(q5)
     c2, s2, c4, s4, c6, s6 = math.cos(q2), math.sin(q2), math.cos(q4), math.sin(q4), math.cos(q6), math.sin(q6)
-    # From the hand back to the base: h in the elbow's frame, then the shoulder's, then the base's.
-    length_m = WRIST_TO_FLANGE_M + apex_offset_m
-    fore = [(-s6 * c5, -s6 * s5, c6), (-s6 * c5 * length_m, -s6 * s5 * length_m, c6 * length_m + LINK_M)]
+    # From the hand back to the base: h and u in the elbow's frame, then the shoulder's, then the base's.
+    length_m, level = mount.length_m, math.sin(mount.lean_rad)
+    ux, uy, uz = (
+        level * math.cos(mount.azimuth_rad + q7),
+        level * math.sin(mount.azimuth_rad + q7),
+        -math.cos(mount.lean_rad),
+    )
+    ux, uz = c6 * ux - s6 * uz, s6 * ux + c6 * uz
+    up = (c5 * ux - s5 * uy, s5 * ux + c5 * uy, uz)
+    hx, hy, hz = -s6 * c5, -s6 * s5, c6
+    fore = [(hx, hy, hz), (hx * length_m, hy * length_m, hz * length_m + LINK_M), up]
     base = []
-    for (x, y, z), upper_m in zip(fore, (0.0, LINK_M), strict=True):
+    for (x, y, z), upper_m in zip(fore, (0.0, LINK_M, 0.0), strict=True):
         x, z = c4 * x - s4 * z, s4 * x + c4 * z + upper_m
         x, y = c3 * x - s3 * y, s3 * x + c3 * y
         x, z = c2 * x - s2 * z, s2 * x + c2 * z
         base.append((c1 * x - s1 * y, s1 * x + c1 * y, z))
-    (hx, hy, hz), (px, py, pz) = base
+    (hx, hy, hz), (px, py, pz), up = base
     pose = object.__new__(ApexPose)
     object.__setattr__(pose, "position_m", np.array((px, py, pz + SHOULDER_Z_M)))
-    object.__setattr__(pose, "axis", np.array((-hx, -hy, -hz)))
+    object.__setattr__(pose, "axis", np.array(up))
+    object.__setattr__(pose, "seam", np.array((-hx, -hy, -hz)))
     return pose
 
 
-def apex_positions_m(q: Floats, apex_offset_m: float) -> tuple[Floats, Floats]:
+def apex_positions_m(q: Floats, mount: Mount) -> tuple[Floats, Floats]:
     """Apex positions [m] and cone axes of many configurations: (n, 7) to (n, 3) and (n, 3)."""
+    positions_m, axes, _ = apex_frames(q, mount)
+    return positions_m, axes
+
+
+def apex_frames(q: Floats, mount: Mount) -> tuple[Floats, Floats, Floats]:
+    """Apex positions [m], cone axes and seams of many configurations: (n, 7) to three times (n, 3)."""
     c, s = np.cos(q), np.sin(q)
     h = np.stack([-s[:, 5] * c[:, 4], -s[:, 5] * s[:, 4], c[:, 5]], axis=1)
-    p = h * (WRIST_TO_FLANGE_M + apex_offset_m) + (0.0, 0.0, LINK_M)
-    both = np.stack([h, p])
+    p = h * mount.length_m + (0.0, 0.0, LINK_M)
+    u = np.broadcast_to(mount.axis, h.shape)
+    for joint in (6, 5, 4):
+        u = _turned(u, c, s, joint)
+    both = np.stack([h, p, u])
     both = _turned(both, c, s, 3)
     both[1, :, 2] += LINK_M
     for joint in (2, 1, 0):
         both = _turned(both, c, s, joint)
-    return both[1] + (0.0, 0.0, SHOULDER_Z_M), -both[0]
+    return both[1] + (0.0, 0.0, SHOULDER_Z_M), both[2], -both[0]
+
+
+def with_wrist_turned(q: Floats, axes: Floats, mount: Mount) -> Floats:
+    """Configurations (n, 7) with the q7 that turns the cone's axis to `axes` (n, 3), as nearly as turning it can.
+
+    q7 is in -pi..pi, whatever its limits.
+    """
+    c, s = np.cos(q), np.sin(q)
+    v = axes
+    for joint in range(6):
+        v = _turned(v, c, -s, joint)
+    turned = q.copy()
+    turned[:, 6] = (np.arctan2(v[:, 1], v[:, 0]) - mount.azimuth_rad + math.pi) % (2 * math.pi) - math.pi
+    return turned
 
 
 def _turned(v: Floats, c: Floats, s: Floats, joint: int) -> Floats:

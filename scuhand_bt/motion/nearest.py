@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scuhand_bt.motion.inverse import unreachable_reason
-from scuhand_bt.motion.kinematics import LINK_M, SHOULDER_Z_M, WRIST_TO_FLANGE_M, ApexPose, Floats
+from scuhand_bt.motion.inverse import seams_of, solutions
+from scuhand_bt.motion.kinematics import LINK_M, SHOULDER_Z_M, ApexPose, Floats, Mount
 
 
-def nearest_reachable(pose: ApexPose, apex_offset_m: float) -> ApexPose | None:
+def nearest_reachable(pose: ApexPose, mount: Mount) -> ApexPose | None:
     """The reachable pose of the same axis nearest to an unreachable one, to some mm; None if none is within 0.6 m.
 
     Shells of growing radius around the position (around where the arm, stretched towards it, ends, if that is
@@ -17,10 +17,11 @@ def nearest_reachable(pose: ApexPose, apex_offset_m: float) -> ApexPose | None:
     """
 
     def reached(position_m: Floats) -> bool:
-        return unreachable_reason(ApexPose(position_m, pose.axis), apex_offset_m) is None
+        return len(solutions(ApexPose(position_m, pose.axis, pose.seam), mount)) > 0
 
     wanted_m = pose.position_m
-    to_wrist_m = wanted_m + (WRIST_TO_FLANGE_M + apex_offset_m) * pose.axis - (0.0, 0.0, SHOULDER_Z_M)
+    to_wrists_m = wanted_m + mount.length_m * seams_of(pose, mount) - (0.0, 0.0, SHOULDER_Z_M)
+    to_wrist_m = min(to_wrists_m, key=lambda way_m: float(way_m @ way_m))
     too_far = max(0.0, 1 - 2 * LINK_M / float(np.linalg.norm(to_wrist_m)))
     around_m = wanted_m - to_wrist_m * too_far
     shells = (around_m + radius_m * _directions(60) for radius_m in np.geomspace(0.002, 0.6, 20))
@@ -37,7 +38,7 @@ def nearest_reachable(pose: ApexPose, apex_offset_m: float) -> ApexPose | None:
             step_m /= 2
         else:
             met, distance_m = best, float(np.linalg.norm(best - wanted_m))
-    return ApexPose(met, pose.axis)
+    return ApexPose(met, pose.axis, pose.seam)
 
 
 def _first_reached(positions_m: Floats, wanted_m: Floats, reached: Callable[[Floats], bool]) -> Floats | None:

@@ -1,19 +1,21 @@
 """The named poses that a cell moves between, and the one configuration in which the arm stands at each.
 
-Of the configurations of a pose the posture is the nearest to an arm that reaches forward over its elbow, moved along
-the elbow's family to where whole servo counts hit the apex best. Configurations [rad] (7,).
+Of the configurations of a pose the posture is the nearest to an arm that reaches out over its elbow in one upright
+plane: exactly in that, joints 2 and 6 may pass through zero, near which joints about one line would have to turn much.
+Configurations [rad] (7,).
 """
 
 import numpy as np
 
+from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.motion.explain import goal_blocked, require_reachable
-from scuhand_bt.motion.inverse import finest, solutions
-from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats
+from scuhand_bt.motion.inverse import solutions
+from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount
 from scuhand_bt.motion.scenes import Geometry, Scenes
-from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
+from scuhand_bt.motion.timelaw import RateLimits
 
-RELAXED_RAD = (-0.2, 0.0, -1.6, 0.0, -1.2, 0.0)
-"""j2 to j7 of an arm that reaches forward over its elbow: what postures are chosen near to."""
+RELAXED_RAD = (0.0, -0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
+"""What postures are chosen near to, j1 from where the place is."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
 
@@ -21,8 +23,8 @@ SETTLED_RAD = 2 * COUNT_RAD
 class Places:
     """Places by name, and their postures."""
 
-    def __init__(self, scenes: Scenes, rates: RateLimits, apex_offset_m: float) -> None:
-        self._scenes, self._rates, self._offset_m = scenes, rates, apex_offset_m
+    def __init__(self, scenes: Scenes, rates: RateLimits, hand: HandSpec) -> None:
+        self._scenes, self._rates, self._hand = scenes, rates, hand
         self._poses: dict[str, ApexPose] = {}
         self._postures: dict[tuple[str, Geometry], Floats] = {}
 
@@ -32,7 +34,7 @@ class Places:
 
     def add(self, name: str, pose: ApexPose) -> None:
         """Name a pose, or another from now on; SkillFailed arm.unreachable if the arm cannot reach it."""
-        require_reachable(pose, name, self._offset_m)
+        require_reachable(pose, name, Mount.of(self._hand))
         self._poses[name] = pose
         self._postures = {key: q for key, q in self._postures.items() if key[0] != name}
 
@@ -45,7 +47,7 @@ class Places:
             raise KeyError(f"there is no place {name!r}; there are: {', '.join(self._poses) or 'none'}")
         key = (name, geometry)
         if key not in self._postures:
-            usual = self._postures.get((name, Geometry()))
+            usual = self._postures.get((name, Geometry(geometry.cone_diameter_m)))
             fits = usual is not None and not self._scenes.of(geometry).hits(usual[None, :])[0]
             self._postures[key] = usual if usual is not None and fits else self._canonical(name, geometry)
         return self._postures[key]
@@ -64,12 +66,27 @@ class Places:
 
     def _canonical(self, name: str, geometry: Geometry) -> Floats:
         pose, scene = self._poses[name], self._scenes.of(geometry)
-        q = solutions(pose, self._offset_m)
-        free = q[~scene.hits(q)]
-        if not len(free):
+        mount = Mount.of(self._hand, 1e3 * geometry.cone_diameter_m)
+        for looked_at in (reaching_out(pose, mount), pose):
+            q = solutions(looked_at, mount)
+            free = q[~scene.hits(q)]
+            if len(free):
+                break
+        else:
             raise goal_blocked(scene, name, q)
         azimuth_rad = float(np.arctan2(pose.position_m[1], pose.position_m[0]))
-        relaxed = np.array([azimuth_rad, *RELAXED_RAD])
-        chosen: Floats = free[np.argmin(rest_to_rest_s(free - relaxed, self._rates))]
-        exact = finest(pose, chosen, self._offset_m)
-        return chosen if scene.hits(exact[None, :])[0] else exact
+        relaxed = np.array(RELAXED_RAD)
+        relaxed[0] += azimuth_rad
+        chosen: Floats = free[np.argmin(np.linalg.norm(free - relaxed, axis=1))]
+        return chosen
+
+
+def reaching_out(pose: ApexPose, mount: Mount) -> ApexPose:
+    """The pose with the handle straight out from the arm's base: between such postures joint 1 does most."""
+    out = np.array([pose.position_m[0], pose.position_m[1], 0.0])
+    back = -(out - (out @ pose.axis) * pose.axis)
+    length_m = float(np.linalg.norm(back))
+    if pose.seam is not None or length_m < 1e-6:
+        return pose
+    seam = np.cos(mount.lean_rad) * pose.axis + np.sin(mount.lean_rad) * back / length_m
+    return ApexPose(pose.position_m, pose.axis, seam)

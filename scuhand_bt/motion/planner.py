@@ -16,6 +16,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -26,11 +27,13 @@ from scuhand_bt.motion import explain, transfer
 from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
-from scuhand_bt.motion.kinematics import ApexPose, Floats, checked_joints
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.reform import reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
+from scuhand_bt.motion.stroke import StrokePoses, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
@@ -71,11 +74,10 @@ class MotionPlanner:
         self.urdf = urdf
         arm = Arm(urdf)
         self._cell = cell
-        self._offset_m = cell.hand.apex_offset_mm / 1e3
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
-        self._places = Places(self._scenes, self.rates, self._offset_m)
+        self._places = Places(self._scenes, self.rates, cell.hand)
         self._plans: dict[Request, StoppableTrajectory] = {}
         self._carries: dict[Request, StoppableTrajectory] = {}
 
@@ -120,9 +122,14 @@ class MotionPlanner:
         self._geometry = present
 
     def move(
-        self, start: Floats, goal: str | ApexPose, *, spill_limit_deg: float | None = None, effort: Effort = LIVE
+        self,
+        start: Floats,
+        goal: str | ApexPose | Floats,
+        *,
+        spill_limit_deg: float | None = None,
+        effort: Effort = LIVE,
     ) -> StoppableTrajectory:
-        """A motion from rest at `start` to rest at a place or pose; `spill_limit_deg` for a loaded cone."""
+        """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
         if spill_limit_deg is None:
             return self._kept(begin, goals, name, None, effort)
@@ -139,7 +146,7 @@ class MotionPlanner:
     ) -> JointTrajectory:
         """The empty cone's motion, slowed until it keeps the load; or one of the load's own, if that is quicker."""
         empty = self._kept(begin, goals, name, None, effort)
-        factor = spill_stretch(empty, self._offset_m, spill_limit_deg) or math.inf
+        factor = spill_stretch(empty, self._mount, spill_limit_deg) or math.inf
         if factor > EMPTY_WILL_DO:
             steps_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
             try:
@@ -208,23 +215,67 @@ class MotionPlanner:
         scene = self.scene(CLOSE_MARGIN_M, touching)
         if not waypoints:
             return self._stoppable(standing(begin))
-        motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._offset_m, spill_limit_deg)
+        motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(motion)
+
+    def descent(
+        self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None
+    ) -> StoppableTrajectory:
+        """Straight down to a place, rest to rest: planned upwards from its posture, as not every other lets the arm.
+
+        A load is kept within `spill_limit_deg`. SkillFailed arm.no_path.
+        """
+        posture = self._posture(place)
+        below = apex(posture, self._mount)
+        above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
+        scene = self.scene(CLOSE_MARGIN_M)
+        up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
+        return self._stoppable(up.reversed())
+
+    def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
+        """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
+
+        Eight columns: the joints, and the roller. `rims_mm` are the first, some in between, and the last. SkillFailed
+        arm.unreachable, arm.no_path.
+        """
+        scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
+        mount = Mount.of(self._cell.hand, rims_mm[0])
+        rates = with_roller(self.rates, self._cell.hand)
+        return StoppableTrajectory(stroke_motion(checked_joints(near), poses, scene, rates, mount), rates, mount)
+
+    def reform(self, start: Floats, place: str, diameter_mm: float) -> StoppableTrajectory:
+        """Arm and roller (8 columns) from `start`, the cone upright, to a place with a cone of another size.
+
+        The cone stays upright: apex, handle, elbow and rim go evenly to where they are in the place's posture.
+        SkillFailed arm.no_path.
+        """
+        hand, begin = self._cell.hand, checked_joints(start)
+        end = self._places.posture(place, replace(self._geometry, cone_diameter_m=diameter_mm / 1e3))
+        rims_mm = (1e3 * self._geometry.cone_diameter_m, diameter_mm)
+        scene = self._scenes.of_stroke(self._geometry, [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]], None, CLOSE_MARGIN_M)
+        rates = with_roller(self.rates, hand)
+        return StoppableTrajectory(reform_motion(begin, end, rims_mm, scene, rates, hand), rates, self._mount)
+
+    @property
+    def _mount(self) -> Mount:
+        """How the hand holds the cone of the present geometry."""
+        return Mount.of(self._cell.hand, 1e3 * self._geometry.cone_diameter_m)
 
     # Within -----------------------------------------------------------------------------------------
 
     def _stoppable(self, motion: JointTrajectory) -> StoppableTrajectory:
-        return StoppableTrajectory(motion, self.rates, self._offset_m)
+        return StoppableTrajectory(motion, self.rates, self._mount)
 
-    def _resolved(self, start: Floats, goal: str | ApexPose) -> tuple[Floats, Floats, str]:
+    def _resolved(self, start: Floats, goal: str | ApexPose | Floats) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
         begin = self._places.settled(checked_joints(start), self._geometry)
+        if isinstance(goal, np.ndarray):
+            return begin, checked_joints(goal)[None, :], "where the way begins"
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
-        goals = solutions(goal, self._offset_m)
+        goals = solutions(goal, self._mount)
         if not len(goals):
-            explain.require_reachable(goal, "the pose", self._offset_m)
-        goals[:, 6] = begin[6]
+            explain.require_reachable(goal, "the pose", self._mount)
         return begin, goals, f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
 
     def _posture(self, place: str) -> Floats:
@@ -245,7 +296,7 @@ class MotionPlanner:
             raise explain.goal_blocked(scene, name, goals)
         if np.abs(ranked.free[0] - begin).max() < 1e-9:
             return standing(begin)
-        task = transfer.Task(begin, ranked, scene, self.rates, self._offset_m, spill_limit_deg)
+        task = transfer.Task(begin, ranked, scene, self.rates, self._mount, spill_limit_deg)
         motion = transfer.plan(task, effort, _seed(_request(begin, goals, self._geometry, spill_limit_deg)))
         if motion is None:
             raise SkillFailed(Code.ARM_NO_PATH, f"no way to {name} was found that is free and keeps its limits")

@@ -11,7 +11,7 @@ import numpy as np
 
 from scuhand_bt.motion.coordinates import JointCoordinates
 from scuhand_bt.motion.free_space import Space
-from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
 from scuhand_bt.motion.trajectory import JointTrajectory, through
@@ -25,11 +25,11 @@ class Prover:
     `rates` are the joints' limits; `spill_limit_deg` the load's, None for an empty cone.
     """
 
-    def __init__(self, space: Space, rates: RateLimits, apex_offset_m: float, spill_limit_deg: float | None) -> None:
+    def __init__(self, space: Space, rates: RateLimits, mount: Mount, spill_limit_deg: float | None) -> None:
         self.space = space
         self.law = TimeLaw(space.coordinates.rates)
         self._rates = rates
-        self._offset_m = apex_offset_m
+        self._mount = mount
         self._spill_deg = spill_limit_deg
 
     def proven(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
@@ -40,7 +40,7 @@ class Prover:
             motion = through(times_s, self.space.coordinates.joints(course.at(times_s)))
             motion = motion.stretched(max(1.0, self._rates.stretch_for(motion)))
         if self._spill_deg is not None:
-            factor = spill_stretch(motion, self._offset_m, self._spill_deg)
+            factor = spill_stretch(motion, self._mount, self._spill_deg)
             if factor is None:
                 return None
             motion = motion.stretched(factor).keeping(self._spill_deg)

@@ -5,7 +5,7 @@ A scene in which a mortar is touched is one stroke's, and is not kept: its cone 
 Lengths in metres.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
@@ -46,9 +46,12 @@ class Scenes:
             self._scenes[key] = self._made(geometry, margin_m, None)
         return self._scenes[key]
 
-    def _made(self, geometry: Geometry, margin_m: float, touching: str | None) -> Scene:
-        hand = self._cell.hand
-        shapes = self._arm.with_sheet(hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3, geometry.cone_diameter_m)
+    def of_stroke(self, geometry: Geometry, rims_mm: Sequence[float], station: str | None, margin_m: float) -> Scene:
+        """The scene of a stroke at a station, or of none, in which the cone has each of these rims."""
+        return self._made(geometry, margin_m, station, rims_mm)
+
+    def _made(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: Sequence[float] = ()) -> Scene:
+        shapes = self._arm.with_sheet(self._cell.hand, rims_mm or [1e3 * geometry.cone_diameter_m])
         solids, touchable = self._solids(geometry, touching)
         return Scene(self._arm, shapes, solids, margin_m, touchable)
 

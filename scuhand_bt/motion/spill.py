@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import LINK_M, WRIST_TO_FLANGE_M, Floats
+from scuhand_bt.motion.kinematics import LINK_M, Floats, Mount
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.trajectory import JointTrajectory
@@ -60,13 +60,13 @@ def spill_limit_deg(
     return limit_deg
 
 
-def apex_motion(q: Floats, speed: Floats, acceleration: Floats, apex_offset_m: float) -> tuple[Floats, Floats]:
+def apex_motion(q: Floats, speed: Floats, acceleration: Floats, mount: Mount) -> tuple[Floats, Floats]:
     """Cone axes and apex accelerations [m/s^2] of joint motions, all (n, 7): (n, 3) each."""
     n = len(q)
     frame = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
     turning, twisting = np.zeros((n, 3)), np.zeros((n, 3))
     total = np.zeros((n, 3))
-    lengths_m = {1: LINK_M, 3: LINK_M, 5: WRIST_TO_FLANGE_M + apex_offset_m}
+    lengths_m = {1: LINK_M, 3: LINK_M, 5: mount.length_m}
     for joint in range(6):
         axis = frame[:, :, 2] if joint % 2 == 0 else -frame[:, :, 1]
         twisting = twisting + acceleration[:, joint, None] * axis
@@ -81,7 +81,10 @@ def apex_motion(q: Floats, speed: Floats, acceleration: Floats, apex_offset_m: f
         if joint in lengths_m:
             arm = frame[:, :, 2]
             total += lengths_m[joint] * (np.cross(twisting, arm) + np.cross(turning, np.cross(turning, arm)))
-    return -frame[:, :, 2], total
+    # The last joint turns the cone about its own apex: it moves the axis and nothing else that counts here.
+    (ax, ay, az), c, s = mount.axis, np.cos(q[:, 6]), np.sin(q[:, 6])
+    across = np.stack([c * ax - s * ay, s * ax + c * ay, np.full(n, az)], axis=1)
+    return np.einsum("nij,nj->ni", frame, across), total
 
 
 def spill_angles_deg(axes: Floats, accelerations: Floats) -> Floats:
@@ -121,13 +124,13 @@ def _between(first: Floats, second: Floats) -> Floats:
     return angle
 
 
-def spill_stretch(motion: "JointTrajectory", apex_offset_m: float, limit_deg: float) -> float | None:
+def spill_stretch(motion: "JointTrajectory", mount: Mount, limit_deg: float) -> float | None:
     """How many times slower (>= 1) a motion must be to keep the limit; None if its tilt alone breaks it.
 
     Slower by k, the tilt is the same and the acceleration 1/k^2.
     """
     times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / GRID_S) + 2)
-    axes, accelerations = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), apex_offset_m)
+    axes, accelerations = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), mount)
     if worst_spill_deg(axes, accelerations) <= limit_deg:
         return 1.0
     slow, quick = 0.0, 1.0

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg, worst_spills_deg
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -41,12 +41,12 @@ _TOLERANCE = 1e-9
 
 
 class StoppableTrajectory(JointTrajectory):
-    """A planned motion, with what its stops must keep: the joints' limits, and a load so far [m] from the flange."""
+    """A planned motion, with what its stops must keep: the joints' limits, and a load held so."""
 
-    def __init__(self, motion: JointTrajectory, rates: RateLimits, apex_offset_m: float) -> None:
+    def __init__(self, motion: JointTrajectory, rates: RateLimits, mount: Mount) -> None:
         super().__init__(motion.knots_s, motion.coefficients, motion.spill_limit_deg)
         self._rates = rates
-        self._apex_offset_m = apex_offset_m
+        self._mount = mount
 
     def stopped_from(self, at_s: float) -> "Stop":
         """The same motion up to `at_s`, and from there its soonest stop along the path, within its limits.
@@ -84,7 +84,7 @@ class StoppableTrajectory(JointTrajectory):
         kept &= np.all(np.abs(jerk) <= JERKIER * self._rates.jerk + _TOLERANCE, axis=1)
         keeps: np.ndarray = np.all(kept.reshape(n, -1), axis=1)
         if self.spill_limit_deg is not None:
-            axes, accelerations = apex_motion(q, speed, acceleration, self._apex_offset_m)
+            axes, accelerations = apex_motion(q, speed, acceleration, self._mount)
             if is_proof:
                 worst_deg = worst_spills_deg(axes.reshape(n, -1, 3), accelerations.reshape(n, -1, 3))
             else:

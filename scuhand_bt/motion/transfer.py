@@ -21,7 +21,7 @@ from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.coordinates import JointCoordinates, LevelCoordinates
 from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.joint_schedules import ScheduleSearch
-from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.proof import Prover
 from scuhand_bt.motion.rrt_connect import connect, shortened
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
@@ -40,11 +40,13 @@ _STRIDE = 4
 """Neighbours on the elbow's circle are much alike: of the goal's configurations every fourth is looked at first."""
 _GOALS_AT_ONCE = 16
 """So many of them at once, from the nearest on."""
+_MOST_GOALS = 64
+"""So many free ones are enough: a pose whose yaw is free has hundreds."""
 _ROOTS = 32
 """So many of the nearest goals are looked for by via points and trees."""
 _NEAREST = 24
 """And so many by schedules."""
-_LEAST_LEAN_DEG = 12.0
+_LEAST_LEAN_DEG = 20.0
 """Below this much tilt, planning in the joints finds nothing that the level coordinates do not."""
 _TILT_SHARE = 0.8
 """Of the spill limit, what a polyline may use for tilt; the rest is for acceleration."""
@@ -93,7 +95,7 @@ class Task:
     goals: Goals
     scene: Scene
     rates: RateLimits
-    apex_offset_m: float
+    mount: Mount
     spill_limit_deg: float | None = None
 
     def bounds_s(self, goals: Floats) -> Floats:
@@ -104,20 +106,26 @@ class Task:
         """The goals that are free, a few at a time; looked at when they are asked for."""
         yield self.goals.free
         near = self.goals.more[self.bounds_s(self.goals.more) <= upto_s]
+        count = len(self.goals.free)
         for k in range(0, len(near), _GOALS_AT_ONCE):
+            if count >= _MOST_GOALS:
+                return
             some = near[k : k + _GOALS_AT_ONCE]
-            yield some[~self.scene.hits(some)]
+            free = some[~self.scene.hits(some)]
+            count += len(free)
+            yield free
 
     def spaces(self) -> list[Space]:
         """The spaces to plan in, each in its coordinates; the one whose motions are quicker first."""
         if self.spill_limit_deg is None:
-            return [Space(JointCoordinates(self.rates, self.start), self.scene)]
-        level = LevelCoordinates(self.rates, self.start)
+            return [Space(JointCoordinates(self.rates), self.scene, self.mount)]
+        level = LevelCoordinates(self.rates, self.mount)
         tilt_deg = _TILT_SHARE * self.spill_limit_deg
         # Between two axes that lean little enough a straight line of the level coordinates leans no more.
-        spaces = [Space(level, self.scene)]
-        if tilt_deg > _LEAST_LEAN_DEG:
-            spaces.insert(0, Space(JointCoordinates(self.rates, self.start, level), self.scene, tilt_deg))
+        covered = bool(level.covers(self.start[None, :])[0])
+        spaces = [Space(level, self.scene, self.mount)] if covered else []
+        if tilt_deg > _LEAST_LEAN_DEG or not covered:
+            spaces.insert(0, Space(JointCoordinates(self.rates, level), self.scene, self.mount, tilt_deg))
         return spaces
 
 
@@ -153,7 +161,7 @@ class _Search:
 
     def __init__(self, task: Task, space: Space, effort: Effort) -> None:
         self._task, self._space, self._effort = task, space, effort
-        self._prover = Prover(space, task.rates, task.apex_offset_m, task.spill_limit_deg)
+        self._prover = Prover(space, task.rates, task.mount, task.spill_limit_deg)
         self._via_points = ViaPointSearch(self._prover)
         self._start = space.coordinates.of(task.start[None, :])[0]
         self._loaded = task.spill_limit_deg is not None

@@ -13,7 +13,7 @@ import numpy as np
 
 from scuhand_bt.cell import places
 from scuhand_bt.cell_spec import BalanceSpec, CellSpec
-from scuhand_bt.motion import ApexPose, unreachable_reason
+from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.flow import Flow, Pour, sources_of
@@ -236,7 +236,7 @@ def check_reach(
     anywhere = samples[0].mark if samples else next(iter(marks.values()), Mark("recipe"))
     for place, position_mm in places.all_places(cell, sources, containers).items():
         pose = ApexPose(np.array(position_mm) / 1000)
-        reason = unreachable_reason(pose, cell.hand.apex_offset_mm / 1000)
+        reason = unreachable_reason(pose, Mount.of(cell.hand))
         if reason is not None:
             what = f"the arm cannot reach '{place}' of robot/cell.yaml with the cone upright"
             problems.add(place_marks.get(place, anywhere), what, reason, code="out-of-reach")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, Mount
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -32,13 +32,13 @@ class Panel:
         return (low - room if low < 0 else low), high + room
 
 
-def panels(motion: JointTrajectory, rates: RateLimits, apex_offset_m: float) -> list[Panel]:
+def panels(motion: JointTrajectory, rates: RateLimits, mount: Mount) -> list[Panel]:
     """The five plots of a motion that was planned with these rates."""
     # Jerk jumps at the knots: both its values there are shown.
     grid_s = [np.linspace(0.0, motion.duration_s, 300), motion.knots_s, motion.knots_s[1:] - 1e-9]
     times_s = np.unique(np.concatenate(grid_s))
     q, speed, acceleration, jerk = (motion.at(times_s, k) for k in range(4))
-    spill = spill_angles_deg(*apex_motion(q, speed, acceleration, apex_offset_m))[:, None]
+    spill = spill_angles_deg(*apex_motion(q, speed, acceleration, mount))[:, None]
     limits = [] if motion.spill_limit_deg is None else [(motion.spill_limit_deg, "")]
     return [
         Panel("joint position [deg]", times_s, np.degrees(q), _by_value(*np.degrees(LIMITS_RAD))),

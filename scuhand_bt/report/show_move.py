@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.kinematics import Floats, apex_positions_m
+from scuhand_bt.motion.kinematics import Floats, Mount, apex_positions_m
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 from scuhand_bt.report.motion_panels import Panel, panels
 
 ARM_COLOUR, STANDING_COLOUR = "#7a98c4", "#8aa0b6"
-HAND_COLOURS = {"clamps": "#d6b280", "cone": "#ff961e"}
+HAND_COLOURS = {"clamp": "#d6b280", "cone": "#ff961e"}
 PATH_COLOUR, STATION_COLOUR = "#d6402f", "#2b9a4b"
 
 
@@ -27,7 +27,7 @@ class ShownMove:
     motion: JointTrajectory
     scene: Scene
     rates: RateLimits
-    apex_offset_m: float
+    mount: Mount
     places_m: Mapping[str, Floats]
     drawn: Mapping[str, Any]
     """The scene as the 3D viewer takes it (`scene3d.scene_values`)."""
@@ -35,8 +35,8 @@ class ShownMove:
     """What stands on the pan."""
 
     def panels(self) -> list[Panel]:
-        return panels(self.motion, self.rates, self.apex_offset_m)
+        return panels(self.motion, self.rates, self.mount)
 
     def path_m(self, times_s: Floats) -> Floats:
         """Where the apex is: (n, 3)."""
-        return apex_positions_m(self.motion.at(times_s), self.apex_offset_m)[0]
+        return apex_positions_m(self.motion.at(times_s), self.mount)[0]

@@ -9,7 +9,7 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.arguments import check_trajectory
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, apex
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, Mount, apex
 from scuhand_bt.sim.faults import Faults
 
 SHUT_DOWN = {
@@ -33,10 +33,13 @@ class Pose(Protocol):
 
 
 class SimulatedArm:
-    """The seven joints; see `scuhand_bt.devices.interfaces.Arm`."""
+    """The seven joints; see `scuhand_bt.devices.interfaces.Arm`.
+
+    `mount` tells how the hand holds its cone now: the same object for as long as that is the same.
+    """
 
     def __init__(
-        self, clock: Clock, apex_offset_m: float, joints: Joints, apex_of: Callable[[Joints], Pose] | None = None
+        self, clock: Clock, mount: Callable[[], Mount], joints: Joints, apex_of: Callable[[Joints], Pose] | None = None
     ) -> None:
         self.news = Signal()
         self.on_start: Callable[[Trajectory], None] = lambda trajectory: None
@@ -45,9 +48,10 @@ class SimulatedArm:
         self.was_limp = False
         self._is_blocked = self._was_faulty = False
         self._clock = clock
-        self._apex_of = apex_of or (lambda q: apex(q, apex_offset_m))
+        self._mount = mount
+        self._apex_of = apex_of or (lambda q: apex(q, mount()))
         self._rest: Joints = np.array(joints, dtype=float)
-        self._pose: Pose | None = None
+        self._pose: tuple[Mount, Pose] | None = None  # at rest, and how the hand held its cone then
         self._trajectory: Trajectory | None = None
         self._begin_s = self._end_s = 0.0
 
@@ -139,9 +143,10 @@ class SimulatedArm:
         """The apex's pose at a time not before now."""
         if self._trajectory is not None:
             return self._apex_of(self._at(time_s))
-        if self._pose is None:
-            self._pose = self._apex_of(self._rest)
-        return self._pose
+        mount = self._mount()
+        if self._pose is None or self._pose[0] is not mount:
+            self._pose = mount, self._apex_of(self._rest)
+        return self._pose[1]
 
     def _at(self, time_s: float) -> Joints:
         if self._trajectory is None:

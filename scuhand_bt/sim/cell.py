@@ -49,8 +49,8 @@ def simulated_cell(
     physics = load_plant(plant or spec.plant)
     for source in sources.values():
         physics.probe(source.powder, spec.balance, source.mortar)
-    arm = SimulatedArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, apex_of)
     hand = SimulatedHand(spec.hand, clock)
+    arm = SimulatedArm(clock, hand.mount, joints, apex_of)
     balance = SimulatedBalance(spec.balance, clock, physics)
     world = World(spec, sources, physics, seed, arm, hand, balance, faults)
     cell = Cell(

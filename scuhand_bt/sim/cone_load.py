@@ -1,20 +1,18 @@
 """The powder in the cone: how a scoop takes it in, and every way it leaves, until it has landed.
 
-The cone scoops when it closes while its sheet is pressed onto a mortar's bowl. Powder leaves the apex when the valve
-is open, or leaks; it pours over the rim when the cone is tipped beyond what the wall's friction holds; it lands, a
-fall later, on what stands below.
+What the cone takes in is the mortars' (`scuhand_bt.sim.mortars`). Powder leaves the apex when the valve is open, or
+leaks; it pours over the rim of a cone that leans, or is accelerated, more than its load allows
+(`scuhand_bt.sim.spilling`); it lands, a fall later, on what stands below.
 """
 
-import math
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple
 from typing import ClassVar
 
 from numpy.random import Generator
 
-from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.sim.arm import SimulatedArm
+from scuhand_bt.sim.cone_over import ConePose
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.mass_ledger import (
@@ -26,19 +24,15 @@ from scuhand_bt.sim.mass_ledger import (
     WASTE,
     Compartment,
     MassLedger,
-    in_source,
 )
+from scuhand_bt.sim.mortars import Mortars
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plain_state import Misplaced
 from scuhand_bt.sim.plant import Plant, PowderFlow
-from scuhand_bt.sim.scoop import BowlStroke
+from scuhand_bt.sim.spilling import Carried, poured_mg
 from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.specs import Source
 
-POUR_TIME_S = 0.15
-"""Time constant of powder sliding out of a tipped cone."""
-STICKING_SHARE = 0.02
-"""Share of a scoop that touches bare sheet and sticks, until the sheet holds its residue."""
 CLOG_SHAKE_S = 3.0
 """A clog at the apex is broken by so much vibration at full level."""
 LEAK_MG_PER_S = 2.0
@@ -53,8 +47,7 @@ class ConeLoad:
         "flow",
         "flying",
         "_was_open",
-        "stroke",
-        "_stroke_in",
+        "_rim_mm",
         "_flow_rng",
         "_scoop_rng",
         "_shaken_s",
@@ -68,6 +61,7 @@ class ConeLoad:
         around: Surroundings,
         sources: Mapping[str, Source],
         plant: Plant,
+        mortars: Mortars,
         arm: SimulatedArm,
         hand: SimulatedHand,
         faults: Faults,
@@ -75,14 +69,14 @@ class ConeLoad:
         self.source: str | None = None
         """Whose powder it is; None while the cone has held none since its sheet was new."""
         self._ledger, self._masses_mg, self._pan, self._around = ledger, ledger.masses_mg, pan, around
-        self._sources, self._plant = sources, plant
+        self._sources, self._plant, self._mortars = sources, plant, mortars
         self._arm, self._hand, self._faults = arm, hand, faults
         self._flow: PowderFlow | None = None
         self._flying: deque[tuple[float, float, Compartment]] = deque()  # (time of landing, mg, where)
         self._below: tuple[str | None, Compartment, float] | None = None  # container on the pan, where, fall time [s]
         self._was_open = False
-        self._stroke: BowlStroke | None = None
-        self._stroke_in = ""  # the source whose mortar it is in
+        self._carried = Carried()
+        self._rim_mm = hand.cone_diameter_mm  # as it was looked at last
         self._shaken_s = 0.0
         self._flow_rng: Generator
         self._scoop_rng: Generator
@@ -119,15 +113,6 @@ class ConeLoad:
         self._flow = taken_up
 
     @property
-    def stroke(self) -> tuple[float, ...] | None:
-        """The fields of the closing that is under way."""
-        return astuple(self._stroke) if self._stroke is not None else None
-
-    @stroke.setter
-    def stroke(self, fields: tuple[float, ...] | None) -> None:
-        self._stroke = BowlStroke(*fields) if fields is not None else None
-
-    @property
     def is_in_the_air(self) -> bool:
         return bool(self._flying)
 
@@ -148,21 +133,29 @@ class ConeLoad:
             self._leave(end_s, dt_s, opening_mm)
         elif "cone.leak" in self._faults.active:
             self.drop(end_s, min(LEAK_MG_PER_S * dt_s, self._masses_mg[CONE]))
-        if self._arm.is_active:
-            self._below = None
-            self._pour(end_s, dt_s)
-        if self._stroke is not None or self._hand.is_closing:
-            self._scoop(end_s)
+        rim_mm = self._hand.cone_diameter_mm
+        if self._arm.is_active or rim_mm != self._rim_mm:
+            self._rim_mm, self._below = rim_mm, None
+            self._move(end_s, dt_s)
+        else:
+            self._carried.rest()
         return self._land(end_s) if self._flying else 0.0
 
     def drop(self, now_s: float, mass_mg: float) -> None:
-        """Let so much fall from the cone."""
+        """Let so much fall from the cone's apex."""
         if mass_mg <= 0.0:
             return
         if self._below is None or self._arm.is_active or self._below[0] != self._pan.container_id:
-            below = self._around.below(self._arm.pose(now_s), self._pan.mouth_mm, self.source)
-            self._below = (self._pan.container_id, *below)
-        _, place, fall_s = self._below
+            apex_mm = 1000.0 * self._arm.pose(now_s).position_m
+            self._below = (self._pan.container_id, *self._around.below(apex_mm, self._pan.mouth_mm, self.source))
+        self._fall(now_s, mass_mg, *self._below[1:])
+
+    def _pour(self, now_s: float, mass_mg: float, pose: ConePose) -> None:
+        """Let so much fall over the rim."""
+        if mass_mg > 0.0:
+            self._fall(now_s, mass_mg, *self._around.below(pose.lip_mm, self._pan.mouth_mm, self.source))
+
+    def _fall(self, now_s: float, mass_mg: float, place: Compartment, fall_s: float) -> None:
         self._ledger.transfer(CONE, FLIGHT, mass_mg)
         self._flying.append((now_s + fall_s, mass_mg, place))
 
@@ -184,17 +177,32 @@ class ConeLoad:
             self._faults.end("powder.clog", now_s)
         return True
 
-    def _pour(self, end_s: float, dt_s: float) -> None:
-        """Powder slides over the rim of a cone that is tipped too far, unless the cone lies in a mortar."""
+    def _move(self, end_s: float, dt_s: float) -> None:
+        """The cone has moved: through a mortar's powder, or with a load that may go over its rim."""
+        at = self._arm.pose(end_s)
+        pose = ConePose(1000.0 * at.position_m, at.axis, self._rim_mm, self._hand.spec.sheet_radius_mm)
+        was_inside = self._mortars.inside
+        if self._mortars.go(pose, self.source) and was_inside is not None:
+            self._lift(was_inside, end_s)
         in_cone_mg = self._masses_mg[CONE]
         if in_cone_mg <= 0.0 or self.source is None:
+            self._carried.rest()
             return
-        pose = self._arm.pose(end_s)
-        cone = Cone(self._hand.cone_diameter_mm, self._hand.spec.sheet_radius_mm)
-        held_deg = cone.wall_deg + self._sources[self.source].powder.wall_friction_deg
-        if pose.axis[2] >= math.cos(math.radians(min(held_deg, 179.0))) or self._around.mortar(pose) is not None:
+        lean = self._carried.lean(end_s, pose)
+        if self._mortars.inside is None:
+            powder = self._sources[self.source].powder
+            self._pour(end_s, poured_mg(in_cone_mg, lean, pose, powder, dt_s), pose)
+
+    def _lift(self, source: str, now_s: float) -> None:
+        """The cone has come out of a mortar."""
+        lifted_mg = self._mortars.lifted_mg()
+        if lifted_mg <= 0.0:
             return
-        self.drop(end_s, in_cone_mg if in_cone_mg < 0.1 else in_cone_mg * min(1.0, dt_s / POUR_TIME_S))
+        if self._faults.comes("scoop.nothing", now_s):
+            self._mortars.give_back(source, lifted_mg)
+            return
+        self._mortars.keep_of(source, lifted_mg, self._scoop_rng)
+        self.begin(source)
 
     def _land(self, now_s: float) -> float:
         """Let what has fallen land; the mass [mg] that landed on the balance."""
@@ -213,35 +221,3 @@ class ConeLoad:
         if not flying:  # the dust of adding and subtracting
             self._ledger.transfer(FLIGHT, WASTE, self._masses_mg[FLIGHT])
         return landed_mg
-
-    def _scoop(self, now_s: float) -> None:
-        """Follow a closing cone in a mortar; at the stroke's end the plant says what it has collected."""
-        diameter_mm = self._hand.cone_diameter_mm
-        if self._hand.is_closing:
-            pose = self._arm.pose(now_s)
-            source = self._around.mortar(pose)
-            cone = Cone(diameter_mm, self._hand.spec.sheet_radius_mm)
-            overtravel_mm = self._around.overtravel_mm(pose, cone, source) if source is not None else 0.0
-            if source is not None and overtravel_mm > 0.0:
-                if self._stroke is None:
-                    self._stroke, self._stroke_in = BowlStroke(diameter_mm, diameter_mm, overtravel_mm), source
-                self._stroke.closed_diameter_mm = diameter_mm
-                self._stroke.overtravel_mm = max(self._stroke.overtravel_mm, overtravel_mm)
-            return
-        stroke, self._stroke = self._stroke, None
-        assert stroke is not None
-        if self._faults.comes("scoop.nothing", now_s):
-            return
-        stroke.closed_diameter_mm = diameter_mm
-        self._collect(stroke, self._stroke_in)
-
-    def _collect(self, stroke: BowlStroke, source: str) -> None:
-        mortar, powder = self._sources[source].mortar, self._sources[source].powder
-        place = in_source(source)
-        in_mortar_mg = self._masses_mg[place]
-        yields = self._plant.scoop(powder)
-        taken_mg = self._plant.collected(yields.collect(stroke, mortar, in_mortar_mg, self._scoop_rng), in_mortar_mg)
-        self._ledger.transfer(place, CONE, taken_mg)
-        room_mg = max(0.0, powder.simulation.residue_mg - self._masses_mg[SHEET])
-        self._ledger.transfer(CONE, SHEET, min(room_mg, STICKING_SHARE * taken_mg))
-        self.begin(source)

@@ -24,6 +24,8 @@ from scuhand_bt.devices.arguments import (
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.axes import SomeAxes
+from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.sim.faults import Faults
 
 FADE_MM = 0.2
@@ -78,7 +80,9 @@ class SimulatedHand:
         self._error_mm = self._sample_error_mm = 0.0
         self._commands: deque[tuple[float, float]] = deque()  # (run time it takes effect, servo target)
         self._morph: tuple[float, float, float, float] | None = None  # start, end [s], from, to [mm]
-        self._moved = False
+        self._course: tuple[float, SomeAxes] | None = None  # since when [s], of a motion with the arm
+        self._moved = self._closes = False
+        self._mount: tuple[float, Mount] | None = None
         self.use_randomness(np.random.default_rng(0))
 
     # --- what skills and drivers see ---
@@ -109,7 +113,10 @@ class SimulatedHand:
         return None
 
     def stop(self) -> None:
-        self.hold_sheet()
+        if self._course is not None:
+            begin_s, course = self._course
+            self._course = begin_s, course.stopped_from(self._clock.now_s - begin_s)
+        self._morph = None
         if not self._is_lost:
             self.shut(self._clock.now_s)
 
@@ -124,6 +131,10 @@ class SimulatedHand:
         begin_s = self._clock.now_s
         end_s = begin_s + max(fastest_s, duration_s, 1e-6)
         self._morph = (begin_s, end_s, self.cone_diameter_mm, cone_diameter_mm)
+
+    def start_rolling(self, course: SomeAxes) -> None:
+        self._require_roller()
+        self._morph, self._course = None, (self._clock.now_s, course)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
         self.start_morph(cone_diameter_mm, duration_s)
@@ -172,10 +183,19 @@ class SimulatedHand:
 
     # --- what the world does with it ---
 
+    def mount(self) -> Mount:
+        """How it holds its cone now."""
+        diameter_mm = self.cone_diameter_mm
+        if self._mount is None or self._mount[0] != diameter_mm:
+            self._mount = diameter_mm, Mount.of(self.spec, diameter_mm)
+        return self._mount[1]
+
     @property
     def is_active(self) -> bool:
         """Something moves, vibrates or is open, or is about to."""
-        return bool(self._servo_mm or self._commands or self.vibration or self._target_mm or self._morph)
+        return bool(
+            self._servo_mm or self._commands or self.vibration or self._target_mm or self._morph or self._course
+        )
 
     @property
     def gap_mm(self) -> float:
@@ -190,7 +210,7 @@ class SimulatedHand:
     @property
     def is_closing(self) -> bool:
         """The cone is getting smaller."""
-        return self._morph is not None and self._morph[3] < self._morph[2]
+        return self._closes or (self._morph is not None and self._morph[3] < self._morph[2])
 
     def shut(self, now_s: float) -> None:
         """What the controller's dead-man does: the valve closes, whatever it was told, and vibration stops."""
@@ -206,7 +226,8 @@ class SimulatedHand:
 
     def hold_sheet(self) -> None:
         """What the roller's watchdog does: the sheet keeps its size."""
-        self._morph = None
+        self._morph = self._course = None
+        self._closes = False
 
     def use_randomness(self, rng: np.random.Generator) -> None:
         """Draw from this generator from now on; a new sample's standing error is drawn at once."""
@@ -219,6 +240,8 @@ class SimulatedHand:
             self._apply_faults(end_s - dt_s)
         if self._morph is not None:
             self._advance_morph(end_s)
+        if self._course is not None:
+            self._advance_course(end_s)
         if not self._commands and self._servo_mm == self._target_mm:
             if self._moved and not self.is_active:
                 self._moved = False
@@ -313,4 +336,15 @@ class SimulatedHand:
         self.cone_diameter_mm = from_mm + share * (to_mm - from_mm)
         if share >= 1.0:
             self._morph = None
+            self.news.fire()
+
+    def _advance_course(self, now_s: float) -> None:
+        assert self._course is not None
+        begin_s, course = self._course
+        before_mm = self.cone_diameter_mm
+        roller_deg = math.degrees(float(course.sample(now_s - begin_s)[0]))
+        self.cone_diameter_mm = Cone.from_roller(roller_deg, self.spec).diameter_mm
+        self._closes = self.cone_diameter_mm < before_mm
+        if now_s - begin_s >= course.duration_s - 1e-9:
+            self.hold_sheet()
             self.news.fire()

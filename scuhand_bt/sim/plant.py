@@ -1,7 +1,7 @@
 """The seams of the simulated physics: what a plant named by `--plant module:Class` may replace.
 
-The class is built without arguments and offers any of `flow(powder)`, `balance(spec)` and
-`scoop(powder)`; what it does not offer is ours. Every method gets the generator it must draw from.
+The class is built without arguments and offers any of `flow(powder)`, `balance(spec)`, `scoop(powder)` and
+`bed(mortar, powder, slant_mm)`; what it does not offer is ours. What draws gets the generator that it must draw from.
 """
 
 import importlib
@@ -12,9 +12,11 @@ import numpy as np
 from numpy.random import Generator
 
 from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.sim.bed import HeightField
+from scuhand_bt.sim.cone_over import Floats
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
-from scuhand_bt.sim.scoop import BowlStroke, OurScoopYield
+from scuhand_bt.sim.scoop import OurScoopYield
 from scuhand_bt.specs import Mortar, Powder
 
 
@@ -34,12 +36,37 @@ class BalanceResponse(Protocol):
         ...
 
 
-class ScoopYield(Protocol):
-    """What one scoop collects."""
+class Bed(Protocol):
+    """The powder of one mortar, and of the cone while that is in it; what lies where is all that it remembers."""
 
-    def collect(self, stroke: BowlStroke, mortar: Mortar, in_mortar_mg: float, rng: Generator) -> float:
-        """The mass [mg] that ends in the cone."""
+    kept: Any
+    """What lies where, as what `json` writes and reads: set on a new bed, it is as the other was."""
+
+    def move(
+        self, apex_mm: Floats, axis: Floats, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
+        """The cone is here now: the mass [mg] that it has gained (less than 0: lost), and that is over the edge.
+
+        Apex (3,) from the bowl's lowest point, z up; axis (3,), a unit vector from there up out of the mouth; the
+        rim's diameter. `in_mortar_mg` and `in_cone_mg` are what there was until now.
+        """
         ...
+
+    def leave(self) -> None:
+        """The cone has left the mortar, with what it holds."""
+        ...
+
+
+class ScoopYield(Protocol):
+    """Chance in what one scoop collects."""
+
+    def collect(self, lifted_mg: float, there_mg: float, rng: Generator) -> float:
+        """The mass [mg] that stays in a cone which has lifted so much out of a mortar with so much in all."""
+        ...
+
+
+ROUNDING = 1e-6
+"""Share of a mass that sums of its parts may be off by."""
 
 
 class PlantError(Exception):
@@ -68,6 +95,12 @@ class Plant:
         self._check(made, "collect", f"scoop({powder.name})")
         return made
 
+    def bed(self, mortar: Mortar, powder: Powder, slant_mm: float) -> Bed:
+        made: Bed = getattr(self._theirs, "bed", HeightField)(mortar, powder, slant_mm)
+        for method in ("move", "leave"):
+            self._check(made, method, f"bed({mortar.name}, {powder.name}, {slant_mm:g})")
+        return made
+
     def probe(self, powder: Powder, spec: BalanceSpec, mortar: Mortar | None = None) -> None:
         """Try every seam once, on objects that are then thrown away, so that a bad plant fails before a run.
 
@@ -79,13 +112,19 @@ class Plant:
             for opening_mm, vibration in ((0.0, 0.0), (0.5, 0.0), (2.0, 1.0), (0.0, 0.0)):
                 self.leaving(flow.step(0.02, opening_mm, vibration, 1000.0, rng), 1000.0)
                 self.reading(balance.step(0.02, 1000.0, 0.1, vibration, rng))
+            self.collected(scoop.collect(500.0, 1000.0, rng), 1000.0)
             if mortar is not None:
-                full = BowlStroke(diameter_mm=88.0, closed_diameter_mm=60.0, overtravel_mm=2.0)
-                self.collected(scoop.collect(full, mortar, 1000.0, rng), 1000.0)
+                self._probe_bed(mortar, powder)
         except PlantError:
             raise
         except Exception as error:
             raise PlantError(f"{self.name}: {type(error).__name__} while it was tried: {error}") from error
+
+    def _probe_bed(self, mortar: Mortar, powder: Powder) -> None:
+        bed, level = self.bed(mortar, powder, 50.0), np.array([0.0, 0.0, 1.0])
+        for height_mm in (mortar.depth_mm, mortar.depth_mm / 2):
+            self.moved(bed.move(height_mm * level, level, mortar.bore_mm / 2, 1000.0, 0.0), 1000.0, 0.0)
+        bed.leave()
 
     def leaving(self, mass_mg: float, in_cone_mg: float) -> float:
         """Let a sound flow through; PlantError otherwise."""
@@ -104,6 +143,19 @@ class Plant:
         if 0.0 <= mass_mg <= in_mortar_mg:
             return mass_mg
         raise PlantError(f"{self.name}: scoop took {mass_mg!r} mg from a mortar that holds {in_mortar_mg:.3f} mg")
+
+    def moved(
+        self, gained_and_lost: tuple[float, float], in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
+        """Let a sound motion through a bed through; PlantError otherwise."""
+        gained_mg, lost_mg = gained_and_lost
+        slack_mg = ROUNDING * (in_mortar_mg + in_cone_mg)
+        if -in_cone_mg - slack_mg <= gained_mg and lost_mg >= 0.0 and gained_mg + lost_mg <= in_mortar_mg + slack_mg:
+            return gained_mg, lost_mg
+        raise PlantError(
+            f"{self.name}: bed moved {gained_mg!r} mg into a cone with {in_cone_mg:.3f} mg and lost {lost_mg!r} mg "
+            f"of a mortar that holds {in_mortar_mg:.3f} mg"
+        )
 
     def _check(self, made: object, method: str, call: str) -> None:
         if not callable(getattr(made, method, None)):
@@ -126,8 +178,9 @@ def load_plant(name: str | None) -> Plant:
     if not isinstance(made, type):
         known = ", ".join(key for key, value in vars(module).items() if isinstance(value, type)) or "no class"
         raise PlantError(f"plant '{name}': module '{module_name}' has no class '{class_name}'; it has {known}")
-    if not any(callable(getattr(made, seam, None)) for seam in ("flow", "balance", "scoop")):
-        raise PlantError(f"plant '{name}': {class_name} offers none of flow(powder), balance(spec), scoop(powder)")
+    if not any(callable(getattr(made, seam, None)) for seam in ("flow", "balance", "scoop", "bed")):
+        seams = "flow(powder), balance(spec), scoop(powder), bed(mortar, powder, slant_mm)"
+        raise PlantError(f"plant '{name}': {class_name} offers none of {seams}")
     try:
         return Plant(made(), name)
     except Exception as error:

@@ -19,6 +19,7 @@ from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import DEAD_MAN_S, SimulatedHand
 from scuhand_bt.sim.mass_ledger import CONE, Compartment, MassLedger, in_container, in_source
+from scuhand_bt.sim.mortars import Mortars
 from scuhand_bt.sim.outage import PowerCut
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
@@ -55,12 +56,14 @@ class World:
         """The time it has come to."""
         self.ledger = MassLedger(sources)
         self.pan = Pan(self.ledger, seed, self.faults)
-        self.load = ConeLoad(self.ledger, self.pan, Surroundings(spec, sources), sources, plant, arm, hand, self.faults)
+        mortars = Mortars(spec, sources, plant, self.ledger)
+        around = Surroundings(spec, sources)
+        self.load = ConeLoad(self.ledger, self.pan, around, sources, plant, mortars, arm, hand, self.faults)
         self._seed = seed
         self._arm, self._hand, self._balance = arm, hand, balance
         self._compartments = tuple((str(compartment), compartment) for compartment in self.ledger.masses_mg)
         self._memory = Memory(
-            (self.pan, self.load, hand, balance, *([self.faults] if self.faults.rules else [])), plant.name
+            (self.pan, self.load, mortars, hand, balance, *([self.faults] if self.faults.rules else [])), plant.name
         )
         self.pan.log = self._memory.log
         self.begin_sample("", 0)

@@ -10,7 +10,7 @@ world's balance reads.
 import math
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +21,7 @@ from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, HandSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
@@ -50,8 +51,8 @@ COUNTS_PER_RAD = 4096 / (2 * math.pi)
 class WireArm(SimulatedArm):
     """The world's arm: it is where the servos are."""
 
-    def __init__(self, clock: Clock, apex_offset_m: float, joints: Joints, servos: list[Servo]) -> None:
-        super().__init__(clock, apex_offset_m, joints)
+    def __init__(self, clock: Clock, mount: Callable[[], Mount], joints: Joints, servos: list[Servo]) -> None:
+        super().__init__(clock, mount, joints)
         self._servos = servos
         self._moved_s = float("-inf")
         self._now_s = 0.0
@@ -202,8 +203,8 @@ class WireBench:
         *arm_servos, roller = servos = crane_x7()
         self.bus = TwinServer(DynamixelTwin(servos), PtyPort(ports and ports / "arm"))
         self.hand = TwinServer(board, PtyPort(ports and ports / "hand"))
-        arm = WireArm(clock, spec.hand.apex_offset_mm / 1000.0, joints, arm_servos)
         hand = WireHand(spec.hand, clock, board, roller)
+        arm = WireArm(clock, hand.mount, joints, arm_servos)
         balance = SimulatedBalance(spec.balance, clock, physics)
         self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance, faults)
         kind = balance_twin(spec.balance.driver)

@@ -1,0 +1,36 @@
+"""A stroke of the cone, put where a mortar stands: what the planner of arm and roller is given."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.dosing.swing import StrokePath
+from scuhand_bt.specs import Mortar
+
+if TYPE_CHECKING:
+    from scuhand_bt.motion import MotionPlanner
+    from scuhand_bt.motion.stopping import StoppableTrajectory
+
+
+def planned_stroke(
+    planner: "MotionPlanner", near: Joints, path: StrokePath, cell: CellSpec, station: str, mortar: Mortar
+) -> "StoppableTrajectory":
+    """The motion of arm and roller along a stroke in the mortar at a station, begun as near to `near` as it can be.
+
+    SkillFailed arm.no_path, arm.unreachable.
+    """
+    from scuhand_bt.motion.stroke import StrokePoses  # and with it what planning needs
+
+    x_mm, y_mm, z_mm = cell.stations[station].position_mm
+    bottom_mm = np.array([x_mm, y_mm, z_mm + mortar.height_mm - mortar.depth_mm])
+    hand = cell.hand
+    roller_deg = [Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand) for rim_mm in path.rim_mm.tolist()]
+    poses = StrokePoses(
+        path.times_s, (bottom_mm + path.apex_mm) / 1000, path.axis, path.seam, np.radians(roller_deg), path.rests
+    )
+    least_mm, most_mm = float(path.rim_mm.min()), float(path.rim_mm.max())
+    rims_mm = [float(path.rim_mm[0]), (least_mm + most_mm) / 2, least_mm]
+    return planner.stroke(near, poses, rims_mm, station)

@@ -1,0 +1,31 @@
+"""The force of a lip that is pressed into a wall, by the sheet's bending stiffness.
+
+    F = 3 E I y / l^3,      I = b t^3 / 12 (1 - nu^2)
+
+A strip of the sheet that ends in the lip bends like a cantilever: y over-travel, l the strip's free length, b its
+width, t the sheet's thickness, E and nu of polyacetal. The cone's curvature makes the real sheet stiffer than a flat
+strip; a factor that is to be measured, with a kitchen scale under the mortar, stands for that.
+
+N, mm, MPa.
+"""
+
+from scuhand_bt.cell_spec import HandSpec
+
+MODULUS_MPA = 2700.0
+"""Polyacetal (data sheets: 2.6 to 2.9 GPa)."""
+POISSON = 0.35
+FREE_SHARE = 0.3
+"""Of the slant, the length that bends."""
+WIDTH_SHARE = 0.6
+"""Of the slant, the width that touches."""
+CURVED = 4.0
+"""How much stiffer the curved strip is taken to be than a flat one: a guess."""
+LIP_FORCE_LIMIT_N = 2.0
+"""What the lip may press with: the mortar stands by its own weight, and powder is not to be ground."""
+
+
+def lip_force_n(over_travel_mm: float, hand: HandSpec) -> float:
+    """The force with which a lip presses that goes so far beyond the wall."""
+    free_mm = FREE_SHARE * hand.sheet_radius_mm
+    inertia_mm4 = WIDTH_SHARE * hand.sheet_radius_mm * hand.sheet_thickness_mm**3 / (12 * (1 - POISSON**2))
+    return CURVED * 3 * MODULUS_MPA * inertia_mm4 * over_travel_mm / free_mm**3

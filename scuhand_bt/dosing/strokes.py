@@ -1,0 +1,111 @@
+"""Which stroke is made: by what lies in the mortar, and what is wanted in the cone.
+
+A lip that follows the wall at a gap g takes what lies above that, and leaves a layer as thick as the gap, not a level
+bed. So the thickness t of that, across the wall, is where the wall is h high and phi steep
+
+    t = min(gap, (level - h) cos phi),    level so that  m = density sum(t dA)
+
+What has come since lies level on the layer, t = max(t, (level' - h) cos phi), as all of it does in a bed that was never
+scooped from. A stroke with half of its rim e, in a bed of radius r, is expected to bring
+
+    density w(e / r) sum(max(0, t - g) dA),    w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
+
+w is the strip's share of a disc. The form is ours, and takes powder to stay as it was left; what a source really yields
+of it is learnt from weighing (`cell/believed.py`). Masses in mg, lengths in mm.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from scuhand_bt.dosing.swing import Floats, Stroke
+from scuhand_bt.specs import Mortar
+
+BEHIND_MM = 4.0
+"""The lip comes to the wall so far behind the bed."""
+WIDEST_SHARE = 0.92
+"""Of the bore, or of the flat sheet: the widest rim that a stroke begins with."""
+CLOSING_MM = 12.0
+"""How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
+RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
+"""Strokes differ by so much at least."""
+RINGS = 100
+THIN_MM = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """What the last stroke has left on a mortar's wall: no thicker than its gap, and so much."""
+
+    gap_mm: float
+    mass_mg: float
+
+
+class Bed:
+    """What is believed to lie in a mortar: so much, of it no more than was left in a layer, and on that the rest."""
+
+    def __init__(self, mortar: Mortar, mass_mg: float, density_mg_per_mm3: float, layer: Layer | None = None) -> None:
+        radius_mm, half_mm = mortar.bowl_radius_mm, mortar.bore_mm / 2
+        self.mortar, self.mass_mg, self._density = mortar, mass_mg, density_mg_per_mm3
+        self._out_mm = (np.arange(RINGS) + 0.5) * half_mm / RINGS
+        cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
+        self._area_mm2 = 2 * math.pi * self._out_mm * half_mm / RINGS / cosine
+
+        def level_mm(level_mm: float) -> Floats:
+            thick_mm: Floats = np.maximum(level_mm - radius_mm * (1 - cosine), 0.0) * cosine
+            return thick_mm
+
+        self._thick_mm: Floats = np.zeros(RINGS)
+        if layer is not None:
+            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), min(mass_mg, layer.mass_mg))
+        left_mm = self._thick_mm
+        self._fill(lambda at_mm: np.maximum(level_mm(at_mm), left_mm), mass_mg)
+
+    def _fill(self, up_to: Callable[[float], Floats], mass_mg: float) -> None:
+        """As thick as it is up to the level that makes this mass."""
+        low_mm, high_mm = 0.0, self.mortar.depth_mm
+        while high_mm - low_mm > THIN_MM:
+            middle_mm = (low_mm + high_mm) / 2
+            if self._mass_mg(up_to(middle_mm)) < mass_mg:
+                low_mm = middle_mm
+            else:
+                high_mm = middle_mm
+        thick_mm = up_to(high_mm)
+        self._thick_mm = thick_mm * (mass_mg / max(self._mass_mg(thick_mm), THIN_MM))
+
+    @property
+    def radius_mm(self) -> float:
+        """How far from the middle there is powder."""
+        return float(self._out_mm[self._thick_mm > THIN_MM].max(initial=self._out_mm[0]))
+
+    def above_mg(self, gap_mm: float) -> float:
+        """What is farther from the wall than that."""
+        return self._mass_mg(np.maximum(self._thick_mm - gap_mm, 0.0))
+
+    def _mass_mg(self, thick_mm: Floats) -> float:
+        return self._density * float(thick_mm @ self._area_mm2)
+
+
+def expected_mg(stroke: Stroke, bed: Bed) -> float:
+    """What a stroke is expected to bring into the cone."""
+    u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
+    strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
+    return strip * bed.above_mg(max(0.0, stroke.gap_mm))
+
+
+def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
+    """The stroke that brings so much and no more, or the most that there is: the widest, as deep as it has to be."""
+    mortar = bed.mortar
+    widest_mm = WIDEST_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
+    behind_mm = mortar.bowl_radius_mm * math.asin(bed.radius_mm / mortar.bowl_radius_mm) + BEHIND_MM
+    rims_mm = (_on_grid(widest_mm, RIM_GRID_MM), _on_grid(widest_mm - CLOSING_MM, RIM_GRID_MM))
+    stroke = Stroke(*rims_mm, begin_mm=-_on_grid(behind_mm, RIM_GRID_MM))
+    while expected_mg(stroke, bed) > wanted_mg:
+        stroke = replace(stroke, gap_mm=_on_grid(stroke.gap_mm + GAP_GRID_MM, GAP_GRID_MM))
+    return stroke
+
+
+def _on_grid(length_mm: float, grid_mm: float) -> float:
+    return grid_mm * round(length_mm / grid_mm)

@@ -1,0 +1,53 @@
+"""What one device follows of a motion of more axes than its own.
+
+Arm and roller follow parts of one motion: told to stop at the same moment of it, both come to rest by the same law.
+
+Angles [rad], times [s].
+"""
+
+from typing import Protocol
+
+from scuhand_bt.motion.kinematics import JOINTS, Floats
+
+
+class Course(Protocol):
+    """A motion of all axes, or its stop."""
+
+    @property
+    def duration_s(self) -> float: ...
+
+    def sample(self, time_s: float) -> Floats: ...
+
+    def stopped_from(self, at_s: float) -> "Course": ...
+
+
+class SomeAxes:
+    """Some axes of a motion of more: what one device follows of it; stopped at the same moment, all stop alike."""
+
+    def __init__(self, whole: Course, axes: slice, zero_rad: float = 0.0) -> None:
+        self._whole, self._axes, self._zero_rad = whole, axes, zero_rad
+
+    @property
+    def duration_s(self) -> float:
+        return self._whole.duration_s
+
+    def sample(self, time_s: float) -> Floats:
+        sampled: Floats = self._whole.sample(time_s)[self._axes] - self._zero_rad
+        return sampled
+
+    def stopped_from(self, at_s: float) -> "SomeAxes":
+        return SomeAxes(self._whole.stopped_from(at_s), self._axes, self._zero_rad)
+
+    def counted_from(self, zero_rad: float) -> "SomeAxes":
+        """The same, with angles counted from another zero."""
+        return SomeAxes(self._whole, self._axes, self._zero_rad + zero_rad)
+
+
+def of_arm(whole: Course) -> SomeAxes:
+    """What the arm does in a stroke."""
+    return SomeAxes(whole, slice(0, JOINTS))
+
+
+def of_roller(whole: Course) -> SomeAxes:
+    """What the roller does in a stroke, counted from the flat sheet."""
+    return SomeAxes(whole, slice(JOINTS, JOINTS + 1))

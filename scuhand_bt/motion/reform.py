@@ -1,0 +1,82 @@
+"""The cone gets another size while it stays upright: arm and roller in one motion, from any upright pose to another.
+
+The rim, the apex and the handle's yaw about the vertical go evenly from where they are to where they are to be, the yaw
+either way round; the handle's slope is the cone's half-angle at every rim.
+
+Positions [m], angles [rad], times [s].
+"""
+
+import math
+
+import numpy as np
+
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex
+from scuhand_bt.motion.slowing import slowed
+from scuhand_bt.motion.stroke import StrokePoses, arm_part, sampled
+from scuhand_bt.motion.swivels import courses
+from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.trajectory import JointTrajectory
+
+STEPS = 40
+SPEED_M_PER_S, TURN_RAD_PER_S = 0.15, 1.2
+"""Of the apex, and of the handle."""
+
+
+def reform_motion(
+    begin: Floats, end: Floats, rims_mm: tuple[float, float], scene: Scene, rates: RateLimits, hand: HandSpec
+) -> JointTrajectory:
+    """The motion (8 columns) between two configurations (7,) whose cones, of these rims, are upright; proven.
+
+    SkillFailed arm.no_path.
+    """
+    mounts = [Mount.of(hand, rim_mm) for rim_mm in rims_mm]
+    first, last = apex(begin, mounts[0]), apex(end, mounts[1])
+    why: SkillFailed | None = None
+    for yaw_turn in _ways(_yaw(first), _yaw(last)):
+        times_s, positions_m, axes, seams, roller_rad = sampled(_poses(first, last, yaw_turn, rims_mm, hand))
+        try:
+            poses, speed = (positions_m, axes, seams), rates.speed[:JOINTS]
+            for course in courses(poses, begin, scene, speed, mounts[0], ends=(begin, end)):
+                course[0], course[-1] = begin, end
+                motion = slowed(times_s, np.column_stack([course, roller_rad]), rates)
+                if scene.proves(arm_part(motion)):
+                    return motion
+        except SkillFailed as error:
+            why = why or error
+    raise SkillFailed(Code.ARM_NO_PATH, f"the cone cannot be given another size on the way: {why}")
+
+
+def _yaw(pose: ApexPose) -> float:
+    assert pose.seam is not None  # every configuration has one
+    return math.atan2(pose.seam[1], pose.seam[0])
+
+
+def _ways(begin_rad: float, end_rad: float) -> tuple[float, float]:
+    """The turns from one angle to another, the shorter first."""
+    turn = (end_rad - begin_rad + math.pi) % (2 * math.pi) - math.pi
+    return turn, turn - math.copysign(2 * math.pi, turn)
+
+
+def _poses(
+    first: ApexPose, last: ApexPose, yaw_turn: float, rims_mm: tuple[float, float], hand: HandSpec
+) -> StrokePoses:
+    share = np.linspace(0.0, 1.0, STEPS)
+    rims = rims_mm[0] + (rims_mm[1] - rims_mm[0]) * share
+    leans = np.arcsin(rims / (2 * hand.sheet_radius_mm))
+    yaws = _yaw(first) + yaw_turn * share
+    seams = np.stack([np.sin(leans) * np.cos(yaws), np.sin(leans) * np.sin(yaws), np.cos(leans)], axis=1)
+    way_m = float(np.linalg.norm(last.position_m - first.position_m))
+    closing_s = math.pi * abs(rims_mm[1] - rims_mm[0]) / hand.morph_speed_mm_per_s
+    lasts_s = max(closing_s, way_m / SPEED_M_PER_S, abs(yaw_turn) / TURN_RAD_PER_S)
+    return StrokePoses(
+        lasts_s * share,
+        first.position_m + share[:, None] * (last.position_m - first.position_m),
+        np.tile([0.0, 0.0, 1.0], (STEPS, 1)),
+        seams,
+        np.radians([Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand) for rim_mm in rims.tolist()]),
+        np.isin(share, (0.0, 1.0)),
+    )

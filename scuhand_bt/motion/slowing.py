@@ -1,0 +1,56 @@
+"""A course is slowed where its joints would not keep their limits, and only there; its path stays as it is.
+
+    f_k = max over joints of  |q'| / v,  (|q''| / a)^(1/2),  (|q'''| / j)^(1/3)         in the step k of the cubics
+
+A step that asks for f > 1 is to take f times as long, and its neighbours nearly so, as a speed cannot change at once:
+the factors' upper envelope is averaged over a window. A few rounds of that leave little to slow as a whole.
+
+Samples (m, n), times (m,) [s].
+"""
+
+import numpy as np
+
+from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.trajectory import JointTrajectory, through
+
+ROUNDS = 8
+WINDOW_S = 0.24
+ENOUGH = 1.02
+
+
+def slowed(times_s: Floats, samples: Floats, rates: RateLimits) -> JointTrajectory:
+    """The cubics through the samples, in these times where the limits allow it."""
+    from scipy.ndimage import maximum_filter1d, uniform_filter1d  # which not every command has to load
+
+    steps_s = np.diff(times_s)
+    best = through(times_s, samples)
+    best = best.stretched(max(1.0, rates.stretch_for(best)))
+    for _ in range(ROUNDS):
+        motion = through(np.concatenate([[0.0], np.cumsum(steps_s)]), samples)
+        factors = _factors(motion, rates)
+        whole = motion.stretched(max(1.0, float(factors.max())))
+        if whole.duration_s < best.duration_s:
+            best = whole
+        if factors.max() < ENOUGH:
+            break
+        width = max(3, round(WINDOW_S / float(np.median(steps_s))) | 1)
+        envelope = maximum_filter1d(np.maximum(factors, 1.0), width)
+        steps_s = steps_s * uniform_filter1d(envelope, width)
+    return best
+
+
+def _factors(motion: JointTrajectory, rates: RateLimits) -> Floats:
+    """Of each step, how many times slower it would have to be."""
+    h = np.diff(motion.knots_s)[:, None]
+    _, c1, c2, c3 = motion.coefficients
+    speeds = np.maximum(np.abs(c1), np.abs(c1 + h * (2 * c2 + 3 * h * c3)))
+    accelerations = np.maximum(np.abs(2 * c2), np.abs(2 * c2 + 6 * h * c3))
+    factors: Floats = np.maximum.reduce(
+        [
+            (speeds / rates.speed).max(axis=1),
+            np.sqrt((accelerations / rates.acceleration).max(axis=1)),
+            np.cbrt((np.abs(6 * c3) / rates.jerk).max(axis=1)),
+        ]
+    )
+    return factors

@@ -1,0 +1,93 @@
+"""A stroke of the arm and the hand's roller: one motion of eight axes under one time law.
+
+The poses come with times; they are averaged twice over `AVERAGED_S`, as in `contact`, so that speed is continuous and
+every leg between two corners, where the path rests for as long as the averages reach, is as it was asked. The roller is
+the eighth coordinate of the same cubics: where a joint or the roller is too quick, all are slower for that while, and
+a stop that is found for one is the same for all.
+
+Positions [m], angles [rad], times [s].
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.collision import Scene
+from scuhand_bt.motion.contact import AVERAGED_S, KEPT, STEP_S
+from scuhand_bt.motion.kinematics import JOINTS, Floats, Mount
+from scuhand_bt.motion.slowing import slowed
+from scuhand_bt.motion.swivels import courses
+from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.trajectory import JointTrajectory
+
+ROLLER_SPEED_RAD_PER_S = 0.9 * 46 * 2 * math.pi / 60
+"""Nine tenths of what an XM430-W350 turns without a load, at 12 V (data sheet)."""
+ROLLER_RAD_PER_S2, ROLLER_RAD_PER_S3 = 20.0, 400.0
+"""Acceleration and jerk of the roller, which moves little mass: ours."""
+
+
+@dataclass(frozen=True, slots=True)
+class StrokePoses:
+    """A stroke in the base frame, n poses: times (n,), apexes, axes and seams (n, 3), the roller's angle (n,).
+
+    `rests` (n,) is true where it may come to rest: at its ends, and where the lip comes to the wall and leaves it.
+    """
+
+    times_s: Floats
+    positions_m: Floats
+    axes: Floats
+    seams: Floats
+    roller_rad: Floats
+    rests: np.ndarray
+
+
+def with_roller(rates: RateLimits, hand: HandSpec) -> RateLimits:
+    """The limits of eight axes: the joints', and the roller's, whose servo is the joints' kind and turns freely."""
+    speed_rad_per_s = math.radians(hand.morph_speed_mm_per_s * hand.roller_deg_per_mm)
+    limits = zip(
+        (rates.speed, rates.acceleration, rates.jerk),
+        (min(speed_rad_per_s, ROLLER_SPEED_RAD_PER_S), ROLLER_RAD_PER_S2, ROLLER_RAD_PER_S3),
+        strict=True,
+    )
+    return RateLimits(*(np.append(joints, roller) for joints, roller in limits))
+
+
+def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLimits, mount: Mount) -> JointTrajectory:
+    """The stroke as a proven motion (8 columns), begun and ended as near to `near` (7,) as is quickest.
+
+    `rates` are those of eight axes, `mount` the hand's as the stroke begins. SkillFailed arm.unreachable, arm.no_path.
+    """
+    times_s, positions_m, axes, seams, roller_rad = sampled(poses)
+    for course in courses((positions_m, axes, seams), near, scene, rates.speed[:JOINTS], mount):
+        motion = slowed(times_s, np.column_stack([course, roller_rad]), rates)
+        if scene.proves(arm_part(motion)):
+            return motion
+    raise SkillFailed(Code.ARM_NO_PATH, "no course of the arm along it is proven to touch nothing")
+
+
+def arm_part(motion: JointTrajectory) -> JointTrajectory:
+    """The joints' cubics of a stroke."""
+    return JointTrajectory(motion.knots_s, motion.coefficients[:, :, :JOINTS], motion.spill_limit_deg)
+
+
+def sampled(poses: StrokePoses) -> tuple[Floats, ...]:
+    """Times (m,), positions, axes and seams (m, 3) and the roller's angles (m,), averaged."""
+    from scipy.ndimage import uniform_filter1d  # which not every command has to load
+
+    width = round(AVERAGED_S / STEP_S) | 1
+    pause_s = 2 * width * STEP_S
+    waits_s = np.where(poses.rests, pause_s, 0.0)
+    begins_s = poses.times_s + np.cumsum(waits_s) - waits_s
+    knots_s = np.stack([begins_s, begins_s + waits_s], axis=1).ravel()
+    count = KEPT * int(np.ceil(knots_s[-1] / (KEPT * STEP_S))) + 1
+    times_s: Floats = np.arange(count, dtype=float) * STEP_S
+    values = np.column_stack([poses.positions_m, poses.axes, poses.seams, poses.roller_rad])
+    raw: Floats = np.column_stack([np.interp(times_s, knots_s, np.repeat(column, 2)) for column in values.T])
+    for _ in range(2):
+        raw = uniform_filter1d(raw, width, axis=0, mode="nearest")
+    times_s, raw = times_s[::KEPT], raw[::KEPT]
+    axes, seams = (part / np.linalg.norm(part, axis=1)[:, None] for part in (raw[:, 3:6], raw[:, 6:9]))
+    return times_s, raw[:, :3], axes, seams, raw[:, 9]

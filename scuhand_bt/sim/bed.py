@@ -1,0 +1,349 @@
+"""Powder in a mortar as a height field, and what a cone that moves through it takes in.
+
+    s = floor + t,      |s_i - s_j| <= d tan(repose)        t thickness, s surface, i and j neighbours d apart [mm]
+
+Columns of powder stand on a square grid. Where the cone is above a column, two layers lie in it: what is on the wall,
+sheltered, and what lies on the sheet's inside. The uppermost layers of all columns are one surface, which flows until
+nowhere is it steeper than the angle of repose (thin layers: than friction on the wall), over the rim in either
+direction, and never through the sheet.
+
+A step of the cone's motion, from pose to pose:
+
+- where the rim has passed over a column, what stands higher than the rim is now on the sheet;
+- where the sheet's outside comes down on powder, or slides into it, that is pushed aside;
+- what lies on the sheet goes along with it;
+- then the surface flows.
+
+So a cone that closes upright takes nothing, and a lip along the wall takes what is before it. Nothing here knows what
+a skill expects. What is left out: inertia, and the sheet's softness.
+
+Height fields of granular beds: Li & Moshell, Modeling soil, SIGGRAPH 1993; Sumner, O'Brien & Hodgins, Animating sand,
+mud, and snow, Computer Graphics Forum 18, 1999. Ours differs in the second layer, on the sheet.
+
+Frame: origin at the bowl's lowest point, z up, lengths in mm.
+"""
+
+import math
+import zlib
+from base64 import b64decode, b64encode
+from collections.abc import Iterator
+
+import numpy as np
+
+from scuhand_bt.sim.cone_over import ConeOver, ConePose, Floats, Mask
+from scuhand_bt.specs import Mortar, Powder
+
+CELL_MM = 3.0
+BESIDE_MM = 15.0
+"""How far the field goes beyond the bore: there the cone may be, and powder is lost."""
+STEP_MM = 2.0
+"""The cone's way between two looks at the powder, at most."""
+SWEEPS = 8
+"""Of the flow, after every step; `SETTLING` more once the cone has gone."""
+SETTLING = 60
+CHECKED = 5
+AT_REST_MM = 1e-3
+"""Powder of which no column changes by more in a sweep is at rest; it is looked at every `CHECKED` sweeps."""
+POURED_MG = 1e-3
+"""What the mortar has gained since the cone was last in it; less is rounding."""
+ROOM_MM = 1.0
+"""A column under the sheet with less is full."""
+GIVES_MM = 0.5
+"""Assumed of a sheet of 0.2 mm, not measured."""
+GRIP = 0.3
+"""Of the sheet's motion along itself, the share that its load takes part in."""
+GRAINS_THICK = 1.5
+"""A layer of fewer grains slides on the wall as one."""
+
+
+def wall_mm(mortar: Mortar, radius_mm: Floats) -> Floats:
+    """The bowl's height at distances from its middle; that of the edge, outside."""
+    a, h = mortar.bore_mm / 2, mortar.depth_mm
+    sphere_mm = (a * a + h * h) / (2 * h)
+    height: Floats = sphere_mm - np.sqrt(sphere_mm**2 - np.minimum(radius_mm, a) ** 2)
+    return height
+
+
+class HeightField:
+    """The powder of one mortar, and of the cone while that is in it.
+
+    It remembers what lies where; how much there is, it is told with every motion.
+    """
+
+    def __init__(self, mortar: Mortar, powder: Powder, slant_mm: float = 50.0, gives_mm: float = GIVES_MM) -> None:
+        """`gives_mm`: how wide a gap under its lip the sheet bends down to; 0 for a rigid one."""
+        self._mortar, self._slant_mm, self._gives_mm = mortar, slant_mm, gives_mm
+        figures = powder.simulation
+        self._mg_per_mm = CELL_MM**2 * powder.bulk_density_mg_per_mm3
+        self._film_mm, self._grain_mm = figures.film_mm, figures.grain_mm
+        self._steep = math.tan(math.radians(powder.repose_deg))
+        self._slick = min(self._steep, math.tan(math.radians(powder.wall_friction_deg)))
+        reach = math.ceil((mortar.bore_mm / 2 + BESIDE_MM) / CELL_MM)
+        line = CELL_MM * np.arange(-reach, reach + 1)
+        self._x, self._y = np.meshgrid(line, line, indexing="ij")
+        radius = np.hypot(self._x, self._y)
+        self._wall = wall_mm(mortar, radius)
+        self._outside = radius > mortar.bore_mm / 2
+        self._border = np.abs(self._x) + CELL_MM > line[-1]
+        self._border |= self._border.T
+        self._on_wall = np.zeros_like(self._wall)
+        self._on_sheet = np.zeros_like(self._wall)
+        self._lost_mm = 0.0  # over the edge, since it was last told
+        self._cone: ConeOver | None = None
+        self._pairs = tuple(_pairs(len(line)))
+        self._written: str | None = None
+
+    @property
+    def in_mortar_mg(self) -> float:
+        return float(self._on_wall.sum()) * self._mg_per_mm
+
+    @property
+    def in_cone_mg(self) -> float:
+        return float(self._on_sheet.sum()) * self._mg_per_mm
+
+    def surface_mm(self) -> Floats:
+        """(n, n): the height of the uppermost powder, or of what it would lie on."""
+        floor, top = self._uppermost()
+        return floor + top
+
+    def move(
+        self, apex_mm: Floats, axis: Floats, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
+        """The cone is here now: the mass [mg] that it has gained (less than 0: lost), and that is over the edge.
+
+        Apex (3,) from the bowl's lowest point, z up; axis (3,), a unit vector from there up out of the mouth; the
+        rim's diameter. `in_mortar_mg` and `in_cone_mg` are what there was until now. Small ways add up until there is
+        something to look at.
+        """
+        there = ConePose(np.asarray(apex_mm, float), np.asarray(axis, float), rim_mm, self._slant_mm)
+        self._agree(there, in_mortar_mg, in_cone_mg)
+        here = self._cone.pose if self._cone is not None else there
+        steps = int(here.way_mm(there) / STEP_MM) if self._cone is not None else 1
+        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            self._step(here.towards(there, float(share)))
+        lost_mg, self._lost_mm = self._lost_mm * self._mg_per_mm, 0.0
+        return self.in_cone_mg - in_cone_mg, lost_mg
+
+    def leave(self) -> None:
+        """The cone has left the mortar, with what it holds."""
+        self._on_sheet[:] = 0.0
+        self._cone = self._written = None
+        self._flow(SETTLING)
+
+    @property
+    def kept(self) -> tuple[str, list[float]]:
+        """Both layers: float32, row by row, compressed, base64; and the cone's apex, axis and rim, if it is there."""
+        if self._written is None:
+            layers = np.stack([self._on_wall, self._on_sheet]).astype("<f4")
+            self._written = b64encode(zlib.compress(layers.tobytes(), 1)).decode()
+        pose = self._cone.pose if self._cone is not None else None
+        return self._written, [*pose.apex_mm.tolist(), *pose.axis.tolist(), pose.rim_mm] if pose is not None else []
+
+    @kept.setter
+    def kept(self, written: tuple[str, list[float]]) -> None:
+        text, cone = written
+        layers = np.frombuffer(zlib.decompress(b64decode(text)), "<f4").reshape(2, *self._wall.shape)
+        self._on_wall, self._on_sheet = layers.astype(float)
+        if cone:
+            pose = ConePose(np.array(cone[:3]), np.array(cone[3:6]), cone[6], self._slant_mm)
+            self._cone = ConeOver(pose, self._x, self._y)
+
+    def _agree(self, pose: ConePose, in_mortar_mg: float, in_cone_mg: float) -> None:
+        """There is as much as it is said to be: more has come on top, in a heap, of less every column has its share.
+
+        What was in the mortar first was put there by a person, and lies level.
+        """
+        there_mg = self.in_mortar_mg
+        more_mg = in_mortar_mg - there_mg
+        if more_mg > POURED_MG and there_mg <= POURED_MG:
+            self._on_wall += self._filled(np.where(self._outside, math.inf, self._wall), more_mg)
+            self._written = None
+        elif more_mg > POURED_MG:
+            self._pour(more_mg)
+        elif more_mg:
+            self._on_wall *= in_mortar_mg / max(there_mg, 1e-300)
+            self._written = None
+        if self.in_cone_mg > 0.0:
+            self._on_sheet *= in_cone_mg / self.in_cone_mg
+        elif in_cone_mg > 0.0:
+            self._lay(pose, in_cone_mg)
+
+    def _pour(self, mass_mg: float) -> None:
+        """So much trickles onto the middle: a heap, whose top is as high as the mass makes it."""
+        below = self._steep * np.hypot(self._x, self._y) + self._wall + self._on_wall
+        self._on_wall += self._filled(np.where(self._outside, math.inf, below), mass_mg)
+        self._flow(SETTLING)
+
+    def _lay(self, pose: ConePose, mass_mg: float) -> None:
+        """The cone comes with so much: level, until it flows."""
+        cone = ConeOver(pose, self._x, self._y)
+        if cone.over.any():
+            self._on_sheet = self._filled(np.where(cone.over, cone.sheet_mm, math.inf), mass_mg)
+
+    def _filled(self, floor_mm: Floats, mass_mg: float) -> Floats:
+        """The thickness of so much on a floor, up to one level."""
+        low_mm, high_mm = float(floor_mm.min()), float(floor_mm.min()) + 1000.0
+        while high_mm - low_mm > 1e-4:
+            level_mm = (low_mm + high_mm) / 2
+            is_low = float(np.maximum(level_mm - floor_mm, 0.0).sum()) * self._mg_per_mm < mass_mg
+            low_mm, high_mm = (level_mm, high_mm) if is_low else (low_mm, level_mm)
+        thickness = np.maximum(high_mm - floor_mm, 0.0)
+        return thickness * (mass_mg / self._mg_per_mm / float(thickness.sum()))
+
+    # --- a step
+
+    def _step(self, pose: ConePose) -> None:
+        before, self._cone = self._cone, ConeOver(pose, self._x, self._y)
+        over = self._cone.over
+        if before is not None:
+            self._ride(before, pose)
+        moved = self._carry(over)
+        if before is not None:
+            moved |= self._cut(over & ~before.over, before.pose, pose)
+        moved |= self._push(over)
+        if moved or self._on_sheet.any():
+            self._flow(SWEEPS)
+
+    def _ride(self, before: ConeOver, now: ConePose) -> None:
+        """What lies on the sheet goes where the sheet goes, each column's mass shared by four."""
+        loaded = self._on_sheet > 0.0
+        if not loaded.any():
+            return
+        thick = self._on_sheet[loaded]
+        points = np.stack([self._x[loaded], self._y[loaded], before.sheet_mm[loaded]], axis=1)
+        way = before.pose.moved_to(now, points) - points
+        normal = before.pose.normals(points)
+        across = (way * normal).sum(axis=1, keepdims=True) * normal
+        place = (points + across + GRIP * (way - across) - self._x[0, 0])[:, :2] / CELL_MM
+        corner = np.clip(np.floor(place).astype(int), 0, len(self._x) - 2)
+        share = np.clip(place - corner, 0.0, 1.0)
+        self._on_sheet[:] = 0.0
+        for i, part_i in enumerate((1.0 - share[:, 0], share[:, 0])):
+            for j, part_j in enumerate((1.0 - share[:, 1], share[:, 1])):
+                np.add.at(self._on_sheet, (corner[:, 0] + i, corner[:, 1] + j), thick * part_i * part_j)
+
+    def _carry(self, over: Mask) -> bool:
+        """What lay on the sheet where it is no more has gone along with it."""
+        left = ~over & (self._on_sheet > 0.0)
+        if not left.any():
+            return False
+        moved = self._on_sheet[left]
+        self._on_sheet[left] = 0.0
+        if over.any():
+            self._add_nearest(self._on_sheet, over, left, moved)
+        else:
+            self._on_wall[left] += moved
+        return True
+
+    def _cut(self, entered: Mask, before: ConePose, now: ConePose) -> bool:
+        """What the rim has passed under is on the sheet."""
+        entered = entered & (self._on_wall > 0.0)
+        if not entered.any():
+            return False
+        x, y = self._x[entered], self._y[entered]
+        wall, thick = self._wall[entered], self._on_wall[entered]
+        assert self._cone is not None
+        # The rim's point on the same generator: how far it was above the wall there is what it has left.
+        points = np.stack([x, y, self._cone.sheet_mm[entered]], axis=1)
+        rim = now.apex_mm + (points - now.apex_mm) * (now.height_mm / np.maximum(now.along_mm(points), 1e-6))[:, None]
+        gap = rim[:, 2] - wall_mm(self._mortar, np.hypot(rim[:, 0], rim[:, 1]))
+        gap = np.maximum(gap - self._gives_mm, 0.0)
+        gap *= np.clip(gap / self._grain_mm - 1.0, 0.0, 1.0)  # one grain jams, two pass
+        left = np.minimum(thick, np.maximum(gap, self._film_mm))
+        middle = np.stack([x, y, wall + (left + thick) / 2], axis=1)
+        through_mouth = before.along_mm(middle) >= before.height_mm - STEP_MM / 4
+        taken = np.where(through_mouth, thick - left, 0.0)
+        self._on_wall[entered] -= taken
+        self._on_sheet[entered] += taken
+        return bool(taken.any())
+
+    def _push(self, over: Mask) -> bool:
+        """What the sheet's outside meets goes aside, to the nearest column that has room, under the sheet or not."""
+        assert self._cone is not None
+        room = np.where(over, np.maximum(self._cone.sheet_mm - self._wall, 0.0), math.inf) - self._on_wall
+        pushed = room < 0.0
+        target = (room > ROOM_MM) & ~self._outside
+        if not pushed.any() or not target.any():
+            return False
+        met = -room[pushed]
+        self._on_wall[pushed] -= met
+        self._add_nearest(self._on_wall, target, pushed, met)
+        return True
+
+    def _add_nearest(self, layer: Floats, targets: Mask, sources: Mask, thickness: Floats) -> None:
+        to = np.argwhere(targets)
+        gone = np.argwhere(sources)
+        nearest = to[((gone[:, None, :] - to[None, :, :]) ** 2).sum(axis=2).argmin(axis=1)]
+        np.add.at(layer, (nearest[:, 0], nearest[:, 1]), thickness)
+
+    # --- flow
+
+    def _uppermost(self) -> tuple[Floats, Floats]:
+        """Floor and thickness of the uppermost layer of each column."""
+        if self._cone is None:
+            return self._wall, self._on_wall
+        over = self._cone.over
+        return np.where(over, self._cone.sheet_mm, self._wall), np.where(over, self._on_sheet, self._on_wall)
+
+    def _flow(self, sweeps: int) -> None:
+        self._written = None
+        floor, top = self._uppermost()
+        top = top.copy()
+        over = self._cone.over if self._cone is not None else None
+        film = self._film_mm if over is None else np.where(over, 0.0, self._film_mm)
+        top -= (kept := np.minimum(top, film))
+        floor = floor + kept
+        surface = floor + top
+        slope = np.where(top > GRAINS_THICK * self._grain_mm, self._steep, self._slick)
+        sets = [(a, b, *self._between(a, b, apart, surface, slope)) for a, b, apart in self._pairs]
+        for sweep in range(sweeps):
+            before = top.copy() if sweep % CHECKED == 0 else None
+            for a, b, limit, half in sets:
+                fall = surface[a] - surface[b]
+                flow = (fall - np.minimum(np.maximum(fall, -limit), limit)) * half
+                flow = np.maximum(np.minimum(flow, top[a]), -top[b])
+                top[a] -= flow
+                surface[a] -= flow
+                top[b] += flow
+                surface[b] += flow
+            if before is not None and float(np.abs(top - before).max()) < AT_REST_MM:
+                break
+        lost = self._outside if over is None else (self._outside & ~over) | self._border
+        self._lost_mm += float(top[lost].sum())
+        top[lost] = 0.0
+        top += kept
+        if over is None:
+            self._on_wall = top
+        else:
+            self._on_sheet = np.where(over, top, self._on_sheet)
+            self._on_wall = np.where(over, self._on_wall, top)
+
+    def _between(
+        self, a: "_Cells", b: "_Cells", apart_mm: float, surface: Floats, slope: Floats
+    ) -> tuple[Floats, Floats | float]:
+        """How much higher one column may be than the other, and half: of more, so much goes; 0 through the sheet."""
+        limit = np.where(surface[a] > surface[b], slope[a], slope[b]) * apart_mm
+        if self._cone is None:
+            return limit, 0.5
+        over_a, over_b = self._cone.over[a], self._cone.over[b]
+        higher = np.maximum(surface[a], surface[b])
+        beside = np.where(over_a, self._cone.level_mm[b], self._cone.level_mm[a])
+        pose = self._cone.pose
+        before_mouth = beside + pose.axis[2] * higher >= pose.height_mm
+        return limit, np.where((over_a == over_b) | before_mouth, 0.5, 0.0)
+
+
+_Cells = tuple[slice, slice]
+_Pair = tuple[_Cells, _Cells, float]
+
+
+def _pairs(n: int) -> Iterator[_Pair]:
+    """Every two neighbours, in eight sets in which no column is twice, and how far they are apart."""
+    everything, ahead, behind = slice(None), slice(None, -1), slice(1, None)
+    for odd in (0, 1):
+        count = (n - odd) // 2
+        first, second = slice(odd, odd + 2 * count, 2), slice(odd + 1, odd + 1 + 2 * count, 2)
+        yield (first, everything), (second, everything), CELL_MM
+        yield (everything, first), (everything, second), CELL_MM
+        yield (first, ahead), (second, behind), math.sqrt(2) * CELL_MM
+        yield (first, behind), (second, ahead), math.sqrt(2) * CELL_MM

@@ -1,0 +1,109 @@
+"""Where a cone is, and what its sheet is over: the lower side of a leaning cone above every column of a grid.
+
+On the upright through (x, y), with q its offset from the apex, c = q . u along the axis u, and zeta the height above
+the apex, the sheet (half-angle a, height h) is met where
+
+    zeta^2 (cos^2 a - u_z^2) - 2 c u_z zeta + q^2 cos^2 a - c^2 = 0,     0 <= c + u_z zeta <= h
+
+Lengths in mm.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ConePose:
+    """A cone by its apex (3,), its axis (3,) from there up out of the mouth, its rim's diameter and its slant."""
+
+    apex_mm: Floats
+    axis: Floats
+    rim_mm: float
+    slant_mm: float
+
+    @property
+    def height_mm(self) -> float:
+        return math.sqrt(self.slant_mm**2 - (self.rim_mm / 2) ** 2)
+
+    def along_mm(self, points: Floats) -> Floats:
+        """(m, 3) to (m,): how far along the axis, from the apex."""
+        along: Floats = (points - self.apex_mm) @ self.axis
+        return along
+
+    def moved_to(self, there: "ConePose", points: Floats) -> Floats:
+        """(m, 3): where points of the cone are once it has gone there, by a turn so small that it adds."""
+        from_apex = points - self.apex_mm
+        moved: Floats = there.apex_mm + from_apex + np.cross(np.cross(self.axis, there.axis), from_apex)
+        return moved
+
+    def normals(self, points: Floats) -> Floats:
+        """(m, 3): unit vectors across the sheet at points on it, inwards; the axis at the apex."""
+        along = self.along_mm(points)[:, None]
+        inwards = self.apex_mm + along / (self.height_mm / self.slant_mm) ** 2 * self.axis - points
+        size = np.linalg.norm(inwards, axis=1, keepdims=True)
+        unit: Floats = np.where(size > 1e-6, inwards / np.maximum(size, 1e-6), self.axis)
+        return unit
+
+    def outline_mm(self, points: int = 24) -> Floats:
+        """(points + 1, 3): its rim, and its apex."""
+        aside = np.cross(self.axis, (1.0, 0.0, 0.0) if abs(self.axis[0]) < 0.7 else (0.0, 1.0, 0.0))
+        aside /= np.linalg.norm(aside)
+        angles = np.linspace(0.0, 2 * math.pi, points, endpoint=False)[:, None]
+        ring = np.cos(angles) * aside + np.sin(angles) * np.cross(self.axis, aside)
+        rim = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * ring
+        return np.vstack([rim, self.apex_mm])
+
+    @property
+    def lip_mm(self) -> Floats:
+        """(3,): the rim's lowest point, over which powder pours; of an upright cone, any."""
+        down = self.axis[2] * self.axis - (0.0, 0.0, 1.0)
+        size = float(np.linalg.norm(down))
+        lip: Floats = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * down / max(size, 1e-9)
+        return lip
+
+    def way_mm(self, there: "ConePose") -> float:
+        """How far its apex, or its rim, goes."""
+        shift = there.apex_mm - self.apex_mm
+        turned_mm = there.height_mm * there.axis - self.height_mm * self.axis
+        leads_mm = max(float(np.linalg.norm(shift)), float(np.linalg.norm(shift + turned_mm)))
+        return leads_mm + abs(there.rim_mm - self.rim_mm) / 2
+
+    def towards(self, there: "ConePose", share: float) -> "ConePose":
+        """So far on the way there."""
+        axis = self.axis + share * (there.axis - self.axis)
+        return ConePose(
+            self.apex_mm + share * (there.apex_mm - self.apex_mm),
+            axis / np.linalg.norm(axis),
+            self.rim_mm + share * (there.rim_mm - self.rim_mm),
+            self.slant_mm,
+        )
+
+
+class ConeOver:
+    """A cone above the columns of a grid."""
+
+    def __init__(self, pose: ConePose, x_mm: Floats, y_mm: Floats) -> None:
+        self.pose = pose
+        dx, dy = x_mm - pose.apex_mm[0], y_mm - pose.apex_mm[1]
+        u_z = float(pose.axis[2])
+        across = dx * pose.axis[0] + dy * pose.axis[1]
+        cosine2 = (pose.height_mm / pose.slant_mm) ** 2
+        square = cosine2 - u_z**2
+        if abs(square) < 1e-9:
+            square = 1e-9
+        constant = (dx * dx + dy * dy) * cosine2 - across * across
+        under_root = (across * u_z) ** 2 - square * constant
+        above = (across * u_z - np.sqrt(np.maximum(under_root, 0.0))) / square
+        along = across + u_z * above
+        self.over: Mask = (under_root >= 0.0) & (along >= 0.0) & (along <= pose.height_mm)
+        """Where the sheet is what is met first, from below."""
+        self.sheet_mm: Floats = pose.apex_mm[2] + above
+        """How high it is; only where it is over a column."""
+        self.level_mm: Floats = across - u_z * pose.apex_mm[2]
+        """The way along the axis at z = 0."""

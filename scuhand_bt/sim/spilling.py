@@ -1,0 +1,82 @@
+"""How much powder a leaning cone keeps, and how fast the rest goes over its rim.
+
+The powder's surface may lean as much as its repose; so a cone that leans by theta from apparent gravity holds what a
+liquid would at tau = max(0, theta - repose). The liquid's plane goes through the lowest point of the rim (slant L) and
+cuts the generator across at l = L cos(alpha + tau) / cos(alpha - tau); the elliptic cone below it has the volume
+
+    V(tau) = V_level (l / L)^(3/2),   V_level = pi L^3 sin^2(alpha) cos(alpha) / 3,   0 from alpha + tau = 90 deg on
+
+And beyond theta = 90 deg - alpha + delta (delta: friction on the sheet) the lower side slopes so much that all slides.
+What is too much is gone with the time constant `POUR_TIME_S`. Angles in radians, lengths in mm.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from scuhand_bt.sim.cone_over import ConePose, Floats
+from scuhand_bt.specs import Powder
+
+POUR_TIME_S = 0.15
+GRAVITY_MM_PER_S2 = 9810.0
+SHORTEST_S = 1e-3
+"""Looks at the apex that are nearer in time say nothing of its acceleration."""
+
+
+def held_mm3(half_angle: float, slant_mm: float, lean: float, repose: float, wall_friction: float) -> float:
+    """The volume that stays in a cone that leans by so much."""
+    if lean >= math.pi / 2 - half_angle + wall_friction:
+        return 0.0
+    tau = max(0.0, lean - repose)
+    if half_angle + tau >= math.pi / 2:
+        return 0.0
+    level_mm3 = math.pi * slant_mm**3 * math.sin(half_angle) ** 2 * math.cos(half_angle) / 3
+    held: float = level_mm3 * (math.cos(half_angle + tau) / math.cos(half_angle - tau)) ** 1.5
+    return held
+
+
+@dataclass
+class Carried:
+    """The apex on its way, as far as a load feels it."""
+
+    _seen: tuple[float, Floats] | None = None
+    _speed: tuple[float, Floats] | None = None
+    _up: Floats | None = None
+
+    def lean(self, now_s: float, pose: ConePose) -> float:
+        """Between the cone's axis and apparent gravity's opposite, with the acceleration of the last three looks."""
+        up = np.array([0.0, 0.0, GRAVITY_MM_PER_S2])
+        if self._seen is not None and now_s - self._seen[0] >= SHORTEST_S:
+            then_s, was_mm = self._seen
+            middle_s, speed = (then_s + now_s) / 2, (pose.apex_mm - was_mm) / (now_s - then_s)
+            if self._speed is not None:
+                up = up + (speed - self._speed[1]) / (middle_s - self._speed[0])
+            self._speed, self._up = (middle_s, speed), up
+        elif self._seen is not None and self._up is not None:
+            return _between(pose.axis, self._up)
+        self._seen = (now_s, pose.apex_mm)
+        return _between(pose.axis, up)
+
+    def rest(self) -> None:
+        """It stands still."""
+        self._seen = self._speed = self._up = None
+
+
+def poured_mg(held_mg: float, lean: float, pose: ConePose, powder: Powder, dt_s: float) -> float:
+    """What leaves a cone with such a load in such a time."""
+    keeps_mg = powder.bulk_density_mg_per_mm3 * held_mm3(
+        math.asin(pose.rim_mm / 2 / pose.slant_mm),
+        pose.slant_mm,
+        lean,
+        math.radians(powder.repose_deg),
+        math.radians(powder.wall_friction_deg),
+    )
+    too_much_mg = held_mg - keeps_mg
+    if too_much_mg <= 0.0:
+        return 0.0
+    return too_much_mg if too_much_mg < 0.1 else too_much_mg * min(1.0, dt_s / POUR_TIME_S)
+
+
+def _between(axis: Floats, up: Floats) -> float:
+    return math.atan2(float(np.linalg.norm(np.cross(axis, up))), float(axis @ up))

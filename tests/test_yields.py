@@ -1,0 +1,75 @@
+"""A world whose scoops bring half of what the bed's geometry lifts: believed by weighing."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from conftest import read
+from numpy.random import Generator
+from running import Ran, dry_run
+
+from scuhand_bt.sim.scoop import OurScoopYield
+from scuhand_bt.specs import Powder
+
+RECIPE = """
+recipe: r
+workflow: fill_xrd_holder
+defaults: {container: alumina_crucible, source: beads, tolerance: 5 mg, mass: 2400 mg}
+samples:
+  - {id: a}
+  - {id: b}
+  - {id: c}
+  - {id: d}
+  - {id: e}
+  - {id: f}
+"""
+DOSES = 3
+
+
+class Other:
+    """A plant with another yield, which notes what its scoops bring."""
+
+    share = 1.0
+    brought_mg: ClassVar[list[float]] = []
+
+    class Yield(OurScoopYield):
+        def __init__(self, powder: Powder, plant: "Other") -> None:
+            super().__init__(powder)
+            self._plant = plant
+
+        def collect(self, lifted_mg: float, there_mg: float, rng: Generator) -> float:
+            kept_mg = min(there_mg, self._plant.share * super().collect(lifted_mg, there_mg, rng))
+            self._plant.brought_mg.append(kept_mg)
+            return kept_mg
+
+    def __init__(self) -> None:
+        self.brought_mg.clear()
+
+    def scoop(self, powder: Powder) -> OurScoopYield:
+        return self.Yield(powder, self)
+
+
+class Half(Other):
+    share = 0.5
+
+
+def scoops(ran: Ran) -> list[tuple[int, float, float]]:
+    """The doses that were before it, and what it was expected to bring [mg], and did; of each."""
+    events = [event for event in read(ran.journal, "event") if event["kind"] in ("scoop", "dose_weighed")]
+    expected = [
+        (sum(earlier["kind"] == "dose_weighed" for earlier in events[:place]), event["payload"]["expected_mg"])
+        for place, event in enumerate(events)
+        if event["kind"] == "scoop"
+    ]
+    brought_mg = Other.brought_mg[-len(expected) :]  # those before them tried the plant
+    return [(doses, mass_mg, came_mg) for (doses, mass_mg), came_mg in zip(expected, brought_mg, strict=True)]
+
+
+def test_what_a_scoop_brings_is_believed_within_a_tenth_after_three_doses(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:Half", controller="adaptive")
+    assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
+    off = [(doses, abs(expected_mg / brought_mg - 1.0)) for doses, expected_mg, brought_mg in scoops(ran)]
+    assert off[0][1] > 0.2, "the world is not as the skill expects it"
+    later = [share for doses, share in off if doses >= DOSES]
+    assert later, "a scoop was made after the third dose"
+    assert np.mean(later) < 0.1
