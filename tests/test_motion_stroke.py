@@ -47,6 +47,10 @@ def motion(planner: MotionPlanner, path: StrokePath) -> StoppableTrajectory:
     return planned_stroke(planner, planner.home(), path, LAB.cell, STATION.name, MORTAR)
 
 
+def _roller_rad(rim_mm: float) -> float:
+    return math.radians(Cone(rim_mm, HAND.sheet_radius_mm).roller_deg(HAND))
+
+
 def _poses(motion: StoppableTrajectory) -> tuple[list[ApexPose], np.ndarray]:
     """The cone along the motion, by the arm's and the roller's own kinematics, and its rims [mm]."""
     q = motion.at(np.linspace(0.0, motion.duration_s, 600))
@@ -124,7 +128,7 @@ def test_a_cone_that_opens_where_it_stands_stays_upright_about_its_apex(planner:
     place = ApexPose(np.array([x_mm, y_mm, z_mm + MORTAR.height_mm + 25.0]) / 1e3)
     planner.add_place("above", place)
     start = planner.move(planner.home(), "above").end
-    poses, rims_mm = _poses(planner.reform(start, "above", 90.0))
+    poses, rims_mm = _poses(planner.reform(start, "above", 90.0, _roller_rad))
     planner.set_geometry()
     assert rims_mm[[0, -1]] == pytest.approx([70.0, 90.0], abs=0.05)
     assert max(pose.tilt_deg for pose in poses) < 0.5

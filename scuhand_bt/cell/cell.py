@@ -172,7 +172,12 @@ class Cell:
         SkillFailed as `move_to`.
         """
         yield from self.move_to(place)
-        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm))
+        hand = self.spec.hand
+
+        def roller_rad(rim_mm: float) -> float:
+            return math.radians(Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand))
+
+        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm, roller_rad))
 
     def _planner(self) -> "MotionPlanner":
         """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""

@@ -29,7 +29,7 @@ from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
-from scuhand_bt.motion.reform import reform_motion
+from scuhand_bt.motion.reform import RollerAngle, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -243,7 +243,7 @@ class MotionPlanner:
         rates = with_roller(self.rates, self._cell.hand)
         return StoppableTrajectory(stroke_motion(checked_joints(near), poses, scene, rates, mount), rates, mount)
 
-    def reform(self, start: Floats, place: str, diameter_mm: float) -> StoppableTrajectory:
+    def reform(self, start: Floats, place: str, diameter_mm: float, roller_rad: RollerAngle) -> StoppableTrajectory:
         """Arm and roller (8 columns) from `start`, the cone upright, to a place with a cone of another size.
 
         The cone stays upright: apex, handle, elbow and rim go evenly to where they are in the place's posture.
@@ -254,7 +254,9 @@ class MotionPlanner:
         rims_mm = (1e3 * self._geometry.cone_diameter_m, diameter_mm)
         scene = self._scenes.of_stroke(self._geometry, [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]], None, CLOSE_MARGIN_M)
         rates = with_roller(self.rates, hand)
-        return StoppableTrajectory(reform_motion(begin, end, rims_mm, scene, rates, hand), rates, self._mount)
+        return StoppableTrajectory(
+            reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad), rates, self._mount
+        )
 
     @property
     def _mount(self) -> Mount:

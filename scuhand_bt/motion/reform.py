@@ -7,11 +7,12 @@ Positions [m], angles [rad], times [s].
 """
 
 import math
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
-from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex
@@ -21,13 +22,22 @@ from scuhand_bt.motion.swivels import courses
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
+RollerAngle: TypeAlias = Callable[[float], float]
+"""The roller's angle [rad] at a rim of so many mm, counted from the flat sheet."""
+
 STEPS = 40
 SPEED_M_PER_S, TURN_RAD_PER_S = 0.15, 1.2
 """Of the apex, and of the handle."""
 
 
 def reform_motion(
-    begin: Floats, end: Floats, rims_mm: tuple[float, float], scene: Scene, rates: RateLimits, hand: HandSpec
+    begin: Floats,
+    end: Floats,
+    rims_mm: tuple[float, float],
+    scene: Scene,
+    rates: RateLimits,
+    hand: HandSpec,
+    roller_rad: RollerAngle,
 ) -> JointTrajectory:
     """The motion (8 columns) between two configurations (7,) whose cones, of these rims, are upright; proven.
 
@@ -37,12 +47,13 @@ def reform_motion(
     first, last = apex(begin, mounts[0]), apex(end, mounts[1])
     why: SkillFailed | None = None
     for yaw_turn in _ways(_yaw(first), _yaw(last)):
-        times_s, positions_m, axes, seams, roller_rad = sampled(_poses(first, last, yaw_turn, rims_mm, hand))
+        poses_of_turn = _poses(first, last, yaw_turn, rims_mm, hand, roller_rad)
+        times_s, positions_m, axes, seams, rolled_rad = sampled(poses_of_turn)
         try:
             poses, speed = (positions_m, axes, seams), rates.speed[:JOINTS]
             for course in courses(poses, begin, scene, speed, mounts[0], ends=(begin, end)):
                 course[0], course[-1] = begin, end
-                motion = slowed(times_s, np.column_stack([course, roller_rad]), rates)
+                motion = slowed(times_s, np.column_stack([course, rolled_rad]), rates)
                 if scene.proves(arm_part(motion)):
                     return motion
         except SkillFailed as error:
@@ -62,7 +73,12 @@ def _ways(begin_rad: float, end_rad: float) -> tuple[float, float]:
 
 
 def _poses(
-    first: ApexPose, last: ApexPose, yaw_turn: float, rims_mm: tuple[float, float], hand: HandSpec
+    first: ApexPose,
+    last: ApexPose,
+    yaw_turn: float,
+    rims_mm: tuple[float, float],
+    hand: HandSpec,
+    roller_rad: RollerAngle,
 ) -> StrokePoses:
     share = np.linspace(0.0, 1.0, STEPS)
     rims = rims_mm[0] + (rims_mm[1] - rims_mm[0]) * share
@@ -77,6 +93,6 @@ def _poses(
         first.position_m + share[:, None] * (last.position_m - first.position_m),
         np.tile([0.0, 0.0, 1.0], (STEPS, 1)),
         seams,
-        np.radians([Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand) for rim_mm in rims.tolist()]),
+        np.array([roller_rad(rim_mm) for rim_mm in rims.tolist()]),
         np.isin(share, (0.0, 1.0)),
     )
