@@ -306,13 +306,13 @@ class Scooped(SkillEvent):
     """The rim's diameter at the stroke's beginning."""
     closed_mm: float
     """And at its end."""
-    heading_deg: float
-    """The direction of the swing about the vertical."""
-    gap_mm: float
+    heading_deg: float | None = None
+    """The direction of the swing about the vertical; this and what follows are not in journals of upright scoops."""
+    gap_mm: float | None = None
     """Between the lip and the wall; less than 0: so far it was pressed into it."""
-    lip_force_n: float
+    lip_force_n: float | None = None
     """What that takes, by the sheet's bending stiffness."""
-    duration_s: float
+    duration_s: float | None = None
     """Of the motion of arm and roller."""
 
 

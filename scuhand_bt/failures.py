@@ -110,7 +110,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_LIMP: Failure(
         "The arm, or the hand's roller, has no torque, or no servo answers any more: its supply is or was off.",
         "Support the arm, look where the cone's load went, clear the way; switch the supply on, then resume.",
-        ("devices",),
+        ("devices", "run"),
     ),
     Code.COMPUTER_BUSY: Failure(
         "This computer did not give the run its time, and what moved was stopped. Nothing was in the arm's way.",

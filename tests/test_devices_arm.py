@@ -402,6 +402,7 @@ def test_an_arm_without_torque_is_given_none_unless_a_person_has_seen_to_it() ->
         assert bench.arm.was_limp
         bench.chain.close()
         again = Bench()
+        again.server.port.close()
         again.server = bench.server
         again.chain = ServoChain(DynamixelBus(bench.server.url, latency_ms=40.0), [again.group])
         again.chain.open(may_torque=False)

@@ -136,7 +136,7 @@ def written(path: Path) -> Path:
         journal.action = action
         journal.event(ArmMoves(step_s=0.5, joints_rad=((0.0,) * 7,) * 5, cone_mm=44.0))
         if skill == "ladle":
-            journal.event(Scooped(source="s", expected_mg=1.0, open_mm=44.0, closed_mm=24.0, swing_deg=8.0))
+            journal.event(Scooped(source="s", expected_mg=1.0, open_mm=44.0, closed_mm=24.0))
         if skill == "pour":
             journal.event(DoseBegun(gross_mg=1.0, lot="s", target_mg=1.0))
             points = ((12.0, 0.0, 0.0, 0.0, False, 0.0), (14.0, 0.0, 0.5, 0.0, False, 0.0))

@@ -172,7 +172,7 @@ def test_a_skill_that_would_end_the_program_has_a_fault_and_the_run_says_which(
 
 HANGING = '''
 """A skill that never comes back."""
-import time
+import threading
 from scuhand_bt.skill import Cell, Skill, Steps, pause
 
 class Hanging(Skill[None]):
@@ -184,10 +184,10 @@ class Hanging(Skill[None]):
         %s
 '''
 LOOP = 'print("hangs")\n        while True: pass'
-SLEEP = "time.sleep(3600)"
+SLEEP = "threading.Event().wait(3600)"
 DEAF = """while True:
             try:
-                time.sleep(3600)
+                threading.Event().wait(3600)
             except BaseException:
                 pass"""
 HUNG = {

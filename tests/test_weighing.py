@@ -48,6 +48,7 @@ class Shown:
                 clock=self,
                 spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1)),
                 balance=self,
+                arm=SimpleNamespace(was_limp=False),
                 believed=self.believed,
                 record=Record(self.events.append),
                 changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
