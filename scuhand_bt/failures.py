@@ -125,7 +125,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.DEVICE_LOST: Failure(
         "A device no longer answers.",
         "Check its cable and supply, then start again.",
-        ("devices",),
+        ("devices", "run"),
     ),
     Code.DEVICE_BUSY: Failure(
         "A device did not stop in the time it should, or is still at work.",
@@ -209,7 +209,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.HAND_VALVE_LOST: Failure(
         "The valve's servo does not answer, was without power, or has shut down; powder may be running out of it.",
         "Hold a vessel under the cone; check the hand's supply. The valve shuts as soon as its servo has power.",
-        ("devices",),
+        ("devices", "run"),
     ),
     Code.HAND_LEAK: Failure(
         "Powder runs onto the pan although the valve is shut.",

@@ -33,7 +33,7 @@ def test_a_file_that_nothing_uses_is_told_of_and_stops_nothing(
 ) -> None:
     lab_folder.write(file, text)
     for arguments in (
-        ["plan", recipe],
+        ["plan", recipe, "--trials", 0],
         ["skills", "--lab", lab_folder.folder],
         ["powders", "--lab", lab_folder.folder],
     ):

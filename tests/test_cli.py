@@ -82,7 +82,8 @@ def test_looking_needs_no_robot_library() -> None:
     code = """
 import sys
 from scuhand_bt.cli import main
-for arguments in (["--help"], ["check", "--fast", "recipes/synthesis_batch.yaml"], ["plan", "recipes/crucibles.yaml"]):
+plan = ["plan", "recipes/crucibles.yaml", "--trials", "0"]
+for arguments in (["--help"], ["check", "--fast", "recipes/synthesis_batch.yaml"], plan):
     sys.argv[1:] = arguments
     try:
         main()
@@ -268,11 +269,11 @@ def test_a_cell_whose_devices_do_not_answer_is_code_3(command: Call, recipe: Pat
 def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_real_run(
     command: Call, recipe: Path
 ) -> None:
-    for name in ("check", "plan"):
-        ended = command(name, recipe)
+    for name in (("check",), ("plan", "--trials", 0)):
+        ended = command(*name, recipe)
         assert (ended.returncode, ended.stderr[:6]) == (0, "Note: ")
         assert "robot/cell.yaml:7:19: the changer 'carousel' has no driver" in ended.stderr
-        ended = command(name, recipe, "--json")
+        ended = command(*name, recipe, "--json")
         assert (json.loads(ended.stdout)["notes"][0].split(": ", 1)[1][:22], ended.stderr) == (
             "the changer 'carousel'",
             "",

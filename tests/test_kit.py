@@ -115,7 +115,8 @@ def test_a_golden_trace_is_written_on_demand_and_another_one_is_shown_as_a_diffe
         "(source=beads, wanted=50.0) -> source.empty" in text
     )
     assert (
-        "+scoop_and_dispense/sequence.2/fill/retry/sequence.0/fallback.1/scoop#1(source=beads) -> device.lost" in text
+        "+scoop_and_dispense/sequence.2/fill/retry/sequence.0/fallback.1/scoop#1"
+        "(source=beads, wanted=50.0) -> device.lost" in text
     )
 
 
