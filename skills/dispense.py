@@ -56,6 +56,8 @@ DIFFERENT_READINGS = 12
 """So many that are all multiples of two digits apart come by chance once in 2^(n-1); of more digits, more rarely."""
 FELL_NOISES = 5.0
 """In sound dry runs the readings of a dose that is not shaken never fall by more than two digits."""
+RINGS_S = 1.0
+"""So long after the motor has stopped readings may still be of when it went."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 
@@ -135,7 +137,7 @@ class Dispense(Skill[Dose]):
         self._learn(cell, run)
         for pair in run.watched:
             note_moved(cell, *pair)
-        fell_mg = fallen_mg([point.net_mg for point in run.curve if not point.stable and point.vibration == 0.0])
+        fell_mg = fallen_mg(self._unshaken_mg(run))
         noise_mg = max(digit_mg, cell.balance_belief.noise_mg)
         believed.zero_stepped(fell_mg if fell_mg > FELL_NOISES * noise_mg else 0.0)
         pause_s = watch_s(before, run.last, self.tolerance_mg)
@@ -155,6 +157,17 @@ class Dispense(Skill[Dose]):
             )
         )
         return run, after, mean
+
+    @staticmethod
+    def _unshaken_mg(run: DoseRun) -> list[float]:
+        """The readings of a dose that no motor has disturbed, nor had so a moment before."""
+        readings_mg, shaken_s = [], -math.inf
+        for point in run.curve:
+            if point.vibration > 0.0:
+                shaken_s = point.time_s
+            elif not point.stable and point.time_s > shaken_s + RINGS_S:
+                readings_mg.append(point.net_mg)
+        return readings_mg
 
     @staticmethod
     def _flow_s(request: DoseRequest) -> float:

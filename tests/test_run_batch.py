@@ -324,7 +324,7 @@ def test_several_scoops_empty_a_mortar_to_its_last_few_per_cent(tmp_path: Path, 
     assert max(scoops) <= ran.session.cell.sources[source].powder.load_limit_mg
 
 
-@pytest.mark.parametrize("seed", [0, 11, 12])
+@pytest.mark.parametrize("seed", [0, 9, 11])
 def test_a_scoop_that_brought_less_than_expected_is_scooped_again_and_not_taken_for_a_bridge(
     tmp_path: Path, seed: int
 ) -> None:
