@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -30,7 +31,7 @@ from scuhand_bt.cli.shared import (
     print_json,
 )
 from scuhand_bt.cli.streams import unwatched
-from scuhand_bt.cli.study import WorkersOption, odds_values, tell_odds
+from scuhand_bt.cli.study import WorkersOption, tell_odds
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
@@ -256,7 +257,7 @@ def plan(
         _preview(made, loaded, odds, html)
         return
     if as_json:
-        print_json({**_plan_values(made), "odds": odds and odds_values(odds), "notes": notes})
+        print_json({**_plan_values(made), "odds": odds and asdict(odds), "notes": notes})
         return
     jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
     for number, job in enumerate(made.jobs, start=1):
@@ -282,7 +283,7 @@ def plan(
     out.print()
     out.print(powders)
     if odds is not None:
-        tell_odds(odds, made)
+        tell_odds(odds)
     rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
     out.print(f"\nSheet swaps: {made.swaps}.{rough}")
     out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")

@@ -1,6 +1,7 @@
 """The command about many dry runs of a recipe."""
 
 import csv
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,12 +10,11 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, out, print_json
+from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, of_kind, out, print_json
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
-    from scuhand_bt.recipe.plan import Plan
     from scuhand_bt.study.odds import Odds, Range
     from scuhand_bt.study.trial import Setup, Task, Trial
     from scuhand_bt.study.vary import Vary
@@ -47,13 +47,13 @@ def study(
     from scuhand_bt.study.trial import Setup
     from scuhand_bt.study.vary import read_vary
 
-    if output is not None and output.suffix != ".csv":
-        raise typer.BadParameter("it writes CSV: name it .csv", param_hint="-o")
+    if output is not None:
+        of_kind(output, ".csv")
     check_controller(controller)
     made, loaded = the_plan(recipe, lab)
     varied = read_vary(vary) if vary is not None else None
     setup = Setup(recipe.absolute(), loaded.folder.absolute(), controller, plant)
-    draws = [setup] if varied is None else [_changed(setup, changes) for changes in varied.changes()]
+    draws = [setup] if varied is None else [replace(setup, changes=changes) for changes in varied.changes()]
     tasks = [(draw, seed) for draw in draws for seed in range(first_seed, first_seed + trials)]
     path = store or state_folder(loaded) / "studies.sqlite"
     found: dict[Task, Trial] = {}
@@ -67,21 +67,15 @@ def study(
     odds = odds_of(made, [one for _, one in ordered])
     dominant = _dominant(varied, draws, ordered) if varied is not None else {}
     if as_json:
-        print_json({**odds_values(odds), "draws": len(draws), "indices": dominant})
+        print_json({**asdict(odds), "draws": len(draws), "indices": dominant})
         return
-    tell_odds(odds, made)
+    tell_odds(odds)
     if dominant:
         _tell_dominant(dominant, varied.design if varied is not None else "")
     out.print(Text(f"Trials are kept in {path}"), soft_wrap=True)
 
 
-def _changed(setup: "Setup", changes: Any) -> "Setup":
-    from dataclasses import replace
-
-    return replace(setup, changes=changes)
-
-
-def tell_odds(odds: "Odds", plan: "Plan") -> None:
+def tell_odds(odds: "Odds") -> None:
     """The odds, as a person reads them."""
     out.print(f"\nBy {odds.trials} dry runs (intervals of 90 %): it takes {_range(odds.duration_s, format_duration)}.")
     table = Table("source", "scoops", "powder used", show_edge=False)
@@ -89,8 +83,7 @@ def tell_odds(odds: "Odds", plan: "Plan") -> None:
         table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), _range(odds.used_mg[name], format_mass))
     if odds.scoops:
         out.print(table)
-    sample_ids = {sample.id for sample in plan.recipe.samples}
-    likely = [chance.probability for name, chance in odds.samples.items() if name in sample_ids]
+    likely = [chance.probability for chance in odds.samples.values()]
     if likely:
         out.print(f"In tolerance: {sum(likely):.1f} of {len(likely)} samples are to be expected.")
     for name in odds.unlikely:
@@ -104,13 +97,6 @@ def tell_odds(odds: "Odds", plan: "Plan") -> None:
 def _range(found: "Range", told: Any) -> str:
     low, middle, high = told(found.low), told(found.middle), told(found.high)
     return f"{middle} ({low} to {high})" if low != high else str(middle)
-
-
-def odds_values(odds: "Odds") -> dict[str, Any]:
-    """The odds for JSON."""
-    from dataclasses import asdict
-
-    return asdict(odds)
 
 
 def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Trial]]") -> dict[str, dict[str, Any]]:
@@ -143,8 +129,6 @@ def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
 
 
 def _write(path: Path, ordered: "list[tuple[Task, Trial]]") -> None:
-    from dataclasses import asdict
-
     places = list(dict.fromkeys(place for (setup, _), _ in ordered for place, _ in setup.changes))
     try:
         with path.open("w", newline="", encoding="utf-8") as file:
