@@ -30,6 +30,7 @@ from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief,
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
 LOAD_STEP_MM3 = 2000.0
+LIMIT_STEP_DEG = 0.1
 RECENT = 4000
 """Readings that are at hand: some minutes, in which a person puts a container on the pan."""
 
@@ -211,4 +212,5 @@ def carrying_limit_deg(spec: CellSpec, powder: Powder, load_mg: float, cone_diam
     limit_deg = spill_limit_deg(
         cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
     )
-    return min(limit_deg, spec.arm.gentle_deg)
+    # And the cone's measured size differs by what a servo's counts are worth.
+    return min(math.floor(limit_deg / LIMIT_STEP_DEG) * LIMIT_STEP_DEG, spec.arm.gentle_deg)

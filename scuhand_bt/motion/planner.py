@@ -1,6 +1,6 @@
 """The planning service: the one object that skills ask for a motion, through the cell.
 
-A request is (start, goal, geometry, constraint); its answer is planned once and kept. Geometry is the
+A request is (start, goal, geometry, constraint); its answer is planned once, and the last ones are kept. Geometry is the
 cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
 built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
 request gets the same motion on every run, on every machine of the same versions. Between two places,
@@ -14,7 +14,7 @@ arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothin
 import hashlib
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TypeAlias
@@ -29,6 +29,7 @@ from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
@@ -45,6 +46,9 @@ SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
 LIMIT_STEP_DEG = 5.0
 """Limits of loads are rounded down to whole steps for planning: loads that differ a little share their plans."""
+
+PLANS_KEPT = 512
+STROKES_KEPT = 64
 
 Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
 """Start and goals as their bytes, geometry, spill limit: what a plan is kept by."""
@@ -78,8 +82,10 @@ class MotionPlanner:
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, self.rates, cell.hand)
-        self._plans: dict[Request, StoppableTrajectory] = {}
-        self._carries: dict[Request, StoppableTrajectory] = {}
+        self._plans: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
+        self._carries: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
+        self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
+        self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
 
     # What the cell looks like now -------------------------------------------------------------------
 
@@ -136,10 +142,9 @@ class MotionPlanner:
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
         key = _request(begin, goals, self._geometry, spill_limit_deg)
-        if key not in self._carries:
-            carried = self._carried(begin, goals, name, spill_limit_deg, effort)
-            self._carries[key] = self._stoppable(carried)
-        return self._carries[key]
+        return self._carries.of(
+            key, lambda: self._stoppable(self._carried(begin, goals, name, spill_limit_deg, effort))
+        )
 
     def _carried(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
@@ -164,16 +169,16 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """The plan of a request, made once. Between two configurations it is made in one direction only."""
         key = _request(begin, goals, self._geometry, spill_limit_deg)
-        if key not in self._plans:
+
+        def made() -> StoppableTrajectory:
             if len(goals) == 1 and key[1] < key[0]:
                 self._require_free(begin)
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
                 there = self._kept(goals[0], begin[None, :], "its start", spill_limit_deg, effort)
-                self._plans[key] = self._stoppable(there.reversed())
-            else:
-                planned = self._planned(begin, goals, name, spill_limit_deg, effort)
-                self._plans[key] = self._stoppable(planned)
-        return self._plans[key]
+                return self._stoppable(there.reversed())
+            return self._stoppable(self._planned(begin, goals, name, spill_limit_deg, effort))
+
+        return self._plans.of(key, made)
 
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
@@ -238,10 +243,20 @@ class MotionPlanner:
         Eight columns: the joints, and the roller. `rims_mm` are the first, some in between, and the last. SkillFailed
         arm.unreachable, arm.no_path.
         """
-        scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
-        mount = Mount.of(self._cell.hand, rims_mm[0])
-        rates = with_roller(self.rates, self._cell.hand)
-        return StoppableTrajectory(stroke_motion(checked_joints(near), poses, scene, rates, mount), rates, mount)
+        begin, hand = checked_joints(near), self._cell.hand
+
+        def made() -> StoppableTrajectory | SkillFailed:
+            scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
+            mount, rates = Mount.of(hand, rims_mm[0]), with_roller(self.rates, hand)
+            try:
+                return StoppableTrajectory(stroke_motion(begin, poses, scene, rates, mount), rates, mount)
+            except SkillFailed as failure:  # as expensive as a stroke that there is, and asked for as often
+                return failure
+
+        found = self._strokes.of((begin.tobytes(), poses.digest, tuple(rims_mm), station, self._geometry), made)
+        if isinstance(found, SkillFailed):
+            raise SkillFailed(found.code, found.detail)
+        return found
 
     def reform(self, start: Floats, place: str, diameter_mm: float, roller_rad: RollerAngle) -> StoppableTrajectory:
         """Arm and roller (8 columns) from `start`, the cone upright, to a place with a cone of another size.
@@ -252,11 +267,15 @@ class MotionPlanner:
         hand, begin = self._cell.hand, checked_joints(start)
         end = self._places.posture(place, replace(self._geometry, cone_diameter_m=diameter_mm / 1e3))
         rims_mm = (1e3 * self._geometry.cone_diameter_m, diameter_mm)
-        scene = self._scenes.of_stroke(self._geometry, [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]], None, CLOSE_MARGIN_M)
         rates = with_roller(self.rates, hand)
-        return StoppableTrajectory(
-            reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad), rates, self._mount
-        )
+
+        def made() -> StoppableTrajectory:
+            three_mm = [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]]
+            scene = self._scenes.of_stroke(self._geometry, three_mm, None, CLOSE_MARGIN_M)
+            motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad)
+            return StoppableTrajectory(motion, rates, self._mount)
+
+        return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
     @property
     def _mount(self) -> Mount:

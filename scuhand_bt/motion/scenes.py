@@ -1,6 +1,6 @@
-"""The cell's scenes: the arm with one size of cone among what stands there, built when first needed and kept.
+"""The cell's scenes: the arm with one size of cone among what stands there, built when first needed.
 
-A scene in which a mortar is touched is one stroke's, and is not kept: its cone hardly comes again.
+The last ones are kept, as one stroke's is asked for in each of its directions; each holds a megabyte or two.
 
 Lengths in metres.
 """
@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.recent import Recent
 from scuhand_bt.specs import ContainerKind, Mortar
 
 CONE_DIAMETER_M = MOUNTED_DIAMETER_MM / 1e3
 MARGIN_M = 0.005
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
+SCENES_KEPT = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,25 +37,22 @@ class Scenes:
         self._cell = cell
         self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
         self._bench = cell_solids.bench(cell)
-        self._scenes: dict[tuple[Geometry, float], Scene] = {}
+        self._scenes: Recent[tuple[Geometry, float, str | None, tuple[float, ...]], Scene] = Recent(SCENES_KEPT)
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
         """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
-        if touching is not None:
-            return self._made(geometry, margin_m, touching)
-        key = (geometry, margin_m)
-        if key not in self._scenes:
-            self._scenes[key] = self._made(geometry, margin_m, None)
-        return self._scenes[key]
+        return self._kept(geometry, margin_m, touching, (1e3 * geometry.cone_diameter_m,))
 
     def of_stroke(self, geometry: Geometry, rims_mm: Sequence[float], station: str | None, margin_m: float) -> Scene:
         """The scene of a stroke at a station, or of none, in which the cone has each of these rims."""
-        return self._made(geometry, margin_m, station, rims_mm)
+        return self._kept(geometry, margin_m, station, tuple(rims_mm))
 
-    def _made(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: Sequence[float] = ()) -> Scene:
-        shapes = self._arm.with_sheet(self._cell.hand, rims_mm or [1e3 * geometry.cone_diameter_m])
-        solids, touchable = self._solids(geometry, touching)
-        return Scene(self._arm, shapes, solids, margin_m, touchable)
+    def _kept(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: tuple[float, ...]) -> Scene:
+        def made() -> Scene:
+            solids, touchable = self._solids(geometry, touching)
+            return Scene(self._arm, self._arm.with_sheet(self._cell.hand, rims_mm), solids, margin_m, touchable)
+
+        return self._scenes.of((geometry, margin_m, touching, rims_mm), made)
 
     def _solids(self, geometry: Geometry, touching: str | None) -> tuple[list[Solid], list[str]]:
         if touching is not None and touching not in self._mortars:

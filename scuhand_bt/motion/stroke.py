@@ -8,6 +8,7 @@ a stop that is found for one is the same for all.
 Positions [m], angles [rad], times [s].
 """
 
+import hashlib
 import math
 from dataclasses import dataclass
 
@@ -42,6 +43,12 @@ class StrokePoses:
     seams: Floats
     roller_rad: Floats
     rests: np.ndarray
+
+    @property
+    def digest(self) -> bytes:
+        """Of all of it."""
+        parts = (self.times_s, self.positions_m, self.axes, self.seams, self.roller_rad, self.rests)
+        return hashlib.blake2b(b"".join(part.tobytes() for part in parts), digest_size=16).digest()
 
 
 def with_roller(rates: RateLimits, hand: HandSpec) -> RateLimits:
