@@ -11,17 +11,8 @@ from harness.random_physics import BalanceFigures, BalanceKind, DrawnBalance
 from scuhand_bt.dosing import constraint
 from scuhand_bt.dosing.characteristic import Step, step_of
 from scuhand_bt.dosing.constraint import RISK, chance, widest_mm
-from scuhand_bt.dosing.estimation import (
-    DELAYS_S,
-    LEAST_DOUBT,
-    SHAPES,
-    Bank,
-    Model,
-    Row,
-    balance_by,
-    balance_of,
-    transitions,
-)
+from scuhand_bt.dosing.estimation import DELAYS_S, Bank, Model
+from scuhand_bt.dosing.identification import LEAST_DOUBT, SHAPES, Row, balance_by, balance_of, transitions
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.specs import BalanceBelief
 

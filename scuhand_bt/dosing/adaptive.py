@@ -122,7 +122,7 @@ class Adaptive:
         known.begin(seen.net_mg, 2.0 * known.noise_mg[False])
         for _ in range(MOST_OPENINGS):
             ended = yield from self._open()
-            means, variances = known.bank.coming(*known.closing(0.0))
+            means, variances = known.bank.coming(*known.valve.closing(0.0))
             predicted_mg = float(known.bank.weights @ means)
             variances = variances / known.bank.erratic + (means - predicted_mg) ** 2
             sd_mg = math.sqrt(float(known.bank.weights @ variances))
@@ -220,7 +220,9 @@ class Adaptive:
             flows = bank.coefficient - 1.5 * bank.coefficient_sd
             if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
                 return "surprise"
-            means, variances = bank.coming(*np.array((known.closing(period_s / 2.0), known.closing(period_s))).T)
+            means, variances = bank.coming(
+                *np.array((known.valve.closing(period_s / 2.0), known.valve.closing(period_s))).T
+            )
             if self._will_reach(float(bank.weights @ means[0])):
                 return "reached"
             if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:
@@ -254,7 +256,7 @@ class Adaptive:
     def _unseen_mg(self) -> float:
         """What flows while it cannot be seen yet, and until the valve is shut."""
         known, bank = self._known, self._known.bank
-        tail, _ = known.closing(known.request.balance_period_s + bank.delay_s)
+        tail, _ = known.valve.closing(known.request.balance_period_s + bank.delay_s)
         return bank.coefficient * tail
 
     def _will_reach(self, predicted_mg: float) -> bool:

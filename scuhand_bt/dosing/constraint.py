@@ -20,7 +20,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import erfc
 
-from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Array, Bank
+from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Bank
+from scuhand_bt.dosing.identification import Array
 from scuhand_bt.dosing.valve import FlowShape
 
 RISK = 0.005
