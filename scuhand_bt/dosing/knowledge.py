@@ -93,7 +93,6 @@ class Knowledge:
         self.gap_mm = self.belief.gap_mm
         """The opening above the threshold that the reference was seen at."""
         self.surge_mg = self.belief.surge_mg
-        self.bank = Bank.believing(self.balance, self.surge_mg)
         self.uncertainty_mg = request.uncertainty_mg
         """The standard uncertainty of the mass that will be judged; it grows with the time that a dose takes."""
         self.doubt: Doubt | None = None
@@ -120,8 +119,8 @@ class Knowledge:
         self.surely = 0.0
         """The coefficient that powder has surely flowed with, in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
-        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.bank.erratic = self.erratic
+        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
 
     def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
