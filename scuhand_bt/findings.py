@@ -103,6 +103,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         ),
         "needs-person": Finding("A plan that is to be unattended needs a person.", "`scuhand-bt plan` lists why."),
         "no-driver": Finding("A device that only simulations have.", "Another driver, for the real cell."),
+        "unlikely": _warning(
+            "A powder comes in lumps too large for a sample's tolerance: less than 90 % can be in tolerance.",
+            "A wider tolerance, or a finer powder. `scuhand-bt plan` tells the odds by dry runs.",
+        ),
         "unused-source": _warning("No sample takes from a source.", "Take it away, or name it in a sample."),
         "on-failure-never": _warning(
             "`on_failure` names a code that nothing in this recipe fails with.", "Look for the code that was meant."

@@ -168,6 +168,12 @@ class Powder(Spec):
         """The largest opening that a controller of this name may use."""
         return self.paper.max_opening_mm if controller == "paper" else self.max_opening_mm
 
+    @property
+    def lump_mg(self) -> float:
+        """Mean mass of the lumps that no narrower opening makes smaller."""
+        simulated, is_fixed = self.simulation, self.simulation.surge_exponent == 0.0
+        return max(self.belief.surge_mg, simulated.surge_mg if simulated.surge_share > 0.0 and is_fixed else 0.0)
+
 
 class ContainerKind(Spec):
     """A kind of container of `robot/containers.yaml`: an XRD holder, a pellet die, a crucible."""

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
+    from scuhand_bt.study.night import Night
     from scuhand_bt.study.odds import Odds
 
 
@@ -239,6 +240,9 @@ def plan(
     recipe: RecipeArgument,
     trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
     workers: WorkersOption = None,
+    night: Annotated[
+        str | None, typer.Option(metavar="20:00-08:00", help="Say what is done in hours in which nobody comes.")
+    ] = None,
     html: Annotated[
         Path | None, typer.Option("--html", help="Write it as a page, with the arm's motions (extra `report`).")
     ] = None,
@@ -251,6 +255,7 @@ def plan(
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
     made, loaded = the_plan(recipe, lab)
+    hours = _night(night, trials) if night is not None else None
     notes = notes_of(made, loaded, quiet=as_json)
     odds = _odds(made, loaded, trials, workers) if trials else None
     if html is not None and odds is not None:
@@ -293,6 +298,19 @@ def plan(
         when = odds.began_s.get(person.job or "") if odds is not None else None
         at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
         out.print(Text(f"A person is {person}{at}."))
+    if hours is not None and odds is not None:
+        from scuhand_bt.study.night import in_words
+
+        for line in in_words(made, loaded, odds, hours):
+            out.print(Text(line), soft_wrap=True)
+
+
+def _night(text: str, trials: int) -> "Night":
+    from scuhand_bt.study.night import read_night
+
+    if not trials:
+        raise typer.BadParameter("what a night holds is told by dry runs: at least one", param_hint="--trials")
+    return read_night(text)
 
 
 def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":

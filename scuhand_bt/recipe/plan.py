@@ -1,12 +1,13 @@
 """The plan: a recipe's samples as jobs in their order, with the sheet swaps between powders, and what they need."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.flow import known
+from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Demand, Sample, demand_of
 from scuhand_bt.specs import Source
@@ -58,7 +59,12 @@ class Plan:
     jobs: tuple[Job, ...]
     demands: tuple[Demand, ...]
     persons: tuple[PersonNeeded, ...]
-    duration_s: float
+    forecast_s: Mapping[str, float]
+    """What each job takes, by its name, if nothing fails."""
+
+    @property
+    def duration_s(self) -> float:
+        return sum(self.forecast_s.values())
 
     @property
     def swaps(self) -> int:
@@ -90,12 +96,13 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     problems = Problems()
     check_service_workflows(recipe, lab, problems)
     problems.raise_any()
-    jobs = tuple(_jobs(recipe, lab))
     forecaster = _Forecaster(lab)
+    jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, forecaster.duration_s)))
     forecasts = [forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
-    return Plan(recipe, jobs, demands, persons, sum(f.duration_s for found in forecasts for f in found))
+    took_s = {job.name: sum(f.duration_s for f in found) for job, found in zip(jobs, forecasts, strict=True)}
+    return Plan(recipe, jobs, demands, persons, took_s)
 
 
 def recoveries(sample: Sample) -> list[Job]:
@@ -149,34 +156,28 @@ def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterat
                 yield PersonNeeded(None, f"{expected.person}, after a failed sample", expected.mark)
 
 
-def _jobs(recipe: Recipe, lab: Lab) -> Iterator[Job]:
+def _jobs(lab: Lab, samples: Iterable[Sample]) -> Iterator[Job]:
     """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
     last: Source | None = None
-    for sample in _ordered(recipe):
+    for sample in samples:
         for first in sample.sources[:1]:
             if last is not None and first.sheet_key != last.sheet_key:
                 name = f"change powder to {first.powder.name} for {sample.id}"
                 yield Job(name, CHANGE_POWDER, {"source": last})
             last = sample.last_source
-        yield Job(sample.id, sample.workflow, sample.inputs, sample)
+        yield _job(sample)
     if last is not None and FINISH_BATCH in lab.library.workflows:
         yield Job("finish the batch", FINISH_BATCH, {"source": last})
 
 
-def _ordered(recipe: Recipe) -> list[Sample]:
-    """By the powder lot that each begins with, in the order of first mention; within a lot as written."""
-    if recipe.order == "as_written":
-        return list(recipe.samples)
-    groups: dict[str, list[Sample]] = {}
-    for sample in recipe.samples:
-        groups.setdefault(sample.sources[0].sheet_key if sample.sources else "", []).append(sample)
-    return [sample for group in groups.values() for sample in group]
+def _job(sample: Sample) -> Job:
+    return Job(sample.id, sample.workflow, sample.inputs, sample)
 
 
 def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> None:
     """Note what is wrong with the workflows that the engine calls between a recipe's samples."""
     workflows = lab.library.workflows
-    needed = {job.workflow for job in _jobs(recipe, lab) if job.sample is None}
+    needed = {job.workflow for job in _jobs(lab, recipe.samples) if job.sample is None}
     for name in sorted(needed | ({AFTER_FAILURE} & set(workflows))):
         workflow = workflows.get(name)
         if workflow is None and lab.library.broken.tell("workflow", name, problems):
@@ -205,6 +206,9 @@ class _Forecaster:
     def of_job(self, job: Job) -> list[_Expected]:
         workflow = self._library.workflows[job.workflow]
         return self._of_workflow(workflow, dict(job.inputs))
+
+    def duration_s(self, sample: Sample) -> float:
+        return sum(expected.duration_s for expected in self.of_job(_job(sample)))
 
     def after_failure(self, source: Source) -> list[_Expected]:
         workflow = self._library.workflows.get(AFTER_FAILURE)

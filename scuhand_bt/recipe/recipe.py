@@ -16,6 +16,7 @@ from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.flow import Flow, flow_of
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
+from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample
 from scuhand_bt.recipe.sources import SourcesReader
 from scuhand_bt.specs import Container, Powder, Source
@@ -37,7 +38,6 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
     Code.DOSE_NOT_REACHED: "flag",
     "otherwise": "stop",
 }
-ORDERS = ("by_powder", "as_written")
 OVERSHOOT_LIMIT = 2
 """One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
 MISPLACED = {

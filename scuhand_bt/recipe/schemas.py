@@ -17,7 +17,8 @@ from pydantic import BaseModel
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.lab import TEST_SUFFIX, Lab
-from scuhand_bt.recipe.recipe import ACTIONS, ORDERS
+from scuhand_bt.recipe.order import ORDERS
+from scuhand_bt.recipe.recipe import ACTIONS
 from scuhand_bt.recipe.sources import SourceText
 from scuhand_bt.sim.fault_rules import KINDS, Rule
 from scuhand_bt.skill import Condition

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import beta, t
 
+from scuhand_bt.dosing.verdict import LIKELY
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.study.trial import SampleTrial, Trial
@@ -25,8 +26,6 @@ WIDE = 1.645
 """Standard deviations that hold `COVERED` of a normal distribution."""
 PRIOR = 4.0
 """Trials that what came of the whole batch counts for, beside those of a sample's own kind."""
-LIKELY = 0.9
-"""A sample that is less likely in tolerance than this is warned of."""
 
 
 @dataclass(frozen=True)
