@@ -25,6 +25,7 @@ SIGNS: Mapping[str, tuple[str, str]] = {
     "failed": ("✗", "red"),
     "running": ("▶", "bold yellow"),
     "to come": ("·", "dim"),
+    "skipped": ("–", "dim"),
 }
 """How each state of a node is shown: by its sign, and by a colour where there are colours."""
 

@@ -74,10 +74,14 @@ def tree_of(now: Follower) -> list[Node]:
 def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
     """A leaf's state is its last action's; that of a node above, of the last that acted below it.
 
-    What stands behind the leaf at work, and acted before it, is to come again.
+    What stands behind the leaf at work, and acted before it, is to come again. What stands before the last that acted,
+    and did not act itself, was passed by.
     """
     last = {one.path: (seq, one) for seq, one in now.actions.items()}
     at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
+    reached = (
+        max((last[node.path][0], place) for place, node in enumerate(drawn) if node.path in last)[1] if last else 0
+    )
     for place, node in enumerate(drawn):
         below = [node]
         for other in drawn[place + 1 :]:
@@ -95,9 +99,17 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
         elif failed is not None:
             yield Node(node.depth, node.name, "failed", str(failed))
         elif not acted:
-            yield Node(node.depth, node.name, "to come")
+            is_passed = now.job_ended is not None or (place < reached and not _is_beside(drawn, place, reached))
+            yield Node(node.depth, node.name, "skipped" if is_passed else "to come")
         else:
             _, one = max(acted, key=lambda pair: pair[0])
             state = _STATES.get(one.outcome, "to come")
             why = str(one.failure) if one.failure is not None and len(below) == 1 else ""
             yield Node(node.depth, node.name, _TURNED.get((node.name, state), state), why)
+
+
+def _is_beside(drawn: Sequence[TreeNode], place: int, later: int) -> bool:
+    """Whether two nodes of a tree go on at once: whether what holds both of them is a parallel."""
+    lowest = min(node.depth for node in drawn[place : later + 1])
+    above = [node for node in drawn[:place] if node.depth < lowest]
+    return bool(above) and above[-1].name == "parallel"

@@ -3,7 +3,7 @@
 import {by, clock, duration, facts, get, make, post, session} from "./common.js";
 import {draw} from "./chart.js";
 
-const SIGNS = {done: "✓", failed: "✗", running: "▶", "to come": "·"};
+const SIGNS = {done: "✓", failed: "✗", running: "▶", "to come": "·", skipped: "–"};
 const HAS_ENDED = ["complete", "stopped", "fault", "interrupted", "altered", "unreadable"];
 const id = decodeURIComponent(location.pathname.split("/").pop());
 const api = `/api/runs/${encodeURIComponent(id)}`;
