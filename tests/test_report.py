@@ -6,6 +6,7 @@ import re
 import time
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import browser_page, needs_browser, serious_faults
