@@ -157,6 +157,7 @@ def test_what_watches_the_sheet_is_told_how_it_is_about_to_change(bench: Any) ->
     hand.on_start = lambda forming: None
     morphed, rolled = told
     assert [morphed.rim_mm(s) for s in (0.0, 0.5, 1.0)] == pytest.approx([84.0, 87.0, 90.0], abs=0.2)
+    assert (morphed.with_arm, rolled.with_arm) == (False, True)
     assert (morphed.duration_s, rolled.duration_s) == (pytest.approx(1.0), pytest.approx(1.0))
     assert rolled.rim_mm(0.5) == pytest.approx(half_mm, abs=0.3 + 6.0 * bench.late_s)
     assert rolled.rim_mm(1.0) == pytest.approx(hand.cone_diameter_mm, abs=0.1)

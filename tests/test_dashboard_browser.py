@@ -20,6 +20,7 @@ from scuhand_bt.dashboard.page_state import Page
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab
+from scuhand_bt.motion.collision import SHEET_M
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
@@ -131,10 +132,26 @@ def test_a_run_is_watched_answered_paused_and_played_again(tmp_path: Path, brows
         assert page.locator("#samples .good").count() == 2
         assert page.locator("#control button:enabled").count() == 0
         replay_is_the_journal(page, journal)
+        cone_follows_the_roller(page, journal)
         assert serious_faults(page) == []
     asked = [row["payload"] for row in read(journal, "event") if row["kind"] in ("answered", "paused", "continued")]
     assert len(asked) == 4
     assert all(one["by"] for one in asked)
+
+
+def cone_follows_the_roller(page: Any, journal: Path) -> None:
+    """Within a stroke the cone that is drawn is as wide as the journal has it, whatever width the scene has."""
+    strokes = [
+        row for row in read(journal, "event") if row["kind"] == "arm_moves" and len(row["payload"]["rims_mm"]) > 9
+    ]
+    row = max(strokes, key=lambda row: len(row["payload"]["joints_rad"]))
+    rims_mm = row["payload"]["rims_mm"]
+    for k in (0, len(rims_mm) // 3, 2 * len(rims_mm) // 3, len(rims_mm) - 1):
+        drawn_mm = page.evaluate(
+            "([move, s]) => { window.viewer.at(move, s); return window.viewer.rim(); }",
+            [{"at_s": 0.0, **row["payload"]}, k * row["payload"]["step_s"]],
+        )
+        assert drawn_mm == pytest.approx(rims_mm[k] + 2e3 * SHEET_M, abs=0.2)
 
 
 def replay_is_the_journal(page: Any, journal: Path) -> None:

@@ -110,6 +110,8 @@ class Forming:
 
     duration_s: float
     rim_mm: Callable[[float], float]
+    with_arm: bool
+    """Whether the arm is about to begin its part of the same motion."""
 
 
 class Hand(Device, Protocol):

@@ -145,13 +145,13 @@ class ScuHand:
         end_rad = math.radians(cone.roller_deg(self.spec) - self._at_zero_deg)
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         servo_s = abs(end_rad - begin_rad) / ROLLER_SPEED_RAD_PER_S
-        self._form(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)))
+        self._form(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)), with_arm=False)
 
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course that is counted from the flat sheet."""
         if self._chain.lost is not None:
             raise self._chain.lost
-        self._form(course.counted_from(math.radians(self._at_zero_deg)))
+        self._form(course.counted_from(math.radians(self._at_zero_deg)), with_arm=True)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
         """Change the cone's size and wait for it; SkillFailed with what ended it early."""
@@ -208,9 +208,9 @@ class ScuHand:
             self._raise_trouble()
         self._controller.set_vibration(level)
 
-    def _form(self, course: Turn | SomeAxes) -> None:
+    def _form(self, course: Turn | SomeAxes, *, with_arm: bool) -> None:
         """Turn the roller along a course that is counted from its servo's zero."""
-        self.on_start(Forming(course.duration_s, lambda s: self._rim_mm(course.sample(s))))
+        self.on_start(Forming(course.duration_s, lambda s: self._rim_mm(course.sample(s)), with_arm))
         self._roller.move(course)
 
     def _rim_mm(self, roller_rad: Joints) -> float:

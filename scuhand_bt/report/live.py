@@ -14,7 +14,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.report.live_terminal import LiveTerminal
-from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_words
+from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_grams, in_words
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.outcome import BatchResult
@@ -132,7 +132,7 @@ class LiveView(BatchObserver):
         reading, empty_mg = self._cell.balance.latest, self._cell.believed.pan_empty_mg
         said = "balance: no reading"
         if reading is not None:
-            said = f"balance {reading.value_mg / 1000:.4f} g, {'stable' if reading.stable else 'moving'}"
+            said = in_grams(reading.value_mg, is_stable=reading.stable)
             said += f", net {format_mass(reading.value_mg - empty_mg)}" if empty_mg is not None else ""
         return f"{said}; valve {self._cell.hand.opening_mm:.2f} mm"
 

@@ -164,6 +164,11 @@ class Picture:
             yield from console.render_lines(one, options.update(height=None), pad=False)
 
 
+def in_grams(gross_mg: float, *, is_stable: bool) -> str:
+    """What the balance shows."""
+    return f"balance {gross_mg / 1000:.4f} g, {'stable' if is_stable else 'moving'}"
+
+
 def in_words(result: SampleResult) -> str:
     """A sample's result in a sentence, with the reason of one that failed."""
     why = f" ({result.code}: {result.detail})" if result.code else ""

@@ -6,15 +6,15 @@ from typing import Any
 from scuhand_bt.journal.events import RunBegun, TreeNode
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.report.picture import Asked, Node, Shown
+from scuhand_bt.report.picture import Asked, Node, Shown, in_grams
 
 _STATES = {None: "running", "done": "done", "failed": "failed"}
 _TURNED = {("invert", "done"): "failed", ("invert", "failed"): "done", ("optional", "failed"): "done"}
 """What a decorator makes of the state below it."""
 
 
-def shown_of(now: Follower, run: RunBegun) -> Shown:
-    """What there is to see of a run that is followed."""
+def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | None = None) -> Shown:
+    """What there is to see of a run that is followed; `balance` shows now: run time [s], gross [mg], is it stable."""
     name = now.path.stem
     waiting = now.waiting.asked
     asked = Asked(waiting.question, waiting.choices, now.waiting.at) if waiting is not None else None
@@ -28,6 +28,7 @@ def shown_of(now: Follower, run: RunBegun) -> Shown:
         left_s=time_left_s(now, run),
         job=about(now, run),
         tree=tree_of(now),
+        readings=in_grams(balance[1], is_stable=balance[2]) if balance is not None else "",
         state=f"Paused; `scuhand-bt resume {name}` continues" if now.is_paused else "",
         keys=f"scuhand-bt answer {name}" if asked is not None else keys,
         question=asked,

@@ -37,12 +37,14 @@ class MotionRecord:
     def __init__(self, cell: Cell, tell: Callable[[ArmMoves], None]) -> None:
         self._cell = cell
         self._tell = tell
-        self._formed_s, self._forming = 0.0, Forming(0.0, lambda time_s: 0.0)
+        self._formed_s, self._forming = 0.0, Forming(0.0, lambda time_s: 0.0, with_arm=False)
         cell.arm.on_start = self._moves
         cell.hand.on_start = self._forms
 
     def _forms(self, forming: Forming) -> None:
         self._formed_s, self._forming = self._cell.clock.now_s, forming
+        if forming.with_arm:
+            return
         steps, step_s = _rows(forming.duration_s)
         self._say(step_s, [self._cell.arm.positions], self._rims_mm(steps, step_s))
 

@@ -140,6 +140,7 @@ class Session:
         if options.controller is not None:
             self.cell.controller = options.controller
         self.cell.balance.on_reading = self._weighed
+        self.control.balance = lambda: self.cell.balance.latest
         MotionRecord(self.cell, self.journal.event)
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)

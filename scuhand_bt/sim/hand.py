@@ -135,12 +135,13 @@ class SimulatedHand:
         end_s = begin_s + max(fastest_s, duration_s, 1e-6)
         from_mm = self.cone_diameter_mm
         duration_s = end_s - begin_s
-        self.on_start(Forming(duration_s, lambda s: from_mm + min(1.0, s / duration_s) * (cone_diameter_mm - from_mm)))
+        by_mm = cone_diameter_mm - from_mm
+        self.on_start(Forming(duration_s, lambda s: from_mm + min(1.0, s / duration_s) * by_mm, with_arm=False))
         self._morph = (begin_s, end_s, from_mm, cone_diameter_mm)
 
     def start_rolling(self, course: SomeAxes) -> None:
         self._require_roller()
-        self.on_start(Forming(course.duration_s, lambda s: self._rolled_mm(course, s)))
+        self.on_start(Forming(course.duration_s, lambda s: self._rolled_mm(course, s), with_arm=True))
         self._morph, self._course = None, (self._clock.now_s, course)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
