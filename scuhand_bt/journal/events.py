@@ -32,6 +32,8 @@ class SamplePlanned(Values):
     id: Text
     workflow: str
     inputs: dict[str, JsonValue]
+    done_s: float | None = None
+    """When it is to be done, by the plan's forecast, from the beginning of the run."""
 
 
 class OptionsGiven(Values):

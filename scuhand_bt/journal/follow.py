@@ -86,6 +86,8 @@ class Follower:
     """What the workflows' trees look like, by the workflows' names."""
     samples: dict[str, SampleResult] = field(default_factory=dict)
     """What was said of each last, the newest last."""
+    judged_s: float = 0.0
+    """Run time of the newest."""
     job: JobStarted | None = None
     job_ended: JobEnded | None = None
     """None while the job goes on."""
@@ -135,6 +137,7 @@ class Follower:
                 self._weigh(frames)
             elif isinstance(event, SampleResult):
                 results.append(event)
+                self.judged_s = time_s
         if (row := database.execute(_STATE, (self._state_seq, self.until_s)).fetchone()) is not None:
             self._state_seq, self.state_s, self.state = row[0], row[1], json.loads(row[2])
         if self._seq > before:

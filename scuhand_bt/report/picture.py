@@ -179,7 +179,8 @@ def in_words(result: SampleResult) -> str:
     else:
         doses = ((dose, _dispensed(dose.dispensed_mg, dose.target_mg, dose.error_mg)) for dose in result.doses)
         said = "; ".join(f"{dose_name(dose, result)} {masses}, {dose.verdict}" for dose, masses in doses)
-    line = f"{said} in {result.pulses} pulses, {format_duration(result.duration_s)}: {result.verdict}"
+    pulses = f"{result.pulses} pulse{'s' if result.pulses != 1 else ''}"
+    line = f"{said} in {pulses}, {format_duration(result.duration_s)}: {result.verdict}"
     return line + why
 
 

@@ -1,6 +1,7 @@
 """What a run shows in another terminal than its own, or on a page: the same picture, from its journal."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from scuhand_bt.journal.events import RunBegun, TreeNode
@@ -35,10 +36,29 @@ def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | 
     )
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How a run keeps to its plan: what was to be done at `planned_s` was at `at_s`, and the rest is stretched alike."""
+
+    planned_s: float
+    at_s: float
+    stretch: float
+
+    def ends_s(self, done_s: float) -> float:
+        """The run time at which is done what was planned to be so at `done_s`."""
+        return self.at_s + self.stretch * (done_s - self.planned_s)
+
+
+def pace_of(now: Follower, run: RunBegun) -> Pace:
+    """By the samples that are done; the plan's own until one is."""
+    planned_s = max((one.done_s or 0.0 for one in run.samples or () if one.id in now.samples), default=0.0)
+    return Pace(planned_s, now.judged_s, now.judged_s / planned_s) if planned_s else Pace(0.0, 0.0, 1.0)
+
+
 def time_left_s(now: Follower, run: RunBegun) -> float | None:
-    """Run time that is left: the mean of the samples until now, for those left. None where that cannot be told."""
-    total, done = len(run.samples or ()), len(now.samples)
-    return now.time_s / done * (total - done) if done and now.ended is None else None
+    """Run time that is left; None where that cannot be told, as of an older journal."""
+    done_s = max((one.done_s or 0.0 for one in run.samples or ()), default=0.0)
+    return max(0.0, pace_of(now, run).ends_s(done_s) - now.time_s) if done_s and now.ended is None else None
 
 
 def inputs_of(run: RunBegun, sample: str | None) -> Mapping[str, Any]:

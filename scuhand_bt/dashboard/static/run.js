@@ -34,6 +34,7 @@ function show(told) {
     if (told.job && row.dataset.id === told.job.name) row.setAttribute("aria-current", "true");
     else row.removeAttribute("aria-current");
   }
+  forecast(told);
   const judged = [...samples.values()].filter((one) => one.tone);
   const left = isLive && told.left_s ? `; about ${duration(told.left_s)} of run time left` : "";
   by("progress").textContent = `Samples: ${judged.length} of ${samples.size}${left}`;
@@ -71,6 +72,19 @@ function sample(row) {
   now.line = line;
   if (before) before.line.replaceWith(line);
   else by("samples").append(line);
+}
+
+let forecastAt = 0;
+function forecast({pace, time_s, state}) {  // of every sample, when it will be done; seldom, as there may be thousands
+  if (!pace || !isLive || performance.now() - forecastAt < 1000) return;
+  forecastAt = performance.now();
+  for (const one of samples.values()) {
+    if (one.tone || !one.done_s || one.told) continue;
+    const left_s = Math.max(0, pace.at_s + pace.stretch * (one.done_s - pace.planned_s) - time_s);
+    const text = HAS_ENDED.includes(state) ? "" : one.verdict === "under way" ? `about ${duration(left_s)} left` : `in about ${duration(left_s)}`;
+    const cell = one.line.cells[3];
+    if (cell.textContent !== text) cell.textContent = text;
+  }
 }
 
 function tree(nodes) {

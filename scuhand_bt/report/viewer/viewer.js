@@ -40,7 +40,8 @@ function label(text, at) {
   pen.lineWidth = 8; pen.strokeStyle = "#ffffffd0"; pen.strokeText(text, 256, 46);
   pen.fillStyle = "#1b6b3a"; pen.fillText(text, 256, 46);
   const sprite = new THREE.Sprite(new THREE.SpriteMaterial({map: new THREE.CanvasTexture(canvas), depthTest: false}));
-  sprite.scale.set(0.24, 0.03, 1);
+  sprite.scale.set(0.32, 0.04, 1);
+  sprite.renderOrder = 1;  // over what is seen through
   return placed(sprite, [at[0], at[1], at[2] + 0.02]);
 }
 
@@ -48,7 +49,7 @@ export function view(holder, scene, text) {
   const renderer = new THREE.WebGLRenderer({antialias: true, alpha: true});
   const world = new THREE.Scene(), camera = new THREE.PerspectiveCamera(38, 1, 0.02, 20);
   camera.up.set(0, 0, 1);
-  camera.position.set(0.92, -0.8, 0.62);
+  camera.position.set(0.81, -0.69, 0.56);
   world.add(new THREE.HemisphereLight(0xffffff, 0x8a93a0, 2.2));
   world.add(placed(new THREE.DirectionalLight(0xffffff, 1.6), [1, -2, 3]));
   const joints = [world];
@@ -103,6 +104,7 @@ export function view(holder, scene, text) {
   holder.replaceChildren(canvas);
   const controls = new OrbitControls(camera, canvas);
   controls.target.set(0.18, -0.02, 0.16);
+  if (scene.dots?.length) camera.position.multiplyScalar(1.5);  // they reach farther than the cell
   controls.listenToKeyEvents(canvas);
   let isAsked = false;
   const draw = () => {
