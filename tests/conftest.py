@@ -31,7 +31,7 @@ from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.yaml_source import parse
 
-pytest_plugins = ["pytester", "real_time"]
+pytest_plugins = ["pytester", "real_time", "browser"]
 REPOSITORY = Path(__file__).parent.parent
 
 

@@ -14,8 +14,11 @@ from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S, Hello, Report, encode
-from scuhand_bt.dosing.cone import edge_travel_mm
+from scuhand_bt.devices.interfaces import Forming
+from scuhand_bt.devices.scuhand import Turn
+from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion.axes import SomeAxes
 
 NEARLY_MM = 0.05
 """What the valve's servo may be off."""
@@ -137,6 +140,27 @@ def test_the_cone_changes_at_the_hands_speed_or_slower_and_no_faster(bench: Any)
     assert 1.45 <= bench.timed(hand.morph(88.0, 1.5)) <= 1.6 + bench.late_s
     assert hand.is_stopped
     hand.spec = spec
+
+
+def test_what_watches_the_sheet_is_told_how_it_is_about_to_change(bench: Any) -> None:
+    hand, told = bench.device, list[Forming]()
+    bench.run(hand.morph(84.0))
+    hand.on_start = told.append
+    bench.run(hand.morph(90.0, 1.0))
+    wide_rad, narrow_rad = (
+        math.radians(Cone(mm, hand.spec.sheet_radius_mm).roller_deg(hand.spec)) for mm in (90.0, 84.0)
+    )
+    hand.start_rolling(SomeAxes(Turn(wide_rad, narrow_rad, 1.0), slice(0, 1)))
+    bench.pass_time(0.5)
+    half_mm = hand.cone_diameter_mm
+    bench.until(lambda: hand.is_stopped, 1.5)
+    hand.on_start = lambda forming: None
+    morphed, rolled = told
+    assert [morphed.rim_mm(s) for s in (0.0, 0.5, 1.0)] == pytest.approx([84.0, 87.0, 90.0], abs=0.2)
+    assert (morphed.with_arm, rolled.with_arm) == (False, True)
+    assert (morphed.duration_s, rolled.duration_s) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert rolled.rim_mm(0.5) == pytest.approx(half_mm, abs=0.3 + 6.0 * bench.late_s)
+    assert rolled.rim_mm(1.0) == pytest.approx(hand.cone_diameter_mm, abs=0.1)
 
 
 def test_a_morph_that_is_closed_in_the_middle_leaves_the_sheet_as_it_is_then(bench: Any) -> None:

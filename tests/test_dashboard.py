@@ -1,6 +1,7 @@
 """The dashboard: what its page is told is what the journal has, then and now, and a person answers by it."""
 
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from running import dry_run, make_lab
 from test_answers import ASK, RECIPE, Run, told
 
 from scuhand_bt.dashboard.page_state import Page, banner
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.journal.events import Asked, JobStarted, RunBegun
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.presence import Presence
@@ -104,6 +106,27 @@ def test_within_a_dose_a_replay_shows_its_course_until_then_and_no_further(finis
     assert told["dose"] == {"target_mg": 20.0, "tolerance_mg": 2.0}
 
 
+def test_what_the_balance_shows_is_on_the_page_at_any_time(journal: Any) -> None:
+    written, control = journal
+    shown = Reading(1234.5, False, 7.0)
+    control.balance = lambda: shown
+    with serving(written.path.parent.parent) as client:
+        balance = client.news("one", "balance")
+        assert next(balance) == [7.0, 1234.5, False]
+        shown = Reading(1240.0, True, 7.1)
+        assert next(balance) == [7.1, 1240.0, True]
+        shown = None
+        assert next(balance) is None
+        balance.close()
+
+
+def test_a_replay_has_what_the_balance_showed_when_it_was_weighed_by(finished: Any) -> None:
+    tared = next(row for row in read(finished.journal, "event") if row["kind"] == "tare")
+    last = tared["payload"]["readings"][-1]
+    told = Page(Follower(finished.journal, until_s=tared["time_s"])).news(is_held=True)
+    assert told["reading"] == (last["time_s"], last["value_mg"], True)
+
+
 def test_a_motion_is_told_as_it_begins_with_where_it_leads(finished: Any) -> None:
     now = Follower(finished.journal)
     now.look()
@@ -113,6 +136,25 @@ def test_a_motion_is_told_as_it_begins_with_where_it_leads(finished: Any) -> Non
     assert move.joints_rad[-1] == pytest.approx(now.state["joints_rad"], abs=1e-4)
     before = Page(Follower(finished.journal, until_s=began_s - 1.0)).news(is_held=True)
     assert before["move"]["at_s"] < began_s
+
+
+def test_the_cone_is_told_as_wide_as_the_roller_makes_it_all_through_a_motion(finished: Any) -> None:
+    events = read(finished.journal, "event")
+    moves = [row["payload"] for row in events if row["kind"] == "arm_moves"]
+    for move, after in pairwise(moves):
+        rims_mm = move["rims_mm"] or [move["cone_mm"]]
+        assert (rims_mm[0], rims_mm[-1]) == pytest.approx((move["cone_mm"], after["cone_mm"]), abs=0.05)
+    scooped = next(row for row in events if row["kind"] == "scoop")
+    opened, stroke = [
+        row["payload"]
+        for row in events
+        if row["kind"] == "arm_moves" and row["action"] == scooped["action"] and row["payload"]["rims_mm"]
+    ][:2]
+    widths_mm = scooped["payload"]["open_mm"], scooped["payload"]["closed_mm"]
+    assert (opened["rims_mm"][-1], len(opened["joints_rad"])) == (pytest.approx(widths_mm[0], abs=0.05), 1)
+    assert len(stroke["rims_mm"]) == len(stroke["joints_rad"]) > 10
+    assert (stroke["rims_mm"][0], stroke["rims_mm"][-1]) == pytest.approx(widths_mm, abs=0.05)
+    assert any(widths_mm[1] + 1.0 < rim_mm < widths_mm[0] - 1.0 for rim_mm in stroke["rims_mm"])
 
 
 def test_what_is_written_is_on_the_page_at_once_and_a_page_that_stays_is_told_only_what_changed(journal: Any) -> None:

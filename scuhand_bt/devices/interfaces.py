@@ -104,6 +104,16 @@ class Arm(Device, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Forming:
+    """How the cone's size is about to change: its rim's diameter [mm] at every time [s] from now on."""
+
+    duration_s: float
+    rim_mm: Callable[[float], float]
+    with_arm: bool
+    """Whether the arm is about to begin its part of the same motion."""
+
+
 class Hand(Device, Protocol):
     """The conical sheet, its roller, the valve at the apex and the vibration motor.
 
@@ -111,6 +121,9 @@ class Hand(Device, Protocol):
     An opening beyond what the valve can have is the nearest that it can; what is no number is a ValueError.
     Opening and vibrating fail with the device's fault, shutting and stopping never do.
     """
+
+    on_start: Callable[[Forming], None]
+    """Told of every change of the cone's size just before it begins; must be quick."""
 
     @property
     def spec(self) -> HandSpec: ...

@@ -4,6 +4,7 @@ Meets `devices.interfaces.Hand`.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import FAULTS, LONGEST_DWELL_S
-from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.devices.interfaces import Forming, Joints
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.axes import SomeAxes
@@ -78,6 +79,7 @@ class ScuHand:
     ) -> None:
         self.spec = spec
         self.longest_dwell_s = LONGEST_DWELL_S
+        self.on_start: Callable[[Forming], None] = lambda forming: None
         self.news: Signal = controller.news
         """The same signal as the chain's."""
         self._controller = controller
@@ -112,7 +114,7 @@ class ScuHand:
 
     @property
     def cone_diameter_mm(self) -> float:
-        return Cone.from_roller(self._at_zero_deg + self._roller_deg, self.spec).diameter_mm
+        return self._rim_mm(self._roller.positions_rad)
 
     @property
     def opening_mm(self) -> float:
@@ -143,13 +145,13 @@ class ScuHand:
         end_rad = math.radians(cone.roller_deg(self.spec) - self._at_zero_deg)
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         servo_s = abs(end_rad - begin_rad) / ROLLER_SPEED_RAD_PER_S
-        self._roller.move(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)))
+        self._form(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)), with_arm=False)
 
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course that is counted from the flat sheet."""
         if self._chain.lost is not None:
             raise self._chain.lost
-        self._roller.move(course.counted_from(math.radians(self._at_zero_deg)))
+        self._form(course.counted_from(math.radians(self._at_zero_deg)), with_arm=True)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
         """Change the cone's size and wait for it; SkillFailed with what ended it early."""
@@ -205,6 +207,15 @@ class ScuHand:
         if level > 0.0:
             self._raise_trouble()
         self._controller.set_vibration(level)
+
+    def _form(self, course: Turn | SomeAxes, *, with_arm: bool) -> None:
+        """Turn the roller along a course that is counted from its servo's zero."""
+        self.on_start(Forming(course.duration_s, lambda s: self._rim_mm(course.sample(s)), with_arm))
+        self._roller.move(course)
+
+    def _rim_mm(self, roller_rad: Joints) -> float:
+        """The cone's rim with the roller's servo there."""
+        return Cone.from_roller(self._at_zero_deg + math.degrees(float(roller_rad[0])), self.spec).diameter_mm
 
     @property
     def _roller_deg(self) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
@@ -59,12 +60,12 @@ class Plan:
     jobs: tuple[Job, ...]
     demands: tuple[Demand, ...]
     persons: tuple[PersonNeeded, ...]
-    forecast_s: Mapping[str, float]
-    """What each job takes, by its name, if nothing fails."""
+    done_s: Mapping[str, float]
+    """When each job is to be done, by its name, from the beginning of the run."""
 
     @property
     def duration_s(self) -> float:
-        return sum(self.forecast_s.values())
+        return max(self.done_s.values(), default=0.0)
 
     @property
     def swaps(self) -> int:
@@ -101,8 +102,8 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     forecasts = [forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
-    took_s = {job.name: sum(f.duration_s for f in found) for job, found in zip(jobs, forecasts, strict=True)}
-    return Plan(recipe, jobs, demands, persons, took_s)
+    done_s = accumulate(sum(one.duration_s for one in found) for found in forecasts)
+    return Plan(recipe, jobs, demands, persons, dict(zip((job.name for job in jobs), done_s, strict=True)))
 
 
 def recoveries(sample: Sample) -> list[Job]:

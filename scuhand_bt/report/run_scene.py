@@ -17,9 +17,10 @@ from scuhand_bt.lab import CELL_FILE, Lab, is_lab, load_bench, starter_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.specs import Mortar
 
-_RIMS = f"SELECT DISTINCT ROUND(json_extract(payload, '$.cone_mm')) FROM entry WHERE kind = '{ArmMoves.KIND}' LIMIT 40"
-MOST_RIMS = 12
-"""Widths that the cone is drawn in."""
+_RIMS = f"""SELECT json_extract(payload, '$.cone_mm') FROM entry WHERE kind = '{ArmMoves.KIND}' UNION
+    SELECT value FROM entry, json_each(payload, '$.rims_mm') WHERE kind = '{ArmMoves.KIND}'"""
+RIMS = 6
+"""Widths in which the cone is described; the viewer draws those between two of them."""
 
 
 def run_scene(journal: Path) -> dict[str, Any]:
@@ -39,7 +40,7 @@ def run_scene(journal: Path) -> dict[str, Any]:
 
 
 def scene_of(lab: Lab, mortars: Mapping[str, Mortar], rims_mm: Iterable[float]) -> dict[str, Any]:
-    """A lab's cell with a mortar at each of these stations, and cones of about these rims.
+    """A lab's cell with a mortar at each of these stations, and cones from the least of these rims to the largest.
 
     KeyError for a station that it does not have, ValueError for a cone that cannot be made.
     """
@@ -47,13 +48,12 @@ def scene_of(lab: Lab, mortars: Mapping[str, Mortar], rims_mm: Iterable[float]) 
     from scuhand_bt.report.scene3d import scene_values
 
     usual_mm = 1000 * CONE_DIAMETER_M
-    rims = sorted({float(round(rim_mm)) for rim_mm in rims_mm})
-    few = rims[:: max(1, -(-len(rims) // MOST_RIMS))]
+    rims = [usual_mm, *rims_mm]
+    least_mm, most_mm = min(rims), max(rims)
+    few = {round(least_mm + (most_mm - least_mm) * k / (RIMS - 1), 2) for k in range(RIMS)}
     stations = {name: [mm / 1000 for mm in station.position_mm] for name, station in lab.cell.stations.items()}
     offset_m = lab.cell.hand.apex_offset_mm / 1000
-    values = scene_values(
-        lab.motion_planner(mortars), offset_m, [*few, usual_mm], stations, lab.library.containers.values()
-    )
+    values = scene_values(lab.motion_planner(mortars), offset_m, few, stations, lab.library.containers.values())
     return {**values, "usual_mm": usual_mm}
 
 

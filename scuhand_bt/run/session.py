@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.devices.interfaces import Reading, Trajectory
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.journal.events import FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
@@ -20,7 +20,7 @@ from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
-from scuhand_bt.run.cell_state import arm_moves, state_of, take_up
+from scuhand_bt.run.cell_state import MotionRecord, state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
@@ -140,7 +140,8 @@ class Session:
         if options.controller is not None:
             self.cell.controller = options.controller
         self.cell.balance.on_reading = self._weighed
-        self.cell.arm.on_start = self._moves
+        self.control.balance = lambda: self.cell.balance.latest
+        MotionRecord(self.cell, self.journal.event)
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         self._records.begin(journal, self.cell)
@@ -164,9 +165,6 @@ class Session:
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
         self.journal.weighed(reading)
-
-    def _moves(self, trajectory: Trajectory) -> None:
-        self.journal.event(arm_moves(trajectory, self.cell.hand.cone_diameter_mm))
 
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""

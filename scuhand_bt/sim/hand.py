@@ -8,6 +8,7 @@ is shut. The servo's own encoder cannot see it: `opening_mm` reports the servo.
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -22,6 +23,7 @@ from scuhand_bt.devices.arguments import (
     require_streaming,
 )
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
+from scuhand_bt.devices.interfaces import Forming
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.axes import SomeAxes
@@ -67,6 +69,7 @@ class SimulatedHand:
         self.spec = spec
         self.longest_dwell_s = LONGEST_DWELL_S
         self.news = Signal()
+        self.on_start: Callable[[Forming], None] = lambda forming: None
         self.vibration = 0.0
         self.cone_diameter_mm = MOUNTED_DIAMETER_MM
         self.knows_its_roller = True
@@ -130,10 +133,15 @@ class SimulatedHand:
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         begin_s = self._clock.now_s
         end_s = begin_s + max(fastest_s, duration_s, 1e-6)
-        self._morph = (begin_s, end_s, self.cone_diameter_mm, cone_diameter_mm)
+        from_mm = self.cone_diameter_mm
+        duration_s = end_s - begin_s
+        by_mm = cone_diameter_mm - from_mm
+        self.on_start(Forming(duration_s, lambda s: from_mm + min(1.0, s / duration_s) * by_mm, with_arm=False))
+        self._morph = (begin_s, end_s, from_mm, cone_diameter_mm)
 
     def start_rolling(self, course: SomeAxes) -> None:
         self._require_roller()
+        self.on_start(Forming(course.duration_s, lambda s: self._rolled_mm(course, s), with_arm=True))
         self._morph, self._course = None, (self._clock.now_s, course)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
@@ -342,9 +350,12 @@ class SimulatedHand:
         assert self._course is not None
         begin_s, course = self._course
         before_mm = self.cone_diameter_mm
-        roller_deg = math.degrees(float(course.sample(now_s - begin_s)[0]))
-        self.cone_diameter_mm = Cone.from_roller(roller_deg, self.spec).diameter_mm
+        self.cone_diameter_mm = self._rolled_mm(course, now_s - begin_s)
         self._closes = self.cone_diameter_mm < before_mm
         if now_s - begin_s >= course.duration_s - 1e-9:
             self.hold_sheet()
             self.news.fire()
+
+    def _rolled_mm(self, course: SomeAxes, time_s: float) -> float:
+        """The cone's rim where a course of the roller is at this time of it."""
+        return Cone.from_roller(math.degrees(float(course.sample(time_s)[0])), self.spec).diameter_mm

@@ -76,10 +76,9 @@ def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> tuple[str, i
 
     def done(order: str) -> int:
         made = make_plan(replace(plan.recipe, order=order), lab)
-        needed, now_s, many = {person.job for person in made.persons}, 0.0, 0
+        needed, many = {person.job for person in made.persons}, 0
         for job in made.jobs:
-            now_s += made.forecast_s[job.name] * slower
-            if job.name in needed or now_s > night.lasts_s:
+            if job.name in needed or made.done_s[job.name] * slower > night.lasts_s:
                 break
             many += job.sample is not None
         return many
