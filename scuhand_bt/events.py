@@ -325,12 +325,25 @@ class Returned(SkillEvent):
     expected_mg: float
 
 
+class Kept(SkillEvent):
+    """What was left in the cone stays there for the next sample of its lot."""
+
+    KIND: ClassVar = "kept"
+
+    source: Text
+    expected_mg: float
+
+
 class Discarded(SkillEvent):
-    """What was in the cone went to waste."""
+    """What was in the cone went to waste, or into another vessel."""
 
     KIND: ClassVar = "discarded"
 
     expected_mg: float
+    source: Text | None = None
+    """Of which it was; this and what follows are not in journals of earlier versions."""
+    to: Text | None = None
+    """The station of what it went into."""
 
 
 class SheetSwapped(SkillEvent):
@@ -339,6 +352,8 @@ class SheetSwapped(SkillEvent):
     KIND: ClassVar = "sheet"
 
     sheets_used: int
+    touched: Text | None = None
+    """The powder lot that the old one, the rollers and the passive clamp had touched; these were wiped."""
 
 
 class ValveChecked(SkillEvent):
@@ -368,6 +383,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     BalanceDoubted,
     Scooped,
     Returned,
+    Kept,
     Discarded,
     SheetSwapped,
     ValveChecked,

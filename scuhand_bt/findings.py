@@ -56,6 +56,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "bad-table": Finding("A CSV file is no table of samples.", "A header with `id`, then one sample a row."),
         "table-elsewhere": Finding("A table is neither beside the recipe nor in the lab.", "Put it beside the recipe."),
         "uneven-lists": Finding("Lists side by side are not of one length, or empty.", "As many values in each."),
+        "leftover-mixed": Finding("What is left of two lots would come into one vessel.", "A recipe for each lot."),
         "bad-repeat": Finding("`repeat` is no number of samples, or stands beside a list.", "A number, or a list."),
         "too-many-samples": Finding("A recipe of more samples than can be run.", "Split it."),
         "misplaced-default": Finding(

@@ -220,6 +220,10 @@ class Mortar(Spec):
         return math.pi * self.depth_mm * (3 * (self.bore_mm / 2) ** 2 + self.depth_mm**2) / 6
 
 
+Leftover = Literal["keep", "return", "discard"]
+"""What becomes of powder that is left in the cone (`recipe/leftover.py`)."""
+
+
 class Source(Spec):
     """A mortar with powder at a station, as a recipe names it."""
 
@@ -229,6 +233,10 @@ class Source(Spec):
     powder: Powder
     amount_mg: Annotated[Milligrams, Positive]
     lot: str = ""
+    leftover: Leftover | None = None
+    """What the recipe wants done with what is left of it in the cone; None for what the workflow does."""
+    leftover_to: str = ""
+    """The station of the vessel that it is discarded into; "" for the waste bin."""
 
     @property
     def sheet_key(self) -> str:

@@ -164,7 +164,7 @@ def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
     assert "change powder to monosodium_glutamate" in shown.stdout
     assert "Sheet swaps: 1." in shown.stdout
     change = "change powder to monosodium_glutamate for m-xrd-1"
-    assert f"A person is needed at '{change}': swap the sheet (two screws)." in shown.stdout
+    assert f"A person is needed at '{change}': swap the sheet (two screws), wipe rollers and clamp." in shown.stdout
 
 
 def test_plan_as_json_has_every_job(command: Call) -> None:

@@ -183,7 +183,8 @@ def fake(seed: int, duration_s: float, good: str) -> Trial:
                     None if name in good else "dose.overshoot", 50.0, 50.0, 50.0, 10.0)
         for name in "abc"
     )  # fmt: skip
-    return Trial(seed, 0, duration_s, {"a": 0.0, "b": 100.0}, samples, {"beads": 1 + seed % 2}, {"beads": 200.0})
+    scoops, left_mg = {"beads": 1 + seed % 2}, {"beads": {"kept": 100.0}}
+    return Trial(seed, 0, duration_s, {"a": 0.0, "b": 100.0}, samples, scoops, {"beads": 200.0}, left_mg)
 
 
 def test_odds_hold_alike_samples_together_and_warn_of_those_that_fail(setup: Setup) -> None:
@@ -238,7 +239,7 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
     )  # fmt: skip
     shown = command("plan", setup.recipe, "--trials", 2).stdout
     assert "By 2 dry runs (intervals of 90 %): it takes " in shown
-    assert "swap the sheet (two screws) (after " in shown
+    assert "swap the sheet (two screws), wipe rollers and clamp (after " in shown
     found = json.loads(command("plan", setup.recipe, "--trials", 2, "--json").stdout)
     assert found["odds"]["trials"] == 2
     assert set(found["odds"]["samples"]) == {"a", "b", "c"}

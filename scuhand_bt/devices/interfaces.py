@@ -138,11 +138,19 @@ class Hand(Device, Protocol):
 
     @property
     def knows_its_roller(self) -> bool:
-        """Whether `cone_diameter_mm` was followed since a person has seen the sheet, or is only what it may be."""
+        """Whether `cone_diameter_mm` is true. A roller that has lost its turns is not turned before `rim_is`."""
         ...
 
-    def rolled_as_mounted(self) -> None:
-        """A person has rolled the sheet as it is mounted: `cone_diameter_mm` counts from there."""
+    @property
+    def possible_rims_mm(self) -> Sequence[float]:
+        """The rims that the cone may have, by the roller's angle within its turn; none where not even that tells."""
+        ...
+
+    def rim_is(self, diameter_mm: float) -> None:
+        """A person has seen how wide the rim is, or has mounted a sheet so: `cone_diameter_mm` counts from there.
+
+        ValueError for a rim beyond the roller's limits.
+        """
         ...
 
     @property
@@ -153,14 +161,15 @@ class Hand(Device, Protocol):
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         """Begin to change the cone's rim diameter, over `duration_s`, but no faster than the hand's speed.
 
-        ValueError for a cone that the sheet cannot make or a duration that is none, SkillFailed device.lost.
+        ValueError for a cone beyond the roller's limits (`HandSpec.rim_limits_mm`) or a duration that is none;
+        SkillFailed device.lost, hand.roller_lost.
         """
         ...
 
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course, one angle [rad] counted from the flat sheet, beside the arm's.
 
-        SkillFailed device.lost. `stop` ends it as it ends the arm's part of the same motion.
+        ValueError and SkillFailed as `start_morph`. `stop` ends it as it ends the arm's part of the same motion.
         """
         ...
 

@@ -16,6 +16,7 @@ from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.flow import Flow, flow_of
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
+from scuhand_bt.recipe.leftover import with_leftover
 from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample
 from scuhand_bt.recipe.sources import SourcesReader
@@ -41,13 +42,15 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
 OVERSHOOT_LIMIT = 2
 """One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
 MISPLACED = {
-    **dict.fromkeys(("recipe", "workflow", "controller", "order", "on_failure"), "it stands at the top of the recipe"),
+    **dict.fromkeys(
+        ("recipe", "workflow", "controller", "order", "leftover", "on_failure"), "it stands at the top of the recipe"
+    ),
     **dict.fromkeys(("id", "repeat", "table"), "each sample has its own"),
 }
 """Keys that are sometimes looked for under `defaults`, and where they stand."""
 RECIPE_KEYS = (
     *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
-    *("on_failure", "overshoot_limit"),
+    *("leftover", "on_failure", "overshoot_limit"),
 )
 
 
@@ -145,6 +148,7 @@ class _Reader:
         if controller is not None:
             self._check_controller(controller, root.values["controller"].mark)
         sources = SourcesReader(self.lab, self.problems, self.source_marks, self.marks).read(root.get("sources"))
+        sources = with_leftover(sources, root.get("leftover"), self.lab.cell, self.problems)
         samples = self._read_samples(root, sources)
         needed = [
             i for workflow in self.workflows.values() for i in workflow.inputs.values() if i.type.python is Source

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.lab import TEST_SUFFIX, Lab
+from scuhand_bt.recipe.leftover import POLICIES, TO
 from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.recipe import ACTIONS
 from scuhand_bt.recipe.sources import SourceText
@@ -236,6 +237,7 @@ def _or_reference(value: Json, wire: WireType | None = None) -> Json:
 
 def _recipe(lab: Lab) -> Json:
     library = lab.library
+    vessels = [one.name for one in lab.cell.stations.values() if one.kind == "waste"]
     mortar_stations = [one.name for one in lab.cell.stations.values() if one.kind == "mortar"]
     source = _model(SourceText)
     known = {"station": mortar_stations, "container": library.mortars, "powder": library.powders}
@@ -263,6 +265,12 @@ def _recipe(lab: Lab) -> Json:
             "sources": {"type": "object", "additionalProperties": source, "minProperties": 1},
             "defaults": _object(values, []),
             "samples": {"type": "array", "items": _object({**own, **each}, []), "minItems": 1},
+            "leftover": {
+                "anyOf": [
+                    {"oneOf": [{"const": key, "description": said} for key, said in POLICIES.items()]},
+                    _object({TO: {"enum": sorted(vessels)}}, [TO]),
+                ]
+            },
             "on_failure": _object({**codes, "otherwise": actions}, []),
             "overshoot_limit": {"type": "integer", "minimum": 0},
         },

@@ -105,6 +105,7 @@ def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:
             _range(odds.scoops[source.name], lambda count: f"{count:.0f}"),
             format_mass(demand.needed_mg),
             _range(odds.used_mg[source.name], format_mass),
+            *(_range(one, format_mass) for one in odds.leftovers_mg[source.name].values()),
             format_mass(source.amount_mg),
         ]
 

@@ -11,10 +11,12 @@ import numpy as np
 
 from scuhand_bt.cell.cell import Cell, carrying_limit_deg
 from scuhand_bt.cell.places import Position, all_places, over_balance
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
 from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, without_driver
@@ -25,6 +27,7 @@ from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
+from scuhand_bt.run.outage import rim_in_words
 from scuhand_bt.run.questions import Questions
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.changer import SimulatedChanger
@@ -184,7 +187,10 @@ def _dry_run(
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove, may_be_loaded=restore)
     _follow_hands(world, cell)
-    simulated.sees = lambda: "another" if world.pan.is_exchanged else "same"
+    simulated.sees = lambda: (
+        "another" if world.pan.is_exchanged else "same",
+        rim_in_words(cell.hand.cone_diameter_mm),
+    )
 
     def tell(why: str) -> None:
         journal.event(NotResumable(why=why))
@@ -220,6 +226,7 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
         opened.enter_context(bench)
         devices = connect_cell_devices(bench.spec, clock, liveness)
         opened.callback(devices.close)
+        devices.hand.rim_is(MOUNTED_DIAMETER_MM)
         opened.callback(liveness.end)
         operator: Operator = ask(clock)
         if not has_person:
@@ -250,7 +257,8 @@ def _real(
     liveness = Liveness()
     clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
-        devices = connect_cell_devices(lab.cell, clock, liveness, may_torque=may_torque)
+        roller_file = journal.path.parent.parent / ROLLER_FILE
+        devices = connect_cell_devices(lab.cell, clock, liveness, may_torque=may_torque, roller_file=roller_file)
         opened.callback(devices.close)
         opened.callback(liveness.end)
         operator = ask(clock)

@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 import scuhand_bt
+from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.journal.events import FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
@@ -29,7 +30,7 @@ from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import Options, check_controller, described
-from scuhand_bt.run.outage import settle_outage
+from scuhand_bt.run.outage import settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
@@ -80,8 +81,7 @@ class Session:
         self.notices = self._records.notices
         self._person = options.person or Person(user_name())
         self.control.at_terminal = Who(self._person.name)
-        has_begun = self._history is not None and self._history.state
-        self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._records.stock)
+        self._conflicts = [] if self._is_taken_up else conflicts(plan, lab.cell, self._records.stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
         with ExitStack() as opened:
             self._holds = opened.enter_context(ExitStack())
@@ -222,11 +222,8 @@ class Session:
         """
         if threading.get_ident() != self._thread:
             raise RuntimeError("a session is run in the thread in which it was made: make it there")
-        world, first = self.world, None
-        if self._conflicts:
-            first = resolve(self.cell, self._conflicts)
-        elif self._history is not None and self._history.state:
-            first = settle_outage(self.journal, self.cell)
+        world = self.world
+        has_to_settle = not self.cell.hand.knows_its_roller or self._conflicts or self._is_taken_up
         batch = Batch(
             self.plan,
             self.cell,
@@ -236,7 +233,7 @@ class Session:
             self.control,
             world.true_mass if world is not None else None,
             self._history,
-            first=first,
+            first=self._settle() if has_to_settle else None,
             after_job=self._records.after_job,
             substitutes=self._substitutes,
         )
@@ -255,6 +252,19 @@ class Session:
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)
         return result
+
+    @property
+    def _is_taken_up(self) -> bool:
+        return self._history is not None and bool(self._history.state)
+
+    def _settle(self) -> Steps[None]:
+        """What has to be known of the cell before its first job."""
+        if not self.cell.hand.knows_its_roller:
+            yield from settle_roller(self.cell)
+        if self._conflicts:
+            yield from resolve(self.cell, self._conflicts)
+        elif self._is_taken_up:
+            yield from settle_outage(self.journal, self.cell)
 
     @property
     def unused_rules(self) -> list[str]:

@@ -8,7 +8,7 @@ is shut. The servo's own encoder cannot see it: `opening_mm` reports the servo.
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -16,6 +16,8 @@ import numpy as np
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.arguments import (
+    check_rim,
+    checked_course,
     checked_duration,
     checked_dwell,
     checked_vibration,
@@ -24,6 +26,7 @@ from scuhand_bt.devices.arguments import (
 )
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
 from scuhand_bt.devices.interfaces import Forming
+from scuhand_bt.devices.roller import rims_mm, roller_lost
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.axes import SomeAxes
@@ -123,11 +126,16 @@ class SimulatedHand:
         if not self._is_lost:
             self.shut(self._clock.now_s)
 
-    def rolled_as_mounted(self) -> None:
-        self.cone_diameter_mm, self.knows_its_roller = MOUNTED_DIAMETER_MM, True
+    @property
+    def possible_rims_mm(self) -> Sequence[float]:
+        return rims_mm(Cone(self.cone_diameter_mm, self.spec.sheet_radius_mm).roller_deg(self.spec), self.spec)
+
+    def rim_is(self, diameter_mm: float) -> None:
+        check_rim(diameter_mm, self.spec)
+        self.cone_diameter_mm, self.knows_its_roller = diameter_mm, True
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
-        Cone(cone_diameter_mm, self.spec.sheet_radius_mm)  # refuses what the sheet cannot make
+        check_rim(cone_diameter_mm, self.spec)
         duration_s = checked_duration(duration_s)
         self._require_roller()
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
@@ -140,6 +148,7 @@ class SimulatedHand:
         self._morph = (begin_s, end_s, from_mm, cone_diameter_mm)
 
     def start_rolling(self, course: SomeAxes) -> None:
+        checked_course(course, self.spec)
         self._require_roller()
         self.on_start(Forming(course.duration_s, lambda s: self._rolled_mm(course, s), with_arm=True))
         self._morph, self._course = None, (self._clock.now_s, course)
@@ -303,6 +312,8 @@ class SimulatedHand:
         self._was_lost = self._is_lost
         if NO_ROLLER & active.keys():
             self.hold_sheet()
+        if "arm.no_power" in active:
+            self.knows_its_roller = False
         if not ("valve.stuck_open" in active or "valve.stuck_closed" in active):
             self._blocked_s = 0.0
         is_faulty = self.fault is not None
@@ -321,6 +332,8 @@ class SimulatedHand:
     def _require_roller(self) -> None:
         if NO_ROLLER & self.faults.active.keys():
             raise SkillFailed(Code.DEVICE_LOST, "the servo bus, which the roller is on, does not answer")
+        if not self.knows_its_roller:
+            raise roller_lost()
 
     def _turn_to(self, target_mm: float, now_s: float) -> None:
         if self._servo_mm == 0.0 and self._target_mm == 0.0 and target_mm > 0.0:
