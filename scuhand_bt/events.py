@@ -350,6 +350,24 @@ class ValveChecked(SkillEvent):
     """Where the shut valve stands."""
 
 
+# --- a sample's row
+
+
+class Recorded(SkillEvent):
+    """A value for the sample's row; one of the same name before it in this job does not count any more."""
+
+    KIND: ClassVar = "recorded"
+
+    name: Text
+    value: bool | int | float | Text
+    unit: str = ""
+    """Empty for a number, a text and a flag."""
+
+    def __str__(self) -> str:
+        shown = f"{self.value:.6g}" if isinstance(self.value, float) else str(self.value)
+        return f"{shown} {self.unit}".strip()
+
+
 SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     ContainerPlaced,
     Tared,
@@ -371,6 +389,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     Discarded,
     SheetSwapped,
     ValveChecked,
+    Recorded,
 )
 """All that skills write, beside a lab's own notes."""
 

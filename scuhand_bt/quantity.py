@@ -103,6 +103,25 @@ def _registry() -> "pint.UnitRegistry[float]":
     return registry
 
 
+Dimension = tuple[tuple[str, float], ...]
+"""Powers of mass, length, time and angle, as pint calls them; () for a plain number."""
+
+
+@cache
+def dimension(unit: Unit) -> Dimension:
+    """The dimension of what is kept in a unit."""
+    powers = _registry().Unit(unit.unit).dimensionality
+    return tuple(sorted((name, float(str(power))) for name, power in powers.items()))
+
+
+def times(first: Dimension, second: Dimension, power: int = 1) -> Dimension:
+    """The dimension of a product; with power -1 of a quotient."""
+    powers = dict(first)
+    for name, exponent in second:
+        powers[name] = powers.get(name, 0) + power * exponent
+    return tuple(sorted((name, exponent) for name, exponent in powers.items() if exponent))
+
+
 @cache
 def _factor(unit_text: str, unit: Unit) -> float:
     """What one `unit_text` is in `unit`; ValueError in the user's words if it cannot be."""

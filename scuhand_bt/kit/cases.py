@@ -208,14 +208,14 @@ class Coverage:
         return len(leaves) - len(missed), len(leaves), missed
 
     def branches(self, workflow: str) -> tuple[int, int]:
-        """Children of fallbacks and parallels come to, and all of them."""
+        """Children of fallbacks, parallels and choices come to, and all of them."""
         leaves = leaves_of(self._lab, workflow)
         every = {leaf[: leaf.index("/", i)] for leaf in leaves for kind in BRANCHING for i in _found(leaf, kind)}
         seen = self._seen.get(workflow, set())
         return sum(any(path.startswith(branch + "/") for path in seen) for branch in every), len(every)
 
 
-BRANCHING = ("/fallback.", "/parallel.")
+BRANCHING = ("/fallback.", "/parallel.", "/if.", "/switch.")
 
 
 def _found(text: str, part: str) -> Sequence[int]:

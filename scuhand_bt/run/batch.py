@@ -3,6 +3,7 @@
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -26,7 +27,6 @@ from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, doubted, inp
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.specs import Container
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
 from scuhand_bt.tree.replay import Replay
@@ -96,10 +96,7 @@ class Batch:
         self._doubted_of = (0.0, 0.0)
         """How large a step, and how fast a drift, of the balance's zero they were doubted of then."""
         self._owners = {
-            value.id: sample.id
-            for sample in plan.recipe.samples
-            for value in sample.inputs.values()
-            if isinstance(value, Container)
+            container.id: sample.id for sample in plan.recipe.samples for container in sample.all_containers
         }
         """The samples of all containers, by the ids that these have in a first attempt."""
 
@@ -328,7 +325,7 @@ class Batch:
         began_s: float,
         attempt: int,
     ) -> SampleResult:
-        containers = [value for value in inputs_for(sample, attempt).values() if isinstance(value, Container)]
+        containers = replace(sample, inputs=inputs_for(sample, attempt)).all_containers
         was_run = verdict != "not run"
         true_mg = {}
         if self._true_mass_mg is not None and was_run:

@@ -47,12 +47,13 @@ class BatchResult:
 
 def inputs_for(sample: Sample, attempt: int) -> dict[str, Any]:
     """The sample's inputs; a second attempt is for new containers, with ids that no sample can have."""
-    inputs = dict(sample.inputs)
-    if attempt > 1:
-        for name, value in inputs.items():
-            if isinstance(value, Container):
-                inputs[name] = value.model_copy(update={"id": f"{value.id}#{attempt}"})
-    return inputs
+
+    def fresh(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(fresh, value))
+        return value.model_copy(update={"id": f"{value.id}#{attempt}"}) if isinstance(value, Container) else value
+
+    return {name: fresh(value) if attempt > 1 else value for name, value in sample.inputs.items()}
 
 
 def sample_result(
