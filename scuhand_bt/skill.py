@@ -38,6 +38,7 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
 from scuhand_bt.events import (
     BalanceDoubted,
     BalanceWatched,
+    ContainerDiscarded,
     ContainerPlaced,
     Discarded,
     Dose,
@@ -51,7 +52,9 @@ from scuhand_bt.events import (
     Scooped,
     SheetSwapped,
     Tared,
+    ValueRecorded,
     ValveChecked,
+    Weighed,
     WeightChecked,
 )
 from scuhand_bt.failures import Code, Failure, SkillFailed
@@ -75,6 +78,7 @@ __all__ = [
     "Code",
     "Condition",
     "Container",
+    "ContainerDiscarded",
     "ContainerPlaced",
     "Degrees",
     "Discarded",
@@ -102,8 +106,10 @@ __all__ = [
     "Source",
     "Steps",
     "Tared",
+    "ValueRecorded",
     "ValveChecked",
     "Wake",
+    "Weighed",
     "WeightChecked",
     "pause",
     "until",

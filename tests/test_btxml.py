@@ -10,8 +10,8 @@ from conftest import REPOSITORY, Call, LabFolder
 
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Problems, SourceError
-from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.btxml import from_xml, to_xml
+from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.grammar import Argument, Branch, Choice, Decorator, TreeNode, Workflow, read_workflow
 from scuhand_bt.yaml_source import Node, parse, plain
 
@@ -91,7 +91,6 @@ tree:
     - record: {gross: $gross, half: 0.5 * $gross, note: as weighed}
 """
 LISTED = "workflow: listed\ninputs: {masses: [Mass]}\ntree: {for_each: {items: {mass: $masses}, child: {wait: {duration: 1 s}}}}\n"
-
 
 
 def test_every_kind_of_node_comes_back(lab_folder: LabFolder) -> None:

@@ -8,7 +8,7 @@ given a powder names the source of that powder.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -119,11 +119,15 @@ class _Names:
     def keep(self, name: str, ranges: Ranges) -> None:
         """A result; it may be that of another way before, too."""
         had = self.ranges.get(name)
-        self.ranges[name] = ranges if had is None else {
-            keys: (min(low, had[keys][0]), max(high, had[keys][1]))
-            for keys, (low, high) in ranges.items()
-            if keys in had
-        }
+        self.ranges[name] = (
+            ranges
+            if had is None
+            else {
+                keys: (min(low, had[keys][0]), max(high, had[keys][1]))
+                for keys, (low, high) in ranges.items()
+                if keys in had
+            }
+        )
 
     def mark_in(self, node: Call, key: str) -> Mark:
         """Where a value that is given to a call was written; the call itself, where it is given none."""
@@ -393,7 +397,11 @@ class _Follower:
         if known_value is not None:
             return known_value, known_value
         argument = node.arguments.get(key)
-        return ANY_NUMBER if argument is None or isinstance(argument, Node) else names.ranges_of(argument).get((), ANY_NUMBER)
+        return (
+            ANY_NUMBER
+            if argument is None or isinstance(argument, Node)
+            else names.ranges_of(argument).get((), ANY_NUMBER)
+        )
 
     def _tell_unbounded(self, node: Call, at: Call, mark: Mark, reached: _Reached) -> None:
         """Of one of several sources a mass without bounds cannot be planned with; of one it is only not checked."""

@@ -220,7 +220,9 @@ class _Checker:
         if isinstance(node, Call):
             return self._check_call(node, defined)
         if isinstance(node, Decorator):
-            return self._check_for_each(node, defined) if node.kind == "for_each" else self._check_decorator(node, defined)
+            return (
+                self._check_for_each(node, defined) if node.kind == "for_each" else self._check_decorator(node, defined)
+            )
         if isinstance(node, Choice):
             return self._check_choice(node, defined)
         if node.kind == "sequence":
@@ -279,7 +281,9 @@ class _Checker:
             given = None
             if isinstance(argument, Node):
                 what = f"'{name}' takes the items of a list that the workflow is given, not {describe(argument)}"
-                self._problems.add(argument.mark, what, "an input of a type such as [Mass], as $name", code="wrong-type")
+                self._problems.add(
+                    argument.mark, what, "an input of a type such as [Mass], as $name", code="wrong-type"
+                )
             elif (given := self._type_of_value(argument, defined)) is not None and given.item is None:
                 what = f"'{name}' takes the items of a list, but {argument} is a {given.name}"
                 self._problems.add(argument.mark, what, code="wrong-type")
@@ -333,7 +337,9 @@ class _Checker:
             wire = self._type_of_value(argument, defined)
             if wire is not None and (wire.name not in RECORDED or wire.optional):
                 what = f"{argument} {'may be nothing' if wire.optional else f'is a {wire.name}'}, which is no cell of a row"
-                remedy = "record one of its values: " + ", ".join(f"{argument}.{key}" for key in [*wire.attributes()][:3])
+                remedy = "record one of its values: " + ", ".join(
+                    f"{argument}.{key}" for key in [*wire.attributes()][:3]
+                )
                 self._problems.add(argument.mark, what, remedy if wire.is_class else "", code="wrong-type")
             elif wire is not None:
                 wires[name] = wire

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from scuhand_bt import quantity
 from scuhand_bt.problems import Mark, shorten
 from scuhand_bt.quantity import Dimension
-from scuhand_bt.tree.wires import INPUT_TYPES, QUANTITIES, WireType, list_of
+from scuhand_bt.tree.wires import INPUT_TYPES, QUANTITIES, WireType
 
 if TYPE_CHECKING:
     from lark import Lark, Token
@@ -235,7 +235,7 @@ def _atom(token: "Token", mark: Mark) -> Term:
         return Reference(mark, name, tuple(attributes))
     if token.type == "TEXT":
         return Constant("Text", text[1:-1], text)
-    if text.replace(".", "").isdigit() or "e" in text.lower() and not text.lower().strip("0123456789.e+-"):
+    if text.replace(".", "").isdigit() or ("e" in text.lower() and not text.lower().strip("0123456789.e+-")):
         whole = text.isdigit()
         return Constant("Integer" if whole else "Number", int(text) if whole else float(text), text)
     for name, unit in QUANTITIES.items():

@@ -310,7 +310,9 @@ def _read_fallback(mark: Mark, body: Entries, problems: Problems) -> TreeNode | 
     if (children := body.get("children")) is None:
         problems.add(mark, "'fallback' needs 'children'", "a list of nodes", code="missing-key")
         return None
-    return Branch(mark, "fallback", _read_children(children, "fallback", problems), _read_codes(body.get("on"), problems))
+    return Branch(
+        mark, "fallback", _read_children(children, "fallback", problems), _read_codes(body.get("on"), problems)
+    )
 
 
 def _read_choice(mark: Mark, kind: str, body: Node, problems: Problems) -> TreeNode | None:
@@ -455,7 +457,7 @@ def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | 
 def _argument(node: Node, problems: Problems) -> Argument:
     """What reads a value (`$…`) and can be worked out is no literal; a text that does not begin with one may be one."""
     text = node.text if isinstance(node, Scalar) else None
-    if text is None or not _READS_A_VALUE.search(text) and not text.startswith("$"):
+    if text is None or (not _READS_A_VALUE.search(text) and not text.startswith("$")):
         return node
     try:
         return parse_expression(text, node.mark)

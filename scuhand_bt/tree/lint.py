@@ -217,9 +217,7 @@ class Lint:
             if node.kind in ("optional", "invert", "for_each"):
                 return 0.0
             times = node.arguments.get("times")
-            count = (
-                int(literal("times", PARAMETERS["times"], times, self.library)) if isinstance(times, Node) else 1
-            )
+            count = int(literal("times", PARAMETERS["times"], times, self.library)) if isinstance(times, Node) else 1
             return count * self.least_s(node.child)
         if node.name in self.library.skills:
             return self._least_of_skill(node, self.library.skills[node.name])

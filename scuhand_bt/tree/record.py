@@ -8,7 +8,7 @@ from pydantic import ConfigDict
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
-from scuhand_bt.events import Recorded
+from scuhand_bt.events import ValueRecorded
 from scuhand_bt.skill import Skill
 from scuhand_bt.tree.wires import QUANTITIES, WireType
 
@@ -34,11 +34,13 @@ class Record(Skill[None]):
         yield
 
 
-def recorded(values: Mapping[str, Any], wires: Mapping[str, WireType], rounds: Sequence[Round]) -> dict[str, Recorded]:
+def recorded(
+    values: Mapping[str, Any], wires: Mapping[str, WireType], rounds: Sequence[Round]
+) -> dict[str, ValueRecorded]:
     """The values with their units; in a loop the number of the round stands behind the name."""
     behind = "".join(f"[{one.number}]" for one in rounds)
     return {
-        name + behind: Recorded(name=name + behind, value=value, unit=_unit(wires[name]))
+        name + behind: ValueRecorded(name=name + behind, value=value, unit=_unit(wires[name]))
         for name, value in values.items()
     }
 
