@@ -89,6 +89,11 @@ class Unit:
         return f"{problem}; write {self.noun} with its unit, such as {self.examples}"
 
     @property
+    def symbol(self) -> str:
+        """The unit as it is shown."""
+        return {"dimensionless": "", "degree": "°"}.get(self.unit, self.unit.replace("**3", "³"))
+
+    @property
     def noun(self) -> str:
         """The dimension with its article: "a mass", "an angle"."""
         return f"{'an' if self.dimension[0] in 'aeiou' else 'a'} {self.dimension}"

@@ -90,7 +90,11 @@ tree:
     - repeat: {times: $times + 1, child: {listed: {masses: [1 mg, 2 mg]}}}
     - record: {gross: $gross, half: 0.5 * $gross, note: as weighed}
 """
-LISTED = "workflow: listed\ninputs: {masses: [Mass]}\ntree: {for_each: {items: {mass: $masses}, child: {wait: {duration: 1 s}}}}\n"
+LISTED = """\
+workflow: listed
+inputs: {masses: [Mass]}
+tree: {for_each: {items: {mass: $masses}, child: {wait: {duration: 1 s}}}}
+"""
 
 
 def test_every_kind_of_node_comes_back(lab_folder: LabFolder) -> None:

@@ -1,10 +1,12 @@
 """What a sample's workflow does with powder: where each dose goes to, of which source, and how much.
 
 The tree is followed with the values that are known before the run, through all that it calls and along all of its ways
-at once; the ways of an `if` and the rounds of a `for_each` that can be told are told. Of a mass that is known only when
-it runs, the bounds are: a dose that succeeded is no more than its target and its tolerance. What matters is what is wired where, by its type, and not what it is called: a dose is of the source, and into
-the container, that were named last before it, as values of the types `Source` and `Container`. A condition that is
-given a powder names the source of that powder.
+at once; the way of an `if` and the rounds of a `for_each` are told, where they can be. A mass that only the run can
+tell has bounds: a dose that succeeded is at most its target and its tolerance.
+
+What matters is what is wired where, by its type, and not what it is called: a dose is of the source, and into the
+container, that were named last before it, as values of the types `Source` and `Container`. A condition that is given a
+powder names the source of that powder.
 """
 
 import math

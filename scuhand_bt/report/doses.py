@@ -44,7 +44,7 @@ class DoseRow:
 
 
 def columns_for(results: Sequence[SampleResult]) -> list[str]:
-    """The columns of a table of these: what a simulation alone can tell, or few workflows record, where there is any."""
+    """The columns of a table of these: what a simulation tells, or a workflow records, where there is any."""
     left_out = {HOLDS} if all(result.true_mg is None for result in results) else set()
     left_out |= {RECORDED} if not any(result.recorded for result in results) else set()
     return [name for name in WIDE_COLUMNS if name not in left_out]

@@ -162,7 +162,8 @@ def _result_rows(
             **entry,
         }
     for value in result.recorded:
-        yield of_run | {
+        yield {
+            **of_run,
             "weighing": "recorded",
             "sample": result.id,
             "attempt": result.attempt,

@@ -115,7 +115,7 @@ class Batch:
                 ending = _ended(ExitCode.CELL_FAULT, reason, complete=ending.is_complete)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
-                    self._note(self._result(job.sample, (), "not run", None, 0.0, 1))
+                    self._note(self._result(job.sample, SoFar(), "not run", None, 0.0, 1))
             self._note_open_brackets()
             in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
             code = ending.exit_code

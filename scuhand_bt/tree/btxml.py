@@ -249,12 +249,10 @@ def _declared(model: Element | None) -> dict[str, Any]:
         name, default = port.get("name", ""), port.get("default")
         if port.tag == "input_port":
             kind = (port.text or "Text").strip()
-            if kind.startswith("["):
-                declared: Any = [kind[1:-1]]
-                default = default.split(";") if default is not None else None
-            else:
-                declared = kind
-            inputs[name] = declared if default is None else {"type": declared, "default": default}
+            is_list = kind.startswith("[")
+            declared = [kind[1:-1]] if is_list else kind
+            of_list = default.split(";") if is_list and default is not None else default
+            inputs[name] = declared if default is None else {"type": declared, "default": of_list}
         elif port.tag == "output_port" and default:
             made["result"] = _value(default)
     return {"inputs": inputs, **made} if inputs else made
@@ -294,14 +292,14 @@ def _read_chosen(node: Element, file: str) -> dict[str, Any]:
         raise SourceError([Problem(Mark(file), f"{node.tag} has {len(node)} children; it takes more")])
     if node.tag == LOOP:
         items = [item.split("=", 1) for item in node.get(OWN + "items", "").split("; ")]
-        return {"for_each": {"items": {key: value for key, value in items}, "child": _read(first, file)}}
+        return {"for_each": {"items": dict(items), "child": _read(first, file)}}
     is_open = last.tag in (ELSE, NO_CASE)
     ways = [_read(child, file) for child in (node[:-1] if is_open else node) if child.tag != "ScriptCondition"]
     if node.tag == IF:
         when = first.get(OWN + "when", first.get("code", ""))
         return {"if": {"when": _value(when), **dict(zip(("then", "else"), ways, strict=False))}}
     labels = [node.get(f"case_{number}", "") for number in range(1, MOST_CASES + 1) if f"case_{number}" in node.attrib]
-    by = _value(node.get(OWN + "value") or node.get("variable", ""))
+    by = _value(node.get(OWN + "value", node.get("variable", "")))
     rest = {} if is_open else {"otherwise": ways[-1]}
     return {"switch": {"value": by, "cases": dict(zip(labels, ways, strict=False)), **rest}}
 

@@ -293,8 +293,8 @@ class _Checker:
                 return defined
             self._types[name] = given.item if given is not None else None
             self._items |= {name}
-        self._check(node.child, defined | node.arguments.keys())
-        self._items -= node.arguments.keys()
+        self._check(node.child, defined.union(node.arguments))
+        self._items = self._items.difference(node.arguments)
         for name in node.arguments:
             del self._types[name]
         return defined
@@ -336,7 +336,7 @@ class _Checker:
                 continue
             wire = self._type_of_value(argument, defined)
             if wire is not None and (wire.name not in RECORDED or wire.optional):
-                what = f"{argument} {'may be nothing' if wire.optional else f'is a {wire.name}'}, which is no cell of a row"
+                what = f"{argument} {'may be nothing' if wire.optional else f'is a {wire.name}'}: no cell of a row"
                 remedy = "record one of its values: " + ", ".join(
                     f"{argument}.{key}" for key in [*wire.attributes()][:3]
                 )

@@ -37,7 +37,7 @@ ADD: "+" | "-"
 MINUS: "-"
 TIMES: "*" | "/"
 REFERENCE: /\$[A-Za-z_]\w*(\.[A-Za-z_]\w*)*/
-NAME: /[a-z]+(?=\s*\()/
+NAME: /(?!(and|or|not)\b)[a-z]+(?=\s*\()/
 TEXT: /'[^']*'/ | /"[^"]*"/
 QUANTITY: /(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?(\s*(?!(and|or|not)\b)%UNIT%(\/%UNIT%)?)?/
 %ignore /\s+/

@@ -126,7 +126,7 @@ class Lint:
                 if name in defined:
                     what = f"'{name.removeprefix(RECORD).strip()}' has a value already, which is lost here"
                     self._problems.warn(mark, what, "a name of its own", code="shadowed-name")
-            return defined | given.keys()
+            return defined.union(given)
         if isinstance(node, Decorator):
             return self._check_shadowed(node.child, defined)
         if isinstance(node, Choice) or node.kind == "fallback":

@@ -1,8 +1,8 @@
 """The py_trees nodes that a workflow is built into, beside the skills' leaves (`tree/leaf.py`).
 
 `sequence`, `fallback`, `parallel`, `invert` and `optional` are py_trees' own. Ours are those that need the
-run's clock, a failure's code or a value: `retry`, `timeout`, `repeat`, `for_each`, `while`, `if`, `switch`, a `fallback`
-after some failures only, and the call of a workflow.
+run's clock, a failure's code or a value: `retry`, `timeout`, `repeat`, `for_each`, `while`, `if`, `switch`, a
+`fallback` after some failures only, and the call of a workflow.
 
 A value that cannot be worked out is a failure of the node that needs it, as any other.
 """

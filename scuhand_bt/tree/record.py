@@ -40,11 +40,10 @@ def recorded(
     """The values with their units; in a loop the number of the round stands behind the name."""
     behind = "".join(f"[{one.number}]" for one in rounds)
     return {
-        name + behind: ValueRecorded(name=name + behind, value=value, unit=_unit(wires[name]))
-        for name, value in values.items()
+        name + behind: ValueRecorded(
+            name=name + behind,
+            value=values[name],
+            unit=QUANTITIES[wire.name].symbol if wire.name in QUANTITIES else "",
+        )
+        for name, wire in wires.items()
     }
-
-
-def _unit(wire: WireType) -> str:
-    unit = QUANTITIES[wire.name].unit if wire.name in QUANTITIES else ""
-    return {"dimensionless": "", "degree": "°"}.get(unit, unit.replace("**3", "³"))
