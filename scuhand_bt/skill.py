@@ -38,6 +38,7 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
 from scuhand_bt.events import (
     BalanceDoubted,
     BalanceWatched,
+    ContainerDiscarded,
     ContainerPlaced,
     Discarded,
     Dose,
@@ -52,7 +53,9 @@ from scuhand_bt.events import (
     Scooped,
     SheetSwapped,
     Tared,
+    ValueRecorded,
     ValveChecked,
+    Weighed,
     WeightChecked,
 )
 from scuhand_bt.failures import Code, Failure, SkillFailed
@@ -76,6 +79,7 @@ __all__ = [
     "Code",
     "Condition",
     "Container",
+    "ContainerDiscarded",
     "ContainerPlaced",
     "Degrees",
     "Discarded",
@@ -104,8 +108,10 @@ __all__ = [
     "Source",
     "Steps",
     "Tared",
+    "ValueRecorded",
     "ValveChecked",
     "Wake",
+    "Weighed",
     "WeightChecked",
     "pause",
     "until",

@@ -236,7 +236,7 @@ class Bench:
         if resumes:
             job = read_history(journal.path).jobs["main", 1]
             replay = job.replay(None)
-            journal.job_resumed(job.seq, job.doses)
+            journal.job_resumed(job.seq, job.so_far)
         else:
             journal.job_started(JobStarted(name="main", sample=None, attempt=1, workflow="main"))
         try:

@@ -7,14 +7,14 @@ from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
-from scuhand_bt.recipe.flow import known
+from scuhand_bt.recipe.flow import is_known, known
 from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Demand, Sample, demand_of
 from scuhand_bt.specs import Source
-from scuhand_bt.tree.build import Scope, bound_inputs
+from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.check import Library, check_workflows
-from scuhand_bt.tree.grammar import Branch, Call, Decorator, TreeNode, Workflow
+from scuhand_bt.tree.grammar import Branch, Call, Choice, Decorator, TreeNode, Workflow, children_of
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
@@ -136,9 +136,10 @@ def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) 
     cell_file = Mark(str(lab.folder / CELL_FILE))
     for job, found in zip(jobs, forecasts, strict=True):
         if job.sample is not None and job.sample.container is not None:
-            if changer.driver != "operator" and containers and containers % changer.slots == 0:
-                yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})", cell_file)
-            containers += 1
+            for _ in job.sample.all_containers:
+                if changer.driver != "operator" and containers and containers % changer.slots == 0:
+                    yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})", cell_file)
+                containers += 1
         for expected in found:
             if expected.person is not None:
                 yield PersonNeeded(job.name, expected.person, expected.mark)
@@ -219,21 +220,34 @@ class _Forecaster:
         return self._of(workflow.tree, Scope(bound_inputs(workflow, inputs, self._library)))
 
     def _of(self, node: TreeNode, scope: Scope) -> list[_Expected]:
-        if isinstance(node, Branch):
-            found = [self._of(child, scope) for child in node.children]
+        if isinstance(node, Choice) and is_known(node.argument, scope):
+            number = chosen_case(node, scope, self._library)
+            return [] if number is None else self._of(node.cases[number].child, scope)
+        if isinstance(node, Branch | Choice):
+            found = [self._of(child, scope) for child in children_of(node)]
             if node.kind == "sequence":
                 return [expected for child in found for expected in child]
             longest = max(found, key=lambda child: sum(expected.duration_s for expected in child))
             others = [expected for child in found if child is not longest for expected in child if expected.person]
             return [*longest, *(replace(expected, duration_s=0.0) for expected in others)]
+        if isinstance(node, Decorator) and node.kind == "for_each":
+            return self._of_for_each(node, scope)
         if isinstance(node, Decorator):
             times = node.arguments.get("times")
             count = 1 if times is None else int(known(node.arguments, scope, self._library).get("times", 1))
             return [expected.repeated(count) for expected in self._of(node.child, scope)]
-        inputs = known(node.arguments, scope, self._library, node.name)
+        inputs = known(node.arguments, scope, self._library, node)
         if node.name in self._library.skills:
             return [self._of_skill(node, inputs)]
         return self._of_workflow(self._library.workflows[node.name], inputs)
+
+    def _of_for_each(self, node: Decorator, scope: Scope) -> list[_Expected]:
+        """All rounds of lists that are known; of others one."""
+        lists = known(node.arguments, scope, self._library)
+        if lists.keys() != node.arguments.keys():
+            return self._of(node.child, scope)
+        rounds = [Scope(dict(zip(lists, items, strict=True)), scope) for items in zip(*lists.values(), strict=True)]
+        return [expected for within in rounds for expected in self._of(node.child, within)]
 
     def _of_skill(self, node: Call, inputs: dict[str, Any]) -> _Expected:
         try:

@@ -25,7 +25,7 @@ from scuhand_bt.sim.fault_rules import KINDS, Rule
 from scuhand_bt.skill import Condition
 from scuhand_bt.specs import Container, ContainerKind, Mortar, Powder, Source
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.grammar import COMPOSITES, DECORATOR_KEYS, PARAMETERS
+from scuhand_bt.tree.grammar import COMPOSITES, DECORATOR_KEYS, PARAMETERS, RECORD
 from scuhand_bt.tree.wires import INPUT_TYPES, WireType
 
 Json = dict[str, Any]
@@ -35,6 +35,11 @@ REFERENCE: Json = {
     "type": "string",
     "pattern": r"^\$[A-Za-z_]\w*(\.[A-Za-z_]\w*)*$",
     "description": "$name or $name.attribute",
+}
+EXPRESSION: Json = {
+    "type": "string",
+    "pattern": r"\$[A-Za-z_]",
+    "description": "$name, $name.attribute, or what is worked out of such: 0.25 * $dose.dispensed",
 }
 TEXT: Json = {"type": ["string", "number", "boolean"]}
 FLAG: Json = {"enum": [True, False, "yes", "no"]}
@@ -170,6 +175,8 @@ def _tidied(part: Any) -> Any:
 
 def _of_wire(wire: WireType, library: Library) -> Json:
     """What may be written for a value of this type; a thing of the lab by its name."""
+    if wire.item is not None:
+        return {"type": "array", "items": _of_wire(wire.item, library)}
     if wire.python is Powder:
         return {"enum": sorted(library.powders)}
     if wire.python is Container:
@@ -197,22 +204,40 @@ def _workflow(lab: Lab) -> Json:
         **own,
         "on": {"anyOf": [codes, {"type": "array", "items": codes, "minItems": 1}]},
         "guards": {"type": "array", "items": {"$ref": "#/$defs/condition"}, "minItems": 1},
+        "items": {
+            "type": "object",
+            "additionalProperties": EXPRESSION,
+            "minProperties": 1,
+            "description": "lists side by side, by what their items are called: {holder: $holders}",
+        },
         "child": node,
     }
     keys: Json = dict.fromkeys(COMPOSITES, nodes)
+    after = _object({"on": parts["on"], "children": nodes}, ["children"])
+    keys["fallback"] = {"anyOf": [nodes, after]}
+    keys["if"] = _object({"when": own["when"], "then": node, "else": node}, ["when", "then"])
+    cases: Json = {"type": "object", "additionalProperties": node, "minProperties": 1}
+    keys["switch"] = _object({"value": EXPRESSION, "cases": cases, "otherwise": node}, ["value", "cases"])
     for kind, known in DECORATOR_KEYS.items():
         needed = [key for key in known if key != "on"]
         made = _object({key: parts[key] for key in known}, needed)
         keys[kind] = {"anyOf": [made, node]} if known == ("child",) else made
     calls = {name: _call(name, library) for name in (*library.skills, *library.workflows)}
     conditions = {name: calls[name] for name, skill in library.skills.items() if issubclass(skill, Condition)}
-    declared: Json = {"enum": sorted(INPUT_TYPES)}
+    calls[RECORD] = {
+        "type": "object",
+        "additionalProperties": {"anyOf": [EXPRESSION, TEXT]},
+        "minProperties": 1,
+        "description": library.skills[RECORD].summary(),
+    }
+    one: Json = {"enum": sorted(INPUT_TYPES)}
+    declared: Json = {"anyOf": [one, {"type": "array", "items": one, "minItems": 1, "maxItems": 1}]}
     an_input = {"anyOf": [declared, _object({"type": declared, "default": {}}, ["type"])]}
     workflow = {
         "workflow": {"type": "string", "description": "the name of this file"},
         "summary": {"type": "string"},
         "inputs": {"type": ["object", "null"], "additionalProperties": an_input},
-        "result": REFERENCE,
+        "result": EXPRESSION,
         "tree": node,
     }
     return {
@@ -232,7 +257,7 @@ def _call(name: str, library: Library) -> Json:
 
 def _or_reference(value: Json, wire: WireType | None = None) -> Json:
     """A thing of the lab but a powder is always wired, from an input."""
-    return REFERENCE if wire is not None and wire.python in (Source, Container) else {"anyOf": [value, REFERENCE]}
+    return REFERENCE if wire is not None and wire.python in (Source, Container) else {"anyOf": [value, EXPRESSION]}
 
 
 def _recipe(lab: Lab) -> Json:
