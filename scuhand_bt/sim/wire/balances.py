@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-from scuhand_bt.devices.balances import dialect_of
-from scuhand_bt.devices.plugged import NotPluggable, plugged
+from scuhand_bt.drivers import NotPluggable
+from scuhand_bt.sim.wire.scene import twin_of
 
 CRLF = b"\r\n"
 STABLE_TIMEOUT_S = 30.0
@@ -361,23 +361,9 @@ class ShimadzuTwin(BalanceTwin):
         return f"{letter}{sign}{text.lstrip('-'):>8}{self.unit:<2}".encode() + CRLF
 
 
-TWINS: dict[str, type[BalanceTwin]] = {
-    "and": AndTwin,
-    "mt_sics": MtSicsTwin,
-    "sbi": SbiTwin,
-    "shimadzu": ShimadzuTwin,
-}
-"""The twins by the driver's name in robot/cell.yaml."""
-
-
 def balance_twin(driver: str) -> type[BalanceTwin]:
-    """The twin of a driver, the engine's or another package's (`Dialect.twin`). NotPluggable where it has none."""
-    if driver in TWINS:
-        return TWINS[driver]
-    name = dialect_of(driver).twin
-    if not name:
-        raise NotPluggable(f"'{driver}' names no twin: it cannot be rehearsed")
-    twin = plugged(name, type)
+    """The twin of a balance's driver, the engine's or another package's. NotPluggable where it has none."""
+    twin = twin_of("balance", driver)
     if not issubclass(twin, BalanceTwin):
-        raise NotPluggable(f"'{name}' is no BalanceTwin")
+        raise NotPluggable(f"'{twin.__name__}' is no BalanceTwin")
     return twin
