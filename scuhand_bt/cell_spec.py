@@ -13,7 +13,6 @@ from pydantic import (
     field_validator,
     model_validator,
 )
-from pydantic.json_schema import SkipJsonSchema
 
 from scuhand_bt.drivers import driver_name, known_driver
 from scuhand_bt.quantity import (
@@ -326,7 +325,7 @@ class CellSpec(Spec):
     changer: ChangerSpec = ChangerSpec()
     devices: dict[str, DeviceSpec] = Field(default_factory=dict)
     """Further devices by the names that skills lease them under."""
-    own_options: SkipJsonSchema[dict[str, SerializeAsAny[BaseModel]]] = Field(default_factory=dict)
+    own_options: dict[str, SerializeAsAny[BaseModel]] = Field(default_factory=dict)
     """By device, the `options` of drivers that bring a model of their own for them."""
     plant: str | None = None
     """`module:Class` of the simulated physics; none for the shipped one."""

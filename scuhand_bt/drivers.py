@@ -1,8 +1,8 @@
 """What `driver:` in robot/cell.yaml stands for, for every kind of device, whoever made it: the one registry.
 
-A driver is an object that `connect`s a device; `Options` is the model of what `options:` may say to it, and `twin` names
-what plays the device in rehearsals. Its name is one of ours (`SHIPPED`), one that an installed package offers (an entry
-point of the group `scuhand_bt.<kind>`), or `package.module:NAME`, the object itself.
+A driver is an object that `connect`s a device; `Options` is the model of what `options:` may say to it, and `twin`
+names what plays the device in rehearsals. Its name is one of ours (`SHIPPED`), one that an installed package offers (an
+entry point of the group `scuhand_bt.<kind>`), or `package.module:NAME`, the object itself.
 """
 
 import importlib

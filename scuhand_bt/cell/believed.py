@@ -209,7 +209,7 @@ class Believed:
     def brought(self, container: Container, *, from_changer: bool) -> None:
         """A container was put on the pan, and is not weighed yet."""
         kind = container.name
-        slots = {**self.slots, container.id: self.slot_of(container)} if from_changer else self.slots
+        slots = {**self.slots, container.id: slot_of(self, container)} if from_changer else self.slots
         self._set(
             pan=container,
             pan_empty_mg=None,
@@ -284,10 +284,6 @@ class Believed:
     def slots_refilled(self) -> None:
         """Every slot of the changer holds a container again."""
         self._set(slots_used=0, slots={})
-
-    def slot_of(self, container: Container) -> int:
-        """The slot of the changer, from 0, that a container is in: the next one, for one that was not brought yet."""
-        return self.slots.get(container.id, self.slots_used)
 
     def containers_taken(self, slots: int, by_kind: Mapping[str, int]) -> None:
         """So many slots of the changer, and containers by their kind, were used before."""
@@ -413,3 +409,8 @@ def _count(number: int) -> int:
     if number < 0:
         raise ValueError(f"a count is not negative, as {number} is")
     return number
+
+
+def slot_of(believed: Believed, container: Container) -> int:
+    """The slot of the changer, from 0, that a container is in: the next one, for one that was not brought yet."""
+    return believed.slots.get(container.id, believed.slots_used)

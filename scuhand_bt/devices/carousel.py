@@ -27,7 +27,7 @@ NEAR = 0.1
 
 
 class Swing:
-    """A turn [rad] from rest to rest; it may end anywhere on its way only by a fault, as containers are not left hanging."""
+    """A turn [rad] from rest to rest; only a fault ends it on its way, as containers are not left hanging."""
 
     def __init__(self, begin_rad: float, end_rad: float, duration_s: float) -> None:
         self.duration_s = duration_s
@@ -63,7 +63,9 @@ class Carousel:
             following_limit_rad=math.pi / spec.slots,
         )
         group = AxisGroup([axis], watched=False)
-        chain = ServoChain(DynamixelBus(spec.port, options.baud, 1000 * options.latency_s), [group], Signal(), site.liveness)
+        chain = ServoChain(
+            DynamixelBus(spec.port, options.baud, 1000 * options.latency_s), [group], Signal(), site.liveness
+        )
         chain.open()  # also one without torque: holding a wheel where it is moves nothing
         return cls(spec.slots, options.slot_s, chain, group, site.slot_of)
 

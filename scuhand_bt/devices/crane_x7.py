@@ -21,7 +21,7 @@ def bus_of(spec: ArmSpec, port: str = "") -> DynamixelBus:
 
 
 class Servos:
-    """The servos of a cell's arm and roller, as far as they are the engine's: of both on one bus, or of each on its own."""
+    """The servos of a cell's arm and roller, as far as they are the engine's: on one bus, or each on its own."""
 
     def __init__(self, spec: CellSpec, liveness: Liveness) -> None:
         self.news = Signal()

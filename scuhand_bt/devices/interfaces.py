@@ -324,7 +324,7 @@ class Sensor(Instrument, Protocol):
     """Measures something of the room or the cell."""
 
     def read(self, timeout_s: float = 10.0) -> Steps[Sample[Mapping[str, float]]]:
-        """Wait for what it measures after now, by names with units, such as `temperature_c`; SkillFailed device.lost."""
+        """Wait for what it measures after now, by names with units (`temperature_c`); SkillFailed device.lost."""
         ...
 
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.cell.believed import slot_of as believed_slot
 from scuhand_bt.cell.cell import Cell, carrying_limit_deg
 from scuhand_bt.cell.places import Position, all_places, over_balance
 from scuhand_bt.clock import Clock
@@ -220,7 +221,7 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
     world = bench.world
 
     def slot_of(container: Container) -> int:
-        slot = cell.believed.slot_of(container)
+        slot = believed_slot(cell.believed, container)
         bench.scene.stands_in(slot, container)  # a person fills the changer in the order in which it is emptied
         return slot
 
@@ -262,7 +263,7 @@ def _real(
             clock,
             liveness,
             may_torque=may_torque,
-            slot_of=lambda container: cell.believed.slot_of(container),
+            slot_of=lambda container: believed_slot(cell.believed, container),
         )
         opened.callback(devices.close)
         opened.callback(liveness.end)

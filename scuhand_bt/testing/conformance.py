@@ -15,7 +15,7 @@ from scuhand_bt.testing.of_instruments import changer_conforms, scanner_conforms
 def conforms(kind: str, driver: str, **options: Any) -> None:
     """All that a driver of this kind, by its name in robot/cell.yaml, has to do; with these `options`.
 
-    ValueError for an arm or a hand: `scuhand_bt.testing.of_motion` takes them connected, as no twin stands for them alone.
+    ValueError for an arm or a hand: `scuhand_bt.testing.of_motion` takes them connected, wherever they are.
     """
     match kind:
         case "balance":

@@ -246,7 +246,7 @@ class WireBench:
             if spec.section(name).driver != "operator"
         }
         """The changer's, where it is none of the operator's hands, and the further devices', by name."""
-        twins = {"arm": self.bus, "hand": self.hand, "balance": self.balance, **self.others}
+        twins: dict[str, TwinServer[Any]] = {"arm": self.bus, "hand": self.hand, "balance": self.balance, **self.others}
 
         def section(name: str) -> Any:
             """What is said of a device, with its twin's port."""

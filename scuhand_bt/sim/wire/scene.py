@@ -12,7 +12,6 @@ from pydantic import BaseModel
 from scuhand_bt.drivers import NotPluggable, driver_of, plugged
 from scuhand_bt.sim.instruments import ROOM
 
-
 M = TypeVar("M", bound=BaseModel)
 LATENCY_S = 0.04
 """A twin on a busy computer answers later than a servo does, and is not to be taken for one without power."""
