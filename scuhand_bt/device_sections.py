@@ -21,7 +21,8 @@ def own_options(root: Entries, problems: Problems) -> tuple[Entries, Options]:
     options: Options = {}
     values = dict(root.values)
     for kind in DEVICES:
-        if (node := root.get(kind)) is not None and not is_ours(kind, _text(node, "driver")):
+        node = root.get(kind)
+        if node is not None and (driver := _text(node, "driver")) and not is_ours(kind, driver):
             values[kind] = _without_own(kind, kind, node, options, problems)
     if isinstance(named := root.get("devices"), Entries):
         sections = {
@@ -34,8 +35,10 @@ def own_options(root: Entries, problems: Problems) -> tuple[Entries, Options]:
 
 def _without_own(name: str, kind: str, node: Node, options: Options, problems: Problems) -> Node:
     driver = _text(node, "driver")
-    if not isinstance(node, Entries) or kind not in (*DEVICES, *NAMED_KINDS) or not is_known(kind, driver):
-        return node  # said of its fields
+    if not isinstance(node, Entries):
+        return node
+    if kind not in (*DEVICES, *NAMED_KINDS) or not is_known(kind, driver):
+        return node.without("options")  # whose they would be is not known; that is said of kind or driver
     try:
         model = driver_of(kind, driver).Options
     except NotPluggable as error:

@@ -103,7 +103,7 @@ def test_whoever_listens_hears_every_reading_with_the_line_that_it_came_in(name:
 def test_the_balance_says_who_it_is(name: str) -> None:
     with Bench(name, PtyPort()) as bench:
         wait_for(lambda: bench.balance.identity)
-        assert bench.balance.identity in ("15608432", "B207696838", "0037402012")
+        assert bench.balance.identity in ("TWIN8432", "TWIN696838", "TWIN402012")
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -30,7 +30,7 @@ class RadwagTwin(BalanceTwin):
     """Immediate readings and a serial number."""
 
     def obey(self, command: bytes, now_s: float) -> bytes:
-        answers = {b"SI": self.reading(now_s), b"NB": b'NB A "123456"\r\n', b"": b""}
+        answers = {b"SI": self.reading(now_s), b"NB": b'NB A "TWIN"\r\n', b"": b""}
         return answers.get(command.strip(), b"ES\r\n")
 
     def waited(self, command: bytes, now_s: float) -> bytes:

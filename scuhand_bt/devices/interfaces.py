@@ -45,6 +45,15 @@ class Trajectory(Protocol):
         ...
 
 
+TWIN = "TWIN"
+"""How what a twin says of who it is begins; no real device's does."""
+
+
+def is_twin(identity: str) -> bool:
+    """Whether a device that says this of who it is, is none."""
+    return identity.startswith(TWIN)
+
+
 class Device(Protocol):
     """What all devices have in common."""
 
@@ -115,6 +124,11 @@ class Hand(Device, Protocol):
 
     @property
     def spec(self) -> HandSpec: ...
+
+    @property
+    def identity(self) -> str:
+        """What its controller says of who it is."""
+        ...
 
     @property
     def longest_dwell_s(self) -> float:

@@ -89,6 +89,11 @@ class ScuHand:
         self.knows_its_roller = False
 
     @property
+    def identity(self) -> str:
+        hello = self._controller.hello
+        return "" if hello is None else hello.firmware
+
+    @property
     def is_stopped(self) -> bool:
         return self._controller.is_safe and not self._roller.is_moving
 

@@ -8,7 +8,7 @@ import time
 
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
-from scuhand_bt.devices.interfaces import Site
+from scuhand_bt.devices.interfaces import Site, is_twin
 from scuhand_bt.drivers import driver_of
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.balances import BalanceTwin, StillPan, balance_twin
@@ -81,7 +81,9 @@ def questions_are_answered(dialect: Dialect, twin: type[BalanceTwin]) -> None:
     balance = twin(StillPan(LOAD_MG, stable=False), DIGIT_MG, MAXIMUM_MG)
     if dialect.identify:
         frames = [dialect.parse(line) for line in balance.hear(dialect.identify, 0.0)]
-        assert any(isinstance(frame, Answer) and frame.text for frame in frames), f"it says who it is by {frames}"
+        told = [frame.text for frame in frames if isinstance(frame, Answer) and frame.text]
+        assert told, f"it says who it is by {frames}"
+        assert is_twin(told[-1]), f"its twin says that it is '{told[-1]}': begin that with TWIN"
     if dialect.poll:
         frames = [dialect.parse(line) for line in balance.hear(dialect.poll, 1.0)]
         assert any(isinstance(frame, Weight) for frame in frames), f"it answers {dialect.poll!r} by {frames}"

@@ -27,7 +27,7 @@ class TemplateTwin(BalanceTwin):
     """Answers as the manual says; never make it by the driver's own expressions."""
 
     def obey(self, command: bytes, now_s: float) -> bytes:
-        answers = {b"READ": self.reading(now_s), b"WHO": b"ID 123456\r\n", b"": b""}
+        answers = {b"READ": self.reading(now_s), b"WHO": b"ID TWIN\r\n", b"": b""}
         return answers.get(command.strip(), b"ERR\r\n")
 
     def waited(self, command: bytes, now_s: float) -> bytes:

@@ -1,6 +1,7 @@
 """Twins of the balances: A&D, MT-SICS, SBI and Shimadzu, each with its commands, formats and errors.
 
-Sources: `docs/protocols/`. They know nothing of the drivers; what they share is the pan.
+Sources: `docs/protocols/`. They know nothing of the drivers; what they share is the pan, and
+that a balance which says who it is says TWIN.
 """
 
 import re
@@ -149,7 +150,7 @@ class AndTwin(BalanceTwin):
             self.cancel_waiting()
             return b""
         if command == b"?SN":
-            return b"SN,15608432" + CRLF
+            return b"SN,TWIN8432" + CRLF
         if command == b"?ID":
             return b"ID,LAB-0123" + CRLF
         if command in (b"R", b"Z", b"\x1bT", b"T"):
@@ -191,7 +192,7 @@ _PRESET = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) g")
 class MtSicsTwin(BalanceTwin):
     """MT-SICS levels 0 and 1."""
 
-    serial_number = "B207696838"
+    serial_number = "TWIN696838"
 
     def obey(self, command: bytes, now_s: float) -> bytes:
         word, _, rest = command.decode("ascii", "replace").strip().partition(" ")
@@ -301,7 +302,7 @@ class SbiTwin(BalanceTwin):
             self.zero(now_s)
         elif command == b"\x1bZ":
             self.adjusting_until_s = now_s + 2.0
-        names = {b"\x1bx1_": "ENTRIS224I-1S", b"\x1bx2_": "0037402012", b"\x1bx3_": "00-20-12.01"}
+        names = {b"\x1bx1_": "ENTRIS224I-1S", b"\x1bx2_": "TWIN402012", b"\x1bx3_": "00-20-12.01"}
         return names[command].encode() + CRLF if command in names else b""
 
     def waited(self, command: bytes, now_s: float) -> bytes:
