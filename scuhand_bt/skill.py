@@ -119,9 +119,6 @@ __all__ = [
 
 R = TypeVar("R")
 
-DEVICES = ("arm", "hand", "balance", "changer")
-"""What a skill can command."""
-
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
@@ -145,7 +142,7 @@ class Skill(BaseModel, Generic[R]):
     )
 
     devices: ClassVar[tuple[str, ...]] = ()
-    """The devices it commands, and so leases: of `DEVICES`."""
+    """The devices it commands, and so leases: arm, hand, balance, changer, and the names of `devices:` of the cell."""
     failures: ClassVar[Mapping[str, Failure]] = {}
     """Failure codes of its own, beyond the shared catalogue."""
     raises: ClassVar[tuple[str, ...]] = ()

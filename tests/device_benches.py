@@ -31,7 +31,7 @@ from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import Plant
-from scuhand_bt.sim.wire.balances import TWINS, StillPan
+from scuhand_bt.sim.wire.balances import StillPan, balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort
@@ -229,7 +229,7 @@ class WiredBalanceBench(DeviceBench):
 
     def __init__(self, driver: str) -> None:
         self.pan = StillPan(LOAD_MG)
-        self.server = TwinServer(TWINS[driver](self.pan, 0.1, MAXIMUM_MG), PtyPort())
+        self.server = TwinServer(balance_twin(driver)(self.pan, 0.1, MAXIMUM_MG), PtyPort())
         self.clock = WallClock()
         options = {"bits": "8N1"}
         spec = BalanceSpec(driver=driver, port=self.server.url, options=options, maximum_mg=MAXIMUM_MG)

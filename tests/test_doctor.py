@@ -96,7 +96,7 @@ def test_a_pressed_emergency_stop_and_a_dead_valve_are_found(healthy: WireBench)
 
 
 def test_a_balance_of_another_maker_is_named(healthy: WireBench) -> None:
-    spec = healthy.spec.balance.model_copy(update={"driver": "mt_sics"})
+    spec = healthy.spec.model_copy(update={"balance": healthy.spec.balance.model_copy(update={"driver": "mt_sics"})})
     (finding,) = doctor.balance(spec, WallClock())
     assert (finding.check, finding.verdict) == ("connection", "FAIL")
 
@@ -106,12 +106,6 @@ def test_a_port_that_is_not_there_ends_the_checks_of_its_device_only(healthy: Wi
     spec = healthy.spec.model_copy(update={"arm": gone})
     findings = examine(spec, WallClock(), self_test=False)
     assert failed(findings) == [("arm", "port", "/dev/no-such-port is not there")]
-
-
-def test_a_carousel_has_no_driver() -> None:
-    finding = doctor.changer(load_lab(starter_lab()).cell.changer)
-    assert finding.verdict == "FAIL"
-    assert "driver: operator" in finding.what_to_do
 
 
 @pytest.mark.parametrize(

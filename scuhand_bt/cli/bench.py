@@ -46,9 +46,9 @@ def twins(
     stopped = Wake.on(stop)  # seen however early it comes
     with on_signals(stop.fire), bench:
         table = Table("device", "driver", "port", show_edge=False)
-        for device in ("arm", "hand", "balance"):
-            spec = getattr(bench.spec, device)
-            table.add_row(device, spec.driver, spec.port)
+        for device in bench.spec.device_names:
+            spec = bench.spec.section(device)
+            table.add_row(device, spec.driver, spec.port or "-")
         out.print(Text(f"Twins of the cell '{bench.spec.cell}', SIMULATED (seed {seed}); Ctrl-C ends them."))
         out.print(table)
         sys.stdout.flush()

@@ -26,6 +26,8 @@ def banner(run: RunBegun) -> tuple[str, str]:
     ports = [str(device.get("port", "")) for device in run.devices.values()]
     if run.mode.startswith("REHEARSAL"):
         return "REHEARSAL", "the real drivers, against twins of the devices; no powder is moved"
+    if run.mode.startswith("TWINS"):
+        return "TWIN", "the real drivers, against twins of another program; no powder is moved"
     if run.simulated:
         return "SIMULATED", "no device and no powder is moved"
     if any(port.startswith(PSEUDO_TERMINALS) for port in ports):

@@ -96,6 +96,11 @@ class ScuHand:
                 record.turns_were_lost()
 
     @property
+    def identity(self) -> str:
+        hello = self._controller.hello
+        return "" if hello is None else hello.firmware
+
+    @property
     def is_stopped(self) -> bool:
         return self._controller.is_safe and not self._roller.is_moving
 

@@ -68,7 +68,7 @@ class RunBegun(Event):
     simulated: bool
     unattended: bool = False
     mode: str
-    """In words: real devices, SIMULATED, REHEARSAL."""
+    """In words: real devices, TWINS, SIMULATED, REHEARSAL."""
     seed: int | None = None
     plant: str | None = None
     """The simulated physics."""

@@ -71,7 +71,16 @@ def write_schemas(lab: Lab) -> list[Path]:
 
 def _cell(lab: Lab) -> Json:
     made = _model(CellSpec)
-    made["properties"]["stations"] = _named(_model(Station))
+    properties = made["properties"]
+    properties["stations"] = _named(_model(Station))
+    properties.pop("own_options")
+    device = properties["devices"]["additionalProperties"]
+    device["properties"]["options"] = {"type": "object", "description": "as its driver's `Options` have them"}
+    named = {name: {**device, "properties": dict(device["properties"])} for name in lab.cell.devices}
+    properties["devices"]["properties"] = named
+    for name, options in lab.cell.own_options.items():
+        section = named[name] if name in named else properties[name]
+        section["properties"]["options"] = _model(type(options))
     return made
 
 

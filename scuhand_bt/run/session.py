@@ -9,7 +9,7 @@ from pathlib import Path
 
 import scuhand_bt
 from scuhand_bt.clock import Steps
-from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.devices.interfaces import Reading, is_twin
 from scuhand_bt.journal.events import FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
@@ -29,7 +29,7 @@ from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, r
 from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
 from scuhand_bt.run.operator import Person
-from scuhand_bt.run.options import Options, check_controller, described
+from scuhand_bt.run.options import ON_TWINS, Options, check_controller, described
 from scuhand_bt.run.outage import settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
@@ -98,6 +98,9 @@ class Session:
                 raise SourceError([Problem(Mark(str(path)), problem)])
             self._make_cell(motion, opened)
             if not self.cell.simulated:
+                self.cell.simulated = self._are_twins()
+                self._require_same_matter(path)
+            if not self.cell.simulated:
                 self._meet_balance()
                 recall(self.cell, self._records.stock)
             try:
@@ -151,11 +154,26 @@ class Session:
         if self.world is not None:
             journal.before_commit = self.world.save
 
-    def _meet_balance(self) -> None:
-        """Which one it is, it has said by its first reading. SourceError where a new run asks more than it gives."""
+    def _are_twins(self) -> bool:
+        """Whether a device says that it is a twin; which one it is, a balance has said by its first reading.
+
+        Then no matter is real: nothing is learnt from this run, nor taken from the inventory.
+        """
         with suppress(SkillFailed):  # one that says nothing fails the run by itself
             for wake in self.cell.balance.next_reading():
                 self.cell.clock.wait([wake])
+        return any(is_twin(getattr(device, "identity", "")) for device in self.cell.every_device.values())
+
+    def _require_same_matter(self, path: Path) -> None:
+        """SourceError for a run that was begun on real devices and is resumed on twins, or the other way round."""
+        begun = self._history.run if self._history is not None else None
+        if begun is not None and begun.seed is None and begun.simulated != self.cell.simulated:
+            there, here = ("twins", "real devices") if begun.simulated else ("real devices", "twins")
+            problem = f"it was begun on {there}, and {here} are at the ports of robot/cell.yaml now"
+            raise SourceError([Problem(Mark(str(path)), problem)])
+
+    def _meet_balance(self) -> None:
+        """What it is known to give. SourceError where a new run asks more."""
         figures = self._records.learnt.figures(simulated=False).get(self.cell.balance_name, {})
         beyond = beyond_limits(self.plan, self._lab, figures, datetime.now().astimezone())
         if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
@@ -199,15 +217,17 @@ class Session:
 
     @property
     def mode(self) -> str:
-        """Real devices, SIMULATED or REHEARSAL."""
+        """Real devices, TWINS, SIMULATED or REHEARSAL."""
         simulation = self._options.simulation
-        return simulation.mode if simulation is not None else "REAL DEVICES"
+        on_cell = ON_TWINS if self.cell.simulated else "REAL DEVICES"
+        return simulation.mode if simulation is not None else on_cell
 
     @property
     def title(self) -> str:
         """What is run, on what, in a line."""
         simulation = self._options.simulation
-        mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else "real devices"
+        on_cell = ON_TWINS if self.cell.simulated else "real devices"
+        mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else on_cell
         if simulation is not None and simulation.faults is not None:
             count = len(simulation.faults.rules)
             mode += f", {count} fault {'rule' if count == 1 else 'rules'}"

@@ -50,6 +50,8 @@ DEAD_MAN_S = 0.3
 class SimulatedHand:
     """The hand as the world moves it; see `scuhand_bt.devices.interfaces.Hand`."""
 
+    identity = ""
+
     STATE: ClassVar[tuple[str, ...]] = (
         "vibration",
         "cone_diameter_mm",
