@@ -183,20 +183,15 @@ class Queue:
         query = "UPDATE scuhand_stations SET state = %(state)s, seen = now() WHERE name = %(name)s"
         await self._database.execute_query_async(query, name=name, state=state)
 
-    async def register(self) -> int:
-        """A number for this program, as procrastinate counts who takes jobs; those of programs that died are forgot."""
-        await self._jobs.prune_stalled_workers(24 * 3600)
-        return await self._jobs.register_worker()
-
     async def taken(self, name: str) -> Taken | None:
         """The job that this station has taken, and that is not settled."""
         query = "SELECT * FROM procrastinate_jobs WHERE lock = %(name)s AND status = 'doing'"
         rows = await self._database.execute_query_all_async(query, name=name)
         return _taken(Job.from_row(rows[0])) if rows else None
 
-    async def take(self, name: str, worker: int) -> Taken | None:
+    async def take(self, name: str) -> Taken | None:
         """The next job of this station, which is its own from now on."""
-        job = await self._jobs.fetch_job([name], worker)
+        job = await self._jobs.fetch_job([name], None)  # type: ignore[arg-type]  # a station is no worker that is pruned
         return _taken(job) if job is not None else None
 
     async def take_over(self, name: str) -> bool:

@@ -70,7 +70,6 @@ class Station:
         self._state = state_folder(loaded).absolute()
         self._orders = self._state / "queue"
         self._child: asyncio.subprocess.Process | None = None
-        self._worker: int | None = None
         self._is_leaving = asyncio.Event()
         self._resumed: set[str] = set()
         self._keys: dict[Path, str] = {}
@@ -121,8 +120,6 @@ class Station:
         if not await self._queue.enrol(self.name, _identity(self._orders / "identity"), offer):
             what = f"the station '{self.name}' of the queue is another lab's: give this one another --name"
             raise SourceError([Problem(Mark(str(self._lab), 0), f"{what}, or `scuhand-bt fleet --forget {self.name}`")])
-        if self._worker is None:
-            self._worker = await self._queue.register()
 
     async def _wait(self) -> None:
         """Until the next look; less where the run ends before."""
@@ -158,8 +155,7 @@ class Station:
             await self._note("another run has the cell")
             return False
         self._child = None
-        assert self._worker is not None
-        if await self._queue.take(self.name, self._worker) is not None:
+        if await self._queue.take(self.name) is not None:
             self._idle = 0
             return True
         self._idle += 1
