@@ -1,8 +1,8 @@
 """A fleet on loopback: simulated stations, submitters and a PostgreSQL, killed again and again, and then judged.
 
-Every station, run, submitter and server is a program of its own. A station is ended with SIGKILL, alone (its run goes on
-as an orphan) or with its run; a submitter at any moment; the server at once, as by a power cut, and started again. In the
-end nothing is killed any more, the queue is worked off, and each run is held against its simulated world.
+Every station, run, submitter and server is a program of its own. A station is ended with SIGKILL, alone (its run goes
+on as an orphan) or with its run; a submitter at any moment; the server as by a power cut or in order, and started
+again. In the end nothing is killed any more, the queue is worked off, and each run is held against its simulated world.
 """
 
 import asyncio

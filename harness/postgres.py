@@ -39,17 +39,23 @@ class Server:
         self.start()
 
     def start(self) -> None:
-        self._do("pg_ctl", "start", "--wait", "-D", "data", "-l", "log", "-o", f"-p {self.port} -k {self.folder}")
+        self.run("pg_ctl", "start", "--wait", "-D", "data", "-l", "log", "-o", f"-p {self.port} -k {self.folder}")
 
     def stop(self, mode: str = "fast") -> None:
-        self._do("pg_ctl", "stop", "--wait", "-D", "data", "-m", mode)
+        self.run("pg_ctl", "stop", "--wait", "-D", "data", "-m", mode)
 
-    def _do(self, *command: str) -> None:
-        bin_folder = tools()
-        assert bin_folder is not None
-        user = OWNER if os.getuid() == 0 else None
+    def run(self, *command: str, answers: str = "") -> None:
+        """A command as the server's owner, who has no terminal: what it asks is answered by `answers`."""
+        path = f"{tools()}{os.pathsep}{os.environ['PATH']}"
         subprocess.run(
-            [bin_folder / command[0], *command[1:]], cwd=self.folder, user=user, check=True, capture_output=True
+            command,
+            cwd=self.folder,
+            user=OWNER if os.getuid() == 0 else None,
+            env={**os.environ, "PATH": path, "PGHOST": str(self.folder), "PGPORT": str(self.port), "PGUSER": OWNER},
+            check=True,
+            stdout=subprocess.DEVNULL,
+            input=answers.encode(),
+            start_new_session=True,
         )
 
 
@@ -62,7 +68,7 @@ def server() -> Iterator[Server]:
     try:
         if os.getuid() == 0:
             os.chown(made.folder, pwd.getpwnam(OWNER).pw_uid, -1)
-        made._do("initdb", "-D", "data", "-U", OWNER, "-A", "trust", "-E", "UTF8", "--locale=C", "--no-sync")
+        made.run("initdb", "-D", "data", "-U", OWNER, "-A", "trust", "-E", "UTF8", "--locale=C", "--no-sync")
         with (made.folder / "data" / "postgresql.conf").open("a", encoding="utf-8") as settings:
             settings.write("listen_addresses = '127.0.0.1'\n")
         made.start()
