@@ -95,7 +95,9 @@ def fleets(kinds: Sequence[Kind], *, days: int, seeds: int) -> list[dict[str, An
             bottleneck = max((key for key in shares if key != "runs"), key=shares.__getitem__)
             rows.append({"cells": cells, "persons": staff, **means, "shares": shares, "bottleneck": bottleneck})
             told = ", ".join(f"{key} {share:.1%}" for key, share in shares.items())
-            print(f"{cells} cells, persons {staff}: {means['samples_a_day']:.0f} good samples a day; {told}", flush=True)
+            print(
+                f"{cells} cells, persons {staff}: {means['samples_a_day']:.0f} good samples a day; {told}", flush=True
+            )
     return rows
 
 

@@ -38,12 +38,25 @@ from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.waiting import Waiting
 
-_OF_RUN = (
+_OF_RUN: tuple[type[Event], ...] = (
     *(RunBegun, Resumed, WorkflowTree, JobStarted, JobEnded, SampleResult),
     *(Asked, Answered, Paused, Continued, Ended),
 )
-_WEIGHINGS = (ContainerPlaced, BracketClosed, *(kind for kind in SKILL_EVENTS if issubclass(kind, Weighing)))
-_OF_JOB = (JobResumed, ActionStarted, ActionEnded, Decided, ArmMoves, DoseCurve, Frames, *_WEIGHINGS)
+_WEIGHINGS: tuple[type[Event], ...] = (
+    ContainerPlaced,
+    BracketClosed,
+    *(kind for kind in SKILL_EVENTS if issubclass(kind, Weighing)),
+)
+_OF_JOB: tuple[type[Event], ...] = (
+    JobResumed,
+    ActionStarted,
+    ActionEnded,
+    Decided,
+    ArmMoves,
+    DoseCurve,
+    Frames,
+    *_WEIGHINGS,
+)
 """Told of the job that is under way alone: of those before it nobody looks any more."""
 
 
