@@ -27,16 +27,16 @@ from scuhand_bt.motion import explain, transfer
 from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
-from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
+from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
-from scuhand_bt.motion.stroke import StrokePoses, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import JointTrajectory, standing
+from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.trajectory import JointTrajectory, beside, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -236,6 +236,22 @@ class MotionPlanner:
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(up.reversed())
+
+    def forming(self, start: Floats, goal: Floats, diameter_mm: float, roller_rad: RollerAngle) -> StoppableTrajectory:
+        """The empty cone's motion between two configurations, on which it gets another size: 8 columns.
+
+        SkillFailed as `move`, and arm.no_path where the cone would touch something on the way.
+        """
+        way, hand = self.move(start, goal), self._cell.hand
+        before_mm = 1e3 * self._geometry.cone_diameter_m
+        rates = with_roller(self.rates, hand)
+        rolls = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
+        roller = rolls.straight(np.array([[roller_rad(before_mm)], [roller_rad(diameter_mm)]]))
+        both = beside(way, roller)
+        rims_mm = (before_mm, (before_mm + diameter_mm) / 2, diameter_mm)
+        if not self._scenes.of_stroke(self._geometry, rims_mm, None, CLOSE_MARGIN_M).proves(arm_part(both)):
+            raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {diameter_mm:g} mm wide would touch something")
+        return StoppableTrajectory(both, rates, self._mount)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
