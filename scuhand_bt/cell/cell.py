@@ -151,9 +151,9 @@ class Cell:
 
         The cone is formed on the way, where nothing is in its way there; else before.
         """
-        begin = motion.start[:JOINTS]
+        begin, rims_mm = motion.start[:JOINTS], (self.hand.cone_diameter_mm, open_mm)
         try:
-            forming = self._planner().forming(self.arm.positions, begin, open_mm, self._roller_rad)
+            forming = self._planner().forming(self.arm.positions, begin, rims_mm, self._roller_rad)
         except SkillFailed:
             yield from self.hand.morph(open_mm)
             yield from self._follow(self._planner().move(self.arm.positions, begin))

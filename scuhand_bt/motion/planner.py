@@ -1,7 +1,7 @@
 """The planning service: the one object that skills ask for a motion, through the cell.
 
-A request is (start, goal, geometry, constraint); its answer is planned once, and the last ones are kept. Geometry is the
-cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
+A request is (start, goal, geometry, constraint); its answer is planned once, and the last ones are kept. Geometry is
+the cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
 built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
 request gets the same motion on every run, on every machine of the same versions. Between two places,
 where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan, the
@@ -17,6 +17,7 @@ import math
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -47,7 +48,7 @@ SETTLED_DIAMETER_M = 0.0005
 LIMIT_STEP_DEG = 5.0
 """Limits of loads are rounded down to whole steps for planning: loads that differ a little share their plans."""
 
-PLANS_KEPT = 512
+PLANS_KEPT = 256
 STROKES_KEPT = 64
 
 Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
@@ -65,6 +66,11 @@ def _seed(request: Request) -> int:
     words = f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}"
     digest = hashlib.blake2b(start + goals + words.encode(), digest_size=16).digest()
     return int.from_bytes(digest, "big")
+
+
+def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
+    """Where a motion is at times counted from one of its moments."""
+    return motion.at(begin_s + times_s)
 
 
 class MotionPlanner:
@@ -188,16 +194,15 @@ class MotionPlanner:
             if spill_limit_deg is None:
                 effort = POLISHED
             if self._geometry.container is not None:
-                with self._bare_pan():
+                with self._as_if(Geometry(self._geometry.cone_diameter_m)):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
                 if self.scene().proves(over_bare_pan):
                     return over_bare_pan
         return self._searched(begin, goals, name, spill_limit_deg, effort)
 
     @contextmanager
-    def _bare_pan(self) -> Iterator[None]:
-        present = self._geometry
-        self._geometry = Geometry(present.cone_diameter_m)
+    def _as_if(self, geometry: Geometry) -> Iterator[None]:
+        present, self._geometry = self._geometry, geometry
         try:
             yield
         finally:
@@ -237,20 +242,28 @@ class MotionPlanner:
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(up.reversed())
 
-    def forming(self, start: Floats, goal: Floats, diameter_mm: float, roller_rad: RollerAngle) -> StoppableTrajectory:
-        """The empty cone's motion between two configurations, on which it gets another size: 8 columns.
+    def forming(
+        self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle
+    ) -> StoppableTrajectory:
+        """The empty cone's motion between two configurations, on which its rim becomes another: 8 columns.
 
-        SkillFailed as `move`, and arm.no_path where the cone would touch something on the way.
+        Either half of it is proven with the rims of that half. SkillFailed as `move`, and arm.no_path where the cone
+        would touch something on the way.
         """
-        way, hand = self.move(start, goal), self._cell.hand
-        before_mm = 1e3 * self._geometry.cone_diameter_m
-        rates = with_roller(self.rates, hand)
-        rolls = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
-        roller = rolls.straight(np.array([[roller_rad(before_mm)], [roller_rad(diameter_mm)]]))
-        both = beside(way, roller)
-        rims_mm = (before_mm, (before_mm + diameter_mm) / 2, diameter_mm)
-        if not self._scenes.of_stroke(self._geometry, rims_mm, None, CLOSE_MARGIN_M).proves(arm_part(both)):
-            raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {diameter_mm:g} mm wide would touch something")
+        rates, last = (
+            with_roller(self.rates, self._cell.hand),
+            replace(self._geometry, cone_diameter_m=rims_mm[1] / 1e3),
+        )
+        with self._as_if(last):
+            way = self.move(start, goal)
+        law = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
+        both = beside(way, law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm])))
+        half_s, quarters_mm = both.duration_s / 2, np.linspace(*rims_mm, 5).round(1).tolist()
+        for begin_s, three_mm in ((0.0, quarters_mm[:3]), (half_s, quarters_mm[2:])):
+            scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
+            course = partial(_later, arm_part(both), begin_s)
+            if not scene.curve_free(course, half_s, both.extremes()[1][:JOINTS]):
+                raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
         return StoppableTrajectory(both, rates, self._mount)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:

@@ -18,7 +18,7 @@ CONE_DIAMETER_M = MOUNTED_DIAMETER_MM / 1e3
 MARGIN_M = 0.005
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
-SCENES_KEPT = 16
+SCENES_KEPT = 12
 
 
 @dataclass(frozen=True, slots=True)
