@@ -80,8 +80,7 @@ class Scoop(Skill[Milligrams]):
         believed.touched(source)
         bed = self._bed(cell)
         stroke, motion = self._planned(cell, self._chosen(cell, bed, in_mortar_mg))
-        yield from cell.hand.morph(stroke.open_mm)
-        yield from cell.make_stroke(motion)
+        yield from cell.make_stroke(motion, stroke.open_mm)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
         held_mg = self._believe(cell, stroke, motion.duration_s, bed)
         yield from cell.form_upright(source.station, MOUNTED_DIAMETER_MM)

@@ -21,6 +21,7 @@ from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
 from scuhand_bt.motion.kinematics import JOINTS
@@ -152,10 +153,19 @@ class Cell:
         """
         return planned_stroke(self.motion, self.arm.positions, path, self.spec, source.station, source.mortar)
 
-    def make_stroke(self, motion: "StoppableTrajectory") -> Steps[None]:
-        """To where a stroke begins, and along it: arm and roller in one motion, and if either fails both rest."""
-        trajectory = self._planner().move(self.arm.positions, motion.start[:JOINTS])
-        yield from self._follow(trajectory)
+    def make_stroke(self, motion: "StoppableTrajectory", open_mm: float) -> Steps[None]:
+        """To where a stroke begins, its cone formed, and along it: arm and roller in one motion, both or none.
+
+        The cone is formed on the way, where nothing is in its way there; else before.
+        """
+        begin, rims_mm = motion.start[:JOINTS], (self.hand.cone_diameter_mm, open_mm)
+        try:
+            forming = self._planner().forming(self.arm.positions, begin, rims_mm, self._roller_rad)
+        except SkillFailed:
+            yield from self.hand.morph(open_mm)
+            yield from self._follow(self._planner().move(self.arm.positions, begin))
+        else:
+            yield from self._together(forming)
         yield from self._together(motion)
 
     def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
@@ -180,12 +190,11 @@ class Cell:
         SkillFailed as `move_to`.
         """
         yield from self.move_to(place)
-        hand = self.spec.hand
+        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm, self._roller_rad))
 
-        def roller_rad(rim_mm: float) -> float:
-            return math.radians(Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand))
-
-        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm, roller_rad))
+    def _roller_rad(self, rim_mm: float) -> float:
+        """The roller's angle at a rim, counted from the flat sheet."""
+        return math.radians(Cone(rim_mm, self.spec.hand.sheet_radius_mm).roller_deg(self.spec.hand))
 
     def _planner(self) -> "MotionPlanner":
         """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""

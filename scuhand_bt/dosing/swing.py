@@ -37,6 +37,8 @@ Floats = NDArray[np.float64]
 
 TURN_RAD_PER_S = 1.2
 """Of axis and handle: slower than powder is thrown."""
+FREE_MM_PER_S = 150.0
+"""Speed of lip and apex at least, where the lip is not on the wall: empty, and then straight up, which tips no load."""
 APEX_CLEAR_MM = 3.0
 """The apex is never nearer to the vessel than this."""
 LIP_GAP_MM = 0.1
@@ -426,8 +428,12 @@ def _times_s(poses: Sequence[_Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladl
     )
     turns_rad = np.maximum(np.abs(np.diff(tilts_rad)), np.abs(np.diff(tilts_rad - half_rad)))
     edge_mm = math.pi * np.abs(np.diff(rims_mm))
+    on_wall = ~np.isnan([pose.attack_rad for pose in poses])
+    speeds_mm_per_s = np.where(
+        on_wall[1:] & on_wall[:-1], stroke.lip_speed_mm_per_s, max(stroke.lip_speed_mm_per_s, FREE_MM_PER_S)
+    )
     steps_s = np.maximum.reduce(
-        [ways_mm / stroke.lip_speed_mm_per_s, turns_rad / TURN_RAD_PER_S, edge_mm / ladle.edge_speed_mm_per_s]
+        [ways_mm / speeds_mm_per_s, turns_rad / TURN_RAD_PER_S, edge_mm / ladle.edge_speed_mm_per_s]
     )
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps_s, 1e-3))])
 

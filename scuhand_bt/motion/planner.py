@@ -1,7 +1,7 @@
 """The planning service: the one object that skills ask for a motion, through the cell.
 
-A request is (start, goal, geometry, constraint); its answer is planned once, and the last ones are kept. Geometry is the
-cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
+A request is (start, goal, geometry, constraint); its answer is planned once, and the last ones are kept. Geometry is
+the cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
 built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
 request gets the same motion on every run, on every machine of the same versions. Between two places,
 where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan, the
@@ -17,6 +17,7 @@ import math
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -27,16 +28,16 @@ from scuhand_bt.motion import explain, transfer
 from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
-from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
+from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
-from scuhand_bt.motion.stroke import StrokePoses, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import JointTrajectory, standing
+from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.trajectory import JointTrajectory, beside, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -47,7 +48,7 @@ SETTLED_DIAMETER_M = 0.0005
 LIMIT_STEP_DEG = 5.0
 """Limits of loads are rounded down to whole steps for planning: loads that differ a little share their plans."""
 
-PLANS_KEPT = 512
+PLANS_KEPT = 256
 STROKES_KEPT = 64
 
 Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
@@ -65,6 +66,11 @@ def _seed(request: Request) -> int:
     words = f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}"
     digest = hashlib.blake2b(start + goals + words.encode(), digest_size=16).digest()
     return int.from_bytes(digest, "big")
+
+
+def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
+    """Where a motion is at times counted from one of its moments."""
+    return motion.at(begin_s + times_s)
 
 
 class MotionPlanner:
@@ -188,16 +194,15 @@ class MotionPlanner:
             if spill_limit_deg is None:
                 effort = POLISHED
             if self._geometry.container is not None:
-                with self._bare_pan():
+                with self._as_if(Geometry(self._geometry.cone_diameter_m)):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
                 if self.scene().proves(over_bare_pan):
                     return over_bare_pan
         return self._searched(begin, goals, name, spill_limit_deg, effort)
 
     @contextmanager
-    def _bare_pan(self) -> Iterator[None]:
-        present = self._geometry
-        self._geometry = Geometry(present.cone_diameter_m)
+    def _as_if(self, geometry: Geometry) -> Iterator[None]:
+        present, self._geometry = self._geometry, geometry
         try:
             yield
         finally:
@@ -236,6 +241,30 @@ class MotionPlanner:
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(up.reversed())
+
+    def forming(
+        self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle
+    ) -> StoppableTrajectory:
+        """The empty cone's motion between two configurations, on which its rim becomes another: 8 columns.
+
+        Either half of it is proven with the rims of that half. SkillFailed as `move`, and arm.no_path where the cone
+        would touch something on the way.
+        """
+        rates, last = (
+            with_roller(self.rates, self._cell.hand),
+            replace(self._geometry, cone_diameter_m=rims_mm[1] / 1e3),
+        )
+        with self._as_if(last):
+            way = self.move(start, goal)
+        law = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
+        both = beside(way, law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm])))
+        half_s, quarters_mm = both.duration_s / 2, np.linspace(*rims_mm, 5).round(1).tolist()
+        for begin_s, three_mm in ((0.0, quarters_mm[:3]), (half_s, quarters_mm[2:])):
+            scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
+            course = partial(_later, arm_part(both), begin_s)
+            if not scene.curve_free(course, half_s, both.extremes()[1][:JOINTS]):
+                raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
+        return StoppableTrajectory(both, rates, self._mount)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.

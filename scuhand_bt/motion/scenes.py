@@ -7,6 +7,7 @@ Lengths in metres.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
 from scuhand_bt.motion import cell_solids
@@ -18,7 +19,8 @@ CONE_DIAMETER_M = MOUNTED_DIAMETER_MM / 1e3
 MARGIN_M = 0.005
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
-SCENES_KEPT = 16
+SCENES_KEPT, STROKES_KEPT = 12, 2
+"""A mortar that may be touched is two hundred solids, and its stroke's scene five times as large as another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +31,9 @@ class Geometry:
     container: ContainerKind | None = None
 
 
+_Asked: TypeAlias = tuple[Geometry, float, str | None, tuple[float, ...]]
+
+
 class Scenes:
     """Every scene of one cell. KeyError for mortars at stations that the cell does not have."""
 
@@ -37,7 +42,8 @@ class Scenes:
         self._cell = cell
         self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
         self._bench = cell_solids.bench(cell)
-        self._scenes: Recent[tuple[Geometry, float, str | None, tuple[float, ...]], Scene] = Recent(SCENES_KEPT)
+        self._scenes: Recent[_Asked, Scene] = Recent(SCENES_KEPT)
+        self._of_strokes: Recent[_Asked, Scene] = Recent(STROKES_KEPT)
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
         """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
@@ -52,7 +58,8 @@ class Scenes:
             solids, touchable = self._solids(geometry, touching)
             return Scene(self._arm, self._arm.with_sheet(self._cell.hand, rims_mm), solids, margin_m, touchable)
 
-        return self._scenes.of((geometry, margin_m, touching, rims_mm), made)
+        kept = self._scenes if touching is None else self._of_strokes
+        return kept.of((geometry, margin_m, touching, rims_mm), made)
 
     def _solids(self, geometry: Geometry, touching: str | None) -> tuple[list[Solid], list[str]]:
         if touching is not None and touching not in self._mortars:

@@ -87,6 +87,7 @@ def sampled(poses: StrokePoses) -> tuple[Floats, ...]:
     width = round(AVERAGED_S / STEP_S) | 1
     pause_s = 2 * width * STEP_S
     waits_s = np.where(poses.rests, pause_s, 0.0)
+    waits_s[[0, -1]] /= 2  # the averages reach into the motion from one side alone
     begins_s = poses.times_s + np.cumsum(waits_s) - waits_s
     knots_s = np.stack([begins_s, begins_s + waits_s], axis=1).ravel()
     count = KEPT * int(np.ceil(knots_s[-1] / (KEPT * STEP_S))) + 1

@@ -56,7 +56,8 @@ def courses(
     n = len(poses[0])
     at = np.unique(np.linspace(0, n - 1, LOOKED_AT).round().astype(int))
     grid = 2 * math.pi * np.arange(SWIVELS) / SWIVELS + (swivel_of(ends[0], mount) if ends is not None else 0.0)
-    q = branches_of(*(part[at] for part in poses), grid, mount)
+    positions_m, axes, seams = (part[at] for part in poses)
+    q = branches_of(positions_m, axes, seams, grid, mount)
     if q is None or not (open_ := within_limits(q)).any(axis=(1, 2)).all():
         raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach all of it")
     if ends is not None:
