@@ -42,7 +42,10 @@ _OF_RUN = (
     *(RunBegun, Resumed, WorkflowTree, JobStarted, JobEnded, SampleResult),
     *(Asked, Answered, Paused, Continued, Ended),
 )
-_WEIGHINGS = (ContainerPlaced, BracketClosed, *(kind for kind in SKILL_EVENTS if issubclass(kind, Weighing)))
+_WEIGHINGS: tuple[type[Event], ...] = (
+    *(ContainerPlaced, BracketClosed),
+    *(kind for kind in SKILL_EVENTS if issubclass(kind, Weighing)),
+)
 _OF_JOB = (JobResumed, ActionStarted, ActionEnded, Decided, ArmMoves, DoseCurve, Frames, *_WEIGHINGS)
 """Told of the job that is under way alone: of those before it nobody looks any more."""
 
