@@ -46,7 +46,16 @@ _WEIGHINGS: tuple[type[Event], ...] = (
     *(ContainerPlaced, BracketClosed),
     *(kind for kind in SKILL_EVENTS if issubclass(kind, Weighing)),
 )
-_OF_JOB = (JobResumed, ActionStarted, ActionEnded, Decided, ArmMoves, DoseCurve, Frames, *_WEIGHINGS)
+_OF_JOB: tuple[type[Event], ...] = (
+    JobResumed,
+    ActionStarted,
+    ActionEnded,
+    Decided,
+    ArmMoves,
+    DoseCurve,
+    Frames,
+    *_WEIGHINGS,
+)
 """Told of the job that is under way alone: of those before it nobody looks any more."""
 
 
