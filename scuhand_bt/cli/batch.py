@@ -101,6 +101,8 @@ def run(
         raise typer.BadParameter("on the cell a person is asked anyway", param_hint="--ask")
     if asks and unattended:
         raise typer.BadParameter("an unattended run asks nobody", param_hint="--ask/--unattended")
+    if json_file is not None:
+        of_kind(json_file, ".json", option="--json")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
     wrong = read_faults(faults) if faults is not None else None
@@ -251,7 +253,7 @@ def plan(
 ) -> None:
     """Show the jobs in their order, what to expect of them by dry runs, and every moment that needs a person."""
     if html is not None:
-        of_kind(html, *PAGES)
+        of_kind(html, *PAGES, option="--html")
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
     made, loaded = the_plan(recipe, lab)

@@ -38,13 +38,12 @@ from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.waiting import Waiting
 
-_OF_RUN: tuple[type[Event], ...] = (
+_OF_RUN = (
     *(RunBegun, Resumed, WorkflowTree, JobStarted, JobEnded, SampleResult),
     *(Asked, Answered, Paused, Continued, Ended),
 )
 _WEIGHINGS: tuple[type[Event], ...] = (
-    ContainerPlaced,
-    BracketClosed,
+    *(ContainerPlaced, BracketClosed),
     *(kind for kind in SKILL_EVENTS if issubclass(kind, Weighing)),
 )
 _OF_JOB: tuple[type[Event], ...] = (

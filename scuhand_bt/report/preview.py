@@ -44,11 +44,7 @@ def preview(plan: Plan, lab: Lab, odds: Odds) -> str:
         failures=[(code, f"{count:.2g}") for code, count in odds.codes.items()],
         persons=list(_persons(plan, odds)),
         packed=viewer.packed(
-            scene_of(
-                lab,
-                {one.station: one.mortar for one in sources},
-                {rim_mm for one in motions for rim_mm in (one["cone_mm"], *one["rims_mm"])},
-            ),
+            scene_of(lab, {one.station: one.mortar for one in sources}),
             motions,
             "The arm's motions in the batch, job by job",
         ),

@@ -38,7 +38,7 @@ def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | 
 
 @dataclass(frozen=True)
 class Pace:
-    """How a run keeps to its plan: what was to be done at `planned_s` was at `at_s`, and the rest is stretched alike."""
+    """How a run keeps to its plan: what was to be done at `planned_s` was at `at_s`; the rest is stretched alike."""
 
     planned_s: float
     at_s: float

@@ -161,7 +161,7 @@ function tick(time_s) {
   if (time_s > ends_s) ends_s = time_s;
   slider.max = String(ends_s);
   if (isLive) slider.value = slider.max;
-  by("clock").textContent = `${duration(isLive ? time_s : Number(slider.value))} of ${duration(ends_s)}${isLive ? "" : " (played again)"}`;
+  by("clock").textContent = `${duration(isLive ? time_s : Number(slider.value))} of ${duration(ends_s)}`;
 }
 
 async function replay() {

@@ -44,7 +44,7 @@ export function play(root, scene, motions, text) {
     playing = 0;
     button.textContent = "Play";
   }
-  viewer.cone(scene.cones[0].mm);
+  viewer.cone(scene.usual_mm ?? scene.cones[0].mm);
   select.addEventListener("change", () => { halt(); choose(); });
   slider.addEventListener("input", () => { halt(); show(); });
   button.addEventListener("click", () => {

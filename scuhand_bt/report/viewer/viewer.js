@@ -39,7 +39,9 @@ function label(text, at) {
   pen.textAlign = "center";
   pen.lineWidth = 8; pen.strokeStyle = "#ffffffd0"; pen.strokeText(text, 256, 46);
   pen.fillStyle = "#1b6b3a"; pen.fillText(text, 256, 46);
-  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({map: new THREE.CanvasTexture(canvas), depthTest: false}));
+  const map = new THREE.CanvasTexture(canvas);
+  map.colorSpace = THREE.SRGBColorSpace;
+  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({map, depthTest: false}));
   sprite.scale.set(0.32, 0.04, 1);
   sprite.renderOrder = 1;  // over what is seen through
   return placed(sprite, [at[0], at[1], at[2] + 0.02]);
@@ -118,6 +120,7 @@ export function view(holder, scene, text) {
     renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     renderer.setSize(wide, high, false);
     camera.aspect = wide / high;
+    camera.fov = 2 * THREE.MathUtils.RAD2DEG * Math.atan(0.344 * Math.max(1, 1.35 / camera.aspect));  // the cell's width fits
     camera.updateProjectionMatrix();
     draw();
   };
