@@ -40,7 +40,7 @@ SAMPLE = "test"
 SUCCESS = "success"
 
 
-class _Rule(Spec):
+class Substituted(Spec):
     """One entry of `substitute`."""
 
     at: str
@@ -350,7 +350,7 @@ class _Reader:
     def _substitution(self, node: Node, workflow: str) -> Substitution | None:
         problems, library = self._problems, self._lab.library
         gives = node.get("gives") if isinstance(node, Entries) else None
-        rule = validate(_Rule, node.without("gives") if isinstance(node, Entries) else node, problems)
+        rule = validate(Substituted, node.without("gives") if isinstance(node, Entries) else node, problems)
         if rule is None or not isinstance(node, Entries):
             return None
         if rule.fails is not None and rule.fails not in library.failures():

@@ -24,7 +24,7 @@ text of a duration.
 What is worked out of several values ($mass - $a.dispensed) stands as its text.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -69,7 +69,7 @@ def to_xml(library: Library, name: str) -> str:
     model = SubElement(root, "TreeNodesModel")
     skills = dict.fromkeys(call for each in workflows for call in _skills(library.workflows[each], library))
     for skill in sorted(skills):
-        _model_of_skill(model, skill, library)
+        _model_of_skill(model, skill, library, workflows)
     for each in workflows:
         _model_of_workflow(model, library.workflows[each])
     ElementTree.indent(root)
@@ -182,12 +182,14 @@ def _text(argument: Argument, wire: WireType | None = None) -> str:
     return text
 
 
-def _model_of_skill(model: Element, name: str, library: Library) -> None:
+def _model_of_skill(model: Element, name: str, library: Library, workflows: Iterable[str]) -> None:
     skill = library.skills[name]
     made = SubElement(model, "Condition" if issubclass(skill, Condition) else "Action", ID=name)
     fields = {info.alias or key: info for key, info in skill.model_fields.items()}
     if name == RECORD:
-        for key in dict.fromkeys(key for wires in library.recorded.values() for key in wires):
+        nodes = (node for each in workflows for node in walk(library.workflows[each].tree))
+        calls = (node for node in nodes if isinstance(node, Call) and node.name == RECORD)
+        for key in dict.fromkeys(key for call in calls for key in call.arguments):
             SubElement(made, "input_port", name=key, type="std::string")
     for key, parameter in library.parameters(name).items():
         port = SubElement(made, "input_port", name=key, type=TYPES.get(parameter.wire.name, "std::string"))

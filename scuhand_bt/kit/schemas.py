@@ -16,6 +16,7 @@ from pydantic import BaseModel
 
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing import CONTROLLERS
+from scuhand_bt.kit.cases import SUCCESS, Expectation, Substituted
 from scuhand_bt.lab import TEST_SUFFIX, Lab
 from scuhand_bt.recipe.leftover import POLICIES, TO
 from scuhand_bt.recipe.order import ORDERS
@@ -312,6 +313,36 @@ def _recipe(lab: Lab) -> Json:
     )
 
 
+def _test(lab: Lab) -> Json:
+    library, recipe = lab.library, _recipe(lab)["properties"]
+    codes, skills = sorted(library.failures()), sorted(library.skills)
+    inputs = recipe["defaults"]
+    rule = _model(Substituted)
+    rule["properties"] |= {"fails": {"enum": codes}, "gives": {"description": "the result that it ends with"}}
+    expect = _model(Expectation)
+    expect["properties"]["outcome"] |= {"enum": [SUCCESS, *codes]}
+    expect["properties"]["calls"] = {"type": "array", "items": {"enum": skills}}
+    times: Json = {"type": "integer", "minimum": 0}
+    expect["properties"]["times"] = _object(dict.fromkeys(skills, times), [])
+    case = {
+        "name": {**TEXT, "description": "the sentence that it proves"},
+        "inputs": inputs,
+        "seed": {"type": "integer", "minimum": 0},
+        "substitute": {"type": "array", "items": rule},
+        "faults": _faults(lab)["properties"]["faults"],
+        "expect": expect,
+        "trace": {"type": "string", "description": "a file beside the test with all calls of the case"},
+    }
+    whole = {
+        "test": {"enum": sorted(library.workflows)},
+        "summary": {"type": "string"},
+        "sources": recipe["sources"],
+        "inputs": inputs,
+        "cases": {"type": "array", "items": _object(case, ["name"]), "minItems": 1},
+    }
+    return _object(whole, ["test", "cases"])
+
+
 def _object(properties: Mapping[str, Any], required: list[str]) -> Json:
     made: Json = {"type": "object", "properties": dict(properties), "additionalProperties": False}
     return {**made, "required": required} if required else made
@@ -329,6 +360,7 @@ KINDS_OF_FILES: Mapping[str, Callable[[Lab], Json]] = {
     "powders": _powders,
     "containers": _containers,
     "faults": _faults,
+    "test": _test,
 }
 FILES_OF: Mapping[str, str] = {
     "recipe": "recipes/*.yaml",
@@ -336,11 +368,15 @@ FILES_OF: Mapping[str, str] = {
     "cell": "robot/cell.yaml",
     "powders": "robot/powders.yaml",
     "containers": "robot/containers.yaml",
+    "test": f"trees/*{TEST_SUFFIX}",
 }
 """Where the files of a kind stand in a lab."""
 
 
 def vscode_settings() -> Json:
     """Settings of VS Code for a lab's folder: the schemas for its files (of the extension redhat.vscode-yaml)."""
-    schemas = {f"{FOLDER}/{kind}.schema.json": [pattern, f"!*{TEST_SUFFIX}"] for kind, pattern in FILES_OF.items()}
+    schemas = {
+        f"{FOLDER}/{kind}.schema.json": [pattern] if kind == "test" else [pattern, f"!*{TEST_SUFFIX}"]
+        for kind, pattern in FILES_OF.items()
+    }
     return {"yaml.schemas": schemas, "yaml.validate": True, "files.associations": {"*.yaml": "yaml"}}
