@@ -3,20 +3,25 @@
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from conftest import Call, LabFolder
+from device_benches import WiredArmBench, WiredHandBench
 
 from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.devices.balances.frames import Dialect, Frame, Weight
+from scuhand_bt.devices.connect import connect_cell_devices
 from scuhand_bt.drivers import driver_of
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.kit.new_device import TEMPLATES, write_device
+from scuhand_bt.lab import Lab
 from scuhand_bt.problems import SourceError
+from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.balances import balance_twin
-from scuhand_bt.testing import at_the_wire, conformance, of_balances
+from scuhand_bt.testing import at_the_wire, conformance, of_balances, of_motion
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "radwag"
 RADWAG = "scuhand_radwag:DRIVER"
@@ -131,6 +136,42 @@ def test_a_dialect_without_a_twin_cannot_be_rehearsed(lab_folder: LabFolder) -> 
 )
 def test_every_driver_of_ours_and_every_template_conforms(kind: str, driver: str, options: dict[str, str]) -> None:
     conformance.conforms(kind, driver, **options)
+
+
+@pytest.mark.real_time
+def test_our_arm_and_our_hand_conform(starter: Lab) -> None:
+    clock = WallClock()
+    with bench_of(starter) as bench:
+        devices = connect_cell_devices(bench.spec, clock)
+        try:
+            of_motion.arm_conforms(devices.arm, clock)
+            of_motion.hand_conforms(devices.hand, clock)
+        finally:
+            devices.close()
+
+
+class Numb:
+    """A device of which one verb does nothing, or something else."""
+
+    def __init__(self, device: Any, **others: Any) -> None:
+        self.__dict__.update(_device=device, **others)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self._device, name, value)
+
+
+def test_an_arm_and_a_hand_with_a_mistake_do_not_conform(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(at_the_wire, "PATIENCE_S", 3.0)
+    with WiredArmBench().open() as bench, pytest.raises(AssertionError, match="ends a motion on its way"):
+        of_motion.arm_conforms(Numb(bench.device, stop=lambda: None), bench.clock)
+    with WiredHandBench().open() as bench:
+        with pytest.raises(AssertionError, match="ValueError"):
+            of_motion.hand_conforms(Numb(bench.device, set_vibration=lambda level: None), bench.clock)
+        with pytest.raises(AssertionError, match="after a stop"):
+            of_motion.hand_conforms(Numb(bench.device, stop=lambda: None), bench.clock)
 
 
 MISTAKES = {
