@@ -1,5 +1,6 @@
 """Devices of others: a balance's dialect of another package, and what it has to pass, as ours do."""
 
+import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -323,8 +324,8 @@ def test_a_skill_leases_a_device_by_its_name_and_a_dry_run_has_it_simulated(
     done = command("run", recipe, "--dry-run")
     assert done.returncode == 0, done
     (journal,) = (lab_folder.folder / ".scuhand" / "runs").glob("*.sqlite")
-    (note,) = read(journal, "lab.air")
-    assert (note["temperature_c"], note["humidity_percent"], note["code"]) == (22.0, 45.0, "a")
+    (note,) = (json.loads(row["payload"]) for row in read(journal, "event") if row["kind"] == "lab.air")
+    assert note == {"temperature_c": 22.0, "humidity_percent": 45.0, "code": "a"}
 
 
 @pytest.mark.parametrize(
