@@ -1,13 +1,12 @@
 """Devices of others: a balance's dialect of another package, and what it has to pass, as ours do."""
 
-import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Call, LabFolder
+from conftest import Bench, Call, FakeDevice, LabFolder
 from device_benches import WiredArmBench, WiredHandBench
 
 from scuhand_bt.devices.balances import DIALECTS
@@ -22,6 +21,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.balances import balance_twin
+from scuhand_bt.skill import Cell, Skill, Steps
 from scuhand_bt.testing import at_the_wire, conformance, of_balances, of_motion
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "radwag"
@@ -324,7 +324,7 @@ def test_a_skill_leases_a_device_by_its_name_and_a_dry_run_has_it_simulated(
     done = command("run", recipe, "--dry-run")
     assert done.returncode == 0, done
     (journal,) = (lab_folder.folder / ".scuhand" / "runs").glob("*.sqlite")
-    (note,) = (json.loads(row["payload"]) for row in read(journal, "event") if row["kind"] == "lab.air")
+    (note,) = (row["payload"] for row in read(journal, "event") if row["kind"] == "lab.air")
     assert note == {"temperature_c": 22.0, "humidity_percent": 45.0, "code": "a"}
 
 
@@ -341,3 +341,31 @@ def test_a_device_that_is_not_leased_or_not_there_is_found_before_a_run(
     with_devices(lab_folder, BOTH)
     lab_folder.write("skills/watch_air.py", WATCHES_AIR.replace('devices = ("room", "codes")', wrong))
     assert any(problem in found for found in lab_folder.problems())
+
+
+class Bar(FakeDevice):
+    stops = 0
+
+    def stop(self) -> None:
+        self.stops += 1
+        self.is_stopped = True
+
+
+BAR = Bar()
+
+
+class Knocks(Skill[None]):
+    """Something knocks against the bar, which nobody has leased."""
+
+    def run(self, cell: Cell) -> Steps[None]:
+        BAR.is_stopped = False
+        return
+        yield
+
+
+def test_a_further_device_that_moves_on_after_the_job_is_stopped_and_said(bench: Bench) -> None:
+    bench.cell.devices = {**bench.cell.devices, "bar": BAR}
+    outcome = bench.run("knocks:", {"knocks": Knocks})
+    assert outcome.failure is not None
+    assert "bar moved on" in outcome.failure.detail
+    assert BAR.stops > 0
