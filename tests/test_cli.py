@@ -387,7 +387,7 @@ TOLD_TO_TWINS = {
     "place xrd_holder b": "not done: 'a' stands on the pan",
     "remove": "nothing stands on the pan",
     "place cup c": "not done: there is no container 'cup'; there are: ",
-    "weight 20 g": "a weight of 20 g stands on the pan",
+    "weight 20 g": "a weight of 20.0000 g stands on the pan",
     "weight 20": "not done: ",
     "fill 1 xrd_holder a": "'a' stands in slot 1",
     "sheet": "a fresh sheet is in the hand",

@@ -73,7 +73,7 @@ def _obey_lines(hands: "Hands") -> None:
     """Do what comes on the standard input, and say what was done."""
     for line in sys.stdin:
         if line.strip():
-            out.print(Text(hands.obey(line)))
+            out.print(Text(hands.obey(line)), soft_wrap=True)
             sys.stdout.flush()
 
 
