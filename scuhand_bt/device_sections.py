@@ -1,5 +1,7 @@
 """The sections of robot/cell.yaml whose drivers bring a model of their own: it validates their `options`."""
 
+import sys
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
@@ -13,22 +15,26 @@ from scuhand_bt.yaml_source import Entries, Node, Scalar
 Options = dict[str, BaseModel]
 
 
-def own_options(root: Entries, problems: Problems) -> tuple[Entries, Options]:
+def own_options(root: Entries, folder: Path, problems: Problems) -> tuple[Entries, Options]:
     """The cell's file without the options that `CellSpec` has no model of, and those, by device.
 
-    Drivers that are not the engine's are met here, before anything moves; what is wrong with them is located.
+    Drivers that are not the engine's are met here, before anything moves; they may be modules of the lab's `folder`.
+    What is wrong with them is located.
     """
     options: Options = {}
+
+    def without_own(name: str, kind: str, node: Node) -> Node:
+        if ":" in _text(node, "driver") and str(folder) not in sys.path:
+            sys.path.append(str(folder))  # last, so that it hides nothing
+        return _without_own(name, kind, node, options, problems)
+
     values = dict(root.values)
     for kind in DEVICES:
         node = root.get(kind)
         if node is not None and (driver := _text(node, "driver")) and not is_ours(kind, driver):
-            values[kind] = _without_own(kind, kind, node, options, problems)
+            values[kind] = without_own(kind, kind, node)
     if isinstance(named := root.get("devices"), Entries):
-        sections = {
-            name: _without_own(name, _text(node, "kind"), node, options, problems)
-            for name, node in named.values.items()
-        }
+        sections = {name: without_own(name, _text(node, "kind"), node) for name, node in named.values.items()}
         values["devices"] = Entries(named.mark, named.keys, sections)
     return Entries(root.mark, root.keys, values), options
 

@@ -2,7 +2,6 @@
 
 import math
 import os
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,8 +168,6 @@ def _with_cell(lab: Lab) -> Lab:
 
 def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellSpec, Library, bool]:
     """The cell, what stands in it and is used in it, and whether the cell's own file is sound."""
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))  # a driver may be a module of the lab; last, so that it hides nothing
     cell = _load_cell(folder / CELL_FILE, problems, broken)
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
@@ -262,7 +259,7 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
     nodes = root.get("stations")
     stations = {} if nodes is None else _load_file(Station, path, problems, broken, "station", nodes)
     is_complete = not problems.found
-    root, own = own_options(root, problems)
+    root, own = own_options(root, path.parent.parent, problems)
     cell = validate(CellSpec, root.without("stations"), problems, stations=stations, own_options=own)
     for kind in ("balance", "waste", "park"):
         if is_complete and not any(station.kind == kind for station in stations.values()):

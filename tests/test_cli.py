@@ -402,9 +402,23 @@ def test_without_a_compiler_a_rehearsal_is_code_2_in_words(
         assert (ended.returncode, ended.stderr) == (2, "install g++\n")
 
 
+TOLD_TO_TWINS = {
+    "place xrd_holder a": "'a' stands on the pan",
+    "place xrd_holder b": "not done: 'a' stands on the pan",
+    "remove": "nothing stands on the pan",
+    "place cup c": "not done: there is no container 'cup'; there are: ",
+    "weight 20 g": "a weight of 20.0000 g stands on the pan",
+    "weight 20": "not done: ",
+    "fill 1 xrd_holder a": "'a' stands in slot 1",
+    "sheet": "a fresh sheet is in the hand",
+    "dance": "not done: the words are: place KIND ID",
+}
+
+
 def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "scuhand_bt", "twins", "--cell", str(REPOSITORY / "robot" / "cell.yaml")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = subprocess.Popen(command, **pipes, text=True, cwd=tmp_path)  # type: ignore[call-overload]
     try:
         assert process.stdout is not None
         lines: list[str] = []
@@ -414,6 +428,12 @@ def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
         with serial.Serial(lines[-1].split()[-1], timeout=20) as port:
             port.write(b"D07\r\n")
             assert port.read_until(b"\r\n").endswith(b"g \r\n")
+        assert process.stdin is not None
+        for told, done in TOLD_TO_TWINS.items():
+            process.stdin.write(f"{told}\n")
+            process.stdin.flush()
+            while not (said := process.stdout.readline()).startswith(done):
+                assert said, done
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
     finally:

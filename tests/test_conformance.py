@@ -3,20 +3,26 @@
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from conftest import Call, LabFolder
+from conftest import Bench, Call, FakeDevice, LabFolder
+from device_benches import WiredArmBench, WiredHandBench
 
 from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.devices.balances.frames import Dialect, Frame, Weight
+from scuhand_bt.devices.connect import connect_cell_devices
 from scuhand_bt.drivers import driver_of
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.kit.new_device import TEMPLATES, write_device
+from scuhand_bt.lab import Lab
 from scuhand_bt.problems import SourceError
+from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.balances import balance_twin
-from scuhand_bt.testing import at_the_wire, conformance, of_balances
+from scuhand_bt.skill import Cell, Skill, Steps
+from scuhand_bt.testing import at_the_wire, conformance, of_balances, of_motion
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "radwag"
 RADWAG = "scuhand_radwag:DRIVER"
@@ -131,6 +137,42 @@ def test_a_dialect_without_a_twin_cannot_be_rehearsed(lab_folder: LabFolder) -> 
 )
 def test_every_driver_of_ours_and_every_template_conforms(kind: str, driver: str, options: dict[str, str]) -> None:
     conformance.conforms(kind, driver, **options)
+
+
+@pytest.mark.real_time
+def test_our_arm_and_our_hand_conform(starter: Lab) -> None:
+    clock = WallClock()
+    with bench_of(starter) as bench:
+        devices = connect_cell_devices(bench.spec, clock)
+        try:
+            of_motion.arm_conforms(devices.arm, clock)
+            of_motion.hand_conforms(devices.hand, clock)
+        finally:
+            devices.close()
+
+
+class Numb:
+    """A device of which one verb does nothing, or something else."""
+
+    def __init__(self, device: Any, **others: Any) -> None:
+        self.__dict__.update(_device=device, **others)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._device, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self._device, name, value)
+
+
+def test_an_arm_and_a_hand_with_a_mistake_do_not_conform(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(at_the_wire, "PATIENCE_S", 3.0)
+    with WiredArmBench().open() as bench, pytest.raises(AssertionError, match="ends a motion on its way"):
+        of_motion.arm_conforms(Numb(bench.device, stop=lambda: None), bench.clock)
+    with WiredHandBench().open() as bench:
+        with pytest.raises(AssertionError, match="ValueError"):
+            of_motion.hand_conforms(Numb(bench.device, set_vibration=lambda level: None), bench.clock)
+        with pytest.raises(AssertionError, match="after a stop"):
+            of_motion.hand_conforms(Numb(bench.device, stop=lambda: None), bench.clock)
 
 
 MISTAKES = {
@@ -282,8 +324,8 @@ def test_a_skill_leases_a_device_by_its_name_and_a_dry_run_has_it_simulated(
     done = command("run", recipe, "--dry-run")
     assert done.returncode == 0, done
     (journal,) = (lab_folder.folder / ".scuhand" / "runs").glob("*.sqlite")
-    (note,) = read(journal, "lab.air")
-    assert (note["temperature_c"], note["humidity_percent"], note["code"]) == (22.0, 45.0, "a")
+    (note,) = (row["payload"] for row in read(journal, "event") if row["kind"] == "lab.air")
+    assert note == {"temperature_c": 22.0, "humidity_percent": 45.0, "code": "a"}
 
 
 @pytest.mark.parametrize(
@@ -299,3 +341,31 @@ def test_a_device_that_is_not_leased_or_not_there_is_found_before_a_run(
     with_devices(lab_folder, BOTH)
     lab_folder.write("skills/watch_air.py", WATCHES_AIR.replace('devices = ("room", "codes")', wrong))
     assert any(problem in found for found in lab_folder.problems())
+
+
+class Bar(FakeDevice):
+    stops = 0
+
+    def stop(self) -> None:
+        self.stops += 1
+        self.is_stopped = True
+
+
+BAR = Bar()
+
+
+class Knocks(Skill[None]):
+    """Something knocks against the bar, which nobody has leased."""
+
+    def run(self, cell: Cell) -> Steps[None]:
+        BAR.is_stopped = False
+        return
+        yield
+
+
+def test_a_further_device_that_moves_on_after_the_job_is_stopped_and_said(bench: Bench) -> None:
+    bench.cell.devices = {**bench.cell.devices, "bar": BAR}
+    outcome = bench.run("knocks:", {"knocks": Knocks})
+    assert outcome.failure is not None
+    assert "bar moved on" in outcome.failure.detail
+    assert BAR.stops > 0

@@ -1,7 +1,7 @@
 """Making the cell that a plan runs on: simulated, simulated behind the real drivers, or the real one."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +37,7 @@ from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.scene import twin_of
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import Container, ContainerKind
+from scuhand_bt.specs import Container, ContainerKind, Source
 
 NOT_WITHOUT_A_RECIPE = {
     "powder.clog": "no powder is behind twins alone",
@@ -358,8 +358,10 @@ def _require_twins(lab: Lab) -> None:
     problems.raise_any()
 
 
-def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:
-    """The twins of a lab's cell without a recipe: the arm parked, nothing on the pan.
+def bench_of(
+    lab: Lab, seed: int = 0, faults: FaultFile | None = None, sources: Mapping[str, Source] | None = None
+) -> WireBench:
+    """The twins of a lab's cell without a run: the arm parked, nothing on the pan, the powder of `sources` in mortars.
 
     Raises NoCompiler, and SourceError for faults that cannot come to twins alone.
     """
@@ -368,7 +370,9 @@ def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBe
         faults.refuse(NOT_WITHOUT_A_RECIPE, of_samples="twins alone know of no sample")
     parked = lab.motion_planner({}).home()
     wrong = Faults(faults.rules if faults is not None else (), seed)
-    return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong)
+    return WireBench(
+        lab.cell, sources or {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong
+    )
 
 
 def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:

@@ -107,8 +107,11 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
         operator=person.name,
         signed=person.is_pin is not None,
         devices={
-            name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
-            for name in ("arm", "hand", "balance", "changer")
+            name: {
+                **lab.cell.section(name).model_dump(mode="json", by_alias=False, exclude_none=True),
+                "options": lab.cell.options_of(name).model_dump(mode="json", by_alias=False, exclude_none=True),
+            }
+            for name in lab.cell.device_names
         },
         version=scuhand_bt.__version__,
         libraries={name: _version(name) for name in LIBRARIES},
