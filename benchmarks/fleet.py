@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from benchmarks.fleet_model import KITS, Assumed, DryRun, Kind, simulate
 from harness.fleet import chaos
 from harness.postgres import server
 from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
-from scuhand_bt.fleet.order import order_of
+from scuhand_bt.fleet.order import submission_of
 from scuhand_bt.fleet.queue import open_queue
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.recipe.plan import make_plan
@@ -95,7 +95,9 @@ def fleets(kinds: Sequence[Kind], *, days: int, seeds: int) -> list[dict[str, An
             bottleneck = max((key for key in shares if key != "runs"), key=shares.__getitem__)
             rows.append({"cells": cells, "persons": staff, **means, "shares": shares, "bottleneck": bottleneck})
             told = ", ".join(f"{key} {share:.1%}" for key, share in shares.items())
-            print(f"{cells} cells, persons {staff}: {means['samples_a_day']:.0f} good samples a day; {told}", flush=True)
+            print(
+                f"{cells} cells, persons {staff}: {means['samples_a_day']:.0f} good samples a day; {told}", flush=True
+            )
     return rows
 
 
@@ -104,10 +106,11 @@ async def queue_costs(database: str, jobs: int) -> dict[str, Any]:
     lab = load_lab(starter_lab())
     offer = offer_of(lab, simulated=True, unattended=False)
     recipe = starter_lab() / "recipes" / f"{RECIPES[-1]}.yaml"
-    order = order_of(make_plan(load_recipe(recipe, lab), lab), simulated=True)
+    one = submission_of(make_plan(load_recipe(recipe, lab), lab), simulated=True)
     names = [f"cell-{number}" for number in range(STATIONS)]
     orders = [
-        order.model_copy(update={"key": f"{number}", "stations": (names[number % STATIONS],)}) for number in range(jobs)
+        replace(one, order=one.order.model_copy(update={"key": f"{n}", "stations": (names[n % STATIONS],)}))
+        for n in range(jobs)
     ]
     took_ms: dict[str, list[float]] = {}
 
@@ -122,8 +125,8 @@ async def queue_costs(database: str, jobs: int) -> dict[str, Any]:
             await queue.enrol(name, name, offer)
         for first in range(0, jobs - SINGLE, 100):
             await timed("submit, of 100 at once", queue.submit(orders[first : first + 100]), 100)
-        for one in orders[-SINGLE:]:
-            await timed("submit", queue.submit([one]))
+        for last in orders[-SINGLE:]:
+            await timed("submit", queue.submit([last]))
         for number in range(CLAIMS):
             name = names[number % STATIONS]
             taken = await timed("take", queue.take(name))
