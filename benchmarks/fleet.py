@@ -1,6 +1,6 @@
 """A fleet of cells: what it does in a day, what holds it up, what its queue costs, and whether kills break it.
 
-    python -m benchmarks.fleet [--days 7] [--seeds 3]    # 1 to 256 cells as discrete events
+    python -m benchmarks.fleet [--days 5] [--seeds 2]    # 1 to 256 cells as discrete events
     python -m benchmarks.fleet --draw 8                  # the dry runs that these are drawn from, anew
     python -m benchmarks.fleet --queue 100000            # submitting to and taking from a PostgreSQL of its own
     python -m benchmarks.fleet --chaos 100               # stations, runs, submitters and the server killed so often
@@ -146,8 +146,8 @@ def _spread(found: Sequence[float]) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--days", type=int, default=7)
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--days", type=int, default=5)
+    parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--draw", type=int, metavar="SEEDS")
     parser.add_argument("--queue", type=int, metavar="JOBS")
     parser.add_argument("--chaos", type=int, metavar="KILLS")
