@@ -18,6 +18,7 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
+from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
 from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
@@ -74,6 +75,8 @@ class Cell:
     """What this run has measured of it; None for what was measured before, and does not hold any more."""
     known_delay_s: float | None = None
     """How late it was last seen to show a load, by this run or an earlier one."""
+    came: Step | None = None
+    """How the balance has shown the container that came last, in this process."""
     readings: deque[Reading] = field(default_factory=lambda: deque(maxlen=RECENT))
     """The balance's last ones, filled from where they arrive."""
 
