@@ -1,6 +1,6 @@
 """A fleet of cells: what it does in a day, what holds it up, what its queue costs, and whether kills break it.
 
-    python -m benchmarks.fleet [--days 7] [--seeds 3]    # 1 to 256 cells as discrete events
+    python -m benchmarks.fleet [--days 5] [--seeds 2]    # 1 to 256 cells as discrete events
     python -m benchmarks.fleet --draw 8                  # the dry runs that these are drawn from, anew
     python -m benchmarks.fleet --queue 100000            # submitting to and taking from a PostgreSQL of its own
     python -m benchmarks.fleet --chaos 100               # stations, runs, submitters and the server killed so often
@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from benchmarks.fleet_model import KITS, Assumed, DryRun, Kind, simulate
 from harness.fleet import chaos
 from harness.postgres import server
 from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
-from scuhand_bt.fleet.order import order_of
+from scuhand_bt.fleet.order import submission_of
 from scuhand_bt.fleet.queue import open_queue
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.recipe.plan import make_plan
@@ -106,10 +106,11 @@ async def queue_costs(database: str, jobs: int) -> dict[str, Any]:
     lab = load_lab(starter_lab())
     offer = offer_of(lab, simulated=True, unattended=False)
     recipe = starter_lab() / "recipes" / f"{RECIPES[-1]}.yaml"
-    order = order_of(make_plan(load_recipe(recipe, lab), lab), simulated=True)
+    one = submission_of(make_plan(load_recipe(recipe, lab), lab), simulated=True)
     names = [f"cell-{number}" for number in range(STATIONS)]
     orders = [
-        order.model_copy(update={"key": f"{number}", "stations": (names[number % STATIONS],)}) for number in range(jobs)
+        replace(one, order=one.order.model_copy(update={"key": f"{n}", "stations": (names[n % STATIONS],)}))
+        for n in range(jobs)
     ]
     took_ms: dict[str, list[float]] = {}
 
@@ -124,8 +125,8 @@ async def queue_costs(database: str, jobs: int) -> dict[str, Any]:
             await queue.enrol(name, name, offer)
         for first in range(0, jobs - SINGLE, 100):
             await timed("submit, of 100 at once", queue.submit(orders[first : first + 100]), 100)
-        for one in orders[-SINGLE:]:
-            await timed("submit", queue.submit([one]))
+        for last in orders[-SINGLE:]:
+            await timed("submit", queue.submit([last]))
         for number in range(CLAIMS):
             name = names[number % STATIONS]
             taken = await timed("take", queue.take(name))
@@ -145,8 +146,8 @@ def _spread(found: Sequence[float]) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--days", type=int, default=7)
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--days", type=int, default=5)
+    parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--draw", type=int, metavar="SEEDS")
     parser.add_argument("--queue", type=int, metavar="JOBS")
     parser.add_argument("--chaos", type=int, metavar="KILLS")

@@ -34,7 +34,7 @@ sources:
   mortar-1: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 8 g}
 defaults: {source: mortar-1, container: xrd_holder, tolerance: 3 mg}
 samples:
-  - {id: x, mass: 40 mg, repeat: 12}
+  - {id: x, mass: 40 mg, repeat: 48}
 on_failure: {dose.overshoot: flag, dose.not_reached: flag, otherwise: stop}
 """
 COMMAND = (sys.executable, "-m", "scuhand_bt")

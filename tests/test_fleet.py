@@ -1,6 +1,7 @@
 """Several cells on one queue: who can do what, a job is one run, and whatever dies, nothing is done twice."""
 
 import asyncio
+import base64
 import json
 import os
 import re
@@ -12,6 +13,7 @@ import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +25,7 @@ from running import make_lab
 from harness.fleet import chaos
 from harness.postgres import Server, server, tools
 from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
-from scuhand_bt.fleet.order import Order, order_of
+from scuhand_bt.fleet.order import Submission, submission_of, write
 from scuhand_bt.fleet.queue import KnownStation, Queue, QueuedJob, choose, open_queue
 from scuhand_bt.fleet.station import Manner, Station
 from scuhand_bt.journal.presence import Presence
@@ -58,8 +60,13 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 
 
 @pytest.fixture
-def order(plan: Plan) -> Order:
-    return order_of(plan, simulated=True)
+def order(plan: Plan) -> Submission:
+    return submission_of(plan, simulated=True)
+
+
+def but(one: Submission, **changes: Any) -> Submission:
+    """The same, with another order."""
+    return replace(one, order=one.order.model_copy(update=changes))
 
 
 @pytest.fixture(scope="module")
@@ -121,16 +128,18 @@ def known(offer: Offer, name: str, ahead_s: float, silent_s: float = 1.0) -> Kno
     return KnownStation(name, offer, "", silent_s, 1, ahead_s)
 
 
-def test_an_order_goes_where_least_is_before_it_and_to_who_is_not_there_last(order: Order, offer: Offer) -> None:
+def test_an_order_goes_where_least_is_before_it_and_to_who_is_not_there_last(order: Submission, offer: Offer) -> None:
     stations = [known(offer, "busy", 5000.0), known(offer, "gone", 0.0, 61.0), known(offer, "idle", 4000.0)]
     (one,) = choose([order], stations)
-    assert one.stations == ("idle", "busy", "gone")
-    many = choose([order.model_copy(update={"duration_s": 600.0})] * 4, stations)
-    assert [each.stations[0] for each in many] == ["idle", "idle", "busy", "idle"], "what goes there counts at once"
-    assert choose([order], stations, only="busy")[0].stations == ("busy",)
+    assert one.order.stations == ("idle", "busy", "gone")
+    many = choose([but(order, duration_s=600.0)] * 4, stations)
+    assert [each.order.stations[0] for each in many] == ["idle", "idle", "busy", "idle"], (
+        "what goes there counts at once"
+    )
+    assert choose([order], stations, only="busy")[0].order.stations == ("busy",)
 
 
-def test_an_order_that_no_station_can_do_says_what_is_missing_where(order: Order, offer: Offer) -> None:
+def test_an_order_that_no_station_can_do_says_what_is_missing_where(order: Submission, offer: Offer) -> None:
     bare = offer.model_copy(update={"names": {**offer.names, "powder": (), "mortar": ()}})
     stations = [known(bare, "bare", 0.0), known(offer.model_copy(update={"simulated": False}), "real", 0.0)]
     with pytest.raises(SourceError) as error:
@@ -153,24 +162,23 @@ def test_an_order_carries_the_recipe_and_its_tables_byte_for_byte(tmp_path: Path
     table = "\ufeffid;mass [mg]\r\nb;30,5\r\n".encode()
     (lab / "tables" / "t.csv").write_bytes(table)
     text = RECIPE.format(count=1).replace("samples: [", "samples: [{table: tables/t.csv}, ")
-    made = order_of(plan_of(lab, text=text), simulated=True)
-    sent = Order.model_validate_json(made.model_dump_json())
-    written = sent.write(tmp_path / "there")
-    assert written.read_text() == text
+    made = submission_of(plan_of(lab, text=text), simulated=True)
+    write(json.loads(json.dumps(made.files)), tmp_path / "there")
+    assert (tmp_path / "there" / "queued.yaml").read_text() == text
     assert (tmp_path / "there" / "tables" / "t.csv").read_bytes() == table
 
 
-def test_a_table_elsewhere_is_refused_by_who_submits_and_by_who_would_write_it(tmp_path: Path, order: Order) -> None:
+def test_a_table_elsewhere_is_refused_by_who_submits_and_by_who_would_write_it(tmp_path: Path) -> None:
     lab = make_lab(tmp_path / "lab")
     (lab / "t.csv").write_text("id,mass\nb,30 mg\n")
     (lab / "recipes").mkdir()
     text = RECIPE.format(count=1).replace("samples: [", "samples: [{table: ../t.csv}, ")
     plan = plan_of(lab, "recipes/r.yaml", text)
     with pytest.raises(SourceError, match="put the table beside it"):
-        order_of(plan, simulated=True)
+        submission_of(plan, simulated=True)
     for name in ("../out.csv", "/tmp/out.csv"):
         with pytest.raises(SourceError, match="the recipe's own folder"):
-            order.model_copy(update={"files": {name: b""}}).write(tmp_path / "there")
+            write({name: ""}, tmp_path / "there")
 
 
 # --- the queue
@@ -206,16 +214,17 @@ def run(coroutine: Coroutine[Any, Any, None]) -> None:
 
 
 def test_a_station_has_one_job_at_a_time_in_the_order_of_their_coming(
-    database: str, order: Order, offer: Offer
+    database: str, order: Submission, offer: Offer
 ) -> None:
     async def check() -> None:
         async with enrolled(database, offer, "one", "two") as queue:
-            here = order.model_copy(update={"stations": ("one",)})
-            orders = [here.model_copy(update={"key": key}) for key in ("first", "second")]
+            here = but(order, stations=("one",))
+            orders = [but(here, key=key) for key in ("first", "second")]
             first, second = await queue.submit(orders)
+            assert await queue.files(orders[0].order) == order.files
             taken = await queue.take("one")
             assert taken is not None
-            assert (taken.id, taken.order) == (first, orders[0])
+            assert (taken.id, taken.order) == (first, orders[0].order)
             assert await queue.take("one") is None, "it has one"
             assert await queue.take("two") is None, "and these are not for it"
             assert (again := await queue.taken("one")) is not None
@@ -228,12 +237,12 @@ def test_a_station_has_one_job_at_a_time_in_the_order_of_their_coming(
 
 
 def test_an_idle_station_takes_over_the_oldest_job_that_it_can_do_and_none_that_is_run(
-    database: str, order: Order, offer: Offer
+    database: str, order: Submission, offer: Offer
 ) -> None:
     async def check() -> None:
         async with enrolled(database, offer, "one", "two", "three") as queue:
-            both = order.model_copy(update={"stations": ("one", "two")})
-            numbers = await queue.submit([both.model_copy(update={"key": key}) for key in "abc"])
+            both = but(order, stations=("one", "two"))
+            numbers = await queue.submit([but(both, key=key) for key in "abc"])
             assert await queue.take("one") is not None
             assert not await queue.take_over("three")
             assert await queue.take_over("two")
@@ -249,13 +258,13 @@ def test_an_idle_station_takes_over_the_oldest_job_that_it_can_do_and_none_that_
 
 
 def test_what_stations_say_of_themselves_is_seen_with_what_is_before_them(
-    database: str, order: Order, offer: Offer
+    database: str, order: Submission, offer: Offer
 ) -> None:
     async def check() -> None:
         async with enrolled(database, offer, "one", "two") as queue:
             assert not await queue.enrol("one", "another lab's", offer), "its name is taken"
-            here = order.model_copy(update={"stations": ("one",), "duration_s": 70.0})
-            numbers = await queue.submit([here.model_copy(update={"key": key}) for key in "ab"])
+            here = but(order, stations=("one",), duration_s=70.0)
+            numbers = await queue.submit([but(here, key=key) for key in "ab"])
             await queue.tell("one", "dreams")
             one, two = await queue.stations()
             assert (one.state, one.jobs, one.ahead_s, one.offer, one.is_there) == ("dreams", 2, 140.0, offer, True)
@@ -329,10 +338,10 @@ def test_jobs_are_run_once_each_and_marked_from_their_journals_and_one_that_cann
     async def check() -> None:
         async with open_queue(database) as queue:
             station = Station(queue, lab, "here", Manner(simulated=True), said.append, look_s=0.1)
-            wrong = order_of(bad, simulated=True)
-            wrong = wrong.model_copy(update={"files": {"bad.yaml": b"recipe: bad\n"}})
-            orders = [wrong, order_of(good, simulated=True, seed=5)]
-            await queue.submit([order.model_copy(update={"stations": ("here",)}) for order in orders])
+            wrong = submission_of(bad, simulated=True)
+            wrong = replace(wrong, files={"bad.yaml": base64.b64encode(b"recipe: bad\n").decode()})
+            orders = [wrong, submission_of(good, simulated=True, seed=5)]
+            await queue.submit([but(order, stations=("here",)) for order in orders])
             first, second = await works(station, queue, all_over)
             assert (first.status, first.run) == ("failed", "")
             assert first.said.startswith("it did not begin: ")
@@ -351,12 +360,12 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
     database: str, tmp_path: Path
 ) -> None:
     lab = make_lab(tmp_path / "lab")
-    order = order_of(plan_of(lab, count=60), simulated=True)
+    order = submission_of(plan_of(lab, count=20), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
-            here = order.model_copy(update={"stations": ("here",)})
-            await queue.submit([here, here.model_copy(update={"key": "another"})])
+            here = but(order, stations=("here",))
+            await queue.submit([here, but(here, key="another")])
             station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
 
             def kill_it(jobs: list[QueuedJob]) -> bool:
@@ -370,7 +379,7 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
             assert f"`scuhand-bt resume {journal.stem}` goes on with it" in state
             station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
             first, second = await works(station, queue, lambda jobs: jobs[0].status != "doing" and jobs[1].run != "")
-            assert (first.status, first.run, first.said) == ("succeeded", journal.stem, "done (60 in tolerance)")
+            assert (first.status, first.run, first.said) == ("succeeded", journal.stem, "done (20 in tolerance)")
             assert second.status == "doing"
 
     run(check())
@@ -380,11 +389,11 @@ def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then
 @pytest.mark.slow
 def test_a_job_that_is_cancelled_while_it_is_run_stops_after_its_sample(database: str, tmp_path: Path) -> None:
     lab = make_lab(tmp_path / "lab")
-    order = order_of(plan_of(lab, count=300), simulated=True)
+    order = submission_of(plan_of(lab, count=300), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
-            (number,) = await queue.submit([order.model_copy(update={"stations": ("here",)})])
+            (number,) = await queue.submit([but(order, stations=("here",))])
             station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
 
             async def cancelled(jobs: list[QueuedJob]) -> bool:
@@ -432,11 +441,11 @@ def test_a_run_goes_on_and_is_marked_while_the_database_is_away(
     postgres: Server, database: str, tmp_path: Path
 ) -> None:
     lab, said = make_lab(tmp_path / "lab"), list[str]()
-    order = order_of(plan_of(lab, count=20), simulated=True)
+    order = submission_of(plan_of(lab, count=20), simulated=True)
 
     async def check() -> None:
         async with open_queue(database) as queue:
-            await queue.submit([order.model_copy(update={"stations": ("here",)})])
+            await queue.submit([but(order, stations=("here",))])
             station = Station(queue, lab, "here", Manner(simulated=True), said.append, look_s=0.1)
             working = asyncio.ensure_future(station.work())
             while "runs job 1" not in said:

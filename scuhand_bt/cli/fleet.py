@@ -77,16 +77,16 @@ def submit(
     """Check recipes, and queue each for a station that has what it needs, or none of them."""
     _require_fleet()
     from scuhand_bt.cli.batch import the_plan
-    from scuhand_bt.fleet.order import order_of
+    from scuhand_bt.fleet.order import submission_of
     from scuhand_bt.fleet.queue import choose, open_queue
 
-    orders = [order_of(the_plan(recipe, lab)[0], simulated=dry_run, seed=seed) for recipe in recipes]
+    asked = [submission_of(the_plan(recipe, lab)[0], simulated=dry_run, seed=seed) for recipe in recipes]
 
     async def queue_them() -> "tuple[list[int], list[KnownStation], list[str]]":
         async with open_queue(database) as queue:
             known = await queue.stations()
-            chosen = choose(orders, known, at)
-            return await queue.submit(chosen), known, [order.stations[0] for order in chosen]
+            chosen = choose(asked, known, at)
+            return await queue.submit(chosen), known, [one.order.stations[0] for one in chosen]
 
     numbers, known, where = _answered(queue_them(), "whether it was queued is not known: `scuhand-bt queue` tells")
     if as_json:

@@ -7,7 +7,7 @@ after one that died there until that is settled. A job is never tried again by i
 import logging
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -19,7 +19,7 @@ from psycopg.types.json import Jsonb
 from pydantic import ValidationError
 
 from scuhand_bt.fleet.needs import Offer, missing
-from scuhand_bt.fleet.order import Order
+from scuhand_bt.fleet.order import Files, Order, Submission
 from scuhand_bt.problems import Mark, Problem, SourceError
 
 TASK = "scuhand-bt run"
@@ -30,6 +30,7 @@ _STATIONS = """
 CREATE TABLE scuhand_stations (
     name text PRIMARY KEY, identity text NOT NULL, offer jsonb NOT NULL, state text NOT NULL,
     seen timestamptz NOT NULL DEFAULT now());
+CREATE TABLE scuhand_recipes (hash text PRIMARY KEY, files jsonb NOT NULL);
 CREATE INDEX scuhand_jobs_of_station ON procrastinate_jobs (lock, status, priority, id);
 """
 _ENROL = """
@@ -44,7 +45,7 @@ FROM scuhand_stations LEFT JOIN procrastinate_jobs AS job ON lock = name AND sta
 GROUP BY name ORDER BY name
 """
 _JOBS = """
-SELECT job.id, lock AS station, status, abort_requested, args - 'files' AS args,
+SELECT job.id, lock AS station, status, abort_requested, args,
     (SELECT min(at) FROM procrastinate_events WHERE job_id = job.id) AS at
 FROM procrastinate_jobs AS job WHERE %(every)s OR status IN ('todo', 'doing') ORDER BY job.id DESC LIMIT %(limit)s
 """
@@ -104,16 +105,16 @@ class Taken:
         return self.job.id
 
 
-def choose(orders: Sequence[Order], known: Sequence[KnownStation], only: str | None = None) -> list[Order]:
-    """For each order the stations that can do it, first the one with the least before it.
+def choose(submitted: Sequence[Submission], known: Sequence[KnownStation], only: str | None = None) -> list[Submission]:
+    """For each the stations that can do it, first the one with the least before it.
 
     A station that is not there comes last. SourceError, with what is missing at which, where none can.
     """
     stations = [station for station in known if only in (None, station.name)]
     ahead_s = {station.name: station.ahead_s for station in stations}
     chosen, problems = [], []
-    for order in orders:
-        lacks = {station.name: missing(order.needs, station.offer) for station in stations}
+    for one in submitted:
+        order, lacks = one.order, {station.name: missing(one.needs, station.offer) for station in stations}
         able = [station for station in stations if not lacks[station.name]]
         if not able:
             what = "no station can do it" if stations else "there is no station" if only is None else "no such station"
@@ -123,7 +124,8 @@ def choose(orders: Sequence[Order], known: Sequence[KnownStation], only: str | N
             continue
         able.sort(key=lambda station: (not station.is_there, ahead_s[station.name], station.name))
         ahead_s[able[0].name] += order.duration_s
-        chosen.append(order.model_copy(update={"stations": tuple(station.name for station in able)}))
+        order = order.model_copy(update={"stations": tuple(station.name for station in able)})
+        chosen.append(replace(one, order=order))
     if problems:
         raise SourceError(problems)
     return chosen
@@ -137,8 +139,11 @@ class Queue:
 
     # --- who submits, and who looks
 
-    async def submit(self, orders: Sequence[Order]) -> list[int]:
+    async def submit(self, submitted: Sequence[Submission]) -> list[int]:
         """A job for each, for the first of its stations, all of them or none; their numbers."""
+        for files, text in {one.order.files: Jsonb(one.files) for one in submitted}.items():
+            query = "INSERT INTO scuhand_recipes VALUES (%(hash)s, %(files)s) ON CONFLICT DO NOTHING"
+            await self._database.execute_query_async(query, hash=files, files=text)
         jobs = [
             Job(
                 queue=order.stations[0],
@@ -147,7 +152,7 @@ class Queue:
                 task_name=TASK,
                 task_kwargs=order.model_dump(mode="json"),
             )
-            for order in orders
+            for order in (one.order for one in submitted)
         ]
         return [job.id or 0 for job in await self._jobs.batch_defer_jobs_async(jobs)]
 
@@ -193,6 +198,12 @@ class Queue:
         """The next job of this station, which is its own from now on."""
         job = await self._jobs.fetch_job([name], None)  # type: ignore[arg-type]  # a station is no worker that is pruned
         return _taken(job) if job is not None else None
+
+    async def files(self, order: Order) -> Files:
+        """The recipe of an order, with its tables."""
+        query = "SELECT files FROM scuhand_recipes WHERE hash = %(hash)s"
+        files: Files = (await self._database.execute_query_one_async(query, hash=order.files))["files"]
+        return files
 
     async def take_over(self, name: str) -> bool:
         """Whether there was a job that waits at another station, and that this one can do; it waits here now."""
@@ -264,7 +275,7 @@ def _looked_at(row: dict[str, Any]) -> QueuedJob:
         is_to_stop=row["abort_requested"],
         recipe=args.get("recipe", ""),
         by=args.get("by", ""),
-        simulated=args.get("needs", {}).get("simulated", False),
+        simulated=args.get("simulated", False),
         run=args.get("run", ""),
         said=args.get("said", ""),
         at=row["at"],

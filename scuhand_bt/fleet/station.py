@@ -21,7 +21,7 @@ from procrastinate.jobs import Status
 
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.fleet.needs import offer_of
-from scuhand_bt.fleet.order import Order
+from scuhand_bt.fleet.order import Order, write
 from scuhand_bt.fleet.queue import Queue, Taken
 from scuhand_bt.journal.events import RunBegun
 from scuhand_bt.journal.history import History, read_history
@@ -180,13 +180,13 @@ class Station:
         if self._is_leaving.is_set():
             return False
         try:
-            recipe = order.write(log.parent)
+            write(await self._queue.files(order), log.parent)
         except (OSError, SourceError) as error:
             return await self._over(taken, Status.FAILED, "", f"it did not begin: {error}")
         how = ["--dry-run", "--seed", str(order.seed)] if self._manner.simulated else []
         how += ["--unattended"] if self._manner.unattended else []
         self._say(f"job {taken.id}: {order.recipe} begins")
-        await self._start(log, "run", str(recipe), *how)
+        await self._start(log, "run", str(log.parent / order.file), *how)
         return False
 
     async def _has_begun(self, taken: Taken, journal: Path) -> bool:
