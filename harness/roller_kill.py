@@ -49,8 +49,8 @@ defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
 samples: [{id: a, mass: 300 mg}, {id: b, mass: 200 mg}, {id: c, mass: 400 mg}]
 """
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = 20.0
-"""A run is killed within so much time of scooping; one scoop takes most of it."""
+SCOOPING_S = 14.0
+"""A run is killed within so much time of scooping, which is about what one scoop takes."""
 LOOK_S = 0.005
 TRIES = 5
 """So often a run that ended by itself is resumed."""
@@ -193,7 +193,7 @@ class KilledScooping(BatchObserver):
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: KilledScooping | None) -> int:
+def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: KilledScooping) -> int:
     twins, runs = Twins(folder), folder / "state" / "runs"
     begun, found = next(journals(runs), None), None
     if begun is not None:
@@ -211,7 +211,7 @@ def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: Killed
             lambda: void(twins.ask("remove")),
             may_be_loaded=begun is not None,
         )
-        return session.run(kill or BatchObserver()).exit_code
+        return session.run(kill).exit_code
     finally:
         session.close()
 
@@ -221,7 +221,7 @@ def void(answer: object) -> None:
 
 
 def kill_while_scooping(folder: Path, kills: int, seed: int, tally: Tally) -> None:
-    """One batch: killed so often, then let end and judged."""
+    """One batch, killed so often, and judged as it stands then: it is not let end."""
     folder.mkdir(parents=True)
     make_lab_of_twins(folder)
     plan, lab = _plan(folder)
@@ -231,9 +231,8 @@ def kill_while_scooping(folder: Path, kills: int, seed: int, tally: Tally) -> No
     keeper.start()
     twins, runs, tries = Twins(folder), folder / "state" / "runs", TRIES
     try:
-        while tries and not any(read_history(path).is_complete for path in journals(runs)):
-            is_last = kills <= 0
-            code = _child(folder, plan, lab, motion, None if is_last else rng.uniform(0.0, SCOOPING_S))
+        while kills and tries and not any(read_history(path).is_complete for path in journals(runs)):
+            code = _child(folder, plan, lab, motion, rng.uniform(0.0, SCOOPING_S))
             if code is None:
                 kills -= 1
                 tally.kills += 1
@@ -252,13 +251,13 @@ def kill_while_scooping(folder: Path, kills: int, seed: int, tally: Tally) -> No
         keeper.join(10.0)
 
 
-def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: float | None) -> int | None:
+def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: float) -> int | None:
     """Run or resume in a process of its own; its exit code, None if it was killed."""
     child = os.fork()
     if child == 0:
         code = BROKEN
         try:
-            code = _run(folder, plan, lab, motion, None if after_s is None else KilledScooping(after_s))
+            code = _run(folder, plan, lab, motion, KilledScooping(after_s))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -278,8 +277,10 @@ def _judge(plan: Plan, lab: Lab, seed: int, seen: Seen, tally: Tally) -> None:
     for sample in plan.recipe.samples:
         dosed_mg, mass_mg = seen.dosed_mg[sample.id], sample.mass_mg or 0.0
         tally.dosed_mg[f"{seed}/{sample.id}"] = round(dosed_mg, 1)
-        if abs(dosed_mg - mass_mg) > 2.0 * (sample.tolerance_mg or 0.0):
-            tally.problems.append(f"seed {seed}: '{sample.id}' holds {dosed_mg:.1f} mg of {mass_mg:g} mg")
+        if dosed_mg > mass_mg + 2.0 * (sample.tolerance_mg or 0.0):
+            tally.problems.append(
+                f"seed {seed}: '{sample.id}' holds {dosed_mg:.1f} mg, and {mass_mg:g} mg were asked for"
+            )
     there_mg = sum(source.amount_mg for source in plan.recipe.sources.values())
     if abs(math.fsum(seen.masses_mg.values()) - there_mg) > 1e-6:
         tally.problems.append(f"seed {seed}: powder was lost or made")
