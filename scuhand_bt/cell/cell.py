@@ -7,14 +7,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.places import Position
 from scuhand_bt.cell.scooping import planned_stroke
-from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
@@ -56,6 +56,8 @@ class Cell:
     """Told by this object, at every motion, how wide the cone is and what stands on the pan."""
     sources: Mapping[str, Source]
     simulated: bool
+    devices: Mapping[str, Device] = field(default_factory=dict)
+    """Further ones, by the names that robot/cell.yaml gives them."""
     places_mm: Mapping[str, Position] = field(default_factory=dict)
     """The named places of this run (`cell/places.py`)."""
     believed: Believed = field(default_factory=Believed)
@@ -89,15 +91,17 @@ class Cell:
         who = self.balance.identity or f"of {self.spec.cell}"
         return f"{spec.driver} {who}, {spec.readability_mg:g} mg, {1.0 / spec.period_s:.3g} Hz"
 
-    def device(self, name: str) -> Device:
-        """A device by the name that skills lease it under: arm, hand, balance, changer."""
-        devices: dict[str, Device] = {
-            "arm": self.arm,
-            "hand": self.hand,
-            "balance": self.balance,
-            "changer": self.changer,
-        }
-        return devices[name]
+    def device(self, name: str) -> Any:
+        """A device by the name that skills lease it under: arm, hand, balance, changer, or that of `devices:`.
+
+        It meets the Protocol of its kind (`devices/interfaces.py`); a skill says which: `a: Sensor = cell.device("a")`.
+        """
+        return getattr(self, name) if name in DEVICES else self.devices[name]
+
+    @property
+    def every_device(self) -> dict[str, Device]:
+        """All of them, by those names."""
+        return {name: self.device(name) for name in (*DEVICES, *self.devices)}
 
     def apex_mm(self) -> tuple[float, float, float]:
         """Where the cone's apex is now, in the base frame."""

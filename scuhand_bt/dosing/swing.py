@@ -111,6 +111,8 @@ class Ladle:
     """From the apex along the seam to the wrist's middle."""
     edge_speed_mm_per_s: float = 20.0
     """Of the sheet's edge along the rim: how fast the cone closes."""
+    rim_limits_mm: tuple[float, float] = (30.0, 95.0)
+    """What the roller makes."""
 
     @classmethod
     def of(cls, hand: HandSpec) -> "Ladle":
@@ -120,6 +122,7 @@ class Ladle:
             hand.mount.clamp_radius_mm,
             hand.apex_offset_mm + WRIST_TO_FLANGE_MM,
             hand.morph_speed_mm_per_s,
+            hand.rim_limits_mm,
         )
 
 
@@ -185,6 +188,10 @@ def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
         raise ValueError(
             f"a sheet of {ladle.slant_mm:g} mm makes no rims of {', '.join(f'{rim_mm:g}' for rim_mm in rims_mm)}"
         )
+    narrowest_mm, widest_mm = ladle.rim_limits_mm
+    if min(rims_mm) < narrowest_mm or max(rims_mm) > widest_mm:
+        asked = f"a rim of {stroke.open_mm:g} mm that closes to {stroke.closed_mm:g} mm"
+        raise NoStrokeError(f"{asked} is beyond the roller's, {narrowest_mm:g} to {widest_mm:g} mm")
     if stroke.open_mm > vessel.bore_mm - 2 * LIP_GAP_MM:
         raise NoStrokeError(f"a rim of {stroke.open_mm:g} mm does not go into a bore of {vessel.bore_mm:g} mm")
     return _in_space(_poses(vessel, replace(stroke, heading_deg=0.0), ladle), stroke, ladle)
