@@ -126,7 +126,7 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
     elif kind in ("changer", "devices"):
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^changer: .*$", text, cell, flags=re.M))
-        assert lab_folder.problems() == []
+        assert [problem for problem in lab_folder.problems() if problem.startswith("robot/")] == []
     elif kind == "design":
         vary = lab_folder.write("vary.yaml", text)
         assert read_vary(vary).changes()
