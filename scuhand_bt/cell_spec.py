@@ -102,6 +102,10 @@ MOUNTED_DIAMETER_MM = 90.0
 """Rim of the cone that a mounted sheet begins as, and that loads are carried in (paper, section V: 36° of overlap)."""
 
 
+NARROWEST_SHARE, WIDEST_SHARE = 0.3, 0.95
+"""Of the flat sheet's diameter: between these rims the roller turns."""
+
+
 class ValvePoint(Spec):
     """Where the valve's servo stands for an opening."""
 
@@ -117,7 +121,7 @@ class HandOptions(Spec):
     """Where the roller's servo is not on the arm's bus, as beside an arm with a driver of its own."""
     roller_direction: Direction = 1
     start_diameter_mm: Annotated[Millimetres, Positive] = MOUNTED_DIAMETER_MM
-    """Of the cone when the driver connects: of a sheet that has just been mounted (paper, section V)."""
+    """Of the cone of a sheet that has just been mounted (paper, section V)."""
     valve_map: Annotated[tuple[ValvePoint, ...], Field(min_length=2, max_length=8)] = (
         ValvePoint(count=2048, opening_mm=0.0),
         ValvePoint(count=2308, opening_mm=2.4),
@@ -171,6 +175,12 @@ class HandSpec(Spec):
     streaming: bool = True
     """False for a controller board that offers the step command only."""
     simulation: ValveErrorSpec = ValveErrorSpec()
+
+    @property
+    def rim_limits_mm(self) -> tuple[float, float]:
+        """The narrowest and the widest rim that the roller makes, whoever asks."""
+        mounted_mm, flat_mm = self.options.start_diameter_mm, 2 * self.sheet_radius_mm
+        return min(mounted_mm, NARROWEST_SHARE * flat_mm), max(mounted_mm, WIDEST_SHARE * flat_mm)
 
     @model_validator(mode="after")
     def _sheet_makes_the_cone(self) -> Self:

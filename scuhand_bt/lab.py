@@ -13,7 +13,8 @@ from scuhand_bt.problems import Broken, Mark, Problem, Problems, SourceError, sh
 from scuhand_bt.skill_files.load import load_skills
 from scuhand_bt.specs import ContainerKind, Mortar, Powder, Spec
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.grammar import KEYWORDS, Workflow, read_workflow
+from scuhand_bt.tree.grammar import KEYWORDS, RECORD, Workflow, read_workflow
+from scuhand_bt.tree.record import Record
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Node, describe, load, read_text
 
@@ -145,6 +146,7 @@ def read_lab(folder: Path) -> Lab:
     library.skills, library.facts = loaded.skills, loaded.facts
     library.workflows = _load_workflows(folder / "trees", problems, broken)
     _check_names(library, folder, problems)
+    library.skills = {**library.skills, RECORD: Record}
     return Lab(folder, cell, library, tuple(problems.found), has_cell)
 
 
@@ -339,11 +341,11 @@ def without_driver(lab: Lab) -> list[Problem]:
 def _check_names(library: Library, folder: Path, problems: Problems) -> None:
     """A word of the language, and a skill, are what is meant by a name that a workflow has, too."""
     for name in library.skills:
-        if name in KEYWORDS:
+        if name in (*KEYWORDS, RECORD):
             mark = Mark(str(folder / "skills" / f"{name}.py"))
             problems.add(mark, f"'{name}' is a word of the workflow language", code="name-taken")
     for name, workflow in list(library.workflows.items()):
-        if name in KEYWORDS:
+        if name in (*KEYWORDS, RECORD):
             problems.add(workflow.mark, f"'{name}' is a word of the workflow language", code="name-taken")
         if name in library.skills:
             what = f"'{name}' is a skill already"

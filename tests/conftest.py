@@ -32,7 +32,7 @@ from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.yaml_source import parse
 
-pytest_plugins = ["pytester", "real_time"]
+pytest_plugins = ["pytester", "real_time", "browser"]
 REPOSITORY = Path(__file__).parent.parent
 
 
@@ -241,7 +241,7 @@ class Bench:
         if resumes:
             job = read_history(journal.path).jobs["main", 1]
             replay = job.replay(None)
-            journal.job_resumed(job.seq, job.doses)
+            journal.job_resumed(job.seq, job.so_far)
         else:
             journal.job_started(JobStarted(name="main", sample=None, attempt=1, workflow="main"))
         try:

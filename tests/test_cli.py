@@ -164,7 +164,7 @@ def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
     assert "change powder to monosodium_glutamate" in shown.stdout
     assert "Sheet swaps: 1." in shown.stdout
     change = "change powder to monosodium_glutamate for m-xrd-1"
-    assert f"A person is needed at '{change}': swap the sheet (two screws)." in shown.stdout
+    assert f"A person is needed at '{change}': swap the sheet (two screws), wipe rollers and clamp." in shown.stdout
 
 
 def test_plan_as_json_has_every_job(command: Call) -> None:
@@ -326,11 +326,31 @@ def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path,
     assert ".png, .svg" in " ".join(ended.stderr.split())
 
 
-def test_a_page_is_not_written_into_a_picture(command: Call, tmp_path: Path) -> None:
-    ended = command("reach", "-o", tmp_path / "reach.png")
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("reach", "-o", "reach.png"), "Invalid value for --output: {} is to be a file of this kind: .html, .htm"),
+        (("reach", "--task", "scoop", "-o", "reach.html"), "writes a table, and no file"),
+        (("show-move", "park", "balance", "-o", "move.svg"), "{} is to be a file of this kind: .html, .htm, .png"),
+        (("study", "recipes/xrd_holders.yaml", "-o", "study.json"), "{} is to be a file of this kind: .csv"),
+        (
+            ("plan", "recipes/xrd_holders.yaml", "--html", "plan.txt"),
+            "Invalid value for --html: {} is to be a file of this kind: .html",
+        ),
+        (
+            ("run", "recipes/xrd_holders.yaml", "--dry-run", "--json", "out.csv"),
+            "Invalid value for --json: {} is to be a file of this kind",
+        ),
+    ],
+)
+def test_nothing_is_written_into_a_file_of_another_kind(
+    command: Call, tmp_path: Path, arguments: tuple[str, ...], why: str
+) -> None:
+    file = tmp_path / arguments[-1]
+    ended = command(*arguments[:-1], file)
     assert ended.returncode == 2
-    assert "is to be a file of this kind: .html" in " ".join(ended.stderr.replace("│", " ").split())
-    assert not (tmp_path / "reach.png").exists()
+    assert why.format(f"'{file}'") in " ".join(ended.stderr.replace("│", " ").split())
+    assert not file.exists()
 
 
 def test_a_page_without_its_library_says_what_to_install(

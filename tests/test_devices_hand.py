@@ -52,7 +52,9 @@ class Cell:
         )
 
     def connect(self) -> Devices:
-        return connect_cell_devices(self.spec, self.clock, self.liveness)
+        devices = connect_cell_devices(self.spec, self.clock, self.liveness)
+        devices.hand.rim_is(90.0)
+        return devices
 
     @property
     def servers(self) -> tuple[TwinServer, ...]:  # type: ignore[type-arg]

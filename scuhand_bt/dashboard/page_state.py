@@ -15,7 +15,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.doses import tone_of
 from scuhand_bt.report.picture import in_words
-from scuhand_bt.report.watching import about, inputs_of, time_left_s, tree_of
+from scuhand_bt.report.watching import about, inputs_of, pace_of, time_left_s, tree_of
 from scuhand_bt.run.questions import MEANINGS
 
 PSEUDO_TERMINALS = "/dev/pts/"
@@ -58,6 +58,7 @@ class Page:
             "time_s": now.time_s,
             "at": now.at,
             "left_s": time_left_s(now, run),
+            "pace": asdict(pace_of(now, run)),
             "question": _question(now, since) if state == "waiting for a person" else None,
             "job": {"name": now.job.name, "about": about(now, run)} if now.job is not None else None,
             "tree": [asdict(node) for node in tree_of(now)],
@@ -108,7 +109,8 @@ def _about(run: RunBegun, name: str) -> dict[str, Any]:
 
 def _to_come(samples: Iterable[SamplePlanned]) -> Iterator[dict[str, Any]]:
     for sample in samples:
-        yield {"id": sample.id, "what": _asked_for(sample.inputs), "tone": "", "verdict": "to come", "told": ""}
+        what = _asked_for(sample.inputs)
+        yield {"id": sample.id, "what": what, "tone": "", "verdict": "to come", "told": "", "done_s": sample.done_s}
 
 
 def _asked_for(inputs: Mapping[str, Any]) -> str:

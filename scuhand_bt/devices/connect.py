@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from scuhand_bt.cell_spec import DEVICES, CellSpec
@@ -35,15 +36,17 @@ def connect_cell_devices(
     *,
     may_torque: bool = True,
     slot_of: Callable[[Container], int] = lambda container: 0,
+    roller_file: Path | None = None,
 ) -> Devices:
     """Open everything; SkillFailed device.lost names the port that cannot be, and what to do.
 
     `liveness` is the pulse of the run's tick; without one, only a dead or stopped process is noticed. Without
     `may_torque` an arm that has no torque is refused, as arm.limp. `slot_of` is the slot of the changer, from 0, that a
-    container is in.
+    container is in. `roller_file` is where it is kept how far the sheet is rolled; without one only while this program
+    has the hand.
     """
     liveness = liveness or Liveness()
-    servos = Servos(spec, liveness)
+    servos = Servos(spec, liveness, roller_file)
     made: dict[str, Any] = {}
     with ExitStack() as opened:
 

@@ -1,6 +1,7 @@
 """The drivers of the CRANE-X7 and of the SCU-Hand-SV: two devices, whose servos share a bus."""
 
 from contextlib import ExitStack
+from pathlib import Path
 from typing import ClassVar
 
 from scuhand_bt.cell_spec import ArmOptions, ArmSpec, CellSpec, HandOptions
@@ -11,6 +12,7 @@ from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.interfaces import Site
 from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.devices.roller import RollerRecord
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis
 from scuhand_bt.drivers import is_ours
 
@@ -23,9 +25,11 @@ def bus_of(spec: ArmSpec, port: str = "") -> DynamixelBus:
 class Servos:
     """The servos of a cell's arm and roller, as far as they are the engine's: on one bus, or each on its own."""
 
-    def __init__(self, spec: CellSpec, liveness: Liveness) -> None:
+    def __init__(self, spec: CellSpec, liveness: Liveness, roller_file: Path | None = None) -> None:
         self.news = Signal()
-        self.arm, self.roller = AxisGroup(arm_axes(spec.arm)), AxisGroup([roller_axis(spec.hand)], watched=False)
+        self.record = RollerRecord(spec.hand, roller_file)
+        self.arm = AxisGroup(arm_axes(spec.arm))
+        self.roller = AxisGroup([roller_axis(spec.hand)], False, self.record.turns_were_lost)
         self._ports = {"arm": spec.arm.port, "hand": spec.hand.options.roller_port or spec.arm.port}
         groups: dict[str, list[AxisGroup]] = {}
         for name, group in (("arm", self.arm), ("hand", self.roller)):
@@ -76,5 +80,4 @@ class Hand:
         servos: Servos = site.servos
         controller = HandController(site.spec, servos.news, site.liveness)
         controller.open()
-        chain, start_mm = servos.chain_of("hand"), site.spec.options.start_diameter_mm
-        return ScuHand(site.spec, controller, chain, servos.roller, site.clock, start_mm)
+        return ScuHand(site.spec, controller, servos.chain_of("hand"), servos.roller, site.clock, servos.record)

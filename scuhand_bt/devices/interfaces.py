@@ -114,6 +114,16 @@ class Arm(Device, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Forming:
+    """How the cone's size is about to change: its rim's diameter [mm] at every time [s] from now on."""
+
+    duration_s: float
+    rim_mm: Callable[[float], float]
+    with_arm: bool
+    """Whether the arm is about to begin its part of the same motion."""
+
+
 class Hand(Device, Protocol):
     """The conical sheet, its roller, the valve at the apex and the vibration motor.
 
@@ -121,6 +131,9 @@ class Hand(Device, Protocol):
     An opening beyond what the valve can have is the nearest that it can; what is no number is a ValueError.
     Opening and vibrating fail with the device's fault, shutting and stopping never do.
     """
+
+    on_start: Callable[[Forming], None]
+    """Told of every change of the cone's size just before it begins; must be quick."""
 
     @property
     def spec(self) -> HandSpec: ...
@@ -140,11 +153,19 @@ class Hand(Device, Protocol):
 
     @property
     def knows_its_roller(self) -> bool:
-        """Whether `cone_diameter_mm` was followed since a person has seen the sheet, or is only what it may be."""
+        """Whether `cone_diameter_mm` is true. A roller that has lost its turns is not turned before `rim_is`."""
         ...
 
-    def rolled_as_mounted(self) -> None:
-        """A person has rolled the sheet as it is mounted: `cone_diameter_mm` counts from there."""
+    @property
+    def possible_rims_mm(self) -> Sequence[float]:
+        """The rims that the cone may have, by the roller's angle within its turn; none where not even that tells."""
+        ...
+
+    def rim_is(self, diameter_mm: float) -> None:
+        """A person has seen how wide the rim is, or has mounted a sheet so: `cone_diameter_mm` counts from there.
+
+        ValueError for a rim beyond the roller's limits.
+        """
         ...
 
     @property
@@ -155,14 +176,15 @@ class Hand(Device, Protocol):
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         """Begin to change the cone's rim diameter, over `duration_s`, but no faster than the hand's speed.
 
-        ValueError for a cone that the sheet cannot make or a duration that is none, SkillFailed device.lost.
+        ValueError for a cone beyond the roller's limits (`HandSpec.rim_limits_mm`) or a duration that is none;
+        SkillFailed device.lost, hand.roller_lost.
         """
         ...
 
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course, one angle [rad] counted from the flat sheet, beside the arm's.
 
-        SkillFailed device.lost. `stop` ends it as it ends the arm's part of the same motion.
+        ValueError and SkillFailed as `start_morph`. `stop` ends it as it ends the arm's part of the same motion.
         """
         ...
 

@@ -12,10 +12,12 @@ import numpy as np
 from scuhand_bt.cell.believed import slot_of as believed_slot
 from scuhand_bt.cell.cell import Cell, carrying_limit_deg
 from scuhand_bt.cell.places import Position, all_places, over_balance
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
 from scuhand_bt.drivers import NAMED_KINDS, NotPluggable, is_ours
 from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
@@ -27,6 +29,7 @@ from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
+from scuhand_bt.run.outage import rim_in_words
 from scuhand_bt.run.questions import Questions
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
@@ -186,7 +189,10 @@ def _dry_run(
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove, may_be_loaded=restore)
     _follow_hands(world, cell)
-    simulated.sees = lambda: "another" if world.pan.is_exchanged else "same"
+    simulated.sees = lambda: (
+        "another" if world.pan.is_exchanged else "same",
+        rim_in_words(cell.hand.cone_diameter_mm),
+    )
 
     def tell(why: str) -> None:
         journal.event(NotResumable(why=why))
@@ -229,6 +235,7 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
         opened.enter_context(bench)
         devices = connect_cell_devices(bench.spec, clock, liveness, slot_of=slot_of)
         opened.callback(devices.close)
+        devices.hand.rim_is(MOUNTED_DIAMETER_MM)
         opened.callback(liveness.end)
         operator: Operator = ask(clock)
         if not has_person:
@@ -264,6 +271,7 @@ def _real(
             liveness,
             may_torque=may_torque,
             slot_of=lambda container: believed_slot(cell.believed, container),
+            roller_file=journal.path.parent.parent / ROLLER_FILE,
         )
         opened.callback(devices.close)
         opened.callback(liveness.end)

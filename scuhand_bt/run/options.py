@@ -96,7 +96,12 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
             for name, source in plan.recipe.sources.items()
         },
         samples=[
-            SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
+            SamplePlanned(
+                id=sample.id,
+                workflow=sample.workflow,
+                inputs=plain_values(sample.inputs),
+                done_s=round(plan.done_s[sample.id], 1),
+            )
             for sample in plan.recipe.samples
         ],
         operator=person.name,

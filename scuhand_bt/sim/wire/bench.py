@@ -82,13 +82,17 @@ class WireHand(SimulatedHand):
         super().__init__(spec, clock)
         self._board = board
         self._roller = roller
-        self._at_zero_deg = Cone(MOUNTED_DIAMETER_MM, spec.sheet_radius_mm).roller_deg(spec) - self._roller_deg
+        self.rim_is(MOUNTED_DIAMETER_MM)
         self._morphed_s = self._closed_s = float("-inf")
         self._now_s = 0.0
 
     @property
     def _roller_deg(self) -> float:
-        return self._roller.position * 360 / 4096
+        return self._roller.shaft * 360 / 4096
+
+    def rim_is(self, diameter_mm: float) -> None:
+        """A sheet is mounted so, as the roller stands now."""
+        self._at_zero_deg = Cone(diameter_mm, self.spec.sheet_radius_mm).roller_deg(self.spec) - self._roller_deg
 
     @property
     def is_active(self) -> bool:
