@@ -5,10 +5,12 @@ this opening now, what is on its way through the apex, whether it is primed or b
 what comes next (`oracle_model`) and not the draws. A flow f times as strong as the median one is taken for what comes
 at the opening where that is f times as strong.
 
-Nothing but the hand limits its opening. The motor runs while the valve is open, and stops at the command to shut. The
-dose is weighed before and watched afterwards as any other: that takes the same time.
+Nothing but the hand limits its opening. The motor runs while the valve is open, and stops at the command to shut; or it
+does not run, where that is the better: crystals that are shaken come in avalanches. The dose is weighed before and
+watched afterwards as any other: that takes the same time.
 """
 
+import contextlib
 import copy
 import math
 from typing import Any
@@ -31,18 +33,24 @@ QUIET_S = 0.5
 """What has not come for so long is tried to be brought by shutting the valve and opening it anew."""
 LONGEST_S = 900.0
 
-MODELS: dict[str, Model] = {}
-"""By all that makes a plant's flow and its valve: the doses of one plant share one."""
+VIBRATIONS = (1.0, 0.0)
+"""Of the motor, while the valve is open."""
+
+MODELS: dict[str, list[Model]] = {}
+"""By all that makes a plant's flow and its valve: the doses of one plant share them."""
 
 
-def model_of(world: World, request: DoseRequest) -> Model:
-    """What is known of this world's powder and valve."""
+def models_of(world: World, request: DoseRequest) -> list[Model]:
+    """What is known of this world's powder and valve, shaken and not, where it flows so."""
     load, hand = world.load, world._hand.spec
     assert load.source is not None
     powder = load._sources[load.source].powder
     key = f"{vars(load._plant.flow(powder))} {hand!r} {request.tolerance_mg}"
     if key not in MODELS:
-        MODELS[key] = Model(lambda: load._plant.flow(powder), hand, request.tolerance_mg)
+        MODELS[key] = []
+        for vibration in VIBRATIONS:
+            with contextlib.suppress(ValueError):
+                MODELS[key].append(Model(lambda: load._plant.flow(powder), hand, request.tolerance_mg, vibration))
     return MODELS[key]
 
 
@@ -53,7 +61,8 @@ class Oracle:
         self.request, self.openings = request, 0
         self._world, self._container, self._clock = world, container, cell.clock
         self._hand = world._hand
-        self._model = model_of(world, request)
+        self._models = models_of(world, request)
+        self._model = self._models[0]
         self._strength = 1.0
 
     @property
@@ -66,6 +75,7 @@ class Oracle:
         """Until it is best to end; why it ended."""
         end_s = self._clock.now_s + LONGEST_S
         while self._clock.now_s < end_s:
+            self._model = max(self._models, key=lambda model: model.worth(self.missing_mg))
             _, to = self._look()
             if to == SHUT:
                 return "reached" if abs(self.missing_mg) <= self.request.tolerance_mg else "overshoot"
@@ -100,7 +110,7 @@ class Oracle:
         known = model.rate(gap_mm)
         if known <= 0.0:
             return SHUT, model.action(missing_mg, SHUT)
-        flow, now = flowing(self._flow, gap_mm, in_cone_mg)
+        flow, now = flowing(self._flow, gap_mm, model.vibration, in_cone_mg)
         self._strength = now / known if now > 0.0 else self._strength
         index = int(np.argmin(np.abs(model.log_rates - math.log(known * self._strength))))
         more_mg = model.closing_mg(flow, gap_mm, in_cone_mg) - model.closings_mg[index] if now > 0.0 else 0.0
@@ -114,22 +124,21 @@ class Oracle:
         servo_mm = real_mm - error_mm
         servo_mm = servo_mm if servo_mm >= FADE_MM else real_mm / max(0.2, 1.0 + error_mm / FADE_MM)
         servo_mm = min(max(servo_mm, 0.02), hand.spec.max_opening_mm)
-        hand.set_vibration(1.0)
+        hand.set_vibration(self._model.vibration)
         hand.set_opening(servo_mm)
         yield from self._wait(self._way_s(servo_mm))
 
     def _is_freed_by_shutting(self) -> bool:
         """Nothing comes now, and would if the valve were shut and opened anew."""
-        flow, gap_mm = copy.copy(self._flow), self._hand.gap_mm
+        flow, gap_mm, in_cone_mg = copy.copy(self._flow), self._hand.gap_mm, self._world.ledger.masses_mg[CONE]
 
         def comes() -> bool:
-            return (
-                sum(flow.step(STEP_S, gap_mm, 1.0, self._world.ledger.masses_mg[CONE], MIDDLE) for _ in range(10)) > 0.0
-            )
+            steps = (flow.step(STEP_S, gap_mm, self._model.vibration, in_cone_mg, MIDDLE) for _ in range(10))
+            return sum(steps) > 0.0
 
         if comes():
             return False
-        flow.step(STEP_S, 0.0, 0.0, self._world.ledger.masses_mg[CONE], MIDDLE)
+        flow.step(STEP_S, 0.0, 0.0, in_cone_mg, MIDDLE)
         return comes()
 
     @property

@@ -13,7 +13,6 @@ has come, and each move has a price that forbids to try until the samples' luck 
 """
 
 import copy
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -40,9 +39,9 @@ DOWN, UP = (-1, -2, -3, -5, -8), (1, 3)
 """The other openings that are considered."""
 MOVE_PRICE = 0.0005
 SAMPLES = 400
-LOOKS, LOOKED_MG = 1500, 600.0
+LOOKS, LOOKED_MG, FREED_LOOKS = 1500, 600.0, 50
 LONGEST_LOOK_S, LOOK_MG = 0.32, 0.1
-"""Of samples where little comes, which are taken in steps of `COARSE_S`."""
+"""Of samples where little comes, which are taken in steps of `COARSE_S`. After `FREED_LOOKS` it is opened anew."""
 COARSE_S = 0.08
 DOUBT = 0.05
 """How far the masses of the true state may be off those of the nearest one of the model, as a share."""
@@ -88,48 +87,55 @@ def apex_mg(flow: PowderFlow, in_cone_mg: float) -> float:
     return copy.copy(flow).step(FALLS_S, 0.0, 0.0, in_cone_mg, MIDDLE)
 
 
-def flowing(flow: PowderFlow, opening_mm: float, in_cone_mg: float) -> tuple[PowderFlow, float]:
-    """What this flow is once it flows, at this opening and shaken, and how strongly [mg/s]; it is not changed."""
+def flowing(flow: PowderFlow, opening_mm: float, vibration: float, in_cone_mg: float) -> tuple[PowderFlow, float]:
+    """What this flow is once it flows, at this opening and so shaken, and how strongly [mg/s]; it is not changed."""
     flow = copy.copy(flow)
 
     def leaves_mg(steps: int) -> float:
         before_mg = apex_mg(flow, in_cone_mg)
-        out_mg = sum(flow.step(STEP_S, opening_mm, 1.0, in_cone_mg, MIDDLE) for _ in range(steps))
+        out_mg = sum(flow.step(STEP_S, opening_mm, vibration, in_cone_mg, MIDDLE) for _ in range(steps))
         return out_mg + apex_mg(flow, in_cone_mg) - before_mg
 
     alike = [0.0]
     for _ in range(40):
         left_mg = leaves_mg(5)
         if left_mg <= LEAST_MG:
-            flow.step(0.5, opening_mm, 1.0, in_cone_mg, MIDDLE)  # it primes, or is bridged
+            flow.step(0.5, opening_mm, vibration, in_cone_mg, MIDDLE)  # it primes, or is bridged
         alike = [*alike, left_mg] if 0.7 * alike[-1] < left_mg < 1.4 * alike[-1] else [left_mg]
         if len(alike) == 3:
             return flow, left_mg / (5.0 * STEP_S)
     return flow, 0.0
 
 
-def steady(flow: PowderFlow, opening_mm: float) -> tuple[PowderFlow, float]:
+def steady(flow: PowderFlow, opening_mm: float, vibration: float) -> tuple[PowderFlow, float]:
     """The same of a fresh load, once the apex has filled."""
     for _ in range(5):
-        flow, rate = flowing(flow, opening_mm, CONE_MG)
+        flow, rate = flowing(flow, opening_mm, vibration, CONE_MG)
     return flow, rate
 
 
 class Model:
     """A plant's median flow through a hand's valve, and what is best done with it."""
 
-    def __init__(self, new: Callable[[], PowderFlow], hand: HandSpec, tolerance_mg: float) -> None:
-        self._new, self._hand = new, hand
+    def __init__(
+        self, new: Callable[[], PowderFlow], hand: HandSpec, tolerance_mg: float, vibration: float = 1.0
+    ) -> None:
+        """ValueError where nothing flows that is so shaken while the valve is open."""
+        self._new, self._hand, self.vibration = new, hand, vibration
         self._rng = np.random.default_rng(20_260_303)
         widths_mm = np.linspace(0.02, MODEL_WIDEST_MM, 80)
-        rates = np.array([steady(new(), float(width_mm))[1] for width_mm in widths_mm])
+        rates = np.array([steady(new(), float(width_mm), vibration)[1] for width_mm in widths_mm])
         rates = np.maximum.accumulate(rates)
         comes = rates > 0.0
+        if not comes.any():
+            raise ValueError("nothing flows through any opening")
         self._widths_mm, self._log_rates = widths_mm[comes], np.log(rates[comes]) + 1e-9 * np.arange(comes.sum())
         slowest = min(max(NARROWEST_MG_PER_S, rates[comes][0]), rates[-1] / 10.0)
         self.log_rates = np.linspace(math.log(slowest), self._log_rates[-1], OPENINGS)
         self.openings_mm = np.array([self.opening_mm(math.exp(rate)) for rate in self.log_rates])
-        self.closings_mg = [self.closing_mg(steady(new(), width)[0], width, CONE_MG) for width in self.openings_mm]
+        self.closings_mg = [
+            self.closing_mg(steady(new(), width, vibration)[0], width, CONE_MG) for width in self.openings_mm
+        ]
         self._solve(tolerance_mg)
 
     def closing_mg(self, flow: PowderFlow, opening_mm: float, in_cone_mg: float) -> float:
@@ -185,8 +191,9 @@ class Model:
         step_s = COARSE_S if look_s >= COARSE_S else STEP_S
         steps = round(look_s / step_s)
         looks = max(LOOKS, math.ceil(LOOKED_MG / (rate * look_s)))
-        way_mm = itertools.repeat(float(self.openings_mm[index]), looks * steps)
-        return steps * step_s, np.diff(self._leaving(flow, way_mm, 1.0, steps, step_s))
+        way_mm = [float(self.openings_mm[index])] * (FREED_LOOKS * steps)
+        parts = (self._leaving(flow, way_mm, self.vibration, steps, step_s) for _ in range(looks // FREED_LOOKS))
+        return steps * step_s, np.concatenate([np.diff(left_mg) for left_mg in parts])
 
     def _opened(self) -> list[float]:
         """A way from shut to wide open, which is never quite as wide as it is told."""
@@ -199,10 +206,10 @@ class Model:
     def _moves(self) -> Iterator[tuple[int, int, float, Floats]]:
         """From an opening, to another: the time that it takes [s], and what may leave the cone meanwhile [mg]."""
         widths_mm = [float(width_mm) for width_mm in self.openings_mm] + [0.0]
-        running = [steady(self._new(), width_mm)[0] for width_mm in widths_mm[:-1]]
+        running = [steady(self._new(), width_mm, self.vibration)[0] for width_mm in widths_mm[:-1]]
         primed = copy.copy(running[0])
         primed.step(FALLS_S, 0.0, 0.0, CONE_MG, MIDDLE)
-        opened_mg = np.array([self._leaving(primed, self._opened(), 1.0, 1) for _ in range(SAMPLES)])
+        opened_mg = np.array([self._leaving(primed, self._opened(), self.vibration, 1) for _ in range(SAMPLES)])
         for index, flow in enumerate(running):
             steps = len(self._way(0.0, widths_mm[index]))
             yield SHUT, index, STEP_S * steps, opened_mg[:, steps - 1]
@@ -214,7 +221,7 @@ class Model:
                 ends = [index + step for step in by if 0 <= index + step < OPENINGS]
                 if ends:  # on the way to the farthest one the others are passed
                     way_mm = self._way(widths_mm[index], widths_mm[ends[-1]])
-                    left_mg = np.array([self._leaving(flow, way_mm, 1.0, 1) for _ in range(SAMPLES)])
+                    left_mg = np.array([self._leaving(flow, way_mm, self.vibration, 1) for _ in range(SAMPLES)])
                 for to in ends:
                     steps = len(self._way(widths_mm[index], widths_mm[to]))
                     yield index, to, STEP_S * steps, left_mg[:, steps - 1]

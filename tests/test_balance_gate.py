@@ -24,7 +24,7 @@ from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.dosing.characteristic import STILL_KNOWN, STILL_READINGS, Step, held_mg, is_frozen
-from scuhand_bt.dosing.estimation import balance_of
+from scuhand_bt.dosing.identification import balance_of
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab

@@ -125,6 +125,12 @@ def test_of_exponential_lumps_the_oracle_expects_about_as_many_good_as_end_withi
     assert good - 0.05 < model_of(figures).worth(40.0) < good + 0.18  # the best of 16 samples flatters itself
 
 
+def test_the_oracle_does_not_shake_crystals_that_would_come_in_avalanches() -> None:
+    crystals = shipped_powders()["monosodium_glutamate"]
+    trials = run_of_doses(crystals, 500.0, "oracle", 0, Setting())
+    assert all(abs(trial.true_error_mg) <= 2.0 for trial in trials)
+
+
 @pytest.mark.parametrize(("family", "target_mg"), [("beads", 500.0), ("clogging", 20.0), ("lumps", 50.0)])
 def test_the_oracle_is_as_good_as_adaptive_on_each_plant_and_faster(family: str, target_mg: float) -> None:
     def of(controller: str) -> tuple[int, float]:

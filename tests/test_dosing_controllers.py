@@ -12,7 +12,7 @@ from scuhand_bt.cell_spec import BalanceResponseSpec, BalanceSpec, HandSpec, Val
 from scuhand_bt.clock import Wake
 from scuhand_bt.dosing import CONTROLLERS, DoseRequest, Finish, Observation, Pulse, Stream, Weigh, new_controller
 from scuhand_bt.dosing.bracket import Drift, Gross, Net, Reference
-from scuhand_bt.dosing.estimation import STEP_DOUBT
+from scuhand_bt.dosing.identification import STEP_DOUBT
 from scuhand_bt.dosing.pulses import within
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.failures import SkillFailed

@@ -11,17 +11,8 @@ from harness.random_physics import BalanceFigures, BalanceKind, DrawnBalance
 from scuhand_bt.dosing import constraint
 from scuhand_bt.dosing.characteristic import Step, step_of
 from scuhand_bt.dosing.constraint import RISK, chance, widest_mm
-from scuhand_bt.dosing.estimation import (
-    DELAYS_S,
-    LEAST_DOUBT,
-    SHAPES,
-    Bank,
-    Model,
-    Row,
-    balance_by,
-    balance_of,
-    transitions,
-)
+from scuhand_bt.dosing.estimation import DELAYS_S, Bank, Model, powers
+from scuhand_bt.dosing.identification import LEAST_DOUBT, SHAPES, Row, balance_by, balance_of, transitions
 from scuhand_bt.dosing.valve import FlowShape
 from scuhand_bt.specs import BalanceBelief
 
@@ -241,13 +232,13 @@ def test_what_has_left_in_lumps_is_less_sure_until_it_is_seen() -> None:
 def test_what_is_coming_is_as_unsure_as_the_balance_the_flow_and_the_lumps() -> None:
     bank = Bank([Model(0.6, "two poles"), Model(1.2, "delay")], np.array([3.0, 1.0]), 0.5, 0.02)
     bank.restart(10.0, 0.4, FLOW, 0.25, 0.1)
-    mean_mg, variance = bank.coming(0.5, 0.2)
+    mean_mg, variance = bank.coming(powers(0.5, 0.2))
     assert mean_mg == pytest.approx([30.0, 30.0])
     misfit, lumps = (0.02 * 20.0) ** 2, 2.0 * 0.5 * 20.0
     own = 0.4**2 + (0.25 * FLOW * 0.5) ** 2 + (0.1 * FLOW * 0.2) ** 2 + misfit + lumps
     assert variance == pytest.approx([own, own])
     bank.erratic = 4.0
-    assert bank.coming(0.5, 0.2)[1] == pytest.approx([4.0 * own, 4.0 * own])
+    assert bank.coming(powers(0.5, 0.2))[1] == pytest.approx([4.0 * own, 4.0 * own])
 
 
 # --- the constraint

@@ -11,8 +11,8 @@ from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, moved_mg, total
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
-from scuhand_bt.dosing.estimation import balance_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
+from scuhand_bt.dosing.identification import balance_of
 from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
 

@@ -31,6 +31,7 @@ from scuhand_bt.dosing.controller import (
     Stream,
     Weigh,
 )
+from scuhand_bt.dosing.estimation import powers
 from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
@@ -122,7 +123,7 @@ class Adaptive:
         known.begin(seen.net_mg, 2.0 * known.noise_mg[False])
         for _ in range(MOST_OPENINGS):
             ended = yield from self._open()
-            means, variances = known.bank.coming(*known.closing(0.0))
+            means, variances = known.bank.coming(powers(*known.valve.closing(0.0)))
             predicted_mg = float(known.bank.weights @ means)
             variances = variances / known.bank.erratic + (means - predicted_mg) ** 2
             sd_mg = math.sqrt(float(known.bank.weights @ variances))
@@ -203,7 +204,7 @@ class Adaptive:
         stuck_seen_s, begins_mm = known.time_s + known.seen_s, known.begins_mm(most_mg - bank.mass_mg)
         # A lump cannot be let out in part: where it is shaken for, it may come.
         shaken_mm = min(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.request.max_opening_mm)
-        surprises, opening_mm = 0, shaken_mm if limit_mg else known.widest_mm(most_mg)
+        surprises, opening_mm = 0, math.inf
         if known.aim_mg <= bank.mass_mg:
             return "reached"
         while True:
@@ -220,7 +221,7 @@ class Adaptive:
             flows = bank.coefficient - 1.5 * bank.coefficient_sd
             if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
                 return "surprise"
-            means, variances = bank.coming(*np.array((known.closing(period_s / 2.0), known.closing(period_s))).T)
+            means, variances = bank.coming(powers(*known.valve.closing(np.array((period_s / 2.0, period_s)))))
             if self._will_reach(float(bank.weights @ means[0])):
                 return "reached"
             if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:
@@ -254,7 +255,7 @@ class Adaptive:
     def _unseen_mg(self) -> float:
         """What flows while it cannot be seen yet, and until the valve is shut."""
         known, bank = self._known, self._known.bank
-        tail, _ = known.closing(known.request.balance_period_s + bank.delay_s)
+        tail, _ = known.valve.closing(known.request.balance_period_s + bank.delay_s)
         return bank.coefficient * tail
 
     def _will_reach(self, predicted_mg: float) -> bool:

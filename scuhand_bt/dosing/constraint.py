@@ -15,12 +15,15 @@ or, where that is less harmful, for its spread until it has reached the aim, at 
 When to shut: for the next reading's time.
 """
 
+import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import erfc
 
-from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Array, Bank
+from scuhand_bt.dosing.estimation import EXPONENT_ERROR, K_WALK_PER_S, Bank, powers
+from scuhand_bt.dosing.identification import Array
 from scuhand_bt.dosing.valve import FlowShape
 
 RISK = 0.005
@@ -35,23 +38,33 @@ NARROWEST_MM = 0.05
 
 def chance(bank: Bank, mean_mg: Array, variance: Array, most_mg: float) -> Array:
     """(...) probability of a mass above `most_mg` [mg], from its mean [mg] and variance [mg^2] by model, (..., H)."""
-    return np.asarray(_chances(mean_mg, variance, most_mg) @ bank.weights)
+    return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)) @ bank.weights)
 
 
-def _chances(mean_mg: Array, variance: Array, most_mg: float) -> Array:
-    return np.asarray(0.5 * erfc((most_mg - mean_mg) / np.sqrt(2.0 * variance)))
+class Choices(NamedTuple):
+    """Openings that are compared."""
+
+    gaps_mm: Array
+    """Above the threshold."""
+    phi: Array
+    flow: Array
+    """`powers` of phi and its slope."""
+    way: Array
+    """`powers` of the integrals of both until it is shut."""
+    open_s: Array
+    """The integral of phi over phi."""
 
 
 @lru_cache(maxsize=64)
 def _choices(
     shape: FlowShape, narrowest_mm: float, widest_mm: float, late_s: float, dead_time_s: float, speed_mm_per_s: float
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Openings above the threshold [mm]; phi and its slope at each, and the integrals of both until it is shut."""
+) -> Choices:
     gaps_mm = np.geomspace(narrowest_mm, widest_mm, CHOICES)
     phi = gaps_mm**shape.exponent
     slope = shape.exponent * phi / gaps_mm
-    closing_s = dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
-    return gaps_mm, phi, slope, phi * (late_s + closing_s), slope * (late_s + dead_time_s) + phi / speed_mm_per_s
+    open_s = late_s + dead_time_s + gaps_mm / (shape.exponent + 1.0) / speed_mm_per_s
+    way = powers(phi * open_s, slope * (late_s + dead_time_s) + phi / speed_mm_per_s)
+    return Choices(gaps_mm, phi, powers(phi, slope), way, open_s)
 
 
 def widest_mm(
@@ -74,21 +87,21 @@ def widest_mm(
     exponent may be off by makes others the less sure. `narrowest_mm` is above the threshold, too.
     """
     widest = max(max_opening_mm - shape.threshold_mm, 1.01 * narrowest_mm)
-    gaps_mm, phi, slope, phi_s, slope_s = _choices(shape, narrowest_mm, widest, late_s, dead_time_s, speed_mm_per_s)
-    mean_mg, variance = bank.coming(phi_s, slope_s)
-    flow, flow_sd = bank.flow(phi, slope)
-    off = (EXPONENT_ERROR * np.log(gaps_mm / known_gap_mm))[:, None] * flow
-    variance = variance + (off * (phi_s / phi)[:, None]) ** 2
-    lasting = flow_sd**2 + off**2 + (UNSEEN_ERROR * flow) ** 2
-    walk = (K_WALK_PER_S * reference * phi[:, None]) ** 2
+    choices = _choices(shape, narrowest_mm, widest, late_s, dead_time_s, speed_mm_per_s)
+    mean_mg, variance = bank.coming(choices.way)
+    flow, flow_variance = bank.flow(choices.flow)
+    off = (EXPONENT_ERROR * np.log(choices.gaps_mm / known_gap_mm))[:, None] * flow
+    variance += (off * choices.open_s[:, None]) ** 2
+    lasting = flow_variance + off**2 + (UNSEEN_ERROR * flow) ** 2
+    walk = ((K_WALK_PER_S * reference * choices.phi) ** 2)[:, None]
     lumps_mg = 2.0 * bank.surge_mg * flow
 
-    def too_much(mean_mg: Array, unseen_s: Array) -> Array:
+    def deviations(mean_mg: Array, unseen_s: Array) -> Array:
         unseen = ((lasting + walk * unseen_s) * unseen_s + lumps_mg) * unseen_s
-        return _chances(mean_mg, variance + bank.erratic * unseen, most_mg)
+        return (most_mg - mean_mg) / np.sqrt(variance + bank.erratic * unseen)
 
     # It is seen after the delay; or it has reached the aim by then, as far as that can be reckoned.
     left_s = np.maximum(aim_mg - mean_mg, 0.0) / np.maximum(flow, 1e-9)
-    chances = np.minimum(too_much(mean_mg, bank.delays_s), too_much(np.maximum(mean_mg, aim_mg), left_s))
-    allowed = np.nonzero(chances @ bank.weights <= RISK)[0]
-    return shape.threshold_mm + float(gaps_mm[allowed[-1]] if len(allowed) else gaps_mm[0])
+    room = np.maximum(deviations(mean_mg, bank.delays_s), deviations(np.maximum(mean_mg, aim_mg), left_s))
+    allowed = np.nonzero(0.5 * erfc(room / math.sqrt(2.0)) @ bank.weights <= RISK)[0]
+    return shape.threshold_mm + float(choices.gaps_mm[allowed[-1] if len(allowed) else 0])

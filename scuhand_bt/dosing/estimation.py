@@ -11,12 +11,6 @@ is the flow's coefficient, phi the opening's (`scuhand_bt.dosing.valve`), and g 
 is off by. w, z and d are the balance's: natural frequency, damping and pure delay. Each filter runs d behind, and what
 the valve let out since is added with its own uncertainty; between two readings phi is taken at its mean, for which
 the transition is exact. A model's weight is how likely it makes the readings.
-
-A balance is known without a model: by a step of its load (`balance_of`), and by an opening and its tail (`balance_by`),
-
-    T = 1 / m  integral of (M - r) dt,     M = m Phi(t) / Phi(end),     Phi the integral of phi,
-
-where m is what came of it and r the readings. How far the nearest shape of that T is off says how sure that is.
 """
 
 import math
@@ -26,44 +20,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.dosing.characteristic import Step
+from scuhand_bt.dosing.identification import LEAST_DOUBT, MASS, READING, SHAPES, Array, G, K, Row, transitions
 from scuhand_bt.specs import BalanceBelief
 
-Array = NDArray[np.float64]
-
-SHAPES = {
-    "ringing": (0.0, 0.5),
-    "lively": (0.0, 0.75),
-    "two poles": (0.0, 1.0),
-    "one pole": (0.0, 2.5),
-    "mean": (0.2, 1.0),
-    "late": (0.55, 1.0),
-    "delay": (0.9, 1.0),
-}
-"""Kinds of balances: the share of their delay that is pure, d / T, and the damping z of the rest, 2 z / w = T - d."""
 DELAYS_S = tuple(float(delay_s) for delay_s in np.geomspace(0.1, 8.0, 14))
 """Mean delays that a balance nothing is known of may have."""
 NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
 """Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
-LEAST_DOUBT = 0.08
-"""That standard deviation, at least."""
 SAME_SHAPE = 0.98
 """Probability that the kind of filter was identified rightly."""
-STEP_DOUBT, OPENING_DOUBT = 0.12, 0.2
-"""Standard deviation of the delay's logarithm where a step has shown it; and an opening, at least: phi is a guess."""
-ADAPTS, SLOWEST = 0.2, 6.0
-"""The last of a step that takes this share of the delay longer than it should shows a filter that adapts; it is at most
-so many times slower when little changes."""
-LEAST_LAST = 0.3
-"""Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
-LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
-"""Delays that an opening may show."""
-BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
-"""Powder may begin to come so long after the valve was told to open."""
-INDEPENDENT = 10.0
-"""Of the differences between readings and a model, as many are independent of each other."""
-MASS_ERROR_MG, SETTLED = 0.1, 3.0
-"""What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
 CHANGED, SLOWER = 0.01, 1.5
 """Probability that the balance has been set slower than in the opening before; by this factor at least."""
 K_WALK_PER_S = 0.2
@@ -97,7 +62,6 @@ LEAST_WEIGHT = 1e-3
 """Models less likely than this are dropped until the valve has been shut."""
 UNKNOWN_SPREAD = 1.5
 """Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
-READING, RATE, MASS, K, G = range(5)
 
 
 class Model(NamedTuple):
@@ -107,115 +71,14 @@ class Model(NamedTuple):
     shape: str
 
 
-class Row(NamedTuple):
-    """One reading of an opening and its tail, as `Bank.update` takes it."""
-
-    dt_s: float
-    phi_s: float
-    slope_s: float
-    reading_mg: float
-    noise_mg: float
-    changed: float = 0.0
-    """By how much the opening was changed before it, as the logarithm of what lies above the threshold."""
+def powers(phi: Array | float, slope: Array | float) -> Array:
+    """(..., 6) of phi and its slope (...), or of their integrals: what means and variances are linear in."""
+    one = np.ones_like(np.asarray(phi, float))
+    return np.stack((one, phi, slope, np.square(phi), np.multiply(phi, slope), np.square(slope)), axis=-1)
 
 
-def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tuple[Array, Array]:
-    """(H, 5, 5) over `dt_s` with the valve shut; (H, 5) what k adds per unit of phi's integral.
-
-    In closed form: (y - M, y') decays by exp(A t), A = ((0, 1), (-w^2, -2 z w)), and M grows linearly.
-    """
-    w = 2.0 * damping / np.maximum((1.0 - pure) * delays_s, 0.02)
-    s = damping * w
-    root = np.sqrt((s * s - w * w + 1e-9).astype(complex))
-    slow, fast = np.exp((root - s) * dt_s), np.exp(-(root + s) * dt_s)
-    cosh, sinh = ((slow + fast) / 2.0).real, ((slow - fast) / (2.0 * root)).real
-    e00, e01, e10, e11 = cosh + s * sinh, sinh, -w * w * sinh, cosh - s * sinh
-    still = np.zeros((len(w), 5, 5))
-    still[:, READING, READING], still[:, READING, RATE], still[:, READING, MASS] = e00, e01, 1.0 - e00
-    still[:, RATE, READING], still[:, RATE, RATE], still[:, RATE, MASS] = e10, e11, -e10
-    still[:, MASS, MASS] = still[:, K, K] = still[:, G, G] = 1.0
-    adds = np.zeros((len(w), 5))
-    adds[:, READING] = 1.0 + (2.0 * s * (e00 - 1.0) + e10) / (w * w * dt_s)
-    adds[:, RATE] = (1.0 - e00) / dt_s
-    adds[:, MASS] = 1.0
-    return still, adds
-
-
-def balance_of(step: Step) -> BalanceBelief:
-    """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
-
-    A filter that adapts hurries for a step, and takes its time over the last of it: then its delay is taken to be the
-    geometric mean of what it is in a hurry and what it is otherwise, and may be either.
-    """
-    delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
-    for shape, (pure, damping) in SHAPES.items():
-        model = np.array([delay_s]), np.array([pure]), np.array([damping])
-        times_s = [max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s]
-        missing = tuple(float(transitions(*model, time_s)[0][0, READING, READING]) for time_s in times_s)
-        far[shape] = math.dist(missing, step.missing)
-        last_s[shape] = step._replace(missing=missing).last_s
-    shape = min(far, key=far.__getitem__)
-    slower = 1.0
-    if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
-        slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
-    doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
-    misfit = min(far[shape] / math.hypot(*step.missing), 1.0)
-    return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, misfit=misfit, fits=1)
-
-
-def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
-    """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
-
-    Each shape is tried, with powder that began to come as phi has it or later; the one that is nearest to the readings
-    counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between,
-    and the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
-    """
-    dt_s, phi_s, readings_mg, noise_mg = np.array(
-        [(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]
-    ).T
-    ends_s, shown_mg = np.cumsum(dt_s), readings_mg - begin_mg
-    came_s = np.cumsum([phi_s * (ends_s > late_s) for late_s in BEGINS_S], axis=1)
-    came_mg = (came_s / np.maximum(came_s[:, -1:], 1e-9) * gained_mg).repeat(len(SHAPES), axis=0)
-    delays_s = (came_mg - shown_mg) @ dt_s / gained_mg
-    possible = (delays_s > LEAST_DELAY_S) & (came_mg[:, -1] > 0.0)
-    if not possible.any():
-        return None
-    shapes = np.array(list(SHAPES) * len(BEGINS_S))[possible]
-    delays_s, came_mg = delays_s[possible], came_mg[possible]
-    off_mg = shown_mg - _shown_mg(delays_s, shapes, dt_s, came_mg)
-    squares = np.sum(off_mg**2, axis=1)
-    best = int(np.argmin(squares))
-    weights = np.exp(-INDEPENDENT / 2.0 * (squares / squares[best] - 1.0))
-    spread_s = math.sqrt(weights @ (delays_s - delays_s[best]) ** 2 / weights.sum())
-    area_s = float(np.maximum(np.abs(off_mg[best]) - noise_mg, 0.0) @ dt_s) / gained_mg
-    looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delays_s[best]
-    doubt_s = math.hypot(spread_s, area_s, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
-    return BalanceBelief(
-        lag_s=min(float(delays_s[best]), LONGEST_S) / 2.0,
-        doubt=math.hypot(OPENING_DOUBT, math.log1p(doubt_s / delays_s[best])),
-        shape=str(shapes[best]),
-        misfit=min(math.sqrt(squares[best] / np.sum((came_mg[best] - shown_mg) ** 2)), 1.0),
-    )
-
-
-def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: Array, came_mg: Array) -> Array:
-    """(H, N) what balances (H,) show of masses (H, N) that come over times `dt_s` (N,)."""
-    pure, damping = np.array([SHAPES[shape] for shape in shapes]).T
-    ends_s, shown_mg = np.append(0.0, np.cumsum(dt_s)), np.zeros_like(came_mg)
-    late_mg = np.array(
-        [
-            np.interp(ends_s[1:] - late_s, ends_s, np.append(0.0, came))
-            for late_s, came in zip(pure * delays_s, came_mg, strict=True)
-        ]
-    )
-    x, steps = np.zeros((len(pure), 5)), dict[float, tuple[Array, Array]]()
-    for number, step_s in enumerate(np.round(dt_s, 3).tolist()):
-        if step_s not in steps:
-            steps[step_s] = transitions(delays_s, pure, damping, step_s)
-        still, adds = steps[step_s]
-        x = np.matmul(still, x[:, :, None])[:, :, 0] + adds * (late_mg[:, number] - x[:, MASS])[:, None]
-        shown_mg[:, number] = x[:, READING]
-    return shown_mg
+HERE = powers(0.0, 0.0)
+"""Nothing comes any more."""
 
 
 class Bank:
@@ -226,6 +89,9 @@ class Bank:
         self.surge_mg, self.misfit = max(surge_mg, LEAST_SURGE_MG), max(misfit, LEAST_MISFIT)
         """The mean mass of the lumps that powder comes in; the share of what is unseen that the models are off by."""
         self.models, self.weights = list(models), weights / weights.sum()
+        self.delays_s = np.array([model.delay_s for model in self.models])
+        self._pure, self._damping = np.array([SHAPES[model.shape] for model in self.models]).T
+        self._transitions: dict[float, tuple[Array, Array, NDArray[np.int_]]] = {}
         self.erratic = 1.0
         """By what factor the variances of what is coming have turned out to be too small."""
         self.restart(0.0, 1.0, 1.0, 1.0)
@@ -266,22 +132,18 @@ class Bank:
         self._unseen = np.zeros((2, many))
         self._means, self._changing = [0.0, 0.0], 0.0
         self._passed, self._readings = np.zeros((2, 256)), 0
-        self._left: tuple[Array, Array] | None = None
-        self._look_up()
+        self._tell()
 
-    def _look_up(self) -> None:
-        """What depends on which models there are."""
-        self.delays_s = np.array([model.delay_s for model in self.models])
-        self._pure, self._damping = np.array([SHAPES[model.shape] for model in self.models]).T
-        self._transitions: dict[float, tuple[Array, Array]] = {}
-
-    def _transition(self, dt_s: float) -> tuple[Array, Array]:
+    def _transition(self, dt_s: float) -> tuple[Array, Array, NDArray[np.int_]]:
+        """(H, 5, 5) and (H, 5) of `transitions`, and how many readings each model runs behind (H,)."""
         dt_s = round(dt_s, 3)
         if dt_s not in self._transitions:
-            self._transitions[dt_s] = transitions(self.delays_s, self._pure, self._damping, dt_s)
+            still, adds = transitions(self.delays_s, self._pure, self._damping, dt_s)
+            behind = np.rint(self._pure * self.delays_s / dt_s).astype(int)
+            self._transitions[dt_s] = still, adds, behind
         return self._transitions[dt_s]
 
-    def _late(self, dt_s: float, phi_s: float, slope_s: float) -> Array:
+    def _late(self, dt_s: float, phi_s: float, slope_s: float, behind: NDArray[np.int_]) -> Array:
         """(2, H): phi's and its slope's integrals over what each model sees now; notes what is yet to see."""
         if self._readings + 1 == self._passed.shape[1]:
             self._passed = np.append(self._passed, np.zeros_like(self._passed), axis=1)
@@ -290,35 +152,43 @@ class Bank:
             self._means[mean] += (phi_s / dt_s - self._means[mean]) * -math.expm1(-dt_s / over_s)
         self._changing = abs(self._means[0] - self._means[1]) / max(*self._means, 1e-9)
         now = self._passed[:, self._readings] = self._passed[:, self._readings - 1] + (phi_s, slope_s)
-        seen = np.maximum(self._readings - np.rint(self._pure * self.delays_s / dt_s).astype(int), 0)
-        self._unseen = now[:, None] - self._passed[:, seen]
-        return self._passed[:, seen] - self._passed[:, np.maximum(seen - 1, 0)]
+        seen = np.maximum(self._readings - behind, 0)
+        seen_s = self._passed[:, seen]
+        self._unseen = now[:, None] - seen_s
+        return seen_s - self._passed[:, np.maximum(seen - 1, 0)]
 
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
 
         Returns the likeliest model's innovation in standard deviations.
         """
-        dt_s, self._left = row.dt_s, None
-        self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
-        phi_s, slope_s = self._late(dt_s, row.phi_s, row.slope_s)
-        still, adds = self._transition(dt_s)
-        f = still.copy()
-        f[:, :, K] += adds * phi_s[:, None]
-        f[:, :, G] += adds * slope_s[:, None]
+        dt_s = row.dt_s
+        if row.changed:
+            self._p[:, K, K] += (EXPONENT_ERROR * row.changed * np.maximum(self._x[:, K], 0.0)) ** 2
+        still, adds, behind = self._transition(dt_s)
+        late = self._late(dt_s, row.phi_s, row.slope_s, behind)
+        phi_s, k = late[0], self._x[:, K]
+        flows = bool(late.any())
+        f = still
+        if flows:
+            f = still.copy()
+            f[:, :, K:] += adds[:, :, None] * late.T[:, None, :]
         x = np.matmul(f, self._x[:, :, None])[:, :, 0]
         p = np.matmul(np.matmul(f, self._p), f.transpose(0, 2, 1))
-        k = np.maximum(self._x[:, K], 0.0)
-        flow_mg = np.maximum(k, 0.1 * reference) * phi_s
-        p[:, MASS, MASS] += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s + 1e-6
-        bridged = np.maximum(reference - k, 0.0)
-        walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
-        p[:, K, K] = np.minimum(p[:, K, K] + walk, np.maximum(p[:, K, K], (self._most_sd * reference) ** 2))
+        p[:, MASS, MASS] += 1e-6
+        if flows:
+            flow_mg = np.maximum(k, 0.1 * reference) * phi_s
+            p[:, MASS, MASS] += 2.0 * self.surge_mg * flow_mg + (UNEVEN * flow_mg) ** 2 / dt_s
+            bridged = np.maximum(reference - k, 0.0)
+            walk = ((K_WALK_PER_S * reference) ** 2 + BRIDGES_PER_S * bridged**2) * dt_s * (phi_s > 0.0)
+            p[:, K, K] = np.minimum(p[:, K, K] + walk, np.maximum(p[:, K, K], (self._most_sd * reference) ** 2))
         changed_mg = UNSTEADY_S * k * (phi_s / dt_s - self._phi)
         self._phi = phi_s / dt_s
         unseen_mg = x[:, MASS] - x[:, READING]
-        unexplained = row.noise_mg**2 + changed_mg**2 + (self.misfit * unseen_mg) ** 2
-        variance = p[:, READING, READING] + unexplained
+        changed = changed_mg**2
+        unexplained = row.noise_mg**2 + changed + (self.misfit * unseen_mg) ** 2
+        shown = p[:, READING, READING]
+        variance = shown + unexplained
         innovation_mg = row.reading_mg - x[:, READING]
         gain = p[:, :, READING] / variance[:, None]
         self._x = x + gain * innovation_mg[:, None]
@@ -331,84 +201,64 @@ class Bank:
             self.surge_mg *= math.exp(SURGE_GAIN * told * (min(score * score, SURPRISING) - AS_EXPECTED))
             self.surge_mg = min(max(self.surge_mg, LEAST_SURGE_MG), MOST_SURGE_MG)
         # One variance for all: a model that sees less unseen is not the likelier for claiming to know it better.
-        common = float(self.weights @ p[:, READING, READING]) + row.noise_mg**2 + float(self.weights @ changed_mg**2)
+        common = float(self.weights @ (shown + changed)) + row.noise_mg**2
         self._weigh(innovation_mg**2 / common)
+        self._tell()
         return score
 
     def _weigh(self, squares: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
-        told = 0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2)
-        logs = np.log(np.maximum(self.weights, 1e-300)) - told
-        weights = np.exp(logs - logs.max())
-        kept = weights > LEAST_WEIGHT
-        self.weights = weights[kept] / weights[kept].sum()
+        weights = self.weights * np.exp(-0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2))
+        kept = weights > LEAST_WEIGHT * weights.max()
         if not kept.all():
+            weights = weights[kept]
             self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
+            self.delays_s, self._pure, self._damping = self.delays_s[kept], self._pure[kept], self._damping[kept]
+            self._transitions = {
+                dt_s: (still[kept], adds[kept], behind[kept])
+                for dt_s, (still, adds, behind) in self._transitions.items()
+            }
             self._x, self._p, self._phi = self._x[kept], self._p[kept], self._phi[kept]
             self._unseen = self._unseen[:, kept]
-            self._look_up()
+        self.weights = weights / weights.sum()
+
+    def _tell(self) -> None:
+        """What is known after a reading: where each model is once it has seen what it has not yet, and all together."""
+        x, p, (phi_s, slope_s), weights = self._x, self._p, self._unseen, self.weights
+        k, p_kk, p_kg, p_gg = x[:, K], p[:, K, K], p[:, K, G], p[:, G, G]
+        mass_k = p[:, MASS, K] + p_kk * phi_s + p_kg * slope_s
+        mass_g = p[:, MASS, G] + p_kg * phi_s + p_gg * slope_s
+        mass = p[:, MASS, MASS] + (p[:, MASS, K] + mass_k) * phi_s + (p[:, MASS, G] + mass_g) * slope_s
+        lumps = 2.0 * self.surge_mg * k
+        self._left = np.array((x[:, MASS] + k * phi_s + x[:, G] * slope_s, k, x[:, G]))
+        self._variance = np.array((mass + lumps * phi_s, 2.0 * mass_k + lumps, 2.0 * mass_g, p_kk, 2.0 * p_kg, p_gg))
+        means, variances = self.coming(HERE)
+        behind = means - x[:, READING]
+        self.mass_mg = float(weights @ means)
+        """What has left the nozzle."""
+        self.mass_sd_mg = math.sqrt(float(weights @ (variances + (means - self.mass_mg) ** 2)))
+        """Its standard deviation, with what the models differ by."""
+        self.coefficient = float(weights @ k)
+        """k, in mg s^-1 mm^-n."""
+        self.coefficient_sd = math.sqrt(max(float(weights @ (p_kk + (k - self.coefficient) ** 2)), 0.0))
+        """Its standard deviation, with what the models differ by."""
+        self.delay_s = float(weights @ self.delays_s)
+        """The balance's mean delay."""
+        behind_mg = float(weights @ behind)
+        self.unseen_mg = abs(behind_mg) + 2.0 * math.sqrt(float(weights @ ((behind - behind_mg) ** 2)))
+        """What has left and is not read yet, with twice what that may be off by."""
 
     # --- what is known ---
 
-    def coming(self, phi_s: Array | float = 0.0, slope_s: Array | float = 0.0) -> tuple[Array, Array]:
+    def coming(self, way: Array) -> tuple[Array, Array]:
         """Mean [mg] and variance [mg^2] of the mass that will have left, by model, (..., H).
 
-        Until then the integrals of phi and of its slope, (...), grow by as much.
+        Until then the integrals of phi and of its slope grow by what `powers` (..., 6) are of.
         """
-        phi_s = self._unseen[0] + np.asarray(phi_s)[..., None]
-        slope_s = self._unseen[1] + np.asarray(slope_s)[..., None]
-        p, k = self._p, np.maximum(self._x[:, K], 0.0)
-        mean = self._x[:, MASS] + np.maximum(k * phi_s + self._x[:, G] * slope_s, 0.0)
-        variance = p[:, MASS, MASS] + 2.0 * (p[:, MASS, K] * phi_s + p[:, MASS, G] * slope_s)
-        variance += p[:, K, K] * phi_s**2 + 2.0 * p[:, K, G] * phi_s * slope_s + p[:, G, G] * slope_s**2
-        variance += (self.misfit * (mean - self._x[:, READING])) ** 2
-        return mean, (np.maximum(variance, 0.0) + 2.0 * self.surge_mg * k * phi_s) * self.erratic
+        mean = np.maximum(way[..., :3] @ self._left, self._x[:, MASS])
+        variance = way @ self._variance + (self.misfit * (mean - self._x[:, READING])) ** 2
+        return mean, np.maximum(variance, 0.0) * self.erratic
 
-    def flow(self, phi: Array, slope: Array) -> tuple[Array, Array]:
-        """Mean and standard deviation of the flow [mg/s], by model, (..., H), at an opening's phi and slope."""
-        phi, slope = phi[..., None], slope[..., None]
-        p = self._p
-        variance = p[:, K, K] * phi**2 + 2.0 * p[:, K, G] * phi * slope + p[:, G, G] * slope**2
-        return np.maximum(self._x[:, K] * phi + self._x[:, G] * slope, 0.0), np.sqrt(np.maximum(variance, 0.0))
-
-    @property
-    def left(self) -> tuple[Array, Array]:
-        """Mean [mg] and variance [mg^2] of what has left the nozzle by now, by model, (H,)."""
-        if self._left is None:
-            self._left = self.coming()
-        return self._left
-
-    @property
-    def mass_mg(self) -> float:
-        """What has left the nozzle."""
-        return float(self.weights @ self.left[0])
-
-    @property
-    def mass_sd_mg(self) -> float:
-        """Its standard deviation, with what the models differ by."""
-        means, variances = self.left
-        return math.sqrt(float(self.weights @ (variances + (means - self.weights @ means) ** 2)))
-
-    @property
-    def coefficient(self) -> float:
-        """k, in mg s^-1 mm^-n."""
-        return float(self.weights @ self._x[:, K])
-
-    @property
-    def coefficient_sd(self) -> float:
-        """Its standard deviation, with what the models differ by."""
-        spread = self.weights @ (self._p[:, K, K] + (self._x[:, K] - self.coefficient) ** 2)
-        return math.sqrt(max(float(spread), 0.0))
-
-    @property
-    def delay_s(self) -> float:
-        """The balance's mean delay."""
-        return float(self.weights @ self.delays_s)
-
-    @property
-    def unseen_mg(self) -> float:
-        """What has left and is not read yet, with twice what that may be off by."""
-        means, _ = self.left
-        behind = means - self._x[:, READING]
-        mean = float(self.weights @ behind)
-        return abs(mean) + 2.0 * math.sqrt(float(self.weights @ ((behind - mean) ** 2)))
+    def flow(self, way: Array) -> tuple[Array, Array]:
+        """Mean [mg/s] and variance of the flow, by model, (..., H), at openings whose phi and slope `powers` are of."""
+        return np.maximum(way[..., 1:3] @ self._left[1:], 0.0), np.maximum(way[..., 3:] @ self._variance[3:], 0.0)

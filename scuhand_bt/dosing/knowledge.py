@@ -16,20 +16,16 @@ from scuhand_bt.dosing.constraint import NARROWEST_MM, widest_mm
 from scuhand_bt.dosing.controller import Command, DoseRequest, Doubt, Finish, Observation, Reason, Stream
 from scuhand_bt.dosing.estimation import (
     EXPONENT_ERROR,
-    LEAST_DOUBT,
     OPENING_ERROR_MM,
     UNKNOWN_ERROR_MM,
     UNKNOWN_SPREAD,
     Bank,
-    Row,
-    balance_by,
 )
+from scuhand_bt.dosing.identification import Row, balance_by, with_found
 from scuhand_bt.dosing.valve import FlowShape, ValvePath
 from scuhand_bt.dosing.verdict import COVERAGE, judge
 from scuhand_bt.specs import PowderBelief, Verdict
 
-TELLS = 1.0
-"""An opening tells the balance when its delay is known to this: the logarithm's standard deviation."""
 SLOWER = 0.7
 """The reference falls to no less than this share of itself in an opening."""
 RISES, RISEN = 3, 3.0
@@ -97,7 +93,6 @@ class Knowledge:
         self.gap_mm = self.belief.gap_mm
         """The opening above the threshold that the reference was seen at."""
         self.surge_mg = self.belief.surge_mg
-        self.bank = Bank.believing(self.balance, self.surge_mg)
         self.uncertainty_mg = request.uncertainty_mg
         """The standard uncertainty of the mass that will be judged; it grows with the time that a dose takes."""
         self.doubt: Doubt | None = None
@@ -124,8 +119,8 @@ class Knowledge:
         self.surely = 0.0
         """The coefficient that powder has surely flowed with, in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
-        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.bank.erratic = self.erratic
+        self.bank.restart(mass_mg, sd_mg, self.reference, self.spread, self.error_mm)
         self.rows.clear()
 
     def act(self, opening_mm: float, vibration: float) -> Generator[Command, Observation, float]:
@@ -238,12 +233,7 @@ class Knowledge:
     def stuck_mg(self, opening_mm: float, open_s: float) -> float:
         """What an opening lets out that is shut after so long, where the sheet has stuck."""
         strong = max(self.reference * (1.0 + min(self.spread, STRONG)), self.seen)
-        return strong * self._passes(opening_mm + STUCK_MM, open_s)
-
-    def _passes(self, opening_mm: float, open_s: float) -> float:
-        """Integral of phi from an opening until it is shut, which it is told to be after so long."""
-        tail = self.shape.closing(opening_mm, self.request.valve_dead_time_s, self.request.valve_speed_mm_per_s)
-        return self.shape.value(opening_mm) * open_s + tail
+        return strong * self.valve.passes(opening_mm + STUCK_MM, open_s)
 
     @property
     def seen_s(self) -> float:
@@ -263,7 +253,7 @@ class Knowledge:
 
     def _unseen_mg(self, opening_mm: float) -> float:
         """What an opening may let out before it is seen."""
-        strong_mg = self.reference * (1.0 + HARDLY_EVER * self.spread) * self._passes(opening_mm, self.seen_s)
+        strong_mg = self.reference * (1.0 + HARDLY_EVER * self.spread) * self.valve.passes(opening_mm, self.seen_s)
         return max(self.stuck_mg(opening_mm, self.seen_s), strong_mg)
 
     @property
@@ -277,14 +267,6 @@ class Knowledge:
         """The opening above the threshold that the flow is seen at, or was when the valve was open last."""
         told_mm = self.valve.target_mm
         return max(told_mm - self.shape.threshold_mm, NARROWEST_MM) if told_mm > 0.0 else self.gap_mm
-
-    def closing(self, wait_s: float) -> tuple[float, float]:
-        """Integrals of phi and its slope until the valve is shut, if it is told to in `wait_s`."""
-        request, opening_mm = self.request, self.valve.opening_mm
-        phi, slope = self.shape.value(opening_mm), self.shape.slope(opening_mm)
-        tail = self.shape.closing(opening_mm, request.valve_dead_time_s, request.valve_speed_mm_per_s)
-        slope_s = slope * (request.valve_dead_time_s + wait_s) + phi / request.valve_speed_mm_per_s
-        return tail + phi * wait_s, slope_s
 
     # --- what is learnt ---
 
@@ -303,7 +285,7 @@ class Knowledge:
             return
         least_mg = max(LEAST_MG, 20.0 * noise_mg)
         if gained_mg > least_mg:
-            self._learn_balance(gained_mg)
+            self.balance = with_found(self.balance, balance_by(self.rows, self.begin_mg, gained_mg))
             self.error_mm = OPENING_ERROR_MM
         # Openings that bring little tell something together.
         before_mg, before_phi_s, before_s = self._told_of
@@ -354,31 +336,9 @@ class Knowledge:
         left_mg = self.most_mg - self.bank.mass_mg
         if (
             wider_mm <= MOST_NARROWEST_MM
-            and self.strongest * self._passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg
+            and self.strongest * self.valve.passes(self.shape.threshold_mm + wider_mm, self._late_s) < left_mg
         ):
             self.narrowest_mm = wider_mm
-
-    def _learn_balance(self, gained_mg: float) -> None:
-        """What an opening tells is taken in by how sure it is; what it contradicts is forgotten."""
-        known, found = self.balance, balance_by(self.rows, self.begin_mg, gained_mg)
-        if found is None or found.doubt > TELLS:
-            return
-        doubt = max(found.doubt, LEAST_DOUBT)
-        if known.fits == 0:
-            self.balance = found.model_copy(update={"fits": 1, "doubt": doubt})
-            return
-        # What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
-        apart = math.log(found.lag_s / known.lag_s)
-        share = known.doubt**2 / (known.doubt**2 + doubt**2)
-        agreed = doubt * math.sqrt(share)
-        contradicted = max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0)
-        self.balance = known.model_copy(
-            update={
-                "fits": known.fits + 1,
-                "lag_s": known.lag_s * math.exp(share * apart),
-                "doubt": max(LEAST_DOUBT, math.hypot(agreed, contradicted)),
-            }
-        )
 
     @property
     def knows_balance(self) -> bool:

@@ -8,6 +8,12 @@ phi is what the flow follows, q = k phi(D), with the threshold D0 [mm] and expon
 
 from collections import deque
 from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Wait = TypeVar("Wait", float, NDArray[np.float64])
 
 GRAIN_S = 0.02
 """The integral of phi is taken in pieces of about this length."""
@@ -53,6 +59,7 @@ class ValvePath:
         self._dead_time_s = dead_time_s
         self._speed_mm_per_s = speed_mm_per_s
         self._commands: deque[tuple[float, float]] = deque()
+        self._going_to = 0.0
 
     def command(self, time_s: float, opening_mm: float) -> None:
         """Remember a command given at this time."""
@@ -80,4 +87,14 @@ class ValvePath:
             slope_s += self.shape.slope(middle_mm) * dt_s
         return phi_s, slope_s
 
-    _going_to = 0.0
+    def passes(self, opening_mm: float, open_s: float) -> float:
+        """Integral of phi [mm^n s] from an opening until it is shut, which it is told to be after so long."""
+        return self.shape.value(opening_mm) * open_s + self.shape.closing(
+            opening_mm, self._dead_time_s, self._speed_mm_per_s
+        )
+
+    def closing(self, wait_s: Wait) -> tuple[Wait, Wait]:
+        """The integrals of phi and its slope until it is shut, if it is told to in `wait_s`."""
+        phi, slope = self.shape.value(self.opening_mm), self.shape.slope(self.opening_mm)
+        slope_s = slope * (self._dead_time_s + wait_s) + phi / self._speed_mm_per_s
+        return self.shape.closing(self.opening_mm, self._dead_time_s, self._speed_mm_per_s) + phi * wait_s, slope_s

@@ -1,0 +1,190 @@
+"""What a balance is: how late it shows, and of what kind its filter is.
+
+    y'' = w^2 (M - y) - 2 z w y'          reading(t) = y(t - d) + noise          T = d + 2 z / w
+
+with what has left the nozzle M [mg], natural frequency w, damping z, pure delay d and the mean delay T, by which a
+steadily growing mass is read too late. A balance is known without a model: by a step of its load (`balance_of`), and by
+an opening and its tail (`balance_by`),
+
+    T = 1 / m  integral of (M - r) dt,     M = m Phi(t) / Phi(end),     Phi the integral of phi,
+
+where m is what came of it and r the readings. How far the nearest shape of that T is off says how sure that is.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scuhand_bt.dosing.characteristic import Step
+from scuhand_bt.specs import BalanceBelief
+
+Array = NDArray[np.float64]
+READING, RATE, MASS, K, G = range(5)
+"""The state of a filter: (y, y', M, k, g)."""
+
+SHAPES = {
+    "ringing": (0.0, 0.5),
+    "lively": (0.0, 0.75),
+    "two poles": (0.0, 1.0),
+    "one pole": (0.0, 2.5),
+    "mean": (0.2, 1.0),
+    "late": (0.55, 1.0),
+    "delay": (0.9, 1.0),
+}
+"""Kinds of balances: the share of their delay that is pure, d / T, and the damping z of the rest, 2 z / w = T - d."""
+STEP_DOUBT, OPENING_DOUBT = 0.12, 0.2
+"""Standard deviation of the delay's logarithm where a step has shown it; and an opening, at least: phi is a guess."""
+ADAPTS, SLOWEST = 0.2, 6.0
+"""The last of a step that takes this share of the delay longer than it should shows a filter that adapts; it is at most
+so many times slower when little changes."""
+LEAST_LAST = 0.3
+"""Of the delay: what the last of a step should take, at least, when it is told how many times slower it was."""
+LEAST_DOUBT = 0.08
+"""That standard deviation, at least, of what is believed."""
+TELLS = 1.0
+"""An opening tells the balance when its delay is known to this."""
+LEAST_DELAY_S, LONGEST_S = 0.02, 10.0
+"""Delays that an opening may show."""
+BEGINS_S = (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
+"""Powder may begin to come so long after the valve was told to open."""
+INDEPENDENT = 10.0
+"""Of the differences between readings and a model, as many are independent of each other."""
+MASS_ERROR_MG, SETTLED = 0.1, 3.0
+"""What came of an opening is known to this, noise apart; and in so many delays a balance shows it."""
+
+
+class Row(NamedTuple):
+    """One reading of an opening and its tail, as `Bank.update` takes it."""
+
+    dt_s: float
+    phi_s: float
+    slope_s: float
+    reading_mg: float
+    noise_mg: float
+    changed: float = 0.0
+    """By how much the opening was changed before it, as the logarithm of what lies above the threshold."""
+
+
+def transitions(delays_s: Array, pure: Array, damping: Array, dt_s: float) -> tuple[Array, Array]:
+    """(H, 5, 5) over `dt_s` with the valve shut; (H, 5) what k adds per unit of phi's integral.
+
+    In closed form: (y - M, y') decays by exp(A t), A = ((0, 1), (-w^2, -2 z w)), and M grows linearly.
+    """
+    w = 2.0 * damping / np.maximum((1.0 - pure) * delays_s, 0.02)
+    s = damping * w
+    root = np.sqrt((s * s - w * w + 1e-9).astype(complex))
+    slow, fast = np.exp((root - s) * dt_s), np.exp(-(root + s) * dt_s)
+    cosh, sinh = ((slow + fast) / 2.0).real, ((slow - fast) / (2.0 * root)).real
+    e00, e01, e10, e11 = cosh + s * sinh, sinh, -w * w * sinh, cosh - s * sinh
+    still = np.zeros((len(w), 5, 5))
+    still[:, READING, READING], still[:, READING, RATE], still[:, READING, MASS] = e00, e01, 1.0 - e00
+    still[:, RATE, READING], still[:, RATE, RATE], still[:, RATE, MASS] = e10, e11, -e10
+    still[:, MASS, MASS] = still[:, K, K] = still[:, G, G] = 1.0
+    adds = np.zeros((len(w), 5))
+    adds[:, READING] = 1.0 + (2.0 * s * (e00 - 1.0) + e10) / (w * w * dt_s)
+    adds[:, RATE] = (1.0 - e00) / dt_s
+    adds[:, MASS] = 1.0
+    return still, adds
+
+
+def balance_of(step: Step) -> BalanceBelief:
+    """The balance that has shown a step so: its delay is known without a model, its shape is the nearest one.
+
+    A filter that adapts hurries for a step, and takes its time over the last of it: then its delay is taken to be the
+    geometric mean of what it is in a hurry and what it is otherwise, and may be either.
+    """
+    delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
+    for shape, (pure, damping) in SHAPES.items():
+        model = np.array([delay_s]), np.array([pure]), np.array([damping])
+        times_s = [max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s]
+        missing = tuple(float(transitions(*model, time_s)[0][0, READING, READING]) for time_s in times_s)
+        far[shape] = math.dist(missing, step.missing)
+        last_s[shape] = step._replace(missing=missing).last_s
+    shape = min(far, key=far.__getitem__)
+    slower = 1.0
+    if step.last_s > max(last_s[shape], 0.0) + ADAPTS * delay_s:
+        slower = min(step.last_s / max(last_s[shape], LEAST_LAST * delay_s), SLOWEST)
+    doubt = math.hypot(STEP_DOUBT, 0.5 * math.log(slower))
+    misfit = min(far[shape] / math.hypot(*step.missing), 1.0)
+    return BalanceBelief(lag_s=delay_s / 2.0 * math.sqrt(slower), doubt=doubt, shape=shape, misfit=misfit, fits=1)
+
+
+def balance_by(rows: Sequence[Row], begin_mg: float, gained_mg: float) -> BalanceBelief | None:
+    """The balance as an opening and its whole tail show it, of which `gained_mg` came; None where it shows no delay.
+
+    Each shape is tried, with powder that began to come as phi has it or later; the one that is nearest to the readings
+    counts. What others of almost as good a fit differ by makes it doubtful, and so do the area that is left between,
+    and the mass' error over the time looked at. The belief's `fits` and `noise_mg` are left to who asks.
+    """
+    dt_s, phi_s, readings_mg, noise_mg = np.array(
+        [(row.dt_s, row.phi_s, row.reading_mg, row.noise_mg) for row in rows]
+    ).T
+    ends_s, shown_mg = np.cumsum(dt_s), readings_mg - begin_mg
+    came_s = np.cumsum([phi_s * (ends_s > late_s) for late_s in BEGINS_S], axis=1)
+    came_mg = (came_s / np.maximum(came_s[:, -1:], 1e-9) * gained_mg).repeat(len(SHAPES), axis=0)
+    delays_s = (came_mg - shown_mg) @ dt_s / gained_mg
+    possible = (delays_s > LEAST_DELAY_S) & (came_mg[:, -1] > 0.0)
+    if not possible.any():
+        return None
+    shapes = np.array(list(SHAPES) * len(BEGINS_S))[possible]
+    delays_s, came_mg = delays_s[possible], came_mg[possible]
+    off_mg = shown_mg - _shown_mg(delays_s, shapes, dt_s, came_mg)
+    squares = np.sum(off_mg**2, axis=1)
+    best = int(np.argmin(squares))
+    weights = np.exp(-INDEPENDENT / 2.0 * (squares / squares[best] - 1.0))
+    spread_s = math.sqrt(weights @ (delays_s - delays_s[best]) ** 2 / weights.sum())
+    area_s = float(np.maximum(np.abs(off_mg[best]) - noise_mg, 0.0) @ dt_s) / gained_mg
+    looked_s = float(dt_s[phi_s > 0.0].sum()) + SETTLED * delays_s[best]
+    doubt_s = math.hypot(spread_s, area_s, (noise_mg[-1] + MASS_ERROR_MG) / gained_mg * looked_s)
+    return BalanceBelief(
+        lag_s=min(float(delays_s[best]), LONGEST_S) / 2.0,
+        doubt=math.hypot(OPENING_DOUBT, math.log1p(doubt_s / delays_s[best])),
+        shape=str(shapes[best]),
+        misfit=min(math.sqrt(squares[best] / np.sum((came_mg[best] - shown_mg) ** 2)), 1.0),
+    )
+
+
+def with_found(known: BalanceBelief, found: BalanceBelief | None) -> BalanceBelief:
+    """What is believed once an opening has told something: taken in by how sure it is.
+
+    What contradicts widens the doubt: a filter that adapts has two faces, and one that was changed a new one.
+    """
+    if found is None or found.doubt > TELLS:
+        return known
+    doubt = max(found.doubt, LEAST_DOUBT)
+    if known.fits == 0:
+        return found.model_copy(update={"fits": 1, "doubt": doubt})
+    apart = math.log(found.lag_s / known.lag_s)
+    share = known.doubt**2 / (known.doubt**2 + doubt**2)
+    agreed = doubt * math.sqrt(share)
+    contradicted = max(abs(apart) - 2.0 * math.hypot(doubt, known.doubt), 0.0)
+    return known.model_copy(
+        update={
+            "fits": known.fits + 1,
+            "lag_s": known.lag_s * math.exp(share * apart),
+            "doubt": max(LEAST_DOUBT, math.hypot(agreed, contradicted)),
+        }
+    )
+
+
+def _shown_mg(delays_s: Array, shapes: Sequence[str] | NDArray[np.str_], dt_s: Array, came_mg: Array) -> Array:
+    """(H, N) what balances (H,) show of masses (H, N) that come over times `dt_s` (N,)."""
+    pure, damping = np.array([SHAPES[shape] for shape in shapes]).T
+    ends_s, shown_mg = np.append(0.0, np.cumsum(dt_s)), np.zeros_like(came_mg)
+    late_mg = np.array(
+        [
+            np.interp(ends_s[1:] - late_s, ends_s, np.append(0.0, came))
+            for late_s, came in zip(pure * delays_s, came_mg, strict=True)
+        ]
+    )
+    x, steps = np.zeros((len(pure), 5)), dict[float, tuple[Array, Array]]()
+    for number, step_s in enumerate(np.round(dt_s, 3).tolist()):
+        if step_s not in steps:
+            steps[step_s] = transitions(delays_s, pure, damping, step_s)
+        still, adds = steps[step_s]
+        x = np.matmul(still, x[:, :, None])[:, :, 0] + adds * (late_mg[:, number] - x[:, MASS])[:, None]
+        shown_mg[:, number] = x[:, READING]
+    return shown_mg
