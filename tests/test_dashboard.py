@@ -162,15 +162,15 @@ def test_the_cone_is_told_as_wide_as_the_roller_makes_it_all_through_a_motion(fi
         rims_mm = move["rims_mm"] or [move["cone_mm"]]
         assert (rims_mm[0], rims_mm[-1]) == pytest.approx((move["cone_mm"], after["cone_mm"]), abs=0.05)
     scooped = next(row for row in events if row["kind"] == "scoop")
-    opened, stroke = [
+    open_mm = scooped["payload"]["open_mm"]
+    stroke = next(
         row["payload"]
         for row in events
-        if row["kind"] == "arm_moves" and row["action"] == scooped["action"] and row["payload"]["rims_mm"]
-    ][:2]
-    open_mm = scooped["payload"]["open_mm"]
-    assert (opened["rims_mm"][-1], len(opened["joints_rad"])) == (pytest.approx(open_mm, abs=0.05), 1)
+        if row["kind"] == "arm_moves"
+        and row["action"] == scooped["action"]
+        and open_mm in row["payload"]["rims_mm"][:1]
+    )
     assert len(stroke["rims_mm"]) == len(stroke["joints_rad"]) > 10
-    assert stroke["rims_mm"][0] == pytest.approx(open_mm, abs=0.05)
     assert any(stroke["rims_mm"][-1] + 1.0 < rim_mm < open_mm - 1.0 for rim_mm in stroke["rims_mm"])
 
 
