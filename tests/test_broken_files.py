@@ -56,7 +56,7 @@ def test_a_file_that_nothing_uses_is_told_of_and_stops_nothing(
         ("skills/tare.py", "class Tare", "clas Tare", "skills/tare.py:10:6: the skill cannot be loaded: SyntaxError"),
         ("robot/powders.yaml", "repose: 25 deg", "repose: 25 kg", "robot/powders.yaml:7:11: 'repose': 'kg' is a unit"),
         ("robot/containers.yaml", "mouth: 20 mm", "mouth: 20 s", "robot/containers.yaml:5:12: 'mouth': 's' is a unit"),
-        ("robot/containers.yaml", "bore: 90 mm", "bore: 90 s", "robot/containers.yaml:24:11: 'bore': 's' is a unit"),
+        ("robot/containers.yaml", "bore: 90 mm", "bore: 90 s", "robot/containers.yaml:37:11: 'bore': 's' is a unit"),
         ("robot/powders.yaml", "glass_beads:", "glass_beads: [", "robot/powders.yaml:6:15: is no valid YAML"),
     ],
 )

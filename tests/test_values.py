@@ -156,7 +156,10 @@ sequence:
       items: {mass: $all}
       child:
         optional:
-          if: {when: $mass < 5 mg, then: {fail: {code: hand.no_flow}}, else: {fail: {code: source.empty}}}
+          retry:
+            attempts: 2
+            on: [hand.no_flow]
+            child: {if: {when: $mass < 5 mg, then: {fail: {code: hand.no_flow}}, else: {fail: {code: source.empty}}}}
   - retry:
       attempts: 2
       on: [hand.no_flow]
@@ -165,7 +168,7 @@ sequence:
     ended = bench.run(tree, SKILLS)
     assert ended.failure is not None
     assert ended.failure.code == "source.empty"
-    assert names(bench)[:2] == ["fails: hand.no_flow", "fails: source.empty"]
+    assert names(bench)[:3] == ["fails: hand.no_flow", "fails: hand.no_flow", "fails: source.empty"]
 
 
 # --- lists
