@@ -25,7 +25,7 @@ from scuhand_bt.devices.serial_link import LineBuffer
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import starter_lab
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.sim.wire.balances import TWINS, StillPan
+from scuhand_bt.sim.wire.balances import StillPan, balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, PacketReader, crane_x7, packet
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort, SocketPort
@@ -98,7 +98,7 @@ def parsers() -> Iterator[tuple[str, Figures]]:
 
 
 def _balance_parser(name: str) -> Figures:
-    twin = TWINS[name](StillPan())
+    twin = balance_twin(name)(StillPan())
     ask = {"and": b"Q\r\n", "mt_sics": b"SI\r\n", "sbi": b"\x1bP\r\n", "shimadzu": b"D07\r\n"}[name]
     good = []
     for load_mg in (0.0, 12_345.6, 87_654.3):
@@ -327,7 +327,7 @@ def _weighing(name: str, server: TwinServer[Any], clock: WallClock) -> Generator
 
 def _balance(name: str, port: PtyPort | SocketPort, count: int) -> Figures:
     pan, clock, cycles = StillPan(), WallClock(), Cycles(3)
-    twin = TWINS[name](pan)
+    twin = balance_twin(name)(pan)
     twin.period_s = 0.02
     with TwinServer(twin, port) as server, _weighing(name, server, clock) as balance:
         for cycle in range(count):

@@ -58,21 +58,23 @@ class Step(Ill):
 
 @dataclass
 class Between(Ill):
-    """Something pushes from one moment of a container until another, and not a milligram of it stays."""
+    """Something pushes from one moment of a container until so long after another, and not a milligram stays."""
 
     first: str
     last: str
     sizes_mg: Sequence[float] = (-3.0, 3.0)
+    later_s: float = 0.0
     _seen_s: float | None = None
     _size_mg: float = 0.0
+    _until_s: float = 0.0
 
     def force_mg(self, bench: Bench, dt_s: float) -> float:
         came_s = bench.at.get(self.first)
-        if came_s is None or self.last in bench.at:
-            return 0.0
-        if came_s != self._seen_s:
-            self._seen_s, self._size_mg = came_s, float(bench.rng.choice(self.sizes_mg))
-        return self._size_mg
+        if came_s is not None and came_s != self._seen_s and self.last not in bench.at:
+            self._seen_s, self._size_mg, self._until_s = came_s, float(bench.rng.choice(self.sizes_mg)), math.inf
+        if self.last in bench.at:
+            self._until_s = min(self._until_s, bench.at[self.last] + self.later_s)
+        return self._size_mg if bench.now_s < self._until_s else 0.0
 
 
 @dataclass

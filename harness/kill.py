@@ -148,7 +148,7 @@ def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
     tally.batches += 1
     if code not in (0, 1):
         tally.problems.append(f"seed {batch.seed}: ended with {code}")
-    _judge(batch, begun, tally)
+    judge(batch.plan, f"seed {batch.seed}", begun, tally)
 
 
 def journals(folder: Path) -> Iterator[Path]:
@@ -215,24 +215,24 @@ def _look(journal: Path, before: int, tally: Tally) -> None:
         tally.while_dosing += 1
 
 
-def _judge(batch: Batch, journal: Path, tally: Tally) -> None:
+def judge(plan: Plan, name: str, journal: Path, tally: Tally) -> None:
     """Nothing lost, nothing twice, every verdict right, every entry in its place."""
 
     def wrong(what: str) -> None:
-        tally.problems.append(f"seed {batch.seed}: {what}")
+        tally.problems.append(f"{name}: {what}")
 
     with closing(read_only(journal)) as database:
         if (problem := verify(database).problem) is not None:
             wrong(problem)
     events = read(journal, "event")
     matter = [event["payload"] for event in events if event["kind"] == "matter"]
-    there_mg = sum(source.amount_mg for source in batch.plan.recipe.sources.values())
+    there_mg = sum(source.amount_mg for source in plan.recipe.sources.values())
     imbalance_mg = abs(math.fsum(matter[-1].values()) - there_mg) if matter else 0.0
     tally.worst_imbalance_mg = max(tally.worst_imbalance_mg, imbalance_mg)
     if imbalance_mg > LOST_MG:
         wrong(f"{imbalance_mg} mg lost or made")
     results = {event["payload"]["id"]: event["payload"] for event in events if event["kind"] == "sample"}
-    for sample in batch.plan.recipe.samples:
+    for sample in plan.recipe.samples:
         result = results[sample.id]
         true_mg, said_mg, target_mg = result["true_mg"], result["dispensed_mg"], result["target_mg"]
         tally.doses += 1

@@ -69,6 +69,11 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("step-and-back", "up, and down again seconds later", lambda: [Step("placed", ANY_TIME_S, back_s=(1.0, 20.0))]),
     W("push-in-the-dose", "3 mg from the first opening until the hand leaves", lambda: [Between("opened", "leaving")]),
     W("push-at-the-end", "3 mg from near the dose's end until the hand is away", lambda: [Between("near", "gone")]),
+    W(
+        "push-until-bare",
+        "3 mg from the first opening until the bare pan has nearly come to rest",
+        lambda: [Between("opened", "bare", later_s=3.0)],
+    ),
     W("steps-small", "0.5 to 1 mg at three moments", lambda: [Step(m, (0, 5), (-1, -0.5, 0.5, 1)) for m in SMALL]),
     W(
         "steps-cancelling",

@@ -54,6 +54,8 @@ class DoseRecord:
     detail: str | None
     true_mg: float | None
     """The simulation's, of all that the container holds, whichever lot; None on a real cell."""
+    recorded: Mapping[str, bool | int | float | str]
+    """What the workflow has recorded of the sample, by name, in mg, mm, s or degrees."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,9 @@ class Result:
         return [record for sample in self.samples for record in _records(sample)]
 
     def rows(self) -> list[dict[str, Any]]:
-        """The doses as dicts: `pandas.DataFrame(result.rows())`."""
-        return [asdict(dose) for dose in self.doses]
+        """The doses as dicts: `pandas.DataFrame(result.rows())`; recorded values stand there as `recorded.NAME`."""
+        rows = [asdict(dose) for dose in self.doses]
+        return [row | {f"recorded.{name}": value for name, value in row.pop("recorded").items()} for row in rows]
 
 
 @dataclass(frozen=True)
@@ -173,4 +176,5 @@ def _record(sample: SampleResult, of: SampleResult | DoseResult, lot: str | None
         code=sample.code,
         detail=sample.detail,
         true_mg=true_mg,
+        recorded={one.name: one.value for one in sample.recorded},
     )

@@ -1,19 +1,20 @@
 """The cell of `robot/cell.yaml`: its stations and obstacles, and the devices on it."""
 
-import re
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import (
-    AfterValidator,
+    BaseModel,
     BeforeValidator,
     Field,
+    SerializeAsAny,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
+from scuhand_bt.drivers import driver_name, known_driver
 from scuhand_bt.quantity import (
     Degrees,
     Milligrams,
@@ -75,7 +76,7 @@ class ArmOptions(Spec):
 class ArmSpec(Spec):
     """The CRANE-X7 as this cell uses it."""
 
-    driver: Literal["dynamixel"] = "dynamixel"
+    driver: Annotated[str, driver_name("arm")] = "dynamixel"
     port: str = ""
     options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
@@ -101,6 +102,10 @@ MOUNTED_DIAMETER_MM = 90.0
 """Rim of the cone that a mounted sheet begins as, and that loads are carried in (paper, section V: 36° of overlap)."""
 
 
+NARROWEST_SHARE, WIDEST_SHARE = 0.3, 0.95
+"""Of the flat sheet's diameter: between these rims the roller turns."""
+
+
 class ValvePoint(Spec):
     """Where the valve's servo stands for an opening."""
 
@@ -112,9 +117,11 @@ class HandOptions(Spec):
     """The roller's servo on the arm's bus, the valve's servo, and the sheet as it is mounted."""
 
     roller_id: Annotated[int, Field(ge=0, le=252)] = 9
+    roller_port: str = ""
+    """Where the roller's servo is not on the arm's bus, as beside an arm with a driver of its own."""
     roller_direction: Direction = 1
     start_diameter_mm: Annotated[Millimetres, Positive] = MOUNTED_DIAMETER_MM
-    """Of the cone when the driver connects: of a sheet that has just been mounted (paper, section V)."""
+    """Of the cone of a sheet that has just been mounted (paper, section V)."""
     valve_map: Annotated[tuple[ValvePoint, ...], Field(min_length=2, max_length=8)] = (
         ValvePoint(count=2048, opening_mm=0.0),
         ValvePoint(count=2308, opening_mm=2.4),
@@ -149,7 +156,7 @@ class MountSpec(Spec):
 class HandSpec(Spec):
     """The SCU-Hand-SV: its sheet, roller, valve and vibration motor."""
 
-    driver: Literal["hand_controller"] = "hand_controller"
+    driver: Annotated[str, driver_name("hand")] = "hand_controller"
     port: str = ""
     options: HandOptions = HandOptions()
     sheet_radius_mm: Annotated[Millimetres, Field(gt=45, le=500)] = 50.0
@@ -168,6 +175,12 @@ class HandSpec(Spec):
     streaming: bool = True
     """False for a controller board that offers the step command only."""
     simulation: ValveErrorSpec = ValveErrorSpec()
+
+    @property
+    def rim_limits_mm(self) -> tuple[float, float]:
+        """The narrowest and the widest rim that the roller makes, whoever asks."""
+        mounted_mm, flat_mm = self.options.start_diameter_mm, 2 * self.sheet_radius_mm
+        return min(mounted_mm, NARROWEST_SHARE * flat_mm), max(mounted_mm, WIDEST_SHARE * flat_mm)
 
     @model_validator(mode="after")
     def _sheet_makes_the_cone(self) -> Self:
@@ -218,24 +231,10 @@ class BalanceLimits(Spec):
     when_beyond: Literal["refuse", "warn"] = "refuse"
 
 
-BALANCES = ("and", "mt_sics", "sbi", "shimadzu")
-"""The dialects that the engine speaks itself."""
-PLUGGED = re.compile(r"[A-Za-z_]\w*(\.\w+)*:[A-Za-z_]\w*")
-"""`package.module:NAME`: what somebody else's package offers."""
-
-
-def _balance_driver(driver: str) -> str:
-    if driver in BALANCES or PLUGGED.fullmatch(driver):
-        return driver
-    expected = f"{', '.join(map(repr, BALANCES))} or package.module:NAME of a dialect of your own"
-    raise PydanticCustomError("literal_error", "no driver", {"expected": expected})
-
-
 class BalanceSpec(Spec):
     """The balance under the hand."""
 
-    driver: Annotated[str, AfterValidator(_balance_driver)] = "shimadzu"
-    """A dialect of the engine's by its name, or `package.module:NAME`, a `Dialect` of another package."""
+    driver: Annotated[str, driver_name("balance")] = "shimadzu"
     port: str = ""
     options: BalanceOptions = BalanceOptions()
     readability_mg: Annotated[Milligrams, Positive] = 0.1
@@ -255,14 +254,46 @@ class BalanceSpec(Spec):
         return max(3.0, 10.0 * self.period_s)
 
 
+class CarouselOptions(Spec):
+    """The carousel's servo, whose shaft the plate is fixed to."""
+
+    baud: Annotated[int, Positive] = 1_000_000
+    latency_s: Annotated[Seconds, Field(gt=0, le=0.1)] = 0.008
+    """How long the adapter may hold bytes back."""
+    servo_id: Annotated[int, Field(ge=0, le=252)] = 10
+    direction: Direction = 1
+    """1 where the next slots come to the pan as the servo's position rises."""
+    first_slot_count: Annotated[int, Field(ge=0, le=4095)] = 0
+    """Its position with the first slot on the pan."""
+    slot_s: Annotated[Seconds, Field(ge=0.2, le=60)] = 2.0
+    """How long it turns from one slot to the next: containers slide along, and powder in them is not to be shaken."""
+
+
 class ChangerSpec(Spec):
     """What brings containers: a carousel, or the operator."""
 
-    driver: Literal["carousel", "operator"] = "carousel"
+    driver: Annotated[str, driver_name("changer")] = "carousel"
     port: str = ""
-    options: dict[str, Any] = Field(default_factory=dict)
+    options: CarouselOptions = CarouselOptions()
     slots: Annotated[int, Field(gt=0)] = 24
     """Containers it holds before a person has to fill it again."""
+
+
+DEVICES = ("arm", "hand", "balance", "changer")
+"""What every cell has, and skills lease."""
+
+
+class DeviceSpec(Spec):
+    """A device of `devices:`, which skills lease by its name; its `options` are its driver's own."""
+
+    kind: Literal["sensor", "scanner", "ioniser", "capper"]
+    driver: str
+    port: str = ""
+
+    @field_validator("driver")
+    @classmethod
+    def _is_a_driver_of_its_kind(cls, driver: str, info: ValidationInfo) -> str:
+        return known_driver(info.data["kind"], driver) if "kind" in info.data else driver
 
 
 class NotifySpec(Spec):
@@ -302,11 +333,51 @@ class CellSpec(Spec):
     hand: HandSpec = HandSpec()
     balance: BalanceSpec = BalanceSpec()
     changer: ChangerSpec = ChangerSpec()
+    devices: dict[str, DeviceSpec] = Field(default_factory=dict)
+    """Further devices by the names that skills lease them under."""
+    own_options: dict[str, SerializeAsAny[BaseModel]] = Field(default_factory=dict)
+    """By device, the `options` of drivers that bring a model of their own for them."""
     plant: str | None = None
     """`module:Class` of the simulated physics; none for the shipped one."""
     notify: NotifySpec | None = None
     stations: dict[str, Station]
     geometry: list[Obstacle] = Field(default_factory=list)
+
+    @field_validator("devices")
+    @classmethod
+    def _have_names_to_lease_by(cls, devices: dict[str, DeviceSpec]) -> dict[str, DeviceSpec]:
+        for name in devices:
+            if name in DEVICES or not name.isidentifier():
+                raise ValueError(f"'{name}' names none: letters, digits and _, and not {', '.join(DEVICES)}")
+        return devices
+
+    @property
+    def device_names(self) -> tuple[str, ...]:
+        """All that skills can lease."""
+        return (*DEVICES, *self.devices)
+
+    def section(self, device: str) -> "ArmSpec | HandSpec | BalanceSpec | ChangerSpec | DeviceSpec":
+        """What is said of a device, by the name that skills lease it under."""
+        found: ArmSpec | HandSpec | BalanceSpec | ChangerSpec | DeviceSpec
+        found = self.devices[device] if device in self.devices else getattr(self, device)
+        return found
+
+    def options_of(self, device: str) -> BaseModel:
+        """The options of a device, as its driver's own model has read them, or the engine's."""
+        options: BaseModel = self.own_options.get(device) or self.section(device).options  # type: ignore[union-attr]
+        return options
+
+    def kind_of(self, device: str) -> str:
+        """The kind of a device, as `scuhand_bt.drivers` has it."""
+        return self.devices[device].kind if device in self.devices else device
+
+    @classmethod
+    def options_model(cls, kind: str) -> type[BaseModel]:
+        """The model of the options of the engine's own drivers of one of `DEVICES`."""
+        section = cls.model_fields[kind].annotation
+        assert section is not None
+        model: type[BaseModel] = section.model_fields["options"].annotation
+        return model
 
     def station_of_kind(self, kind: str) -> Station:
         """The first station of a kind; KeyError if the cell has none."""

@@ -170,6 +170,26 @@ class LotDosed(Values):
     uncertainty_mg: float
 
 
+class Weighed(SkillEvent, Weighing):
+    """A container was weighed, whatever is in it: the result of `weigh`."""
+
+    KIND: ClassVar = "weighed"
+
+    container: Text
+    net_mg: float
+    """What it has gained since it was weighed empty, a drift that was seen taken out."""
+    net_uncertainty_mg: float
+    """Standard uncertainty of `net_mg`."""
+
+
+class ContainerDiscarded(SkillEvent):
+    """A container is thrown away with what is in it: its doses of this job count no more."""
+
+    KIND: ClassVar = "container_discarded"
+
+    container: Text
+
+
 class BracketClosed(SkillEvent):
     """A container has gone, and the bare pan was weighed: what it has gained, against what was dosed into it."""
 
@@ -325,12 +345,25 @@ class Returned(SkillEvent):
     expected_mg: float
 
 
+class Kept(SkillEvent):
+    """What was left in the cone stays there for the next sample of its lot."""
+
+    KIND: ClassVar = "kept"
+
+    source: Text
+    expected_mg: float
+
+
 class Discarded(SkillEvent):
-    """What was in the cone went to waste."""
+    """What was in the cone went to waste, or into another vessel."""
 
     KIND: ClassVar = "discarded"
 
     expected_mg: float
+    source: Text | None = None
+    """Of which it was; this and what follows are not in journals of earlier versions."""
+    to: Text | None = None
+    """The station of what it went into."""
 
 
 class SheetSwapped(SkillEvent):
@@ -339,6 +372,8 @@ class SheetSwapped(SkillEvent):
     KIND: ClassVar = "sheet"
 
     sheets_used: int
+    touched: Text | None = None
+    """The powder lot that the old one, the rollers and the passive clamp had touched; these were wiped."""
 
 
 class ValveChecked(SkillEvent):
@@ -350,6 +385,24 @@ class ValveChecked(SkillEvent):
     """Where the shut valve stands."""
 
 
+# --- a sample's row
+
+
+class ValueRecorded(SkillEvent):
+    """A value for the sample's row; one of the same name before it in this job does not count any more."""
+
+    KIND: ClassVar = "recorded"
+
+    name: Text
+    value: bool | int | float | Text
+    unit: str = ""
+    """Empty for a number, a text and a flag."""
+
+    def __str__(self) -> str:
+        shown = f"{self.value:.6g}" if isinstance(self.value, float) else str(self.value)
+        return f"{shown} {self.unit}".strip()
+
+
 SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     ContainerPlaced,
     Tared,
@@ -358,6 +411,8 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     DoseCurve,
     DoseBegun,
     DoseWeighed,
+    Weighed,
+    ContainerDiscarded,
     ContainerLifted,
     BracketClosed,
     Reweighed,
@@ -368,9 +423,11 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     BalanceDoubted,
     Scooped,
     Returned,
+    Kept,
     Discarded,
     SheetSwapped,
     ValveChecked,
+    ValueRecorded,
 )
 """All that skills write, beside a lab's own notes."""
 

@@ -41,6 +41,7 @@ class Code(StrEnum):
     HAND_VALVE_STUCK = "hand.valve_stuck"
     HAND_VALVE_LOST = "hand.valve_lost"
     HAND_LEAK = "hand.leak"
+    HAND_ROLLER_LOST = "hand.roller_lost"
     SCOOP_NOTHING = "scoop.nothing"
     SOURCE_EMPTY = "source.empty"
     DOSE_OVERSHOOT = "dose.overshoot"
@@ -215,6 +216,11 @@ CATALOGUE: Mapping[str, Failure] = {
         "Powder runs onto the pan although the valve is shut.",
         "Hold a vessel under the cone and empty it; look for powder in the valve, or a fold or hole in the sheet.",
         ("run",),
+    ),
+    Code.HAND_ROLLER_LOST: Failure(
+        "The roller's servo was without power, or is new here: nobody knows how far the sheet is rolled.",
+        "Begin or resume a run with a person at the cell: it asks how wide the cone's rim is.",
+        ("devices", "run"),
     ),
     Code.SCOOP_NOTHING: Failure(
         "Two scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",

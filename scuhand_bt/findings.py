@@ -56,6 +56,7 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "bad-table": Finding("A CSV file is no table of samples.", "A header with `id`, then one sample a row."),
         "table-elsewhere": Finding("A table is neither beside the recipe nor in the lab.", "Put it beside the recipe."),
         "uneven-lists": Finding("Lists side by side are not of one length, or empty.", "As many values in each."),
+        "leftover-mixed": Finding("What is left of two lots would come into one vessel.", "A recipe for each lot."),
         "bad-repeat": Finding("`repeat` is no number of samples, or stands beside a list.", "A number, or a list."),
         "too-many-samples": Finding("A recipe of more samples than can be run.", "Split it."),
         "misplaced-default": Finding(
@@ -93,16 +94,24 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         ),
         "unknown-demand": Finding(
             "How much a sample takes of which of its sources cannot be told before the run.",
-            "Dispense a mass that is written, or an input of the workflow.",
+            "Dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg).",
         ),
         "unknown-sheet": Finding(
             "Which powder the sheet has touched after a fallback cannot be told.", "One powder, or a sequence."
+        ),
+        "unbounded-mass": _warning(
+            "What a workflow doses is known only when it runs, and nothing bounds it: room and powder are not checked.",
+            "Give it a bound: min(…, 100 mg).",
         ),
         "service-workflow": Finding(
             "A workflow that the engine calls has other inputs than it gives.", "`source` alone."
         ),
         "needs-person": Finding("A plan that is to be unattended needs a person.", "`scuhand-bt plan` lists why."),
         "no-driver": Finding("A device that only simulations have.", "Another driver, for the real cell."),
+        "unlikely": _warning(
+            "A powder comes in lumps too large for a sample's tolerance: less than 90 % can be in tolerance.",
+            "A wider tolerance, or a finer powder. `scuhand-bt plan` tells the odds by dry runs.",
+        ),
         "unused-source": _warning("No sample takes from a source.", "Take it away, or name it in a sample."),
         "on-failure-never": _warning(
             "`on_failure` names a code that nothing in this recipe fails with.", "Look for the code that was meant."
@@ -120,7 +129,15 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "unset-value": Finding("`$name` has a value on another way only.", "Set it on every way that leads here."),
         "unknown-attribute": Finding("`$name.attribute`: values of this type have no such attribute.", "See the type."),
         "wrong-type": Finding("A value of one type is wired to a parameter of another.", "Wire what is asked for."),
-        "bad-reference": Finding("A text with $ that is no reference.", "$name or $name.attribute."),
+        "bad-reference": Finding("`result` is a text that reads no value.", "$name or $name.attribute."),
+        "bad-expression": Finding(
+            "A text with $ that is no reference, and cannot be worked out either.",
+            "$name, $name.attribute, or what is worked out of such: 0.25 * $dose.dispensed.",
+        ),
+        "bad-arithmetic": Finding(
+            "Values of kinds that do not go together are added, compared or multiplied.",
+            "Masses with masses; a mass times a number; two measured values with < or >.",
+        ),
         "bad-name": Finding("A text that cannot be a name.", "Letters, digits and _, not beginning with a digit."),
         "name-taken": Finding("A name that means something else already.", "Another name."),
         "name-mismatch": Finding("A workflow is called otherwise than its file.", "Call it as its file."),
@@ -134,9 +151,12 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "bad-count": Finding("A count or a duration of zero or less.", "More than 0."),
         "unused-input": _warning("Nothing reads an input.", "Wire it, or leave it out."),
         "unused-result": _warning("Nothing reads a result that `as` keeps.", "Wire it, or leave `as` out."),
-        "shadowed-name": _warning("`as` gives a name another value, and the first one is lost.", "A name of its own."),
+        "shadowed-name": _warning(
+            "`as`, or `record`, gives a name another value, and the first one is lost.", "A name of its own."
+        ),
         "retry-never": _warning(
-            "`retry: {on: …}` names a code that nothing below it fails with.", "Look for the code that was meant."
+            "`on` of a `retry` or a `fallback` names a code that nothing below it fails with.",
+            "Look for the code that was meant.",
         ),
         "unreachable-branch": _warning(
             "A fallback goes no further than a child that never fails.", "Put what can fail first."

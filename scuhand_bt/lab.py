@@ -2,19 +2,19 @@
 
 import math
 import os
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.device_sections import own_options
 from scuhand_bt.problems import Broken, Mark, Problem, Problems, SourceError, shorten
-from scuhand_bt.skill import DEVICES
 from scuhand_bt.skill_files.load import load_skills
 from scuhand_bt.specs import ContainerKind, Mortar, Powder, Spec
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.grammar import KEYWORDS, Workflow, read_workflow
+from scuhand_bt.tree.grammar import KEYWORDS, RECORD, Workflow, read_workflow
+from scuhand_bt.tree.record import Record
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Node, describe, load, read_text
 
@@ -142,10 +142,11 @@ def read_lab(folder: Path) -> Lab:
     """As `load_lab`; without a sound cell, one of what of it is sound, to check the rest against."""
     problems, broken = Problems(), Broken()
     cell, library, has_cell = _read_bench(folder, problems, broken)
-    loaded = load_skills(folder, files_of(folder / "skills", "*.py"), problems, broken)
+    loaded = load_skills(folder, files_of(folder / "skills", "*.py"), cell.device_names, problems, broken)
     library.skills, library.facts = loaded.skills, loaded.facts
     library.workflows = _load_workflows(folder / "trees", problems, broken)
     _check_names(library, folder, problems)
+    library.skills = {**library.skills, RECORD: Record}
     return Lab(folder, cell, library, tuple(problems.found), has_cell)
 
 
@@ -168,26 +169,10 @@ def _with_cell(lab: Lab) -> Lab:
 def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellSpec, Library, bool]:
     """The cell, what stands in it and is used in it, and whether the cell's own file is sound."""
     cell = _load_cell(folder / CELL_FILE, problems, broken)
-    _check_balance_driver(cell, folder, problems)
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
     return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
-
-
-def _check_balance_driver(cell: CellSpec, folder: Path, problems: Problems) -> None:
-    """A balance of somebody else's package is met before anything moves; its module may be the lab's."""
-    if ":" not in cell.balance.driver:
-        return
-    from scuhand_bt.devices.balances import dialect_of
-    from scuhand_bt.devices.plugged import NotPluggable
-
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))  # last, so that it hides nothing
-    try:
-        dialect_of(cell.balance.driver)
-    except NotPluggable as error:
-        problems.add(_mark_of(folder, "balance", "driver"), f"driver {error}", code="bad-value")
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:
@@ -274,7 +259,8 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
     nodes = root.get("stations")
     stations = {} if nodes is None else _load_file(Station, path, problems, broken, "station", nodes)
     is_complete = not problems.found
-    cell = validate(CellSpec, root.without("stations"), problems, stations=stations)
+    root, own = own_options(root, path.parent.parent, problems)
+    cell = validate(CellSpec, root.without("stations"), problems, stations=stations, own_options=own)
     for kind in ("balance", "waste", "park"):
         if is_complete and not any(station.kind == kind for station in stations.values()):
             what = f"the cell has no station of kind '{kind}'"
@@ -295,8 +281,10 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
 
 def _check_ports(cell: CellSpec, root: Entries, problems: Problems) -> None:
     taken: dict[str, str] = {}
-    for device in DEVICES:
-        port, node = getattr(cell, device).port, root.get(device)
+    named = root.get("devices")
+    for device in cell.device_names:
+        port = cell.section(device).port
+        node = root.get(device) or (named.get(device) if isinstance(named, Entries) else None)
         if port in taken and isinstance(node, Entries):
             what = f"the {device} is on {port}, and so is the {taken[port]}"
             problems.add(node.values["port"].mark, what, "each device has a port of its own", code="port-taken")
@@ -337,14 +325,14 @@ def _mark_of(folder: Path, *keys: str) -> Mark:
 
 def without_driver(lab: Lab) -> list[Problem]:
     """What the cell's file names and only a simulation has, located; a run on the real cell is refused with it."""
-    if lab.cell.changer.driver == "operator":
+    if lab.cell.changer.driver == "operator" or lab.cell.changer.port:
         return []
     problems = Problems()
-    what = f"the changer '{lab.cell.changer.driver}' has no driver yet, it is there in dry runs and rehearsals only"
+    what = f"the changer '{lab.cell.changer.driver}' has no port, it is there in dry runs and rehearsals only"
     problems.add(
         cell_mark(lab, "changer", "driver"),
         what,
-        "for the real cell write `changer: {driver: operator}`: a person changes containers",
+        "name its `port`, or write `changer: {driver: operator}`: a person changes containers",
         code="no-driver",
     )
     return problems.found
@@ -353,11 +341,11 @@ def without_driver(lab: Lab) -> list[Problem]:
 def _check_names(library: Library, folder: Path, problems: Problems) -> None:
     """A word of the language, and a skill, are what is meant by a name that a workflow has, too."""
     for name in library.skills:
-        if name in KEYWORDS:
+        if name in (*KEYWORDS, RECORD):
             mark = Mark(str(folder / "skills" / f"{name}.py"))
             problems.add(mark, f"'{name}' is a word of the workflow language", code="name-taken")
     for name, workflow in list(library.workflows.items()):
-        if name in KEYWORDS:
+        if name in (*KEYWORDS, RECORD):
             problems.add(workflow.mark, f"'{name}' is a word of the workflow language", code="name-taken")
         if name in library.skills:
             what = f"'{name}' is a skill already"

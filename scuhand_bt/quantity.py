@@ -89,6 +89,11 @@ class Unit:
         return f"{problem}; write {self.noun} with its unit, such as {self.examples}"
 
     @property
+    def symbol(self) -> str:
+        """The unit as it is shown."""
+        return {"dimensionless": "", "degree": "°"}.get(self.unit, self.unit.replace("**3", "³"))
+
+    @property
     def noun(self) -> str:
         """The dimension with its article: "a mass", "an angle"."""
         return f"{'an' if self.dimension[0] in 'aeiou' else 'a'} {self.dimension}"
@@ -101,6 +106,25 @@ def _registry() -> "pint.UnitRegistry[float]":
     registry: pint.UnitRegistry[float] = pint.UnitRegistry(None)
     registry.load_definitions(_DEFINITIONS.strip().splitlines())
     return registry
+
+
+Dimension = tuple[tuple[str, float], ...]
+"""Powers of mass, length, time and angle, as pint calls them; () for a plain number."""
+
+
+@cache
+def dimension(unit: Unit) -> Dimension:
+    """The dimension of what is kept in a unit."""
+    powers = _registry().Unit(unit.unit).dimensionality
+    return tuple(sorted((name, float(str(power))) for name, power in powers.items()))
+
+
+def times(first: Dimension, second: Dimension, power: int = 1) -> Dimension:
+    """The dimension of a product; with power -1 of a quotient."""
+    powers = dict(first)
+    for name, exponent in second:
+        powers[name] = powers.get(name, 0) + power * exponent
+    return tuple(sorted((name, exponent) for name, exponent in powers.items() if exponent))
 
 
 @cache

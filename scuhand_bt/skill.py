@@ -38,12 +38,14 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake, until
 from scuhand_bt.events import (
     BalanceDoubted,
     BalanceWatched,
+    ContainerDiscarded,
     ContainerPlaced,
     Discarded,
     Dose,
     DoseBegun,
     DoseCurve,
     DoseWeighed,
+    Kept,
     Pulsed,
     RepeatabilityMeasured,
     Returned,
@@ -51,7 +53,9 @@ from scuhand_bt.events import (
     Scooped,
     SheetSwapped,
     Tared,
+    ValueRecorded,
     ValveChecked,
+    Weighed,
     WeightChecked,
 )
 from scuhand_bt.failures import Code, Failure, SkillFailed
@@ -75,6 +79,7 @@ __all__ = [
     "Code",
     "Condition",
     "Container",
+    "ContainerDiscarded",
     "ContainerPlaced",
     "Degrees",
     "Discarded",
@@ -84,6 +89,7 @@ __all__ = [
     "DoseWeighed",
     "Failure",
     "Forecast",
+    "Kept",
     "Milligrams",
     "Millimetres",
     "MillimetresPerSecond",
@@ -102,17 +108,16 @@ __all__ = [
     "Source",
     "Steps",
     "Tared",
+    "ValueRecorded",
     "ValveChecked",
     "Wake",
+    "Weighed",
     "WeightChecked",
     "pause",
     "until",
 ]
 
 R = TypeVar("R")
-
-DEVICES = ("arm", "hand", "balance", "changer")
-"""What a skill can command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +142,7 @@ class Skill(BaseModel, Generic[R]):
     )
 
     devices: ClassVar[tuple[str, ...]] = ()
-    """The devices it commands, and so leases: of `DEVICES`."""
+    """The devices it commands, and so leases: arm, hand, balance, changer, and the names of `devices:` of the cell."""
     failures: ClassVar[Mapping[str, Failure]] = {}
     """Failure codes of its own, beyond the shared catalogue."""
     raises: ClassVar[tuple[str, ...]] = ()

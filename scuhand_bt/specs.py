@@ -168,6 +168,12 @@ class Powder(Spec):
         """The largest opening that a controller of this name may use."""
         return self.paper.max_opening_mm if controller == "paper" else self.max_opening_mm
 
+    @property
+    def lump_mg(self) -> float:
+        """Mean mass of the lumps that no narrower opening makes smaller."""
+        simulated, is_fixed = self.simulation, self.simulation.surge_exponent == 0.0
+        return max(self.belief.surge_mg, simulated.surge_mg if simulated.surge_share > 0.0 and is_fixed else 0.0)
+
 
 class ContainerKind(Spec):
     """A kind of container of `robot/containers.yaml`: an XRD holder, a pellet die, a crucible."""
@@ -214,6 +220,10 @@ class Mortar(Spec):
         return math.pi * self.depth_mm * (3 * (self.bore_mm / 2) ** 2 + self.depth_mm**2) / 6
 
 
+Leftover = Literal["keep", "return", "discard"]
+"""What becomes of powder that is left in the cone (`recipe/leftover.py`)."""
+
+
 class Source(Spec):
     """A mortar with powder at a station, as a recipe names it."""
 
@@ -223,6 +233,10 @@ class Source(Spec):
     powder: Powder
     amount_mg: Annotated[Milligrams, Positive]
     lot: str = ""
+    leftover: Leftover | None = None
+    """What the recipe wants done with what is left of it in the cone; None for what the workflow does."""
+    leftover_to: str = ""
+    """The station of the vessel that it is discarded into; "" for the waste bin."""
 
     @property
     def sheet_key(self) -> str:

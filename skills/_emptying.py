@@ -1,6 +1,6 @@
-"""What `return_leftover` and `discard` share: letting everything out of the cone."""
+"""What `return_leftover`, `discard` and `scoop` share: letting everything out of the cone."""
 
-from scuhand_bt.skill import Cell, Returned, Source, Steps
+from scuhand_bt.skill import Cell, Discarded, Returned, Source, Steps
 
 SHAKE_S = 3.0
 SPARE = 2.0
@@ -31,3 +31,21 @@ def empty_into(cell: Cell, source: Source) -> Steps[None]:
     yield from empty_cone(cell)
     cell.believed.returned(source.name, held_mg)
     cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+
+
+def empty_at(cell: Cell, station: str) -> Steps[None]:
+    """Empty the cone into the vessel at a station, from which nothing is scooped."""
+    yield from cell.move_to(station)
+    held_mg, source = cell.believed.cone_mg, cell.believed.cone_source
+    yield from empty_cone(cell)
+    cell.record.event(Discarded(expected_mg=held_mg, source=source, to=station))
+
+
+def put_away(cell: Cell) -> Steps[None]:
+    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded."""
+    source = cell.sources[cell.believed.cone_source or ""]
+    if source.leftover == "discard":
+        yield from empty_at(cell, source.leftover_to or cell.spec.station_of_kind("waste").name)
+    else:
+        yield from cell.move_to(source.station)
+        yield from empty_into(cell, source)

@@ -2,7 +2,7 @@
 
 from scuhand_bt.skill import Cell, Code, Condition, Milligrams, Powder, SkillFailed
 
-LAST_SHARE = 0.5
+LAST_SHARE = 1 / 3
 """Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
 
 
@@ -15,14 +15,16 @@ class ConeHolds(Condition):
     powder: Powder
     at_least_mg: Milligrams = 1.0
     wanted_mg: Milligrams = 0.0
-    """What is to be dosed of it, without the last of its load."""
+    """What is to be dosed of it, without the last of its load; a dose that needs several loads begins with this one."""
 
     def check(self, cell: Cell) -> None:
         believed = cell.believed
         source = cell.sources.get(believed.cone_source or "")
         enough_mg = self.at_least_mg
-        if self.wanted_mg > 0.0:
-            enough_mg = max(enough_mg, self.wanted_mg + LAST_SHARE * believed.load.scooped_mg)
+        if self.wanted_mg > 0.0 and source is not None:
+            last_mg = LAST_SHARE * believed.load.scooped_mg
+            is_one_load = self.wanted_mg + last_mg <= source.powder.load_limit_mg
+            enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
         if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:

@@ -1,8 +1,8 @@
 """What is in the cone goes to waste."""
 
-from scuhand_bt.skill import Cell, Discarded, Skill, Steps
+from scuhand_bt.skill import Cell, Skill, Steps
 
-from ._emptying import empty_cone
+from ._emptying import empty_at
 
 
 class Discard(Skill[None]):
@@ -13,9 +13,5 @@ class Discard(Skill[None]):
     interrupted = "repeat"
 
     def run(self, cell: Cell) -> Steps[None]:
-        if cell.believed.cone_source is None:
-            return
-        yield from cell.move_to(cell.spec.station_of_kind("waste").name)
-        discarded_mg = cell.believed.cone_mg
-        yield from empty_cone(cell)
-        cell.record.event(Discarded(expected_mg=discarded_mg))
+        if cell.believed.cone_source is not None:
+            yield from empty_at(cell, cell.spec.station_of_kind("waste").name)

@@ -46,7 +46,7 @@ class PlaceContainer(Skill[None]):
         brought_s = cell.clock.now_s
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
         loaded = yield from weigh_changed(cell, bare.value_mg)
-        step = shown_step(cell, bare, loaded, brought_s)
+        step = cell.came = shown_step(cell, weighing_of(bare), weighing_of(loaded), brought_s)
         mass_mg = loaded.value_mg - bare.value_mg
         container = self.container
         cell.record.event(

@@ -1,12 +1,14 @@
-"""What is left in the cone goes back into its mortar."""
+"""What is left in the cone goes where the recipe wants it: kept for the next sample, back, or away."""
 
-from scuhand_bt.skill import Cell, Code, Skill, SkillFailed, Source, Steps
+from typing import Literal
 
-from ._emptying import empty_into
+from scuhand_bt.skill import Cell, Code, Kept, Skill, SkillFailed, Source, Steps
+
+from ._emptying import put_away
 
 
 class ReturnLeftover(Skill[None]):
-    """Empty the cone into the mortar it was filled from (of this source's powder lot); nothing if it is empty."""
+    """Empty the cone, of this source's powder lot: as the recipe's `leftover` says, else back into its mortar."""
 
     raises = (Code.HAND_WRONG_POWDER,)
     devices = ("arm", "hand")
@@ -14,6 +16,8 @@ class ReturnLeftover(Skill[None]):
     interrupted = "repeat"
 
     source: Source
+    keep: Literal["never", "if_told", "unless_told"] = "never"
+    """Whether it may stay in the cone for the next sample: only as the recipe's `leftover` says, or if it is silent."""
 
     def run(self, cell: Cell) -> Steps[None]:
         believed = cell.believed
@@ -22,5 +26,8 @@ class ReturnLeftover(Skill[None]):
         source = cell.sources[believed.cone_source]
         if source.sheet_key != self.source.sheet_key:
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone holds {source.sheet_key}, not {self.source.sheet_key}")
-        yield from cell.move_to(source.station)
-        yield from empty_into(cell, source)
+        told = source.leftover or ("keep" if self.keep == "unless_told" else "return")
+        if told == "keep" and self.keep != "never":
+            cell.record.event(Kept(source=source.name, expected_mg=believed.cone_mg))
+        else:
+            yield from put_away(cell)

@@ -31,7 +31,7 @@ from scuhand_bt.skill import (
     Steps,
 )
 
-from ._emptying import empty_cone, empty_into
+from ._emptying import empty_cone, put_away
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -52,7 +52,7 @@ HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0, 30.0, 330.0, 0.0, 180.0,
 class Scoop(Skill[Milligrams]):
     """Scoop powder from a source into the cone; gives the mass that the cone is expected to hold.
 
-    A load that gave out too early is let out into its mortar before: as a poor scoop, or a bridge, it is in the way.
+    A load that is too little, or gave out too early, is let out before, as the recipe's `leftover` says.
     """
 
     raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH)
@@ -69,13 +69,10 @@ class Scoop(Skill[Milligrams]):
     def run(self, cell: Cell) -> Steps[Milligrams]:
         source, believed = self.source, cell.believed
         if believed.is_load_doubted and believed.cone_source is not None:
-            loaded = cell.sources[believed.cone_source]
-            yield from cell.move_to(loaded.station)
-            yield from empty_into(cell, loaded)
+            yield from put_away(cell)
         self._require_clean(cell)
         if believed.cone_mg > 0.0:  # it would fall out of a cone that swings
-            yield from cell.move_to(source.station)
-            yield from empty_into(cell, source)
+            yield from put_away(cell)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
@@ -83,8 +80,7 @@ class Scoop(Skill[Milligrams]):
         believed.touched(source)
         bed = self._bed(cell)
         stroke, motion = self._planned(cell, self._chosen(cell, bed, in_mortar_mg))
-        yield from cell.hand.morph(stroke.open_mm)
-        yield from cell.make_stroke(motion)
+        yield from cell.make_stroke(motion, stroke.open_mm)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
         held_mg = self._believe(cell, stroke, motion.duration_s, bed)
         yield from cell.form_upright(source.station, MOUNTED_DIAMETER_MM)

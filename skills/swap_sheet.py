@@ -17,7 +17,7 @@ class SwapSheet(Skill[None]):
 
     @classmethod
     def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
-        return Forecast(cls.typical_s, "swap the sheet (two screws)")
+        return Forecast(cls.typical_s, "swap the sheet (two screws), wipe rollers and clamp")
 
     def run(self, cell: Cell) -> Steps[None]:
         believed = cell.believed
@@ -27,11 +27,15 @@ class SwapSheet(Skill[None]):
             raise SkillFailed(Code.HAND_WRONG_POWDER, f"the cone still holds powder from '{believed.cone_source}'")
         service = [station.name for station in cell.spec.stations.values() if station.kind == "service"]
         yield from cell.move_to(service[0] if service else cell.spec.station_of_kind("park").name)
+        mounted_mm = cell.spec.hand.options.start_diameter_mm
         answer = yield from cell.operator.ask(
-            f"Put a fresh sheet into the hand; this one has touched {believed.sheet}."
+            f"Put a fresh sheet into the hand, its rim {mounted_mm:g} mm wide, and wipe both rollers and the clamp: "
+            f"they and this sheet have touched {believed.sheet}."
         )
         if answer != "done":
             raise SkillFailed(Code.OPERATOR_REFUSED, "the sheet was not swapped")
+        touched = believed.sheet
         cell.sheet_mounted()
+        cell.hand.rim_is(mounted_mm)
         believed.sheet_swapped()
-        cell.record.event(SheetSwapped(sheets_used=believed.sheets_used))
+        cell.record.event(SheetSwapped(sheets_used=believed.sheets_used, touched=touched))

@@ -1,14 +1,14 @@
 """A page in Debian's Chromium, for tests: what it asks for from outside, and what it complains of, fails them."""
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-CHROMIUM = Path("/usr/bin/chromium")
-needs_browser = pytest.mark.skipif(not CHROMIUM.exists(), reason=f"there is no {CHROMIUM} (apt install chromium)")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt install chromium)")
 
 
 WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -17,22 +17,29 @@ _SLOW = "GPU stall due to ReadPixels"
 """What a browser says of that."""
 
 
-@contextmanager
-def browser_page(origin: str = "file:", **options: Any) -> Iterator[Any]:
-    """A page of a browser; at the end nothing foreign to `origin` was asked for, and nothing was complained of."""
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """One browser for all tests of a module; a longer life would keep asyncio from others."""
     from playwright.sync_api import sync_playwright
 
-    wrong: list[str] = []
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=["--no-sandbox", *WEBGL])
-        page = browser.new_page(**options)
-        page.on("console", lambda said: wrong.append(said.text) if _is_complaint(said) else None)
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on("request", lambda asked: None if _is_own(asked.url, origin) else wrong.append(f"asked for {asked.url}"))
-        try:
-            yield page
-        finally:
-            browser.close()
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *WEBGL])
+        yield found
+        found.close()
+
+
+@contextmanager
+def browser_page(browser: Any, origin: str = "file:", **options: Any) -> Iterator[Any]:
+    """A page of its own; at the end nothing foreign to `origin` was asked for, and nothing was complained of."""
+    wrong: list[str] = []
+    page = browser.new_page(**options)
+    page.on("console", lambda said: wrong.append(said.text) if _is_complaint(said) else None)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("request", lambda asked: None if _is_own(asked.url, origin) else wrong.append(f"asked for {asked.url}"))
+    try:
+        yield page
+    finally:
+        page.close()
     assert wrong == []
 
 

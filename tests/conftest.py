@@ -11,6 +11,7 @@ import pytest
 
 from scuhand_bt import cli
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.journal.events import JobStarted
 from scuhand_bt.journal.history import read_history
@@ -25,13 +26,13 @@ from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.runner import Runner
-from scuhand_bt.skill import DEVICES, Skill, SkillFailed
+from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.yaml_source import parse
 
-pytest_plugins = ["pytester", "real_time"]
+pytest_plugins = ["pytester", "real_time", "browser"]
 REPOSITORY = Path(__file__).parent.parent
 
 
@@ -184,6 +185,10 @@ class FakeCell:
     def device(self, name: str) -> FakeDevice:
         return self.devices[name]
 
+    @property
+    def every_device(self) -> Mapping[str, FakeDevice]:
+        return self.devices
+
     def note(self, what: str) -> None:
         """Write down what happens and when."""
         self.log.append((self.clock.now_s, what))
@@ -236,7 +241,7 @@ class Bench:
         if resumes:
             job = read_history(journal.path).jobs["main", 1]
             replay = job.replay(None)
-            journal.job_resumed(job.seq, job.doses)
+            journal.job_resumed(job.seq, job.so_far)
         else:
             journal.job_started(JobStarted(name="main", sample=None, attempt=1, workflow="main"))
         try:

@@ -45,16 +45,21 @@ class Client:
         own = {"Origin": self.origin, "X-Dashboard": self.access.word, "Content-Type": "application/json"}
         return self._ask("POST", path, json.dumps(body), {**own, **headers})
 
-    def news(self, run: str) -> Iterator[dict[str, Any]]:
-        """What a page is told as the run goes on."""
+    def news(self, run: str, event: str = "") -> Iterator[Any]:
+        """What a page is told as the run goes on; with `event`, by the events of this name."""
         line = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
         try:
             line.request("GET", f"/api/runs/{run}/news", headers=self.headers)
             answer = line.getresponse()
             assert answer.status == 200
+            name = ""
             for told in answer:
-                if told.startswith(b"data: "):
-                    yield json.loads(told[6:])
+                if told.startswith(b"event: "):
+                    name = told[7:].decode().strip()
+                elif told.startswith(b"data: "):
+                    if name == event:
+                        yield json.loads(told[6:])
+                    name = ""
         finally:
             line.close()
 

@@ -20,6 +20,7 @@ from scuhand_bt.devices.dynamixel.bus import DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.devices.roller import RollerRecord
 from scuhand_bt.devices.scuhand import ScuHand, roller_axis
 from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -30,7 +31,7 @@ from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.plant import Plant
-from scuhand_bt.sim.wire.balances import TWINS, StillPan
+from scuhand_bt.sim.wire.balances import StillPan, balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort
@@ -165,15 +166,24 @@ class WiredHandBench(DeviceBench):
 
     @contextmanager
     def open(self) -> "Iterator[WiredHandBench]":
-        with self.bus, self.board:
-            roller = AxisGroup([roller_axis(self.spec)], watched=False)
-            chain = ServoChain(DynamixelBus(self.bus.url, latency_ms=40.0), [roller])
-            chain.open()
+        with self.bus, self.board, self.connected():
+            self.device.rim_is(90.0)
+            yield self
+
+    @contextmanager
+    def connected(self, roller_file: Path | None = None) -> Iterator[ScuHand]:
+        """A program's hand, from when it connects to its proper end."""
+        record = RollerRecord(self.spec, roller_file)
+        roller = AxisGroup([roller_axis(self.spec)], False, record.turns_were_lost)
+        chain = ServoChain(DynamixelBus(self.bus.url, latency_ms=40.0), [roller])
+        chain.open()
+        try:
             controller = HandController(self.spec, chain.news)
             controller.open()
-            self.device = ScuHand(self.spec, controller, chain, roller, self.clock, 90.0)
-            yield self
+            self.device = ScuHand(self.spec, controller, chain, roller, self.clock, record)
+            yield self.device
             self.device.close()
+        finally:
             chain.close()
 
     @contextmanager
@@ -219,7 +229,7 @@ class WiredBalanceBench(DeviceBench):
 
     def __init__(self, driver: str) -> None:
         self.pan = StillPan(LOAD_MG)
-        self.server = TwinServer(TWINS[driver](self.pan, 0.1, MAXIMUM_MG), PtyPort())
+        self.server = TwinServer(balance_twin(driver)(self.pan, 0.1, MAXIMUM_MG), PtyPort())
         self.clock = WallClock()
         options = {"bits": "8N1"}
         spec = BalanceSpec(driver=driver, port=self.server.url, options=options, maximum_mg=MAXIMUM_MG)

@@ -21,7 +21,8 @@ from harness.worlds import BY_NAME
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.weighing import require_known_delay, shown_step
 from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
-from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.dosing.bracket import Gross
 from scuhand_bt.dosing.characteristic import STILL_KNOWN, STILL_READINGS, Step, held_mg, is_frozen
 from scuhand_bt.dosing.identification import balance_of
 from scuhand_bt.failures import Code, SkillFailed
@@ -156,11 +157,11 @@ def test_a_delay_beyond_what_can_be_dosed_with_is_refused(
 
 
 def test_nothing_that_came_tells_no_delay(sound: Cell) -> None:
-    bare, still = StableMean(0.0, 0.1, 1.0), StableMean(0.3, 0.1, 20.0)
+    bare, still = Gross(0.0, 0.1, 1.0), Gross(0.3, 0.1, 20.0)
     readings = deque(Reading(0.3 * (number > 100), True, 0.1 * number) for number in range(200))
     assert shown_step(replace(sound, readings=readings), bare, still, 10.0) is None
     loaded, heavy = (
-        StableMean(300.0, 0.1, 20.0),
+        Gross(300.0, 0.1, 20.0),
         deque(replace(one, value_mg=1000.0 * one.value_mg) for one in readings),
     )
     assert shown_step(replace(sound, readings=heavy), bare, loaded, 10.0) is not None

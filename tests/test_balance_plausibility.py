@@ -15,7 +15,7 @@ from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.devices.serial_link import ErrorMarks, Framing, LineBuffer, SerialLink, mark_errors
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.clock import VirtualClock, WallClock
-from scuhand_bt.sim.wire.balances import TWINS, BalanceTwin, StillPan
+from scuhand_bt.sim.wire.balances import BalanceTwin, StillPan, balance_twin
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 
@@ -30,7 +30,7 @@ class Stream:
     def __init__(self, name: str, readability_mg: float = 0.1, shown_mg: float = 0.1, **spec: object) -> None:
         self.name = name
         self.pan = StillPan()
-        self.twin: BalanceTwin = TWINS[name](self.pan, shown_mg)
+        self.twin: BalanceTwin = balance_twin(name)(self.pan, shown_mg)
         self.clock = VirtualClock()
         figures = BalanceSpec(driver=name, readability_mg=readability_mg, **spec)  # type: ignore[arg-type]
         self.balance = SerialBalance(figures, DIALECTS[name], self.clock, DIALECTS.values())
@@ -460,7 +460,7 @@ def test_bytes_that_all_fail_their_parity_are_said_with_the_silence() -> None:
 def served(request: pytest.FixtureRequest) -> Iterator[tuple[TwinServer[BalanceTwin], BalanceSpec]]:
     """A twin on a pseudo-terminal that shows steps of 1 mg, and the spec that says so."""
     name = request.param
-    twin = TWINS[name](StillPan(12_345.0), 1.0, 120_000.0)
+    twin = balance_twin(name)(StillPan(12_345.0), 1.0, 120_000.0)
     twin.period_s = 0.005
     with TwinServer(twin, PtyPort()) as server:
         yield (

@@ -192,6 +192,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "sheet": "glass_beads/L7",
         "sheets_used": 1,
         "slots_used": 1,
+        "slots": {DISH.id: 0},
         "containers_used": {DISH.name: 1},
         "pan_empty_mg": 20_031.0,
         "pan_gross_mg": 20_031.0,

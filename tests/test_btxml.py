@@ -11,19 +11,27 @@ from conftest import REPOSITORY, Call, LabFolder
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.tree.btxml import from_xml, to_xml
-from scuhand_bt.tree.grammar import Branch, Decorator, Reference, TreeNode, Workflow, read_workflow
-from scuhand_bt.yaml_source import parse, plain
+from scuhand_bt.tree.check import check_workflows
+from scuhand_bt.tree.grammar import Argument, Branch, Choice, Decorator, TreeNode, Workflow, read_workflow
+from scuhand_bt.yaml_source import Node, parse, plain
 
 SHIPPED = sorted(path.stem for path in (REPOSITORY / "trees").glob("*.yaml") if ".test" not in path.name)
 OF_CPP = {"Sequence", "Fallback", "Parallel", "ReactiveSequence", "RetryUntilSuccessful", "Repeat", "Timeout"}
-OF_CPP |= {"Inverter", "ForceSuccess", "SubTree"}
+OF_CPP |= {"Inverter", "ForceSuccess", "SubTree", "LoopString", "IfThenElse", "ScriptCondition", "Switch2"}
+OF_CPP |= {"AlwaysSuccess", "AlwaysFailure"}
+
+
+def said(argument: Argument) -> Any:
+    return plain(argument) if isinstance(argument, Node) else str(argument)
 
 
 def shape(node: TreeNode) -> Any:
     """All of a tree but its places."""
     if isinstance(node, Branch):
-        return node.kind, [shape(child) for child in node.children]
-    given = {key: str(a) if isinstance(a, Reference) else plain(a) for key, a in node.arguments.items()}
+        return node.kind, list(node.codes), [shape(child) for child in node.children]
+    if isinstance(node, Choice):
+        return node.kind, said(node.argument), [(case.label, shape(case.child)) for case in node.cases]
+    given = {key: said(argument) for key, argument in node.arguments.items()}
     if isinstance(node, Decorator):
         return node.kind, given, list(node.codes), [shape(guard) for guard in node.guards], shape(node.child)
     return node.name, given, node.result
@@ -55,8 +63,14 @@ def test_a_workflow_comes_back_as_it_was_with_all_that_it_calls(starter: Lab, na
 EVERYTHING = """\
 workflow: everything
 summary: All kinds of nodes, <and> "signs".
-inputs: {source: Source, weight: Mass, times: {type: Integer, default: 2}, wait: {type: Duration, default: 3 s}}
-result: $gross
+inputs:
+  source: Source
+  weight: Mass
+  times: {type: Integer, default: 2}
+  wait: {type: Duration, default: 3 s}
+  holders: [Container]
+  masses: {type: [Mass], default: [20 mg, 50 mg]}
+result: 0.5 * $gross + $weight
 tree:
   sequence:
     - fallback: [{cone_holds: {powder: $source.powder, at_least: 5 mg}}, {discard: }]
@@ -67,14 +81,32 @@ tree:
     - repeat: {times: 2, child: {wait: {duration: $wait}}}
     - timeout: {duration: 2 min, child: {invert: {cone_holds: {powder: glass_beads}}}}
     - optional: {after_failure: {source: $source}}
+    - fallback: {on: [hand.no_flow], children: [{shake: {duration: 0.5 * $wait}}, {discard: }]}
+    - if: {when: $gross > 2 * $weight, then: {shake: }}
+    - if: {when: $gross > 2 * $weight, then: {shake: }, else: {park: }}
+    - switch: {value: $source.powder.name, cases: {glass_beads: {shake: }, sand: {park: }}}
+    - switch: {value: $times + 1, cases: {"2": {shake: }, "3": {park: }}, otherwise: {tare: }}
+    - for_each: {items: {holder: $holders, mass: $masses}, child: {place_container: {container: $holder}}}
+    - repeat: {times: $times + 1, child: {listed: {masses: [1 mg, 2 mg]}}}
+    - record: {gross: $gross, half: 0.5 * $gross, note: as weighed}
+"""
+LISTED = """\
+workflow: listed
+inputs: {masses: [Mass]}
+tree: {for_each: {items: {mass: $masses}, child: {wait: {duration: 1 s}}}}
 """
 
 
 def test_every_kind_of_node_comes_back(lab_folder: LabFolder) -> None:
     lab_folder.write("trees/everything.yaml", EVERYTHING)
+    lab_folder.write("trees/listed.yaml", LISTED)
     library = lab_folder.load().library
+    check_workflows(library, ["everything"], problems := Problems())
+    problems.raise_any()
     xml = to_xml(library, "everything")
-    assert whole(read_back(xml)["everything"]) == whole(library.workflows["everything"])
+    back = read_back(xml)
+    assert whole(back["everything"]) == whole(library.workflows["everything"])
+    assert whole(back["listed"]) == whole(library.workflows["listed"])
     assert 'msec="120000"' in xml
     assert set(re.findall(r"<([A-Z]\w+)", xml)) >= OF_CPP - {"Fallback"}
 
@@ -109,9 +141,10 @@ def test_behaviortree_cpp_loads_and_ticks_every_shipped_workflow(starter: Lab, n
             return bt.NodeStatus.SUCCESS
 
         factory.register_simple_action(skill, tick)
+    counts = ("num_cycles", "queue")
     for tree in root.iterfind("BehaviorTree"):
         for node in tree.iter():  # a count that only the wire has
-            node.attrib.update({key: "1" for key, value in node.attrib.items() if key == "num_cycles" and "{" in value})
+            node.attrib.update({key: "1" for key, value in node.attrib.items() if key in counts and "{" in value})
     factory.register_behavior_tree_from_text(ElementTree.tostring(root, encoding="unicode"))
     assert name in factory.registered_behavior_trees()
     status = factory.create_tree(name).tick_while_running()

@@ -164,7 +164,7 @@ def test_plan_shows_jobs_powder_swaps_and_persons(command: Call) -> None:
     assert "change powder to monosodium_glutamate" in shown.stdout
     assert "Sheet swaps: 1." in shown.stdout
     change = "change powder to monosodium_glutamate for m-xrd-1"
-    assert f"A person is needed at '{change}': swap the sheet (two screws)." in shown.stdout
+    assert f"A person is needed at '{change}': swap the sheet (two screws), wipe rollers and clamp." in shown.stdout
 
 
 def test_plan_as_json_has_every_job(command: Call) -> None:
@@ -326,11 +326,31 @@ def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path,
     assert ".png, .svg" in " ".join(ended.stderr.split())
 
 
-def test_a_page_is_not_written_into_a_picture(command: Call, tmp_path: Path) -> None:
-    ended = command("reach", "-o", tmp_path / "reach.png")
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("reach", "-o", "reach.png"), "Invalid value for --output: {} is to be a file of this kind: .html, .htm"),
+        (("reach", "--task", "scoop", "-o", "reach.html"), "writes a table, and no file"),
+        (("show-move", "park", "balance", "-o", "move.svg"), "{} is to be a file of this kind: .html, .htm, .png"),
+        (("study", "recipes/xrd_holders.yaml", "-o", "study.json"), "{} is to be a file of this kind: .csv"),
+        (
+            ("plan", "recipes/xrd_holders.yaml", "--html", "plan.txt"),
+            "Invalid value for --html: {} is to be a file of this kind: .html",
+        ),
+        (
+            ("run", "recipes/xrd_holders.yaml", "--dry-run", "--json", "out.csv"),
+            "Invalid value for --json: {} is to be a file of this kind",
+        ),
+    ],
+)
+def test_nothing_is_written_into_a_file_of_another_kind(
+    command: Call, tmp_path: Path, arguments: tuple[str, ...], why: str
+) -> None:
+    file = tmp_path / arguments[-1]
+    ended = command(*arguments[:-1], file)
     assert ended.returncode == 2
-    assert "is to be a file of this kind: .html" in " ".join(ended.stderr.replace("│", " ").split())
-    assert not (tmp_path / "reach.png").exists()
+    assert why.format(f"'{file}'") in " ".join(ended.stderr.replace("│", " ").split())
+    assert not file.exists()
 
 
 def test_a_page_without_its_library_says_what_to_install(
@@ -382,9 +402,23 @@ def test_without_a_compiler_a_rehearsal_is_code_2_in_words(
         assert (ended.returncode, ended.stderr) == (2, "install g++\n")
 
 
+TOLD_TO_TWINS = {
+    "place xrd_holder a": "'a' stands on the pan",
+    "place xrd_holder b": "not done: 'a' stands on the pan",
+    "remove": "nothing stands on the pan",
+    "place cup c": "not done: there is no container 'cup'; there are: ",
+    "weight 20 g": "a weight of 20.0000 g stands on the pan",
+    "weight 20": "not done: ",
+    "fill 1 xrd_holder a": "'a' stands in slot 1",
+    "sheet": "a fresh sheet is in the hand",
+    "dance": "not done: the words are: place KIND ID",
+}
+
+
 def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "scuhand_bt", "twins", "--cell", str(REPOSITORY / "robot" / "cell.yaml")]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = subprocess.Popen(command, **pipes, text=True, cwd=tmp_path)  # type: ignore[call-overload]
     try:
         assert process.stdout is not None
         lines: list[str] = []
@@ -394,6 +428,12 @@ def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
         with serial.Serial(lines[-1].split()[-1], timeout=20) as port:
             port.write(b"D07\r\n")
             assert port.read_until(b"\r\n").endswith(b"g \r\n")
+        assert process.stdin is not None
+        for told, done in TOLD_TO_TWINS.items():
+            process.stdin.write(f"{told}\n")
+            process.stdin.flush()
+            while not (said := process.stdout.readline()).startswith(done):
+                assert said, done
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
     finally:

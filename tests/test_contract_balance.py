@@ -6,15 +6,15 @@ from typing import Any
 import pytest
 from device_benches import LOAD_MG, MAXIMUM_MG, SimulatedBalanceBench, WiredBalanceBench
 
+from scuhand_bt.devices.balances import DIALECTS
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.sim.wire.balances import TWINS
 
 NEARLY_MG = 2.0
 
 
 @pytest.fixture(
-    params=["simulated", *(pytest.param(driver, marks=pytest.mark.real_time) for driver in sorted(TWINS))],
+    params=["simulated", *(pytest.param(driver, marks=pytest.mark.real_time) for driver in sorted(DIALECTS))],
     scope="module",
 )
 def opened(request: pytest.FixtureRequest) -> Iterator[Any]:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from device_benches import FIRMWARE, SimulatedHandBench, WiredHandBench
 
@@ -14,8 +15,10 @@ from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S, Hello, Report, encode
-from scuhand_bt.dosing.cone import edge_travel_mm
+from scuhand_bt.devices.interfaces import Forming
+from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion.axes import SomeAxes, of_roller
 
 NEARLY_MM = 0.05
 """What the valve's servo may be off."""
@@ -139,6 +142,45 @@ def test_the_cone_changes_at_the_hands_speed_or_slower_and_no_faster(bench: Any)
     hand.spec = spec
 
 
+class Rolling:
+    """The roller turns evenly, and the arm stands."""
+
+    duration_s = 1.0
+
+    def __init__(self, begin_rad: float, end_rad: float) -> None:
+        self._begin_rad, self._end_rad = begin_rad, end_rad
+
+    def sample(self, time_s: float) -> Any:
+        share = min(time_s, 1.0)
+        return np.array([*[0.0] * 7, self._begin_rad + share * (self._end_rad - self._begin_rad)])
+
+    def stopped_from(self, at_s: float) -> "Rolling":
+        return self
+
+
+def course(spec: HandSpec, begin_mm: float, end_mm: float) -> SomeAxes:
+    """What the roller has of a motion that makes one rim of another."""
+    return of_roller(Rolling(*(math.radians(Cone(rim_mm).roller_deg(spec)) for rim_mm in (begin_mm, end_mm))))
+
+
+def test_what_watches_the_sheet_is_told_how_it_is_about_to_change(bench: Any) -> None:
+    hand, told = bench.device, list[Forming]()
+    bench.run(hand.morph(84.0))
+    hand.on_start = told.append
+    bench.run(hand.morph(90.0, 1.0))
+    hand.start_rolling(course(hand.spec, 90.0, 84.0))
+    bench.pass_time(0.5)
+    half_mm = hand.cone_diameter_mm
+    bench.until(lambda: hand.is_stopped, 1.5)
+    hand.on_start = lambda forming: None
+    morphed, rolled = told
+    assert [morphed.rim_mm(s) for s in (0.0, 0.5, 1.0)] == pytest.approx([84.0, 87.0, 90.0], abs=0.2)
+    assert (morphed.with_arm, rolled.with_arm) == (False, True)
+    assert (morphed.duration_s, rolled.duration_s) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert rolled.rim_mm(0.5) == pytest.approx(half_mm, abs=0.3 + 6.0 * bench.late_s)
+    assert rolled.rim_mm(1.0) == pytest.approx(hand.cone_diameter_mm, abs=0.1)
+
+
 def test_a_morph_that_is_closed_in_the_middle_leaves_the_sheet_as_it_is_then(bench: Any) -> None:
     hand = bench.device
     bench.run(hand.morph(90.0))
@@ -152,20 +194,27 @@ def test_a_morph_that_is_closed_in_the_middle_leaves_the_sheet_as_it_is_then(ben
     assert hand.cone_diameter_mm == pytest.approx(held_mm, abs=0.1)
 
 
-def test_a_sheet_that_a_person_has_rolled_as_it_is_mounted_is_counted_from_there(bench: Any) -> None:
+def test_the_cone_is_counted_from_what_a_person_has_seen_of_it(bench: Any) -> None:
     hand = bench.device
     bench.run(hand.morph(80.0))
-    hand.rolled_as_mounted()
+    hand.rim_is(90.0)
     assert hand.knows_its_roller
     assert hand.cone_diameter_mm == pytest.approx(90.0, abs=0.1)
     bench.run(hand.morph(85.0))
     assert hand.cone_diameter_mm == pytest.approx(85.0, abs=0.1)
 
 
-@pytest.mark.real_time
-def test_a_hand_that_was_connected_anew_does_not_know_its_roller() -> None:
-    with WiredHandBench().open() as bench:
-        assert not bench.device.knows_its_roller
+@pytest.mark.parametrize("beyond_mm", [29.9, 95.1])
+def test_no_cone_beyond_the_rollers_limits_is_asked_of_it(bench: Any, beyond_mm: float) -> None:
+    hand = bench.device
+    bench.run(hand.morph(88.0))
+    says = rf"the roller makes rims of 30 to 95 mm, not of {beyond_mm:g} mm"
+    for ask in (hand.start_morph, hand.rim_is, lambda mm: hand.start_rolling(course(hand.spec, 88.0, mm))):
+        with pytest.raises(ValueError, match=says):
+            ask(beyond_mm)
+    bench.pass_time(0.1)
+    assert hand.cone_diameter_mm == pytest.approx(88.0, abs=0.1)
+    assert hand.is_stopped
 
 
 # --- what is refused
@@ -188,11 +237,11 @@ def pulse(*values: float) -> Callable[[Any], object]:
         (lambda hand: hand.set_opening(math.inf), "an opening is a number of millimetres, not inf"),
         (
             lambda hand: hand.start_morph(100.0),
-            "a sheet of radius 50 mm cannot make a cone of 100 mm; choose more than 0 and less than 100 mm",
+            "the roller makes rims of 30 to 95 mm, not of 100 mm",
         ),
         (
             lambda hand: next(hand.morph(math.nan)),
-            "a sheet of radius 50 mm cannot make a cone of nan mm; choose more than 0 and less than 100 mm",
+            "the roller makes rims of 30 to 95 mm, not of nan mm",
         ),
         (lambda hand: hand.start_morph(88.0, -1.0), "a duration is a time of 0 s or more, not -1.0"),
         (lambda hand: hand.start_morph(88.0, math.nan), "a duration is a time of 0 s or more, not nan"),

@@ -1,6 +1,9 @@
 """The dashboard: what its page is told is what the journal has, then and now, and a person answers by it."""
 
+import socket
 import time
+from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,9 @@ from running import dry_run, make_lab
 from test_answers import ASK, RECIPE, Run, told
 
 from scuhand_bt.dashboard.page_state import Page, banner
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.journal.events import Asked, JobStarted, RunBegun
+from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import read
@@ -104,6 +109,41 @@ def test_within_a_dose_a_replay_shows_its_course_until_then_and_no_further(finis
     assert told["dose"] == {"target_mg": 20.0, "tolerance_mg": 2.0}
 
 
+def test_what_the_balance_shows_is_on_the_page_at_any_time(journal: Any) -> None:
+    written, control = journal
+    shown = Reading(1234.5, False, 7.0)
+    control.balance = lambda: shown
+    with serving(written.path.parent.parent) as client:
+        balance = client.news("one", "balance")
+        assert next(balance) == [7.0, 1234.5, False]
+        shown = Reading(1240.0, True, 7.1)
+        assert next(balance) == [7.1, 1240.0, True]
+        shown = None
+        assert next(balance) is None
+        balance.close()
+
+
+def test_a_replay_has_what_the_balance_showed_when_it_was_weighed_by(finished: Any) -> None:
+    tared = next(row for row in read(finished.journal, "event") if row["kind"] == "tare")
+    last = tared["payload"]["readings"][-1]
+    told = Page(Follower(finished.journal, until_s=tared["time_s"])).news(is_held=True)
+    assert told["reading"] == (last["time_s"], last["value_mg"], True)
+
+
+def test_what_is_left_of_a_run_is_its_plan_stretched_as_the_run_was_until_then(finished: Any) -> None:
+    begun = Page(Follower(finished.journal, until_s=0.0)).news(is_held=True)
+    planned = {row["id"]: row["done_s"] for row in begun["rows"] if "done_s" in row}
+    assert 0.0 < planned["a"] < planned["b"]
+    assert begun["left_s"] == planned["b"], "nothing is known yet but the plan"
+    judged = next(row for row in read(finished.journal, "event") if row["kind"] == "sample")
+    at_s = judged["time_s"] + 5.0
+    then = Page(Follower(finished.journal, until_s=at_s)).news(is_held=True)
+    stretch = judged["time_s"] / planned["a"]
+    assert then["pace"] == {"planned_s": planned["a"], "at_s": judged["time_s"], "stretch": pytest.approx(stretch)}
+    assert then["left_s"] == pytest.approx(stretch * planned["b"] - then["time_s"])
+    assert Page(Follower(finished.journal)).news(is_held=False)["left_s"] is None
+
+
 def test_a_motion_is_told_as_it_begins_with_where_it_leads(finished: Any) -> None:
     now = Follower(finished.journal)
     now.look()
@@ -113,6 +153,25 @@ def test_a_motion_is_told_as_it_begins_with_where_it_leads(finished: Any) -> Non
     assert move.joints_rad[-1] == pytest.approx(now.state["joints_rad"], abs=1e-4)
     before = Page(Follower(finished.journal, until_s=began_s - 1.0)).news(is_held=True)
     assert before["move"]["at_s"] < began_s
+
+
+def test_the_cone_is_told_as_wide_as_the_roller_makes_it_all_through_a_motion(finished: Any) -> None:
+    events = read(finished.journal, "event")
+    moves = [row["payload"] for row in events if row["kind"] == "arm_moves"]
+    for move, after in pairwise(moves):
+        rims_mm = move["rims_mm"] or [move["cone_mm"]]
+        assert (rims_mm[0], rims_mm[-1]) == pytest.approx((move["cone_mm"], after["cone_mm"]), abs=0.05)
+    scooped = next(row for row in events if row["kind"] == "scoop")
+    opened, stroke = [
+        row["payload"]
+        for row in events
+        if row["kind"] == "arm_moves" and row["action"] == scooped["action"] and row["payload"]["rims_mm"]
+    ][:2]
+    open_mm = scooped["payload"]["open_mm"]
+    assert (opened["rims_mm"][-1], len(opened["joints_rad"])) == (pytest.approx(open_mm, abs=0.05), 1)
+    assert len(stroke["rims_mm"]) == len(stroke["joints_rad"]) > 10
+    assert stroke["rims_mm"][0] == pytest.approx(open_mm, abs=0.05)
+    assert any(stroke["rims_mm"][-1] + 1.0 < rim_mm < open_mm - 1.0 for rim_mm in stroke["rims_mm"])
 
 
 def test_what_is_written_is_on_the_page_at_once_and_a_page_that_stays_is_told_only_what_changed(journal: Any) -> None:
@@ -163,6 +222,30 @@ def test_what_is_wished_on_the_page_the_run_hears(journal: Any, wish: str) -> No
         wish.endswith("_now"),
     )
     assert "Eve" in {control.paused_by.name, control.continued_by.name, control.stopped_by.name}
+
+
+def test_a_dashboard_that_is_flooded_stalled_and_gone_changes_nothing_in_the_run(finished: Any, tmp_path: Path) -> None:
+    ticks = 0
+    with ExitStack() as opened:
+
+        def disturb(root: Any) -> None:
+            nonlocal ticks
+            ticks += 1
+            if ticks == 5:
+                client = opened.enter_context(serving(tmp_path))
+                (run,) = (tmp_path / "runs").glob("*.sqlite")
+                for _ in range(60):  # each asks for the news, and reads none of it
+                    line = opened.enter_context(socket.create_connection(("127.0.0.1", client.port)))
+                    line.sendall(
+                        f"GET /api/runs/{run.stem}/news HTTP/1.1\r\nHost: 127.0.0.1:{client.port}\r\n\r\n".encode()
+                    )
+                assert client.post(f"/api/runs/{run.stem}/wish", {"wish": "dance"}).status == 422
+            elif ticks == 60:
+                opened.close()
+
+        ran = dry_run(tmp_path, TWO, controller=None, at_tick=disturb)
+    assert ticks > 60
+    assert canonical(ran.journal) == canonical(finished.journal)
 
 
 def test_of_a_run_that_nobody_has_nothing_can_be_wished(finished: Any) -> None:

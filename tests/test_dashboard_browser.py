@@ -14,12 +14,13 @@ import pinocchio as pin
 import pytest
 from browser import browser_page, needs_browser, serious_faults
 from dashboard_client import Client, serving
-from running import HEAD, make_lab
+from running import HEAD, make_lab, shared_planner
 
 from scuhand_bt.dashboard.page_state import Page
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab
+from scuhand_bt.motion.collision import SHEET_M
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
@@ -27,7 +28,7 @@ from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 
-pytestmark = [needs_browser, pytest.mark.slow]
+pytestmark = [needs_browser, pytest.mark.xdist_group("dashboard in a browser")]
 RECIPE = """
 recipe: two
 workflow: fill
@@ -44,8 +45,12 @@ tree:
 """
 
 
+GoesOn = tuple[Client, Session, threading.Thread]
+"""A dashboard, the run that it shows, and the thread in which that goes on."""
+
+
 @contextmanager
-def going_on(folder: Path, speed: float | None) -> Iterator[tuple[Client, Session, threading.Thread]]:
+def going_on(folder: Path, speed: float) -> Iterator[GoesOn]:
     """A dry run that goes on, and its dashboard."""
     lab_folder = make_lab(folder / "lab", trees__asking=FILL)
     recipe = lab_folder / "recipe.yaml"
@@ -55,7 +60,8 @@ def going_on(folder: Path, speed: float | None) -> Iterator[tuple[Client, Sessio
     made: queue.SimpleQueue[Session] = queue.SimpleQueue()
 
     def run() -> None:  # all in one thread, to which its journal belongs
-        session = Session(plan, lab, Options(DryRun(speed=speed, asks=True), None, lab_folder / ".scuhand" / "runs"))
+        options = Options(DryRun(speed=speed, asks=True), None, lab_folder / ".scuhand" / "runs")
+        session = Session(plan, lab, options, shared_planner(plan, lab))
         made.put(session)
         try:
             session.run(BatchObserver())
@@ -97,8 +103,8 @@ def states(page: Any) -> dict[str, str]:
     return dict(re.match(r"([^,]+), ([a-z ]+)", line).groups() for line in said)  # type: ignore[union-attr]
 
 
-def test_a_run_is_watched_answered_paused_and_played_again(tmp_path: Path) -> None:
-    with going_on(tmp_path, 30.0) as (client, session, thread), browser_page(client.origin) as page:
+def test_a_run_is_watched_answered_paused_and_played_again(tmp_path: Path, browser: Any) -> None:
+    with going_on(tmp_path, 30.0) as (client, session, thread), browser_page(browser, client.origin) as page:
         journal = session.journal.path
         page.add_init_script(SEEING)
         page.goto(f"{client.origin}/runs/{journal.stem}")
@@ -108,14 +114,14 @@ def test_a_run_is_watched_answered_paused_and_played_again(tmp_path: Path) -> No
         assert page.locator("#banner").inner_text().startswith("SIMULATED")
         page.locator("#scene canvas").wait_for(timeout=30_000)
         assert serious_faults(page) == []
-        answer(page)
-        has_seen(page, "scoop, running")
         page.get_by_role("button", name="Pause", exact=True).click()
+        answer(page)
         page.locator("#state", has_text="paused").wait_for()
         paused_s = session.cell.clock.now_s
         page.wait_for_timeout(400)
         assert session.cell.clock.now_s == paused_s
         page.get_by_role("button", name="Continue").click()
+        has_seen(page, "scoop, running")
         has_seen(page, "dispense, running")
         has_seen(page, "cone_holds, failed: hand.cone_empty: the cone is believed to hold 0 mg")
         page.locator("#chart .reading").wait_for(state="attached")
@@ -126,10 +132,26 @@ def test_a_run_is_watched_answered_paused_and_played_again(tmp_path: Path) -> No
         assert page.locator("#samples .good").count() == 2
         assert page.locator("#control button:enabled").count() == 0
         replay_is_the_journal(page, journal)
+        cone_follows_the_roller(page, journal)
         assert serious_faults(page) == []
     asked = [row["payload"] for row in read(journal, "event") if row["kind"] in ("answered", "paused", "continued")]
     assert len(asked) == 4
     assert all(one["by"] for one in asked)
+
+
+def cone_follows_the_roller(page: Any, journal: Path) -> None:
+    """Within a stroke the cone that is drawn is as wide as the journal has it, whatever width the scene has."""
+    strokes = [
+        row for row in read(journal, "event") if row["kind"] == "arm_moves" and len(row["payload"]["rims_mm"]) > 9
+    ]
+    row = max(strokes, key=lambda row: len(row["payload"]["joints_rad"]))
+    rims_mm = row["payload"]["rims_mm"]
+    for k in (0, len(rims_mm) // 3, 2 * len(rims_mm) // 3, len(rims_mm) - 1):
+        drawn_mm = page.evaluate(
+            "([move, s]) => { window.viewer.at(move, s); return window.viewer.rim(); }",
+            [{"at_s": 0.0, **row["payload"]}, k * row["payload"]["step_s"]],
+        )
+        assert drawn_mm == pytest.approx(rims_mm[k] + 2e3 * SHEET_M, abs=0.2)
 
 
 def replay_is_the_journal(page: Any, journal: Path) -> None:
@@ -155,34 +177,30 @@ def replay_is_the_journal(page: Any, journal: Path) -> None:
             assert page.locator("#net").inner_text() == f"{told['course'][-1][1]:.1f} mg"
 
 
-def test_a_run_is_stopped_from_the_page(tmp_path: Path) -> None:
-    with going_on(tmp_path, 20.0) as (client, session, thread), browser_page(client.origin) as page:
-        page.on("dialog", lambda dialog: dialog.accept())
-        page.add_init_script(SEEING)
-        page.goto(f"{client.origin}/runs/{session.journal.path.stem}")
-        answer(page)
-        has_seen(page, "place_container, running")
-        page.get_by_role("button", name="Stop now").click()
-        page.locator("#state", has_text="stopped").wait_for(timeout=30_000)
-        thread.join(10)
-        assert not thread.is_alive()
+@pytest.fixture(scope="module")
+def waiting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GoesOn]:
+    """A run that waits with its question."""
+    with going_on(tmp_path_factory.mktemp("waiting"), 20.0) as run:
+        yield run
 
 
 @pytest.mark.parametrize(("width", "height", "scheme"), [(390, 844, "dark"), (1400, 900, "light")])
-def test_it_fits_a_phone_and_a_desk_light_and_dark(tmp_path: Path, width: int, height: int, scheme: str) -> None:
-    with (
-        going_on(tmp_path, 30.0) as (client, session, _),
-        browser_page(client.origin, viewport={"width": width, "height": height}, color_scheme=scheme) as page,
-    ):
-        for there in (f"/runs/{session.journal.path.stem}", "/"):
+def test_it_fits_a_phone_and_a_desk_light_and_dark(
+    waiting: GoesOn, browser: Any, width: int, height: int, scheme: str
+) -> None:
+    client, session, _ = waiting
+    size: Any = {"viewport": {"width": width, "height": height}, "color_scheme": scheme}
+    with browser_page(browser, client.origin, **size) as page:
+        for there, loaded in ((f"/runs/{session.journal.path.stem}", "#answers button"), ("/", "#runs tr")):
             page.goto(client.origin + there)
-            page.wait_for_timeout(500)
+            page.locator(loaded).first.wait_for()
             assert page.evaluate("document.documentElement.scrollWidth") <= width, "nothing scrolls sideways"
             assert serious_faults(page) == []
 
 
-def test_the_arm_is_drawn_where_pinocchio_has_it(tmp_path: Path) -> None:
-    with going_on(tmp_path, 30.0) as (client, session, _), browser_page(client.origin) as page:
+def test_the_arm_is_drawn_where_pinocchio_has_it(waiting: GoesOn, browser: Any) -> None:
+    client, session, _ = waiting
+    with browser_page(browser, client.origin) as page:
         page.goto(f"{client.origin}/runs/{session.journal.path.stem}")
         page.locator("#scene canvas").wait_for(timeout=30_000)
         model = session.cell.motion.scene().model
@@ -192,3 +210,17 @@ def test_the_arm_is_drawn_where_pinocchio_has_it(tmp_path: Path) -> None:
             drawn = page.evaluate("(q) => { const v = window.viewer; v.pose(q); return v.apex(); }", q.tolist())
             pin.forwardKinematics(model, data, q)
             assert math.dist(drawn, data.oMi[7].act(tip_m)) < 1e-4
+
+
+def test_a_run_is_stopped_from_the_page(waiting: GoesOn, browser: Any) -> None:
+    client, session, thread = waiting
+    with browser_page(browser, client.origin) as page:
+        page.on("dialog", lambda dialog: dialog.accept())
+        page.add_init_script(SEEING)
+        page.goto(f"{client.origin}/runs/{session.journal.path.stem}")
+        answer(page)
+        has_seen(page, "place_container, running")
+        page.get_by_role("button", name="Stop now").click()
+        page.locator("#state", has_text="stopped").wait_for(timeout=30_000)
+        thread.join(10)
+        assert not thread.is_alive()

@@ -9,7 +9,7 @@ from scuhand_bt.devices.balances.frames import Weight
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.sim.wire.balances import TWINS, BalanceTwin, StillPan
+from scuhand_bt.sim.wire.balances import BalanceTwin, StillPan, balance_twin
 from scuhand_bt.sim.wire.port import PtyPort, SocketPort
 from scuhand_bt.sim.wire.server import TwinServer
 
@@ -30,7 +30,7 @@ class Bench:
         **options: object,
     ) -> None:
         self.pan = StillPan(12_345.6)
-        self.twin: BalanceTwin = TWINS[name](self.pan, readability_mg, maximum_mg)
+        self.twin: BalanceTwin = balance_twin(name)(self.pan, readability_mg, maximum_mg)
         self.twin.period_s = 0.02
         self.server = TwinServer(self.twin, port)
         self.clock = WallClock()
@@ -103,7 +103,7 @@ def test_whoever_listens_hears_every_reading_with_the_line_that_it_came_in(name:
 def test_the_balance_says_who_it_is(name: str) -> None:
     with Bench(name, PtyPort()) as bench:
         wait_for(lambda: bench.balance.identity)
-        assert bench.balance.identity in ("15608432", "B207696838", "0037402012")
+        assert bench.balance.identity in ("TWIN8432", "TWIN696838", "TWIN402012")
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -7,13 +7,14 @@ from conftest import LabFolder
 
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS
+from scuhand_bt.drivers import SHIPPED
 from scuhand_bt.lab import without_driver
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
-from scuhand_bt.sim.wire.balances import TWINS
+from scuhand_bt.sim.wire.balances import balance_twin
 
 CHANGER = "changer: {driver: carousel, slots: 24}"
 BALANCE = "driver: shimadzu"
@@ -27,7 +28,8 @@ samples: [{id: a}]
 def test_every_dialect_can_be_named_and_has_a_twin() -> None:
     for name in DIALECTS:
         assert BalanceSpec(driver=name).driver == name
-    assert DIALECTS.keys() == TWINS.keys()
+        assert balance_twin(name).__name__
+    assert DIALECTS.keys() == SHIPPED["balance"].keys()
 
 
 @pytest.mark.parametrize(
@@ -68,7 +70,9 @@ def test_options_are_read_with_their_units(lab_folder: LabFolder) -> None:
 def test_a_changer_without_a_driver_is_no_matter_to_a_dry_run_and_ends_a_real_one_before_any_port_is_opened(
     lab_folder: LabFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str, place: str
 ) -> None:
-    monkeypatch.setattr("scuhand_bt.run.make_cell.connect_cell_devices", lambda *_: pytest.fail("a port was opened"))
+    monkeypatch.setattr(
+        "scuhand_bt.run.make_cell.connect_cell_devices", lambda *_, **__: pytest.fail("a port was opened")
+    )
     lab_folder.replace("robot/cell.yaml", CHANGER, written)
     lab_folder.write("trees/w.yaml", "workflow: w\ntree:\n  park:\n")
     lab = lab_folder.load()
@@ -76,7 +80,7 @@ def test_a_changer_without_a_driver_is_no_matter_to_a_dry_run_and_ends_a_real_on
     plan = make_plan(load_recipe(path, lab), lab)
     with pytest.raises(SourceError, match="driver: operator") as refused:
         Session(plan, lab, Options(None, folder=tmp_path / "runs"))
-    assert f"robot/cell.yaml:{place}: the changer 'carousel' has no driver" in str(refused.value)
+    assert f"robot/cell.yaml:{place}: the changer 'carousel' has no port" in str(refused.value)
     assert list((tmp_path / "runs").iterdir()) == []
 
 

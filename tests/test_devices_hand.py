@@ -15,6 +15,8 @@ from scuhand_bt.cell_spec import ArmSpec, BalanceSpec, CellSpec, ChangerSpec, Ha
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.hand_protocol import Hello, Report, decode, encode
+from scuhand_bt.devices.interfaces import Site
+from scuhand_bt.devices.keyboard_wedge import NoOptions
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.serial_link import LineBuffer
 from scuhand_bt.failures import SkillFailed
@@ -50,7 +52,9 @@ class Cell:
         )
 
     def connect(self) -> Devices:
-        return connect_cell_devices(self.spec, self.clock, self.liveness)
+        devices = connect_cell_devices(self.spec, self.clock, self.liveness)
+        devices.hand.rim_is(90.0)
+        return devices
 
     @property
     def servers(self) -> tuple[TwinServer, ...]:  # type: ignore[type-arg]
@@ -82,11 +86,43 @@ def carry_out_while(cell: Cell, steps: Steps[None], meanwhile: Callable[[int], N
 
 
 def test_a_whole_cell_is_opened_from_its_description(cell: Cell, devices: Devices) -> None:
-    arm, hand, balance, changer = devices
+    arm, hand, balance, changer = devices.arm, devices.hand, devices.balance, devices.changer
     assert hand.cone_diameter_mm == pytest.approx(90.0)
     assert carry_out(balance.next_reading(), cell.clock).value_mg == 9_200.0
     assert changer is None
     wait_for(lambda: arm.is_stopped and hand.is_stopped and balance.is_stopped)
+
+
+class OthersArm:
+    """An arm with a driver of its own, somewhere else."""
+
+    Options = NoOptions
+    twin = ""
+
+    @classmethod
+    def connect(cls, site: Site) -> "OthersArm":
+        return cls()
+
+    def close(self) -> None:
+        """Nothing was opened."""
+
+
+def test_beside_an_arm_of_others_our_hand_has_its_roller_on_a_port_of_its_own(cell: Cell) -> None:
+    hand = cell.spec.hand
+    roller = hand.model_copy(update={"options": hand.options.model_copy(update={"roller_port": cell.bus.url})})
+    arm = ArmSpec(driver=f"{__name__}:OthersArm")
+    own = {"arm": NoOptions()}
+    cell.spec = cell.spec.model_copy(update={"arm": arm, "hand": roller, "own_options": own})
+    devices = cell.connect()
+    try:
+        assert type(devices.arm).__name__ == "OthersArm"
+        assert devices.hand.fault is None
+        turned_by = cell.bus.twin.servos[9].position
+        carry_out(devices.hand.morph(85.0), cell.clock)
+        assert cell.bus.twin.servos[9].position != turned_by
+        assert not cell.bus.twin.servos[2].has_torque, "the arm's servos are none of ours"
+    finally:
+        devices.close()
 
 
 @pytest.mark.parametrize("device", ["arm", "hand", "balance"])

@@ -4,12 +4,18 @@ from collections.abc import Iterator
 
 import pytest
 
+from scuhand_bt.cell_spec import CellSpec, DeviceSpec
 from scuhand_bt.devices import doctor
 from scuhand_bt.devices.doctor import Finding, examine
+from scuhand_bt.devices.line_device import LineOptions
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.wire.bench import WireBench
+from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.scene import StillScene
+from scuhand_bt.sim.wire.server import TwinServer
+from scuhand_bt.sim.wire.vaisala import VaisalaTwin
 
 pytestmark = pytest.mark.real_time
 
@@ -95,8 +101,21 @@ def test_a_pressed_emergency_stop_and_a_dead_valve_are_found(healthy: WireBench)
     assert [check for _, check, _ in found] == ["faults", "self-test"]
 
 
+def test_a_further_device_is_asked_what_it_reads_and_one_that_is_silent_is_found() -> None:
+    options = LineOptions(bits="8N1")
+    with TwinServer(VaisalaTwin(options, StillScene()), PtyPort()) as server:
+        room = DeviceSpec(kind="sensor", driver="vaisala", port=server.url)
+        spec = CellSpec(cell="bench", stations={}, devices={"room": room}, own_options={"room": options})
+        findings = list(doctor.driven(spec, "room", WallClock()))
+        assert [(f.check, f.verdict) for f in findings] == [("fault", "ok"), ("last read", "ok")]
+        assert findings[1].found == "temperature_c 22, humidity_percent 45"
+        server.paused = True
+        (fault, *_) = doctor.driven(spec, "room", WallClock())
+        assert (fault.verdict, "does not answer" in fault.found) == ("FAIL", True)
+
+
 def test_a_balance_of_another_maker_is_named(healthy: WireBench) -> None:
-    spec = healthy.spec.balance.model_copy(update={"driver": "mt_sics"})
+    spec = healthy.spec.model_copy(update={"balance": healthy.spec.balance.model_copy(update={"driver": "mt_sics"})})
     (finding,) = doctor.balance(spec, WallClock())
     assert (finding.check, finding.verdict) == ("connection", "FAIL")
 
@@ -106,12 +125,6 @@ def test_a_port_that_is_not_there_ends_the_checks_of_its_device_only(healthy: Wi
     spec = healthy.spec.model_copy(update={"arm": gone})
     findings = examine(spec, WallClock(), self_test=False)
     assert failed(findings) == [("arm", "port", "/dev/no-such-port is not there")]
-
-
-def test_a_carousel_has_no_driver() -> None:
-    finding = doctor.changer(load_lab(starter_lab()).cell.changer)
-    assert finding.verdict == "FAIL"
-    assert "driver: operator" in finding.what_to_do
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,9 @@ def test_the_checksum_is_the_published_one() -> None:
 
 def test_hello_tells_the_version_and_how_wide_the_valve_opens_by_the_map_that_was_kept() -> None:
     host = Host(greet=False)
-    assert host.say("hello 2", 7) == Hello(7, "2.0", 0.0), "a new board"
+    assert host.say("hello 2", 7) == Hello(7, "TWIN-2.0", 0.0), "a new board"
     host.greet()
-    assert host.say("hello 2", 8) == Hello(8, "2.0", 2.4)
+    assert host.say("hello 2", 8) == Hello(8, "TWIN-2.0", 2.4)
 
 
 @pytest.mark.parametrize(("greeting", "why"), [("hello 1", "version"), ("hello", "version"), ("open 1.0", "hello")])

@@ -23,6 +23,7 @@ from scuhand_bt.journal import store, writer
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, JobEnded, JobStarted, Trouble
 from scuhand_bt.journal.hash_chain import GENESIS, Entry, digest, verify
 from scuhand_bt.journal.plain import plain, to_json
+from scuhand_bt.journal.results import SoFar
 from scuhand_bt.journal.store import SCHEMA_VERSION
 from scuhand_bt.journal.writer import FLUSH_S, Journal
 from scuhand_bt.record import RecordLost
@@ -224,17 +225,17 @@ def test_a_new_action_and_a_new_job_begin_with_nothing_of_the_old(journal: Journ
     journal.job_started(job("a"))
     journal.action = journal.action_started(begun("one"))
     journal.event(DOSE)
-    assert journal.doses == [DOSE]
+    assert journal.so_far.doses == [DOSE]
     journal.action_started(begun("two", "w/1"))
     journal.job_started(job("b"))
-    assert journal.doses == []
+    assert journal.so_far.doses == []
     assert rows(path)[-2:] == [("action_started", 1, None), ("job_started", None, None)]
 
 
 def test_a_job_that_is_resumed_goes_on_as_itself_with_its_dose(journal: Journal, path: Path) -> None:
     journal.action = 99
-    journal.job_resumed(5, [DOSE])
-    assert (journal.job, journal.doses) == (5, [DOSE])
+    journal.job_resumed(5, SoFar([DOSE]))
+    assert (journal.job, journal.so_far.doses) == (5, [DOSE])
     journal.event(Note("lab.x", {}))
     assert rows(path) == [("job_resumed", 5, None), ("lab.x", 5, None)]
     assert payloads(path)[0] == {}

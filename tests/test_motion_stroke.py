@@ -135,6 +135,49 @@ def test_a_cone_that_opens_where_it_stands_stays_upright_about_its_apex(planner:
     assert max(np.linalg.norm(pose.position_m - place.position_m) for pose in poses) < 5e-4
 
 
+def test_on_its_way_to_a_stroke_the_cone_is_formed_and_touches_nothing(planner: MotionPlanner) -> None:
+    stroke = replace(chosen(Bed(MORTAR, 20000.0, 1.5), HAND.sheet_radius_mm, 4000.0), heading_deg=OUTWARD_DEG + 90.0)
+    path = stroke_path(Vessel.of(MORTAR), stroke, Ladle.of(HAND))
+    motion = planned_stroke(planner, planner.home(), path, LAB.cell, STATION.name, MORTAR)
+    way = planner.forming(planner.home(), motion.start[:7], (90.0, 82.0), _roller_rad)
+    rolled_mm = [Cone.from_roller(math.degrees(turned), HAND).diameter_mm for turned in way.at(way.knots_s)[:, 7]]
+    assert rolled_mm[0] == pytest.approx(90.0, abs=0.01)
+    assert rolled_mm[-1] == pytest.approx(82.0, abs=0.01)
+    assert np.abs(way.end[:7] - motion.start[:7]).max() < 1e-9
+    assert with_roller(planner.rates, HAND).stretch_for(way) <= 1 + 1e-6
+    alone_s = planner.move(planner.home(), motion.start[:7]).duration_s
+    assert way.duration_s < alone_s + 0.5 * math.pi * (90.0 - 82.0) / HAND.morph_speed_mm_per_s
+
+
+def test_a_cone_that_would_touch_something_at_its_first_size_is_not_formed_on_the_way() -> None:
+    x_mm, y_mm, z_mm = STATION.position_mm
+    place = ApexPose(np.array([x_mm, y_mm, z_mm + 200.0]) / 1e3)
+    ring = LAB.cell.geometry[0].model_copy(
+        update={"name": "ring", "box_mm": (4.0, 4.0, 4.0), "at_mm": (x_mm + 33.0, y_mm, z_mm + 200.0 + 30.0)}
+    )
+    narrow = LAB.cell.model_copy(update={"geometry": (*LAB.cell.geometry, ring)})
+    planner = MotionPlanner(LAB.urdf, narrow, {STATION.name: MORTAR})
+    planner.set_geometry(0.040)
+    begin = planner.move(planner.home(), place).end
+    assert planner.forming(begin, planner.home(), (42.0, 40.0), _roller_rad).duration_s > 0.0
+    with pytest.raises(SkillFailed, match="would touch") as failed:
+        planner.forming(begin, planner.home(), (90.0, 40.0), _roller_rad)
+    assert failed.value.code == "arm.no_path"
+
+
+def test_a_stroke_that_is_asked_for_again_has_the_answer_that_it_had(
+    planner: MotionPlanner, motion: StoppableTrajectory, path: StrokePath
+) -> None:
+    assert planned_stroke(planner, planner.home(), path, LAB.cell, STATION.name, MORTAR) is motion
+    far = replace(path, apex_mm=path.apex_mm + 900.0 * UP)
+    whys = []
+    for _ in range(2):
+        with pytest.raises(SkillFailed) as failed:
+            planned_stroke(planner, planner.home(), far, LAB.cell, STATION.name, MORTAR)
+        whys.append((failed.value.code, failed.value.detail))
+    assert whys == [("arm.unreachable", "the arm cannot reach all of it")] * 2
+
+
 @pytest.mark.parametrize(("name", "mortar"), [("mortar_bay", "agate_mortar"), ("mortar_bay_2", "small_agate_mortar")])
 def test_the_arm_can_swing_to_and_fro_at_a_station_with_either_mortar(name: str, mortar: str) -> None:
     kind, station = LAB.library.mortars[mortar], LAB.cell.stations[name]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw, cubics, rest_to_rest_s
-from scuhand_bt.motion.trajectory import standing, through
+from scuhand_bt.motion.trajectory import beside, standing, through
 
 RATES = RateLimits(np.array([4.8, 3.1, 4.8, 4.8, 4.8, 4.8, 4.8]), np.full(7, 4.4), np.full(7, 44.0))
 LAW = TimeLaw(RATES)
@@ -111,3 +111,16 @@ def test_standing_still_is_a_motion():
 def test_a_state_of_the_wrong_length_never_reaches_ruckig():
     with pytest.raises(ValueError, match="7 coordinates"):
         LAW.solve(np.zeros(6), np.zeros(7), np.zeros(7), np.zeros(7))
+
+
+@pytest.mark.parametrize("reach", [0.2, 3.0])
+def test_of_two_motions_at_once_each_keeps_its_way_and_the_shorter_is_slowed(reach):
+    arm, law = direct(*ends(3)), TimeLaw(RateLimits(np.array([4.0]), np.array([20.0]), np.array([400.0])))
+    roller = law.straight(np.array([[1.0], [1.0 + 4 * reach]]))
+    both = beside(arm, roller)
+    lasts_s = max(arm.duration_s, roller.duration_s)
+    assert both.duration_s == pytest.approx(lasts_s)
+    shares = np.linspace(0.0, 1.0, 200)
+    for part, columns in ((arm, slice(0, 7)), (roller, slice(7, 8))):
+        assert both.at(shares * lasts_s)[:, columns] == pytest.approx(part.at(shares * part.duration_s), abs=1e-9)
+    assert np.abs(both.at(np.array([0.0, lasts_s]), 1)).max() < 1e-6

@@ -218,9 +218,11 @@ def test_a_roller_that_forgot_its_turns_is_not_believed(tmp_path: Path) -> None:
     run = CutRun(tmp_path, "outage.roller_lost")
     run.cut("scoop", 4)
     assert run.resume() == 0
-    assert [asked["question"] for asked in run.told("asked")] == [
-        "The roller does not know how far the sheet is rolled. Roll it by hand as it is mounted."
-    ]
+    (asked,) = run.told("asked")
+    assert asked["question"] == "The roller has lost its turns. How wide is the cone's rim?"
+    assert asked["choices"][-2:] == ["none", "stop"]
+    (answered,) = run.told("answered")
+    assert answered["answer"] in asked["choices"][:-2], "a person sees it"
 
 
 def test_unattended_a_roller_that_forgot_its_turns_ends_the_run_before_anything_moves(tmp_path: Path) -> None:

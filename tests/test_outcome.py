@@ -17,7 +17,7 @@ from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.journal.results import SampleResult, SampleVerdict
+from scuhand_bt.journal.results import SampleResult, SampleVerdict, SoFar
 from scuhand_bt.problems import Mark
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.report.doses import doses_table
@@ -71,7 +71,7 @@ def result(
     verdict: SampleVerdict | None = None,
     failure: SkillFailed | None = None,
 ) -> SampleResult:
-    return sample_result(of or sample(), doses, verdict, failure, **COUNTS, attempt=1)
+    return sample_result(of or sample(), SoFar(list(doses)), verdict, failure, **COUNTS, attempt=1)
 
 
 def gone(closes: bool = True, container: str = "a", **masses_mg: float) -> ClosedBracket:
@@ -104,7 +104,7 @@ def test_the_asked_mass_in_a_container_that_is_not_the_samples_own_is_not_as_ask
     assert result(dose(50.0, container="a/second"), of=sample(first=FIRST, second=SECOND)).verdict == "in tolerance"
     none = replace(sample(), inputs={"mass": 50.0})
     assert result(dose(50.0, container="b"), of=none).verdict == "in tolerance", "it has no container of its own"
-    again = sample_result(sample(), [dose(50.0, container="a#2")], None, None, **COUNTS, attempt=2)
+    again = sample_result(sample(), SoFar([dose(50.0, container="a#2")]), None, None, **COUNTS, attempt=2)
     assert again.verdict == "in tolerance"
 
 
@@ -478,9 +478,9 @@ def test_what_the_simulation_has_in_each_container_stands_by_its_doses() -> None
     held = {"a/first": 51.0, "a/second": 49.0, "a/third": 0.0}
     two = sample(first=FIRST, second=SECOND)
     doses = [dose(50.0, container="a/second"), dose(25.0, 25.0, container="a/first")]
-    had = sample_result(two, doses, None, None, **COUNTS | {"true_mg": held}, attempt=1)
+    had = sample_result(two, SoFar(list(doses)), None, None, **COUNTS | {"true_mg": held}, attempt=1)
     assert ([one.true_mg for one in had.doses], had.true_mg) == ([49.0, 51.0], 49.0)
-    none = sample_result(two, [], None, None, **COUNTS | {"true_mg": held}, attempt=1)
+    none = sample_result(two, SoFar(), None, None, **COUNTS | {"true_mg": held}, attempt=1)
     assert none.true_mg == 51.0, "the first container's, where nothing was dosed"
     assert result(dose(50.0)).true_mg is None
 

@@ -57,7 +57,7 @@ def test_the_plan_says_what_each_source_must_hold(desk: Desk) -> None:
 
 
 def test_the_plan_lists_every_moment_that_needs_a_person(desk: Desk, lab_folder: LabFolder) -> None:
-    assert [person.what for person in plan_of(desk).persons] == ["swap the sheet (two screws)"]
+    assert [person.what for person in plan_of(desk).persons] == ["swap the sheet (two screws), wipe rollers and clamp"]
     lab_folder.replace("robot/cell.yaml", "driver: carousel", "driver: operator")
     desk.lab = lab_folder.load()
     by_hand = [person.what for person in plan_of(desk).persons]

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser import browser_page, needs_browser, serious_faults
 from conftest import REPOSITORY, Call
 from page_text import Tables
 from running import HEAD, make_lab
@@ -89,3 +90,22 @@ def test_the_command_writes_the_page_and_refuses_another_kind_of_file(command: C
     assert ended.returncode == 0, ended.stderr
     assert "stay: the plan" in (tmp_path / "plan.html").read_text(encoding="utf-8")
     assert not list(lab.glob(".scuhand/runs/*"))
+
+
+@needs_browser
+def test_in_a_browser_the_page_plays_the_moves_of_each_job_and_keeps_nobody_out(
+    made: Any, tmp_path: Path, browser: Any
+) -> None:
+    (tmp_path / "plan.html").write_text(made[2], encoding="utf-8")
+    with browser_page(browser, viewport={"width": 390, "height": 844}) as page:
+        page.goto((tmp_path / "plan.html").as_uri())
+        page.locator("#viewer canvas").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390, "nothing but the tables scrolls sideways"
+        rest = page.evaluate("document.getElementById('viewer').viewer.apex()")
+        page.locator("[data-part=job]").select_option("b")
+        page.evaluate(
+            """() => { const slider = document.querySelector("[data-part=slider]");
+               slider.value = slider.max / 3; slider.dispatchEvent(new Event("input")); }"""
+        )
+        assert page.evaluate("document.getElementById('viewer').viewer.apex()") != rest
+        assert serious_faults(page) == []

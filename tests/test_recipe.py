@@ -77,7 +77,11 @@ def test_what_is_wrong_with_a_sample_is_said_in_its_place(desk: Desk, line: str,
     ("old", "new", "said"),
     [
         ("recipe: test", "recipe: ../../evil", "1:9: '../../evil' is no name for a recipe"),
-        ("recipe: test", "recipe: test\norder: random", "2:8: 'random' is no order; known: as_written, by_powder"),
+        (
+            "recipe: test",
+            "recipe: test\norder: random",
+            "2:8: 'random' is no order; known: as_written, by_powder, fastest, persons_together",
+        ),
         ("recipe: test", "recipe: test\ncontroller: papr", "did you mean 'paper'?"),
         ("recipe: test", "recipe: test\nsample: []", "2:1: unknown key 'sample'"),
         ("workflow: fill_xrd_holder", "workflow: fill_xrd_holdr", "did you mean 'fill_xrd_holder'?"),

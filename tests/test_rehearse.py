@@ -1,5 +1,6 @@
 """A rehearsal: the real drivers carry out a recipe in real time, and the world behind the twins judges it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -10,10 +11,13 @@ from running import Watching, make_lab, shared_planner
 from scuhand_bt.devices.scuhand import ScuHand
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.lab_state.inventory import Inventory
+from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.make_cell import DryRun, Rehearsal
-from scuhand_bt.run.options import Options
+from scuhand_bt.run.make_cell import DryRun, Rehearsal, bench_of
+from scuhand_bt.run.options import ON_TWINS, Options, options_of
+from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
@@ -66,7 +70,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
     return load_lab(make_lab(tmp_path_factory.mktemp("lab") / "lab", trees__dose=DOSE, trees__open=OPEN))
 
 
-def session_of(folder: Path, lab: Lab, simulation: DryRun | Rehearsal, recipe: str = ONE_DOSE) -> Session:
+def session_of(folder: Path, lab: Lab, simulation: DryRun | Rehearsal | None, recipe: str = ONE_DOSE) -> Session:
     path = folder / "recipe.yaml"
     path.write_text(recipe, encoding="utf-8")
     plan = make_plan(load_recipe(path, lab), lab)
@@ -171,3 +175,44 @@ def test_without_a_compiler_there_is_no_rehearsal(tmp_path: Path, lab: Lab, monk
     monkeypatch.setattr("scuhand_bt.sim.wire.hand.build_brain", build_brain.__wrapped__)
     with pytest.raises(NoCompiler, match=r"install g\+\+"):
         session_of(tmp_path, lab, Rehearsal())
+
+
+# --- on twins of another program
+
+
+def test_a_run_on_twins_of_another_program_says_so_and_nothing_of_it_is_taken_for_real(
+    tmp_path: Path, lab: Lab
+) -> None:
+    with bench_of(lab) as bench:
+        at_twins = replace(lab, cell=bench.spec)
+        session = session_of(tmp_path, at_twins, None, HEAD + "  - {id: a, workflow: open}\n")
+        try:
+            assert session.cell.simulated
+            assert session.mode == ON_TWINS
+            assert "real" not in session.title.replace("real drivers", "")
+            session.run(Watching())
+        finally:
+            session.close()
+    history = checked_history(session.journal.path)
+    assert (history.run.mode, history.run.simulated, history.run.seed) == (ON_TWINS, True, None)
+    inventory = Inventory(tmp_path, lab.cell.cell)
+    assert inventory.stock(simulated=False) == {}
+    assert inventory.stock(simulated=True) != {}
+    assert options_of(history, tmp_path, session.journal.path).simulation is None, "it goes on at the same ports"
+
+
+def test_a_run_that_was_begun_on_real_devices_does_not_go_on_upon_twins(
+    tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = HEAD + "  - {id: a, workflow: open}\n"
+    with bench_of(lab) as bench:
+        at_twins = replace(lab, cell=bench.spec)
+        with monkeypatch.context() as real:
+            real.setattr("scuhand_bt.run.session.is_twin", lambda identity: False)
+            real.setattr("scuhand_bt.run.session.beyond_limits", lambda *_: [])
+            session = session_of(tmp_path, at_twins, None, recipe)
+            session.close()
+        path = session.journal.path
+        found = resumable(path, checked_history(path), session.plan, at_twins, accept_changes=True)
+        with pytest.raises(SourceError, match="begun on real devices, and twins are at the ports"):
+            Session(session.plan, at_twins, Options(None, folder=tmp_path / "runs"), resumes=found)

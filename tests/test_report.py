@@ -6,6 +6,7 @@ import re
 import time
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import browser_page, needs_browser, serious_faults
@@ -311,12 +312,11 @@ def test_the_pdf_is_one(ran: Ran, tmp_path: Path, command: Call) -> None:
     assert path.read_bytes().startswith(b"%PDF-")
 
 
-@pytest.mark.slow
 @needs_browser
-def test_in_a_browser_it_sorts_its_tables_and_keeps_nobody_out(ran: Ran, tmp_path: Path) -> None:
+def test_in_a_browser_it_sorts_its_tables_and_keeps_nobody_out(ran: Ran, tmp_path: Path, browser: Any) -> None:
     path = tmp_path / "r.html"
     path.write_text(page_of(ran.journal), encoding="utf-8")
-    with browser_page(viewport={"width": 390, "height": 844}, color_scheme="dark") as page:
+    with browser_page(browser, viewport={"width": 390, "height": 844}, color_scheme="dark") as page:
         page.goto(path.as_uri())
         assert page.evaluate("document.documentElement.scrollWidth") <= 390, "nothing but the tables scrolls sideways"
         button = page.get_by_role("region", name="Doses").get_by_role("button", name="target")

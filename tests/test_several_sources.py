@@ -121,7 +121,7 @@ def test_all_that_comes_together_must_fit_into_the_container_and_on_the_balance(
     ]
 
 
-AMOUNT = "takes from one of several sources cannot be told before the run; dispense a mass that is written, or an"
+AMOUNT = "takes from one of several sources cannot be told before the run; dispense a mass that is written, an"
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ AMOUNT = "takes from one of several sources cannot be told before the run; dispe
         (
             "fallback: [{fill: {source: $first, container: $container, mass: 1 g}}, "
             "{fill: {source: $second, container: $container, mass: 1 g}}]",
-            "4:3: which of glass_beads, monosodium_glutamate the sheet has touched after this fallback is known only "
+            "4:3: which of glass_beads, monosodium_glutamate the sheet has touched after this 'fallback' is known only "
             "when it runs; sources of one powder and lot, or a sequence",
         ),
     ],

@@ -112,12 +112,13 @@ def _tip_m(scene: Any, q: Any) -> Any:
 
 
 @needs_browser
-@pytest.mark.slow
-def test_in_a_browser_the_page_draws_the_arm_where_its_motion_has_it_and_needs_no_network(tmp_path: Path) -> None:
+def test_in_a_browser_the_page_draws_the_arm_where_its_motion_has_it_and_needs_no_network(
+    tmp_path: Path, browser: Any
+) -> None:
     move = shown()
     (tmp_path / "move.html").write_text(move_page(move), encoding="utf-8")
     (tmp_path / "reach.html").write_text(reach_page(LAB), encoding="utf-8")
-    with browser_page() as page:
+    with browser_page(browser) as page:
         page.goto((tmp_path / "move.html").as_uri())
         page.locator("#viewer canvas").wait_for()
         page.evaluate(

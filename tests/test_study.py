@@ -13,9 +13,12 @@ from scuhand_bt.lab import load_lab
 from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.study.change import changed, with_value
 from scuhand_bt.study.odds import Chance, odds_of
+from scuhand_bt.study.optimise import diff, optimise
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.store import open_store
+from scuhand_bt.study.table import write_table
 from scuhand_bt.study.trial import SampleTrial, Setup, Trial, trial
 from scuhand_bt.study.vary import Vary, goes_with, read_vary
 from tests.conftest import Call, LabFolder
@@ -180,7 +183,8 @@ def fake(seed: int, duration_s: float, good: str) -> Trial:
                     None if name in good else "dose.overshoot", 50.0, 50.0, 50.0, 10.0)
         for name in "abc"
     )  # fmt: skip
-    return Trial(seed, 0, duration_s, {"a": 0.0, "b": 100.0}, samples, {"beads": 1 + seed % 2}, {"beads": 200.0})
+    scoops, left_mg = {"beads": 1 + seed % 2}, {"beads": {"kept": 100.0}}
+    return Trial(seed, 0, duration_s, {"a": 0.0, "b": 100.0}, samples, scoops, {"beads": 200.0}, left_mg)
 
 
 def test_odds_hold_alike_samples_together_and_warn_of_those_that_fail(setup: Setup) -> None:
@@ -235,8 +239,44 @@ def test_a_plan_tells_when_a_person_is_needed_and_what_to_expect(setup: Setup, c
     )  # fmt: skip
     shown = command("plan", setup.recipe, "--trials", 2).stdout
     assert "By 2 dry runs (intervals of 90 %): it takes " in shown
-    assert "swap the sheet (two screws) (after " in shown
+    assert "swap the sheet (two screws), wipe rollers and clamp (after " in shown
     found = json.loads(command("plan", setup.recipe, "--trials", 2, "--json").stdout)
     assert found["odds"]["trials"] == 2
     assert set(found["odds"]["samples"]) == {"a", "b", "c"}
     assert json.loads(command("plan", setup.recipe, "--trials", 0, "--json").stdout)["odds"] is None
+
+
+def test_trials_are_written_as_parquet_too(setup: Setup, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    one = trial(setup, 1)
+    write_table(tmp_path / "t.parquet", [((setup, 1), one)])
+    rows = parquet.read_table(tmp_path / "t.parquet").to_pylist()
+    assert [(row["seed"], row["id"], row["true_mg"]) for row in rows] == [
+        (1, sample.id, sample.true_mg) for sample in one.samples
+    ]
+
+
+def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> None:
+    text = "# beads\nglass_beads: {belief: {coefficient: 50, spread: 15 %}}  # first\nlist:\n  - {a: 'x'}\n"
+    assert with_value(text, "powders.glass_beads.belief.spread", "20 %") == text.replace("15 %", '"20 %"')
+    assert with_value(text, "powders.list.0.a", 3.0) == text.replace("'x'", "3.0")
+    with pytest.raises(SourceError, match="'spred' is not there; known: coefficient, spread"):
+        with_value(text, "powders.glass_beads.belief.spred", "20 %")
+
+
+def test_a_search_proposes_what_is_better_on_seeds_that_it_has_not_seen(setup: Setup, tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    vary = Vary.model_validate({"vary": {"powders.glass_beads.simulation.flow_coefficient": ["75", "20"]}})
+    slow = replace(setup, changes=((FLOW, "20"),))
+    with changed(slow.recipe, slow.lab, slow.changes) as (recipe, lab):
+        here = Setup(recipe, lab)
+        with open_store(tmp_path / "s.sqlite", here) as store:
+            found = optimise(here, vary, 6, range(2), range(2, 4), Inline(), store)
+        assert found.changes == ((FLOW, "75"),)
+        assert found.is_better
+        assert found.proposed.duration_s < found.as_written.duration_s
+        shown = list(diff(here, found.changes))
+    assert [line for line in shown if line.startswith(("-  ", "+  "))] == [
+        "-    flow_coefficient: 20",
+        "+    flow_coefficient: 75",
+    ]

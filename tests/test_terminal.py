@@ -1,6 +1,7 @@
 """What a person sees of a run in a terminal: whatever its size, nothing is cut that matters."""
 
 import io
+import os
 import shlex
 import shutil
 import subprocess
@@ -14,18 +15,20 @@ from typing import Any
 
 import pytest
 from conftest import REPOSITORY, Call
+from py_trees.behaviour import Behaviour
 from rich.console import Console
 from running import Ran, dry_run, make_lab
 from test_resume import Run, Watch
 
 from scuhand_bt.journal.events import ActionStarted, Asked, JobStarted, Paused, RunBegun
 from scuhand_bt.journal.follow import Follower
+from scuhand_bt.journal.reader import read
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report import picture
 from scuhand_bt.report.doses import doses_table
-from scuhand_bt.report.live import PlainLines
+from scuhand_bt.report.live import PlainLines, nodes_of
 from scuhand_bt.report.picture import Node, Picture, Shown
-from scuhand_bt.report.watching import shown_of
+from scuhand_bt.report.watching import shown_of, tree_of
 from scuhand_bt.run.questions import MEANINGS
 from tests.test_journal import HEADER
 
@@ -37,6 +40,7 @@ defaults: {container: xrd_holder, source: beads}
 samples: [{id: a, mass: 30 mg}, {id: b, mass: 30 mg}, {id: c, mass: 30 mg}]
 """
 LONG = "Put a fresh sheet into the hand; this one has touched monosodium_glutamate/MSG-17, which no other may touch."
+WORK = ("scoop", "return_leftover")
 TREE = [Node(min(place, 9), f"step-{place}", "running") for place in range(40)]
 
 
@@ -104,6 +108,51 @@ def test_without_colours_a_states_sign_tells_it(ran: Ran) -> None:
     tree += [Node(0, "park", "running"), Node(0, "wait", "to come")]
     text = unwrapped(drawn(seen(ran, tree=tree), (120, 40)))
     assert all(one in text for one in ("✓ tare", "✗ scoop: scoop.nothing", "▶ park", "· wait"))
+
+
+TWICE = """\
+workflow: twice
+inputs: {source: Source}
+tree:
+  sequence:
+    - fallback: [{cone_holds: {powder: $source.powder}}, {scoop: {source: $source}}]
+    - fallback: [{cone_holds: {powder: $source.powder}}, {park: }]
+    - return_leftover: {source: $source}
+"""
+
+
+def test_what_a_fallback_has_tried_has_failed_and_what_it_did_not_come_to_is_skipped(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab", trees__twice=TWICE)
+    here: dict[str, list[tuple[str, str]]] = {}
+
+    def look(root: Behaviour) -> None:
+        nodes = list(nodes_of(root))
+        if at_work := next((node.name for node in nodes if node.state == "running" and node.name in WORK), None):
+            here.setdefault(at_work, [(node.name, f"{node.state} {node.why[:15]}".strip()) for node in nodes])
+
+    ran = dry_run(tmp_path, "recipe: r\nworkflow: twice\nsamples: [{id: a, source: beads}]\n", lab=lab, at_tick=look)
+    assert here["scoop"] == [
+        ("sequence", "running"),
+        ("fallback", "running"),
+        ("cone_holds", "failed hand.cone_empty"),
+        ("scoop", "running"),
+        ("fallback", "to come"),
+        ("cone_holds", "to come"),
+        ("park", "to come"),
+        ("return_leftover", "to come"),
+    ]
+    assert here["return_leftover"][4:] == [
+        ("fallback", "done"),
+        ("cone_holds", "done"),
+        ("park", "skipped"),
+        ("return_leftover", "running"),
+    ]
+    for at_work in WORK:
+        began_s = next(row["started_s"] for row in read(ran.journal, "action") if row["skill"] == at_work)
+        now = Follower(ran.journal, until_s=began_s)
+        now.look()
+        from_elsewhere = [(node.name, f"{node.state} {node.why[:15]}".strip()) for node in tree_of(now)]
+        assert from_elsewhere == here[at_work], "another terminal, and a page, tell the same"
 
 
 def test_no_color_means_none(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,15 +281,24 @@ on_failure: {hand.no_flow: ask, otherwise: stop}
 sources:
   beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 9 g}
 """
+ONE_FOR_EACH_SIZE = """\
+recipe: shown
+workflow: fill_xrd_holder
+defaults: {source: beads, container: xrd_holder, tolerance: 2 mg}
+samples: [{id: a, mass: 30 mg, repeat: 3}]
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 9 g}
+"""
 
 
 class Tmux:
-    """A terminal of some size."""
+    """A terminal, whose size can be changed."""
 
-    def __init__(self, name: str, size: tuple[int, int], command: str) -> None:
-        self._name = name
+    def __init__(self, command: str) -> None:
+        self._name = f"scuhand-{os.getpid()}-{time.monotonic_ns()}"
+        width, height = SIZES[0]
         self._tmux(
-            "new-session", "-d", "-x", str(size[0]), "-y", str(size[1]), f"unset COLUMNS LINES; {command}; sleep 600"
+            "new-session", "-d", "-x", str(width), "-y", str(height), f"unset COLUMNS LINES; {command}; sleep 600"
         )
 
     def _tmux(self, *arguments: str) -> str:
@@ -250,82 +308,78 @@ class Tmux:
     def keys(self, *keys: str) -> None:
         self._tmux("send-keys", *keys)
 
+    def resize(self, size: tuple[int, int]) -> None:
+        self._tmux("resize-window", "-x", str(size[0]), "-y", str(size[1]))
+
     def shows(self, *texts: str) -> str:
-        """The screen, once all of this is on it."""
+        """What is on the screen, its lines as one, once all of this is."""
         until_s = time.monotonic() + 90  # a computer may have much else to do
         while True:
             screen = self._tmux("capture-pane", "-p")
-            if all(text in unwrapped(screen.splitlines()) for text in texts):
-                return screen
+            if all(text in (shown := unwrapped(screen.splitlines())) for text in texts):
+                return shown
             assert time.monotonic() < until_s, f"{texts} in:\n{screen}"
-            time.sleep(0.3)
+            time.sleep(0.1)
+
+    def shows_in_every_size(self, *texts: str) -> None:
+        for size in SIZES:
+            self.resize(size)
+            self.shows(*texts)
 
     def end(self) -> None:
         self._tmux("kill-server")
 
 
-@pytest.fixture
-def shown_recipe(tmp_path: Path) -> Path:
-    lab = make_lab(tmp_path / "lab", trees__asks=ASKS, trees__clogs=CLOGS, skills__clog=CLOG)
-    (lab / "recipes").mkdir()
-    recipe = lab / "recipes" / "shown.yaml"
-    recipe.write_text(IN_TMUX, encoding="utf-8")
-    return recipe
-
-
 @contextmanager
-def terminal_of(size: tuple[int, int], recipe: Path, *options: str) -> Iterator[Tmux]:
-    """A dry run in a terminal of this size."""
-    command = shlex.join([sys.executable, "-m", "scuhand_bt", "run", str(recipe), "--dry-run", *options])
-    tmux = Tmux(f"scuhand-{size[0]}-{time.monotonic_ns()}", size, f"cd {REPOSITORY}; {command}")
+def terminal_of(folder: Path, recipe: str, *options: str) -> Iterator[Tmux]:
+    """A dry run in a terminal."""
+    lab = make_lab(folder / "lab", trees__asks=ASKS, trees__clogs=CLOGS, skills__clog=CLOG)
+    path = folder / "shown.yaml"
+    path.write_text(recipe, encoding="utf-8")
+    command = [sys.executable, "-m", "scuhand_bt", "run", str(path), "--lab", str(lab), "--dry-run", *options]
+    tmux = Tmux(f"cd {REPOSITORY}; {shlex.join(command)}")
     try:
         yield tmux
     finally:
         tmux.end()
 
 
-@pytest.fixture(params=SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
-def terminal(request: pytest.FixtureRequest, shown_recipe: Path) -> Iterator[Tmux]:
-    with terminal_of(request.param, shown_recipe, "--ask") as tmux:
-        yield tmux
+needs_tmux = pytest.mark.skipif(shutil.which("tmux") is None, reason="there is no tmux (apt install tmux)")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("tmux") is None, reason="there is no tmux (apt install tmux)")
-@pytest.mark.parametrize("size", SIZES)
-def test_a_run_that_goes_on_shows_what_it_does_and_why_in_every_size(shown_recipe: Path, size: tuple[int, int]) -> None:
-    with terminal_of(size, shown_recipe, "--speed", "8") as terminal:
-        running = unwrapped(terminal.shows("▶ dispense", "balance ").splitlines())
-        assert "SIMULATED: shown" in running
-        assert "a: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in running
-        assert "✓ move_over ▶ dispense · park" in running
-        assert "g, stable" in running or "g, moving" in running
-        assert "valve " in running
-        assert "Ctrl-Z pauses, Ctrl-\\ stops after this sample, Ctrl-C stops now" in running
+@needs_tmux
+def test_a_run_that_goes_on_shows_what_it_does_and_why_in_every_size(tmp_path: Path) -> None:
+    with terminal_of(tmp_path, ONE_FOR_EACH_SIZE, "--speed", "6") as terminal:
+        for number, size in enumerate(SIZES, start=1):
+            terminal.resize(size)
+            running = terminal.shows(f"a-{number}: 30.0 mg", "▶ dispense", "Ctrl-C stops now")
+            assert "SIMULATED: shown" in running
+            assert f"a-{number}: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in running
+            assert "✓ move_over ▶ dispense · park" in running
+            assert "g, stable" in running or "g, moving" in running
+            assert "valve " in running
+            assert "Ctrl-Z pauses, Ctrl-\\ stops after this sample, Ctrl-C stops now" in running
         terminal.keys("C-c")
         terminal.shows("samples good;", "goes on with it")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("tmux") is None, reason="there is no tmux (apt install tmux)")
-def test_a_run_is_watched_answered_paused_and_ended_in_a_terminal(terminal: Tmux) -> None:
-    waiting = terminal.shows("? Is the shield shut?", f"done: {MEANINGS['done']}", "> ▏")
-    assert "SIMULATED: shown" in waiting
-    assert "a: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in waiting
-    assert "▶ ask_operator" in waiting
-    terminal.keys("dobe", "BSpace", "BSpace", "ne", "Enter")
-    terminal.shows("b: 40.0 mg", "last: a: ", "? Is the shield shut?")
-    terminal.keys("C-z")
-    terminal.shows("Paused: no further action begins; Ctrl-Z continues")
-    terminal.keys("C-z")
-    terminal.shows("Ctrl-Z pauses")
-    terminal.keys("d", "one", "Enter")
-    failed = terminal.shows("? Sample 'broken' failed: hand.no_flow: no powder comes. What now?")
-    assert "✗ clog: hand.no_flow: no powder comes" in failed
-    assert "left undone; the batch goes on" in unwrapped(failed.splitlines())
-    terminal.keys("skip_sample", "Enter")
-    ended = terminal.shows("samples good;", "writes its report", "Head of its chain:")
-    text = unwrapped(ended.splitlines())
-    assert "broken: skipped, hand.no_flow: no powder comes" in text
-    assert "2 of 3 samples good" in text
-    assert "? Sample" not in text, "nothing is left of the picture"
+@needs_tmux
+def test_a_run_is_watched_answered_paused_and_ended_in_a_terminal_of_every_size(tmp_path: Path) -> None:
+    with terminal_of(tmp_path, IN_TMUX, "--ask") as terminal:
+        waits = ("? Is the shield shut?", f"done: {MEANINGS['done']}", "> ▏", "SIMULATED: shown", "▶ ask_operator")
+        terminal.shows_in_every_size(*waits, "a: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder")
+        terminal.keys("dobe", "BSpace", "BSpace", "ne", "Enter")
+        terminal.shows_in_every_size("b: 40.0 mg", "last: a: ", "? Is the shield shut?")
+        terminal.keys("C-z")
+        terminal.shows_in_every_size("Paused: no further action begins; Ctrl-Z continues", "? Is the shield shut?")
+        terminal.keys("C-z")
+        terminal.shows("Ctrl-Z pauses")
+        terminal.keys("d", "one", "Enter")
+        failed = ("? Sample 'broken' failed: hand.no_flow: no powder comes. What now?", "✗ clog: hand.no_flow: no")
+        terminal.shows_in_every_size(*failed, "left undone; the batch goes on")
+        terminal.resize(SIZES[0])
+        terminal.keys("skip_sample", "Enter")
+        ended = terminal.shows("samples good;", "writes its report", "Head of its chain:")
+        assert "broken: skipped, hand.no_flow: no powder comes" in ended
+        assert "2 of 3 samples good" in ended
+        assert "? Sample" not in ended, "nothing is left of the picture"

@@ -9,7 +9,7 @@ from wire_helpers import carry_out, wait_for
 from scuhand_bt.cell_spec import BalanceSpec
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.run.clock import WallClock
-from scuhand_bt.sim.wire.balances import TWINS, AndTwin, BalanceTwin, MtSicsTwin, SbiTwin, ShimadzuTwin, StillPan
+from scuhand_bt.sim.wire.balances import AndTwin, BalanceTwin, MtSicsTwin, SbiTwin, ShimadzuTwin, StillPan, balance_twin
 from scuhand_bt.sim.wire.port import PtyPort, SocketPort
 from scuhand_bt.sim.wire.server import TwinServer
 
@@ -20,7 +20,7 @@ def say(twin: BalanceTwin, command: bytes, now_s: float = 0.0) -> bytes:
     return b"".join(twin.hear(command, now_s))
 
 
-@pytest.mark.parametrize("dialect", sorted(TWINS))
+@pytest.mark.parametrize("dialect", sorted(DIALECTS))
 def test_whatever_a_twin_says_its_dialect_can_read(dialect: str) -> None:
     commands = [
         b"Q",
@@ -42,7 +42,7 @@ def test_whatever_a_twin_says_its_dialect_can_read(dialect: str) -> None:
     commands += [b"\x1bP", b"\x1bx1_", b"\x1bx2_", b"\x1bZ", b"D01", b"D03", b"D05", b"D07", b"D08", b"nonsense"]
     for load_mg in (0.0, 12.3, -4.5, 199_999.9, 300_000.0, -90_000.0):
         for stable in (True, False):
-            twin = TWINS[dialect](StillPan(load_mg, stable))
+            twin = balance_twin(dialect)(StillPan(load_mg, stable))
             for step, command in enumerate(commands):
                 for line in twin.hear(command + b"\r\n", step * 0.2):
                     assert DIALECTS[dialect].parse(line) is not None, line
@@ -131,7 +131,7 @@ class Served:
 
     def __init__(self, dialect: str, load_mg: float = 12_345.6) -> None:
         self.pan = StillPan(load_mg)
-        self.twin = TWINS[dialect](self.pan)
+        self.twin = balance_twin(dialect)(self.pan)
 
     def on(self, port: PtyPort | SocketPort) -> "TwinServer[BalanceTwin]":
         return TwinServer(self.twin, port)

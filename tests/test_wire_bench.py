@@ -32,6 +32,7 @@ def test_powder_dosed_through_the_wires_lands_in_the_container_and_is_weighed_th
     clock = WallClock()
     with WireBench(lab.cell, sources, lab.folder / "robot" / "firmware", joints, clock, seed=3) as bench:
         devices = connect_cell_devices(bench.spec, clock)
+        devices.hand.rim_is(90.0)
         try:
             assert np.allclose(devices.arm.positions, joints, atol=0.002)
             bench.world.place(Container(**kind.model_dump(), id="xrd-01"))

@@ -1,8 +1,4 @@
-"""A balance by RADWAG (PS, AS, R series), as a package outside the engine: `driver: scuhand_radwag:RADWAG`.
-
-Source: RADWAG, "AS R2 PLUS user manual", 14.2 "Response format" and 15 "Communication protocol". 22 characters:
-command in 1 to 3, stability 5, sign 7, mass in 8 to 16 right-aligned, unit in 18 to 20 left-aligned, CR LF.
-"""
+"""Balances by RADWAG (PS, AS, R series): what their lines mean, and a twin that speaks them. See protocol.md."""
 
 import re
 
@@ -34,7 +30,7 @@ class RadwagTwin(BalanceTwin):
     """Immediate readings and a serial number."""
 
     def obey(self, command: bytes, now_s: float) -> bytes:
-        answers = {b"SI": self.reading(now_s), b"NB": b'NB A "123456"\r\n', b"": b""}
+        answers = {b"SI": self.reading(now_s), b"NB": b'NB A "TWIN"\r\n', b"": b""}
         return answers.get(command.strip(), b"ES\r\n")
 
     def waited(self, command: bytes, now_s: float) -> bytes:
@@ -47,6 +43,6 @@ class RadwagTwin(BalanceTwin):
         return f"SI  {marker} {sign}{text.lstrip('-'):>9} {self.unit:<3}\r\n".encode()
 
 
-RADWAG = Dialect(
+DRIVER = Dialect(
     "RADWAG", Framing(9600, "8N1"), parse, identify=b"NB\r\n", poll=b"SI\r\n", twin=f"{__name__}:RadwagTwin"
 )

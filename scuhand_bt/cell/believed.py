@@ -65,6 +65,8 @@ class Believed:
     sheets_used: int = 1
     slots_used: int = 0
     """Containers taken from the changer since it was filled."""
+    slots: Counts = field(default_factory=lambda: MappingProxyType({}))
+    """By container, the slot of the changer that it came from, from 0, since it was filled."""
     containers_used: Counts = field(default_factory=lambda: MappingProxyType({}))
     """Containers that were put on the pan, by kind."""
     pan: Container | None = None
@@ -207,11 +209,13 @@ class Believed:
     def brought(self, container: Container, *, from_changer: bool) -> None:
         """A container was put on the pan, and is not weighed yet."""
         kind = container.name
+        slots = {**self.slots, container.id: slot_of(self, container)} if from_changer else self.slots
         self._set(
             pan=container,
             pan_empty_mg=None,
             pan_gross_mg=None,
-            slots_used=self.slots_used + from_changer,
+            slots_used=self.slots_used + len(slots) - len(self.slots),
+            slots=slots,
             containers_used={**self.containers_used, kind: self.containers_used.get(kind, 0) + 1},
         )
 
@@ -279,7 +283,7 @@ class Believed:
 
     def slots_refilled(self) -> None:
         """Every slot of the changer holds a container again."""
-        self._set(slots_used=0)
+        self._set(slots_used=0, slots={})
 
     def containers_taken(self, slots: int, by_kind: Mapping[str, int]) -> None:
         """So many slots of the changer, and containers by their kind, were used before."""
@@ -405,3 +409,8 @@ def _count(number: int) -> int:
     if number < 0:
         raise ValueError(f"a count is not negative, as {number} is")
     return number
+
+
+def slot_of(believed: Believed, container: Container) -> int:
+    """The slot of the changer, from 0, that a container is in: the next one, for one that was not brought yet."""
+    return believed.slots.get(container.id, believed.slots_used)

@@ -7,19 +7,21 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.places import Position
 from scuhand_bt.cell.scooping import planned_stroke
-from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
+from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
 from scuhand_bt.motion.kinematics import JOINTS
@@ -29,6 +31,7 @@ from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief,
 PLANNING_S = 0.05
 """Run time that one plan is charged, however fast it was: dry runs do not depend on the machine."""
 LOAD_STEP_MM3 = 2000.0
+LIMIT_STEP_DEG = 0.1
 RECENT = 4000
 """Readings that are at hand: some minutes, in which a person puts a container on the pan."""
 
@@ -53,6 +56,8 @@ class Cell:
     """Told by this object, at every motion, how wide the cone is and what stands on the pan."""
     sources: Mapping[str, Source]
     simulated: bool
+    devices: Mapping[str, Device] = field(default_factory=dict)
+    """Further ones, by the names that robot/cell.yaml gives them."""
     places_mm: Mapping[str, Position] = field(default_factory=dict)
     """The named places of this run (`cell/places.py`)."""
     believed: Believed = field(default_factory=Believed)
@@ -74,6 +79,8 @@ class Cell:
     """What this run has measured of it; None for what was measured before, and does not hold any more."""
     known_delay_s: float | None = None
     """How late it was last seen to show a load, by this run or an earlier one."""
+    came: Step | None = None
+    """How the balance has shown the container that came last, in this process."""
     readings: deque[Reading] = field(default_factory=lambda: deque(maxlen=RECENT))
     """The balance's last ones, filled from where they arrive."""
 
@@ -84,15 +91,17 @@ class Cell:
         who = self.balance.identity or f"of {self.spec.cell}"
         return f"{spec.driver} {who}, {spec.readability_mg:g} mg, {1.0 / spec.period_s:.3g} Hz"
 
-    def device(self, name: str) -> Device:
-        """A device by the name that skills lease it under: arm, hand, balance, changer."""
-        devices: dict[str, Device] = {
-            "arm": self.arm,
-            "hand": self.hand,
-            "balance": self.balance,
-            "changer": self.changer,
-        }
-        return devices[name]
+    def device(self, name: str) -> Any:
+        """A device by the name that skills lease it under: arm, hand, balance, changer, or that of `devices:`.
+
+        It meets the Protocol of its kind (`devices/interfaces.py`); a skill says which: `a: Sensor = cell.device("a")`.
+        """
+        return getattr(self, name) if name in DEVICES else self.devices[name]
+
+    @property
+    def every_device(self) -> dict[str, Device]:
+        """All of them, by those names."""
+        return {name: self.device(name) for name in (*DEVICES, *self.devices)}
 
     def apex_mm(self) -> tuple[float, float, float]:
         """Where the cone's apex is now, in the base frame."""
@@ -144,10 +153,19 @@ class Cell:
         """
         return planned_stroke(self.motion, self.arm.positions, path, self.spec, source.station, source.mortar)
 
-    def make_stroke(self, motion: "StoppableTrajectory") -> Steps[None]:
-        """To where a stroke begins, and along it: arm and roller in one motion, and if either fails both rest."""
-        trajectory = self._planner().move(self.arm.positions, motion.start[:JOINTS])
-        yield from self._follow(trajectory)
+    def make_stroke(self, motion: "StoppableTrajectory", open_mm: float) -> Steps[None]:
+        """To where a stroke begins, its cone formed, and along it: arm and roller in one motion, both or none.
+
+        The cone is formed on the way, where nothing is in its way there; else before.
+        """
+        begin, rims_mm = motion.start[:JOINTS], (self.hand.cone_diameter_mm, open_mm)
+        try:
+            forming = self._planner().forming(self.arm.positions, begin, rims_mm, self._roller_rad)
+        except SkillFailed:
+            yield from self.hand.morph(open_mm)
+            yield from self._follow(self._planner().move(self.arm.positions, begin))
+        else:
+            yield from self._together(forming)
         yield from self._together(motion)
 
     def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
@@ -172,12 +190,11 @@ class Cell:
         SkillFailed as `move_to`.
         """
         yield from self.move_to(place)
-        hand = self.spec.hand
+        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm, self._roller_rad))
 
-        def roller_rad(rim_mm: float) -> float:
-            return math.radians(Cone(rim_mm, hand.sheet_radius_mm).roller_deg(hand))
-
-        yield from self._together(self._planner().reform(self.arm.positions, place, diameter_mm, roller_rad))
+    def _roller_rad(self, rim_mm: float) -> float:
+        """The roller's angle at a rim, counted from the flat sheet."""
+        return math.radians(Cone(rim_mm, self.spec.hand.sheet_radius_mm).roller_deg(self.spec.hand))
 
     def _planner(self) -> "MotionPlanner":
         """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""
@@ -208,4 +225,5 @@ def carrying_limit_deg(spec: CellSpec, powder: Powder, load_mg: float, cone_diam
     limit_deg = spill_limit_deg(
         cone.half_angle_deg, cone.diameter_mm / 2, load_mm3, powder.repose_deg, powder.wall_friction_deg
     )
-    return min(limit_deg, spec.arm.gentle_deg)
+    # And the cone's measured size differs by what a servo's counts are worth.
+    return min(math.floor(limit_deg / LIMIT_STEP_DEG) * LIMIT_STEP_DEG, spec.arm.gentle_deg)

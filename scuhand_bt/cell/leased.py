@@ -8,9 +8,8 @@ from collections.abc import Collection
 from typing import Any, cast
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.devices.interfaces import Device
+from scuhand_bt.cell_spec import DEVICES
 
-DEVICE_NAMES = ("arm", "hand", "balance", "changer")
 _MOVES = ("move_to", "lower_to", "touch", "contact")
 
 
@@ -33,18 +32,21 @@ class _LeasedCell:
         object.__setattr__(self, "_leased", frozenset(leased))
 
     def __getattr__(self, name: str) -> Any:
-        device = name if name in DEVICE_NAMES else "arm" if name in _MOVES else None
+        device = name if name in DEVICES else "arm" if name in _MOVES else None
+        if name in ("devices", "every_device"):
+            raise NotLeased("it takes a device past its lease: `cell.device(name)`")
         if device is not None and device not in self._leased:
             raise NotLeased(f"it uses the {device}, which its 'devices' do not lease")
         return getattr(self._cell, name)
 
-    def device(self, name: str) -> Device:
+    def device(self, name: str) -> Any:
         """A leased device by its name."""
-        device: Device = getattr(self, name)
-        return device
+        if name not in self._leased:
+            raise NotLeased(f"it uses the {name}, which its 'devices' do not lease")
+        return self._cell.device(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if name in DEVICE_NAMES:
+        if name in DEVICES:
             raise NotLeased(f"it puts another {name} into the cell")
         setattr(self._cell, name, value)
 

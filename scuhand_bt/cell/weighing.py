@@ -11,6 +11,7 @@ from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, moved_mg, total
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
+from scuhand_bt.dosing.hidden_step import hidden_step_mg
 from scuhand_bt.dosing.identification import balance_of
 from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
@@ -126,16 +127,16 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     return mean
 
 
-def shown_step(cell: Cell, bare: StableMean, loaded: StableMean, brought_s: float) -> Step | None:
-    """How the balance has shown what came on its bare pan, by `brought_s` at the latest, where that can be told.
+def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Step | None:
+    """How the balance has shown what came on its pan or went, by `changed_s` at the latest, where that can be told.
 
-    When a person has put it down nobody knows: it counts from where it shows, and no dead time is seen.
+    When a person has done it nobody knows: it counts from where it shows, and no dead time is seen.
     """
-    if abs(loaded.value_mg - bare.value_mg) < CHANGED_MG:
+    if abs(after.gross_mg - before.gross_mg) < CHANGED_MG:
         return None
-    curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if bare.time_s <= one.time_s <= loaded.time_s]
-    latest_s = math.inf if cell.changer.needs_person else brought_s
-    return step_of(curve, bare.value_mg, loaded.value_mg, latest_s)
+    curve = [(one.time_s, one.value_mg) for one in cell.readings.copy() if before.time_s <= one.time_s <= after.time_s]
+    latest_s = math.inf if cell.changer.needs_person else changed_s
+    return step_of(curve, before.gross_mg, after.gross_mg, latest_s)
 
 
 def require_known_delay(cell: Cell, step: Step) -> None:
@@ -197,11 +198,15 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
     believed.changing_container()
     taking = cell.changer.take_away()
     yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
+    took_s = cell.clock.now_s
     bare = yield from weigh_changed(cell, was_mg)
     believed.removed()
     if bracket is None or bracket.lifted is None:
         believed.bracket_closed(None)
         return bare
+    went = shown_step(cell, bracket.lifted, weighing_of(bare), took_s)
+    if went is not None and cell.came is not None:
+        believed.zero_stepped(hidden_step_mg(cell.came, went, digit_mg))
     doses = list(bracket.doses.values())
     drifted = [bracket.drifted.get(lot, Net(0.0, 0.0)) for lot in bracket.doses]
     weighings = (bracket.bare, bracket.loaded, bracket.lifted, weighing_of(bare))

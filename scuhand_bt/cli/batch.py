@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
+    from scuhand_bt.study.night import Night
     from scuhand_bt.study.odds import Odds
 
 
@@ -100,6 +101,8 @@ def run(
         raise typer.BadParameter("on the cell a person is asked anyway", param_hint="--ask")
     if asks and unattended:
         raise typer.BadParameter("an unattended run asks nobody", param_hint="--ask/--unattended")
+    if json_file is not None:
+        of_kind(json_file, ".json", option="--json")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
     wrong = read_faults(faults) if faults is not None else None
@@ -239,6 +242,9 @@ def plan(
     recipe: RecipeArgument,
     trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
     workers: WorkersOption = None,
+    night: Annotated[
+        str | None, typer.Option(metavar="20:00-08:00", help="Say what is done in hours in which nobody comes.")
+    ] = None,
     html: Annotated[
         Path | None, typer.Option("--html", help="Write it as a page, with the arm's motions (extra `report`).")
     ] = None,
@@ -247,10 +253,11 @@ def plan(
 ) -> None:
     """Show the jobs in their order, what to expect of them by dry runs, and every moment that needs a person."""
     if html is not None:
-        of_kind(html, *PAGES)
+        of_kind(html, *PAGES, option="--html")
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
     made, loaded = the_plan(recipe, lab)
+    hours = _night(night, trials) if night is not None else None
     notes = notes_of(made, loaded, quiet=as_json)
     odds = _odds(made, loaded, trials, workers) if trials else None
     if html is not None and odds is not None:
@@ -293,6 +300,19 @@ def plan(
         when = odds.began_s.get(person.job or "") if odds is not None else None
         at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
         out.print(Text(f"A person is {person}{at}."))
+    if hours is not None and odds is not None:
+        from scuhand_bt.study.night import in_words
+
+        for line in in_words(made, loaded, odds, hours):
+            out.print(Text(line), soft_wrap=True)
+
+
+def _night(text: str, trials: int) -> "Night":
+    from scuhand_bt.study.night import read_night
+
+    if not trials:
+        raise typer.BadParameter("what a night holds is told by dry runs: at least one", param_hint="--trials")
+    return read_night(text)
 
 
 def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":

@@ -1,7 +1,9 @@
 """Commands about a cell's devices: twins of them, and a doctor for them."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -24,35 +26,55 @@ from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
+    from scuhand_bt.run.hands import Hands
     from scuhand_bt.sim.fault_rules import FaultFile
     from scuhand_bt.sim.wire.bench import WireBench
+    from scuhand_bt.specs import Source
 
 
 @app.command()
 def twins(
+    recipe: Annotated[
+        Path | None, typer.Argument(help="A recipe: its powders are in the mortars.", show_default=False)
+    ] = None,
     cell: Annotated[Path | None, typer.Option("--cell", help="A lab's robot/cell.yaml, instead of --lab.")] = None,
     lab: LabOption = None,
     seed: SeedOption = 0,
     faults: FaultsOption = None,
 ) -> None:
-    """Start twins of the cell's devices on ports that any program can open, until Ctrl-C."""
+    """Start twins of the cell's devices on ports that any program can open, until Ctrl-C.
+
+    What a person does at the cell is told them in lines: `place xrd_holder a`, `remove`, …
+    """
+    from scuhand_bt.cli.batch import the_plan
     from scuhand_bt.clock import Signal, Wake
     from scuhand_bt.run.clock import WallClock
+    from scuhand_bt.run.hands import Hands
     from scuhand_bt.sim.fault_rules import read_faults
 
     wrong = read_faults(faults) if faults is not None else None
-    bench = _bench(_lab_of_cell(cell, lab), seed, wrong)
+    made, loaded = the_plan(recipe, lab) if recipe is not None else (None, _lab_of_cell(cell, lab))
+    bench = _bench(loaded, seed, wrong, made.recipe.sources if made is not None else None)
     stop, clock = Signal(), WallClock(bench.check)
     stopped = Wake.on(stop)  # seen however early it comes
     with on_signals(stop.fire), bench:
         table = Table("device", "driver", "port", show_edge=False)
-        for device in ("arm", "hand", "balance"):
-            spec = getattr(bench.spec, device)
-            table.add_row(device, spec.driver, spec.port)
+        for device in bench.spec.device_names:
+            spec = bench.spec.section(device)
+            table.add_row(device, spec.driver, spec.port or "-")
         out.print(Text(f"Twins of the cell '{bench.spec.cell}', SIMULATED (seed {seed}); Ctrl-C ends them."))
         out.print(table)
         sys.stdout.flush()
+        Thread(target=_obey_lines, args=(Hands(bench, loaded),), daemon=True, name="hands").start()
         clock.wait([stopped])
+
+
+def _obey_lines(hands: "Hands") -> None:
+    """Do what comes on the standard input, and say what was done."""
+    for line in sys.stdin:
+        if line.strip():
+            out.print(Text(hands.obey(line)), soft_wrap=True)
+            sys.stdout.flush()
 
 
 @app.command()
@@ -104,14 +126,19 @@ def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
     return the_lab(folder)
 
 
-def _bench(lab: "Lab", seed: int = 0, faults: "FaultFile | None" = None) -> "WireBench":
+def _bench(
+    lab: "Lab",
+    seed: int = 0,
+    faults: "FaultFile | None" = None,
+    sources: "Mapping[str, Source] | None" = None,
+) -> "WireBench":
     """The twins of a lab's cell; ends with a message where they cannot be made."""
     from scuhand_bt.run.make_cell import bench_of
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
     try:
-        return bench_of(lab, seed, faults)
+        return bench_of(lab, seed, faults, sources)
     except (PlantError, NoCompiler) as error:
         err.print(Text(f"{error}"))
         raise typer.Exit(ExitCode.BAD_INPUT) from None

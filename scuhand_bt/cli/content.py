@@ -89,8 +89,8 @@ def _show_imported(path: Path) -> None:
 @app.command()
 def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", show_default=False)]) -> None:
     """Make a lab of your own: a copy of the starter lab's robot, skills, trees and recipes, with what editors need."""
+    from scuhand_bt.kit.schemas import vscode_settings, write_schemas
     from scuhand_bt.lab import load_lab, starter_lab
-    from scuhand_bt.recipe.schemas import vscode_settings, write_schemas
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise typer.BadParameter(f"'{folder}' exists and is not empty")

@@ -19,7 +19,7 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     from scuhand_bt.findings import FINDINGS
     from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
     from scuhand_bt.tree.check import Library
-    from scuhand_bt.tree.grammar import Decorator, walk
+    from scuhand_bt.tree.grammar import Branch, Decorator, walk
 
     try:
         library = the_lab(lab).library
@@ -40,7 +40,7 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
     if code is not None and code not in failures:
         raise unknown("failure code", code, failures)
     retried = {
-        name: {code for node in walk(workflow.tree) if isinstance(node, Decorator) for code in node.codes}
+        name: {code for node in walk(workflow.tree) if isinstance(node, Branch | Decorator) for code in node.codes}
         for name, workflow in library.workflows.items()
     }
     explained = {

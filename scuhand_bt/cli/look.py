@@ -32,6 +32,8 @@ def reach(
     With --task scoop: tell in which directions the arm can swing the cone through each mortar, and what is in the way.
     """
     if task == "scoop":
+        if output is not None:
+            raise typer.BadParameter("'--task scoop' writes a table, and no file: leave out '-o'")
         _tell_directions(the_lab(lab))
         return
     path = of_kind(output or Path("reach.html"), *PAGES)

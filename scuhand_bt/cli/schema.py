@@ -11,13 +11,14 @@ from scuhand_bt.cli.shared import LabOption, app, out, the_lab, unknown
 @app.command()
 def schema(
     kind: Annotated[
-        str | None, typer.Argument(help="recipe, workflow, cell, powders, containers or faults.", show_default=False)
+        str | None,
+        typer.Argument(help="recipe, workflow, cell, powders, containers, faults or test.", show_default=False),
     ] = None,
     write: Annotated[bool, typer.Option("--write", help="Write all of them into the lab's folder `schemas`.")] = False,
     lab: LabOption = None,
 ) -> None:
     """Show the JSON Schema of one kind of file, with the lab's own skills, workflows, powders and containers in it."""
-    from scuhand_bt.recipe.schemas import KINDS_OF_FILES, write_schemas, written
+    from scuhand_bt.kit.schemas import KINDS_OF_FILES, write_schemas, written
 
     loaded = the_lab(lab)
     if write:

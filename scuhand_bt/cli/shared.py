@@ -158,8 +158,8 @@ def unknown(what: str, name: str, known: Iterable[str]) -> typer.BadParameter:
     return typer.BadParameter(harmless(f"unknown {what} '{name}'; known: {', '.join(known) or 'none'}{hint}"))
 
 
-def of_kind(path: Path, *suffixes: str) -> Path:
+def of_kind(path: Path, *suffixes: str, option: str = "--output") -> Path:
     """A file to write that says by its suffix what will be in it. Raises BadParameter for any other suffix."""
     if path.suffix.lower() not in suffixes:
-        raise typer.BadParameter(f"'{path}' is to be a file of this kind: {', '.join(suffixes)}", param_hint="--output")
+        raise typer.BadParameter(f"'{path}' is to be a file of this kind: {', '.join(suffixes)}", param_hint=option)
     return path

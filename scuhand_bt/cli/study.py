@@ -1,6 +1,5 @@
 """The command about many dry runs of a recipe."""
 
-import csv
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,11 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, of_kind, out, print_json
-from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from scuhand_bt.study.odds import Odds, Range
+    from scuhand_bt.study.store import Store
     from scuhand_bt.study.trial import Setup, Task, Trial
     from scuhand_bt.study.vary import Vary
 
@@ -28,12 +29,18 @@ def study(
     trials: Annotated[int, typer.Option(min=1, help="Dry runs, with seeds one after the other; of each draw.")] = 20,
     first_seed: Annotated[int, typer.Option(min=0, help="The first one's seed.")] = 0,
     vary: Annotated[Path | None, typer.Option("--vary", help="What to vary, by a file (docs/study.md).")] = None,
+    optimise: Annotated[
+        int | None,
+        typer.Option(min=2, metavar="CANDIDATES", help="Look for better figures among so many, by what --vary names."),
+    ] = None,
     workers: WorkersOption = None,
     dask: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Run them on a Dask cluster.")] = None,
     controller: Annotated[str | None, typer.Option(help="The dosing controller.")] = None,
     plant: Annotated[str | None, typer.Option(help="The same simulated physics in each: module:Class.")] = None,
     store: Annotated[Path | None, typer.Option("--store", help="Keep trials here, not in the lab's own file.")] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Every sample of every trial, as CSV.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Every sample of every trial, as CSV or Parquet.")
+    ] = None,
     lab: LabOption = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -44,18 +51,25 @@ def study(
     from scuhand_bt.study.odds import odds_of
     from scuhand_bt.study.pool import all_trials, executor_of
     from scuhand_bt.study.store import open_store
+    from scuhand_bt.study.table import KINDS, write_table
     from scuhand_bt.study.trial import Setup
     from scuhand_bt.study.vary import read_vary
 
     if output is not None:
-        of_kind(output, ".csv")
+        of_kind(output, *KINDS)
     check_controller(controller)
     made, loaded = the_plan(recipe, lab)
     varied = read_vary(vary) if vary is not None else None
     setup = Setup(recipe.absolute(), loaded.folder.absolute(), controller, plant)
+    path = store or state_folder(loaded) / "studies.sqlite"
+    if optimise is not None:
+        if varied is None:
+            raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
+        with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
+            _propose(setup, varied, optimise, range(first_seed, first_seed + trials), executor, kept)
+        return
     draws = [setup] if varied is None else [replace(setup, changes=changes) for changes in varied.changes()]
     tasks = [(draw, seed) for draw in draws for seed in range(first_seed, first_seed + trials)]
-    path = store or state_folder(loaded) / "studies.sqlite"
     found: dict[Task, Trial] = {}
     with open_store(path, setup) as kept, executor_of(workers, dask) as executor:
         going = all_trials(tasks, executor, kept)
@@ -63,7 +77,7 @@ def study(
             found[task] = one
     ordered = [(task, found[task]) for task in tasks]
     if output is not None:
-        _write(output, ordered)
+        write_table(output, ordered)
     odds = odds_of(made, [one for _, one in ordered])
     dominant = _dominant(varied, draws, ordered) if varied is not None else {}
     if as_json:
@@ -75,12 +89,33 @@ def study(
     out.print(Text(f"Trials are kept in {path}"), soft_wrap=True)
 
 
+def _propose(setup: "Setup", vary: "Vary", candidates: int, seeds: range, executor: "Executor", kept: "Store") -> None:
+    """Show figures that are better, as a diff: nothing is changed."""
+    from scuhand_bt.study.optimise import diff, optimise
+
+    held_out = range(seeds.stop, seeds.stop + len(seeds))
+    found = optimise(setup, vary, candidates, seeds, held_out, executor, kept)
+    table = Table("on held-out seeds", "in tolerance", "a run takes", show_edge=False)
+    for name, came in (("as written", found.as_written), ("proposed", found.proposed)):
+        table.add_row(name, f"{came.good:.1%}", format_duration(came.duration_s))
+    out.print(table)
+    if not found.is_better:
+        out.print(f"Of {candidates} candidates the best is no better than what is written.")
+        return
+    for line in diff(setup, found.changes):
+        out.print(Text(line), soft_wrap=True)
+    out.print("Nothing was changed: what you want of it, write into the files.")
+
+
 def tell_odds(odds: "Odds") -> None:
     """The odds, as a person reads them."""
+    from scuhand_bt.study.trial import LEFTOVERS
+
     out.print(f"\nBy {odds.trials} dry runs (intervals of 90 %): it takes {_range(odds.duration_s, format_duration)}.")
-    table = Table("source", "scoops", "powder used", show_edge=False)
+    table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in LEFTOVERS), show_edge=False)
     for name, scoops in odds.scoops.items():
-        table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), _range(odds.used_mg[name], format_mass))
+        masses = (odds.used_mg[name], *odds.leftovers_mg[name].values())
+        table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), *(_range(one, format_mass) for one in masses))
     if odds.scoops:
         out.print(table)
     likely = [chance.probability for chance in odds.samples.values()]
@@ -126,19 +161,3 @@ def _tell_dominant(dominant: dict[str, dict[str, Any]], design: str) -> None:
             table.add_row(place, *(f"{values[column]:.2f}" for column in columns))
         out.print()
         out.print(table)
-
-
-def _write(path: Path, ordered: "list[tuple[Task, Trial]]") -> None:
-    places = list(dict.fromkeys(place for (setup, _), _ in ordered for place, _ in setup.changes))
-    try:
-        with path.open("w", newline="", encoding="utf-8") as file:
-            table: csv.DictWriter[str] | None = None
-            for (setup, seed), one in ordered:
-                for sample in one.samples:
-                    row = {"seed": seed, "run_s": round(one.duration_s, 1), **dict(setup.changes), **asdict(sample)}
-                    if table is None:
-                        table = csv.DictWriter(file, ["seed", "run_s", *places, *asdict(sample)])
-                        table.writeheader()
-                    table.writerow(row)
-    except OSError as error:
-        raise SourceError([Problem(Mark(str(path)), f"cannot be written: {error.strerror}")]) from None

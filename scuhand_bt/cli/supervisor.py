@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 
 from scuhand_bt.devices.liveness import Hung
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.skill import DEVICES
 
 if TYPE_CHECKING:
     from scuhand_bt.run.control import Control
@@ -111,7 +110,7 @@ class Supervisor:
             session.journal.event(Ended(exit_code=ExitCode.CELL_FAULT, reason=reason, complete=False))
             session.journal.close()
 
-        _at_most(LAST_WORDS_S, *(session.cell.device(name).stop for name in DEVICES))
+        _at_most(LAST_WORDS_S, *(device.stop for device in session.cell.every_device.values()))
         time.sleep(LAST_WORDS_S / 2)  # the drivers' threads say it
         _at_most(LAST_WORDS_S, write)
         said = f"Ended early: {reason}.\nJournal: {session.journal.kept_in}\n"

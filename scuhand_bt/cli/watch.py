@@ -1,7 +1,7 @@
 """The command that watches a run from another terminal than its own."""
 
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import typer
@@ -44,6 +44,7 @@ def _follow(journal: Path) -> None:
     from scuhand_bt.report.live import PlainLines
     from scuhand_bt.report.picture import Picture
     from scuhand_bt.report.watching import shown_of
+    from scuhand_bt.run.control import balance_now
 
     now, lines = Follower(journal), PlainLines(lambda line: out.print(Text(line), soft_wrap=True))
     with ExitStack() as opened:
@@ -55,7 +56,10 @@ def _follow(journal: Path) -> None:
                 for result in results:
                     lines.sample_ended(result)
             elif now.begun is not None:
-                live.update(Picture(shown_of(now, now.begun)), refresh=True)
+                balance = None
+                with suppress(TimeoutError):  # a run that is too busy, or is stopped
+                    balance = balance_now(journal)
+                live.update(Picture(shown_of(now, now.begun, balance)), refresh=True)
             if now.ended is not None or not is_going_on:
                 break
             time.sleep(1 / LOOKS_PER_S)

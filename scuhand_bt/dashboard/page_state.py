@@ -15,7 +15,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.doses import tone_of
 from scuhand_bt.report.picture import in_words
-from scuhand_bt.report.watching import about, inputs_of, time_left_s, tree_of
+from scuhand_bt.report.watching import about, inputs_of, pace_of, time_left_s, tree_of
 from scuhand_bt.run.questions import MEANINGS
 
 PSEUDO_TERMINALS = "/dev/pts/"
@@ -26,6 +26,8 @@ def banner(run: RunBegun) -> tuple[str, str]:
     ports = [str(device.get("port", "")) for device in run.devices.values()]
     if run.mode.startswith("REHEARSAL"):
         return "REHEARSAL", "the real drivers, against twins of the devices; no powder is moved"
+    if run.mode.startswith("TWINS"):
+        return "TWIN", "the real drivers, against twins of another program; no powder is moved"
     if run.simulated:
         return "SIMULATED", "no device and no powder is moved"
     if any(port.startswith(PSEUDO_TERMINALS) for port in ports):
@@ -56,6 +58,7 @@ class Page:
             "time_s": now.time_s,
             "at": now.at,
             "left_s": time_left_s(now, run),
+            "pace": asdict(pace_of(now, run)),
             "question": _question(now, since) if state == "waiting for a person" else None,
             "job": {"name": now.job.name, "about": about(now, run)} if now.job is not None else None,
             "tree": [asdict(node) for node in tree_of(now)],
@@ -106,7 +109,8 @@ def _about(run: RunBegun, name: str) -> dict[str, Any]:
 
 def _to_come(samples: Iterable[SamplePlanned]) -> Iterator[dict[str, Any]]:
     for sample in samples:
-        yield {"id": sample.id, "what": _asked_for(sample.inputs), "tone": "", "verdict": "to come", "told": ""}
+        what = _asked_for(sample.inputs)
+        yield {"id": sample.id, "what": what, "tone": "", "verdict": "to come", "told": "", "done_s": sample.done_s}
 
 
 def _asked_for(inputs: Mapping[str, Any]) -> str:

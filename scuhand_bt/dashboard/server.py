@@ -20,6 +20,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp
 
 from scuhand_bt.dashboard.access import Access
+from scuhand_bt.dashboard.balances import Balances
 from scuhand_bt.dashboard.guard import Guard
 from scuhand_bt.dashboard.page_state import Page
 from scuhand_bt.journal.archive import summaries
@@ -29,7 +30,7 @@ from scuhand_bt.journal.reader import open_journal
 from scuhand_bt.lab_state.lab_db import user_name
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report import viewer
-from scuhand_bt.run.control import HEARD, Wish, say_answer, say_wish, waiting_question
+from scuhand_bt.run.control import HEARD, Shown, Wish, say_answer, say_wish, waiting_question
 from scuhand_bt.run.questions import Question
 
 STATIC = Path(__file__).parent / "static"
@@ -71,7 +72,7 @@ def dashboard(folder: Path, access: Access) -> ASGIApp:
     """The application for the lab whose state is in `folder`, behind its rules."""
     runs = folder / "runs"
     drawing = threading.Lock()  # one at a time: it takes a second
-    pages = asyncio.Semaphore(MOST_PAGES)
+    pages, balances = asyncio.Semaphore(MOST_PAGES), Balances()
     failures: dict[int | str, dict[str, Any]] = {code: {"model": Failed} for code in (400, 403, 404, 409, 413, 503)}
     app = FastAPI(title="scuhand_bt", docs_url=None, redoc_url=None, openapi_url="/api/openapi.json")
     app.router.redirect_slashes = False
@@ -135,8 +136,8 @@ def dashboard(folder: Path, access: Access) -> ASGIApp:
 
         async def telling() -> AsyncIterator[str]:
             async with pages:
-                async for told in _followed(path):
-                    yield f"data: {json.dumps(told)}\n\n" if told else ": still here\n\n"
+                async for told in _followed(path, balances):
+                    yield told
 
         return StreamingResponse(telling(), media_type="text/event-stream")
 
@@ -189,15 +190,16 @@ def _last_s(journal: Path) -> float:
         return float(database.execute("SELECT COALESCE(MAX(time_s), 0) FROM entry").fetchone()[0])
 
 
-async def _followed(journal: Path) -> AsyncIterator[dict[str, Any] | None]:
-    """What there is to tell of a run, each time that something has changed; None from time to time, else."""
+async def _followed(journal: Path, balances: Balances) -> AsyncIterator[str]:
+    """What there is to tell of a run, each time that something has changed, and what its balance shows."""
     page, seen, held, looked_s = Page(Follower(journal)), None, False, -BREATH_S
+    balance: Shown | None = None
     asked: Question | None = None
     since = ""
     while True:
         if (now_s := time.monotonic()) - looked_s >= BREATH_S:
             looked_s, held = now_s, is_held(journal)
-            yield None  # and whoever has gone is noticed
+            yield ": still here\n\n"  # and whoever has gone is noticed
         if (stamp := (held, _stamp(journal))) != seen:
             seen = stamp
             told = await run_in_threadpool(page.news, is_held=held)
@@ -205,7 +207,10 @@ async def _followed(journal: Path) -> AsyncIterator[dict[str, Any] | None]:
                 if asked is None or since != question["since"]:
                     asked, since = await run_in_threadpool(_waiting, journal), question["since"]
                 question["number"] = asked.number if asked is not None else None
-            yield told
+            yield f"data: {json.dumps(told)}\n\n"
+        if (shown := balances.shown(journal) if held else None) != balance:
+            balance = shown
+            yield f"event: balance\ndata: {json.dumps(shown)}\n\n"
         await asyncio.sleep(LOOK_S)
 
 

@@ -9,12 +9,15 @@ import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.devices.interfaces import Joints, Trajectory
+from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.axes import SomeAxes
 
 START_LIMIT_RAD = math.radians(3.0)
 """How far from the arm a trajectory may begin: a servo under load stands a little off its goal."""
 LOOK_S = 0.02
 """Between two looks at where a trajectory would lead the joints."""
+ROUNDED_MM = 0.01
 HALF_COUNT_RAD = math.pi / 4096
 """Half a servo's count: what is so little beyond a limit is sent as the limit itself."""
 
@@ -70,6 +73,23 @@ def checked_duration(duration_s: float | None) -> float:
     if duration_s is not None and not 0.0 <= duration_s < math.inf:
         raise ValueError(f"a duration is a time of 0 s or more, not {duration_s!r}")
     return duration_s or 0.0
+
+
+def check_rim(diameter_mm: float, spec: HandSpec) -> None:
+    """ValueError for a cone beyond the roller's limits."""
+    narrowest_mm, widest_mm = spec.rim_limits_mm
+    if not narrowest_mm - ROUNDED_MM <= diameter_mm <= widest_mm + ROUNDED_MM:
+        raise ValueError(f"the roller makes rims of {narrowest_mm:g} to {widest_mm:g} mm, not of {diameter_mm:g} mm")
+
+
+def checked_course(course: SomeAxes, spec: HandSpec) -> tuple[float, float]:
+    """The least and the greatest angle [rad] of the roller on a course; ValueError where that leaves its limits."""
+    looks = max(2, math.ceil(course.duration_s / LOOK_S) + 1)
+    angles_rad = [float(course.sample(time_s)[0]) for time_s in np.linspace(0.0, course.duration_s, looks).tolist()]
+    ends_rad = min(angles_rad), max(angles_rad)
+    for angle_rad in ends_rad:
+        check_rim(Cone.from_roller(math.degrees(angle_rad), spec).diameter_mm, spec)
+    return ends_rad
 
 
 def require_streaming(spec: HandSpec) -> None:

@@ -15,10 +15,11 @@ from typing import Literal, TypeVar
 
 from serial.tools import list_ports
 
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec, ChangerSpec, HandSpec
+from scuhand_bt.cell_spec import CellSpec, HandSpec
 from scuhand_bt.clock import Clock, Steps, until
-from scuhand_bt.devices.balances import SerialBalance, dialect_of
-from scuhand_bt.devices.connect import bus_of, connect_balance
+from scuhand_bt.devices.balances import SerialBalance
+from scuhand_bt.devices.connect import connect_alone
+from scuhand_bt.devices.crane_x7 import bus_of
 from scuhand_bt.devices.dynamixel import registers as r
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.devices.dynamixel.axes import Axis
@@ -26,8 +27,10 @@ from scuhand_bt.devices.dynamixel.bus import BusError, DynamixelBus
 from scuhand_bt.devices.dynamixel.servo_loop import HOT_MARGIN_C
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import VERSION
+from scuhand_bt.devices.interfaces import Balance
 from scuhand_bt.devices.liveness import LIMIT_S
 from scuhand_bt.devices.scuhand import roller_axis
+from scuhand_bt.drivers import is_ours
 from scuhand_bt.failures import CATALOGUE, Code, SkillFailed
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 
@@ -73,18 +76,25 @@ def judged(device: str, check: str, found: str, expected: str, good: bool, what_
 
 def examine(spec: CellSpec, clock: Clock, *, self_test: bool) -> Iterator[Finding]:
     """Every check of a cell, in turn; `self_test` lets the valve open and the motor vibrate."""
-    devices: tuple[tuple[str, str, Callable[[], Iterator[Finding]]], ...] = (
-        ("arm", spec.arm.port, lambda: servos(spec)),
-        ("hand", spec.hand.port, lambda: hand(spec.hand, clock, self_test=self_test)),
-        ("balance", spec.balance.port, lambda: balance(spec.balance, clock)),
-    )
+    ours: dict[str, Callable[[], Iterator[Finding]]] = {
+        "arm": lambda: servos(spec),
+        "hand": lambda: hand(spec.hand, clock, self_test=self_test),
+    }
     yield computer()
-    for device, port, checks in devices:
-        there = port_of(device, port)
-        yield there
-        if there.verdict == "ok":
-            yield from checks()
-    yield changer(spec.changer)
+    for device in spec.device_names:
+        section = spec.section(device)
+        if (device, section.driver) == ("changer", "operator"):
+            yield Finding("changer", "driver", "operator", "a changer, or the operator", "ok")
+            continue
+        is_of_others = not is_ours(spec.kind_of(device), section.driver)
+        if section.port or not is_of_others:  # a driver of others may need none
+            yield (there := port_of(device, section.port))
+            if there.verdict != "ok":
+                continue
+        if device == "balance":
+            yield from balance(spec, clock)
+        else:
+            yield from ours[device]() if device in ours and not is_of_others else driven(spec, device, clock)
 
 
 def port_of(device: str, port: str) -> Finding:
@@ -257,25 +267,50 @@ def _hand_test(controller: HandController, clock: Clock) -> Iterator[Finding]:
     yield judged("hand", "vibration", f"{strongest:.2f}", f"{TEST_VIBRATION:g}", vibrated, do)
 
 
-def balance(spec: BalanceSpec, clock: Clock) -> Iterator[Finding]:
-    """The balance: what it reads, in which steps, who it says it is, whether it settles, and how clean its line is."""
+def driven(spec: CellSpec, name: str, clock: Clock) -> Iterator[Finding]:
+    """A device of which nothing is known but its Protocol: whether it is sound, and what it says of itself."""
     try:
-        device = connect_balance(spec, clock)
+        device = connect_alone(spec, name, clock)
+    except SkillFailed as error:
+        yield _lost(name, error)
+        return
+    with closing(device):
+        fault: SkillFailed | None = None
+        try:
+            if hasattr(device, "read"):
+                _now(device.read(ANSWER_S), clock)
+            else:
+                _now(until(clock, lambda: device.fault is not None, device.news, ANSWER_S), clock)
+        except SkillFailed as error:
+            fault = error if error.code == Code.DEVICE_LOST else None  # a scanner has read nothing: nothing is there
+        fault = fault or device.fault
+        do = "look at its cable and supply, and at `options` in robot/cell.yaml"
+        yield judged(name, "fault", fault.detail if fault is not None else "none", "none", fault is None, do)
+        for check, found in device.health().items() if hasattr(device, "health") else ():
+            yield Finding(name, check, found, "", "ok")
+
+
+def balance(cell: CellSpec, clock: Clock) -> Iterator[Finding]:
+    """The balance: what it reads, in which steps, who it says it is, whether it settles, and how clean its line is."""
+    spec = cell.balance
+    try:
+        device: Balance = connect_alone(cell, "balance", clock)
     except SkillFailed as error:
         yield _lost("balance", error)
         return
-    with closing(device):
+    with closing(device):  # type: ignore[type-var]
         try:
             reading = _now(device.next_reading(FIRST_READING_S), clock)
             yield Finding("balance", "reading", _grams(reading.value_mg), "a reading", "ok")
             yield Finding("balance", "readability", f"{spec.readability_mg:g} mg", "as in robot/cell.yaml", "ok")
-            yield _identity(spec, device)
+            yield _identity(device)
             mean = _now(device.stable_mean(), clock)
             found = f"{_grams(mean.value_mg)} ± {mean.uncertainty_mg:.2f} mg"
             yield Finding("balance", "stability", found, "stable readings", "ok")
-            yield _line_of(device)
+            if isinstance(device, SerialBalance):
+                yield _line_of(device)
         except SkillFailed as error:
-            if (odd := device.misfit) is not None:
+            if isinstance(device, SerialBalance) and (odd := device.misfit) is not None:
                 yield judged("balance", "readability", odd.found, odd.expected, False, odd.what_to_do)
             elif error.code == Code.DEVICE_LOST:
                 yield _lost("balance", error)
@@ -295,17 +330,11 @@ def _grams(mass_mg: float) -> str:
     return f"{round(mass_mg / 1000, 4) + 0.0:.4f} g"  # + 0.0: nobody weighs -0.0000 g
 
 
-def _identity(spec: BalanceSpec, device: SerialBalance) -> Finding:
-    if not dialect_of(spec.driver).identify:
+def _identity(device: Balance) -> Finding:
+    if isinstance(device, SerialBalance) and not device.says_who_it_is:
         return Finding("balance", "identity", "its dialect has none", "", "not done")
     do = "it reads all the same; if there are several balances, be sure that it is the right one"
     return Finding("balance", "identity", device.identity or "no answer", "a serial number", "ok", do)
-
-
-def changer(spec: ChangerSpec) -> Finding:
-    """What changes the containers; a carousel exists in simulations only."""
-    do = "no carousel has a driver yet: write `changer: {driver: operator}` in robot/cell.yaml"
-    return judged("changer", "driver", spec.driver, "operator", spec.driver == "operator", do)
 
 
 def _lost(device: str, error: SkillFailed) -> Finding:

@@ -9,15 +9,16 @@ What a call refuses, it refuses before anything moves, and every device of the k
 about. tests/test_contract_*.py hold every implementation to what stands here.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scuhand_bt.cell_spec import BalanceSpec, HandSpec
-from scuhand_bt.clock import Signal, Steps
+from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.events import Line, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.axes import SomeAxes
@@ -42,6 +43,15 @@ class Trajectory(Protocol):
         What stops already is not changed by another stop.
         """
         ...
+
+
+TWIN = "TWIN"
+"""How what a twin says of who it is begins; no real device's does."""
+
+
+def is_twin(identity: str) -> bool:
+    """Whether a device that says this of who it is, is none."""
+    return identity.startswith(TWIN)
 
 
 class Device(Protocol):
@@ -104,6 +114,16 @@ class Arm(Device, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Forming:
+    """How the cone's size is about to change: its rim's diameter [mm] at every time [s] from now on."""
+
+    duration_s: float
+    rim_mm: Callable[[float], float]
+    with_arm: bool
+    """Whether the arm is about to begin its part of the same motion."""
+
+
 class Hand(Device, Protocol):
     """The conical sheet, its roller, the valve at the apex and the vibration motor.
 
@@ -112,8 +132,16 @@ class Hand(Device, Protocol):
     Opening and vibrating fail with the device's fault, shutting and stopping never do.
     """
 
+    on_start: Callable[[Forming], None]
+    """Told of every change of the cone's size just before it begins; must be quick."""
+
     @property
     def spec(self) -> HandSpec: ...
+
+    @property
+    def identity(self) -> str:
+        """What its controller says of who it is."""
+        ...
 
     @property
     def longest_dwell_s(self) -> float:
@@ -125,11 +153,19 @@ class Hand(Device, Protocol):
 
     @property
     def knows_its_roller(self) -> bool:
-        """Whether `cone_diameter_mm` was followed since a person has seen the sheet, or is only what it may be."""
+        """Whether `cone_diameter_mm` is true. A roller that has lost its turns is not turned before `rim_is`."""
         ...
 
-    def rolled_as_mounted(self) -> None:
-        """A person has rolled the sheet as it is mounted: `cone_diameter_mm` counts from there."""
+    @property
+    def possible_rims_mm(self) -> Sequence[float]:
+        """The rims that the cone may have, by the roller's angle within its turn; none where not even that tells."""
+        ...
+
+    def rim_is(self, diameter_mm: float) -> None:
+        """A person has seen how wide the rim is, or has mounted a sheet so: `cone_diameter_mm` counts from there.
+
+        ValueError for a rim beyond the roller's limits.
+        """
         ...
 
     @property
@@ -140,14 +176,15 @@ class Hand(Device, Protocol):
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         """Begin to change the cone's rim diameter, over `duration_s`, but no faster than the hand's speed.
 
-        ValueError for a cone that the sheet cannot make or a duration that is none, SkillFailed device.lost.
+        ValueError for a cone beyond the roller's limits (`HandSpec.rim_limits_mm`) or a duration that is none;
+        SkillFailed device.lost, hand.roller_lost.
         """
         ...
 
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course, one angle [rad] counted from the flat sheet, beside the arm's.
 
-        SkillFailed device.lost. `stop` ends it as it ends the arm's part of the same motion.
+        ValueError and SkillFailed as `start_morph`. `stop` ends it as it ends the arm's part of the same motion.
         """
         ...
 
@@ -263,6 +300,121 @@ class Changer(Device, Protocol):
     def take_away(self) -> Steps[None]:
         """Clear the pan; nothing happens if it is empty."""
         ...
+
+
+T_co = TypeVar("T_co", covariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample(Generic[T_co]):
+    """What a sensor or a scanner has read: the value, when it came (run time), and its raw bytes."""
+
+    value: T_co
+    time_s: float
+    raw: bytes = b""
+
+
+class Status:
+    """What a `set` has begun. It completes, done or failed, whatever happens; then the device's news fires."""
+
+    def __init__(self, news: Signal) -> None:
+        self.failure: SkillFailed | None = None
+        self._news = news
+        self._is_done = False
+
+    @property
+    def is_done(self) -> bool:
+        return self._is_done
+
+    def complete(self, failure: SkillFailed | None = None) -> None:
+        """It is over, and well without a failure."""
+        self.failure, self._is_done = failure, True
+        self._news.fire()
+
+    def wait(self) -> Steps[None]:
+        """Wait for it; SkillFailed as it has failed."""
+        while True:
+            wake = self._wake()
+            if self.is_done:
+                break
+            yield wake
+        if self.failure is not None:
+            raise self.failure
+
+    def _wake(self) -> Wake:
+        return Wake.on(self._news)
+
+
+class Instrument(Device, Protocol):
+    """A device beside the dose: skills lease it under the name that robot/cell.yaml gives it.
+
+    Its fault ends the skill that uses it, and no other.
+    """
+
+    def health(self) -> Mapping[str, str]:
+        """What a doctor looks at, in words: who it is, what it last said, …"""
+        ...
+
+
+class Sensor(Instrument, Protocol):
+    """Measures something of the room or the cell."""
+
+    def read(self, timeout_s: float = 10.0) -> Steps[Sample[Mapping[str, float]]]:
+        """Wait for what it measures after now, by names with units (`temperature_c`); SkillFailed device.lost."""
+        ...
+
+
+class Scanner(Instrument, Protocol):
+    """Reads the codes of containers."""
+
+    def read(self, timeout_s: float = 10.0) -> Steps[Sample[str]]:
+        """Wait for a code that is read after now; SkillFailed container.missing if none is, device.lost."""
+        ...
+
+
+class Ioniser(Instrument, Protocol):
+    """Takes charge from powder and containers."""
+
+    @property
+    def state(self) -> bool | None:
+        """Whether it is on; None while nobody knows."""
+        ...
+
+    def set(self, value: bool) -> Status:
+        """Switch it on or off; SkillFailed device.busy while it still does what it was told before, device.lost."""
+        ...
+
+
+class Capper(Instrument, Protocol):
+    """Puts a cap on a container, and takes it off."""
+
+    @property
+    def state(self) -> bool | None:
+        """Whether the container is capped; None while nobody knows."""
+        ...
+
+    def set(self, value: bool) -> Status:
+        """Cap the container, or take its cap off; SkillFailed device.busy, device.lost."""
+        ...
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where a driver connects its device: what robot/cell.yaml says of it, and what the run has for it."""
+
+    spec: Any
+    """Its section: `ArmSpec`, `HandSpec`, `BalanceSpec`, `ChangerSpec` or `DeviceSpec`."""
+    options: Any
+    """What its `options` say, as the driver's `Options` has read them."""
+    clock: Clock
+    liveness: Liveness = field(default_factory=Liveness)
+    """The pulse of the run's tick: what moves stops without it."""
+    may_torque: bool = True
+    """A person has seen to what has no torque: it may be given some."""
+    slot_of: Callable[[Container], int] = lambda container: 0
+    """The slot of a changer, from 0, that a container is in."""
+    servos: Any = None
+    """What the engine's own arm and hand share."""
 
 
 class Operator(Protocol):

@@ -4,12 +4,15 @@ Meets `devices.interfaces.Hand`.
 """
 
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.arguments import (
+    check_rim,
+    checked_course,
     checked_duration,
     checked_dwell,
     checked_vibration,
@@ -21,7 +24,8 @@ from scuhand_bt.devices.dynamixel.axes import Axis
 from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault_of
 from scuhand_bt.devices.hand_controller import HandController
 from scuhand_bt.devices.hand_protocol import FAULTS, LONGEST_DWELL_S
-from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.devices.interfaces import Forming, Joints
+from scuhand_bt.devices.roller import BEYOND_DEG, RollerRecord, rims_mm, roller_lost
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.axes import SomeAxes
@@ -64,7 +68,7 @@ class Turn:
 class ScuHand:
     """The hand, over a chain and a controller that are already open.
 
-    The roller drives the sheet by friction and has no mark: the cone must have `start_diameter_mm` now.
+    How far the sheet is rolled, it knows from the `record` where the roller's servo has kept its turns.
     """
 
     def __init__(
@@ -74,19 +78,27 @@ class ScuHand:
         chain: ServoChain,
         roller: AxisGroup,
         clock: Clock,
-        start_diameter_mm: float,
+        record: RollerRecord,
     ) -> None:
         self.spec = spec
         self.longest_dwell_s = LONGEST_DWELL_S
+        self.on_start: Callable[[Forming], None] = lambda forming: None
         self.news: Signal = controller.news
         """The same signal as the chain's."""
         self._controller = controller
         self._chain = chain
         self._roller = roller
         self._clock = clock
-        self._start_diameter_mm = start_diameter_mm
-        self.rolled_as_mounted()
-        self.knows_its_roller = False
+        self._record = record
+        if (count := record.count) is not None:
+            low_deg, high_deg = count.between_deg
+            if not low_deg - BEYOND_DEG <= self._roller_deg <= high_deg + BEYOND_DEG:
+                record.turns_were_lost()
+
+    @property
+    def identity(self) -> str:
+        hello = self._controller.hello
+        return "" if hello is None else hello.firmware
 
     @property
     def is_stopped(self) -> bool:
@@ -112,7 +124,19 @@ class ScuHand:
 
     @property
     def cone_diameter_mm(self) -> float:
-        return Cone.from_roller(self._at_zero_deg + self._roller_deg, self.spec).diameter_mm
+        if not self.knows_its_roller:
+            return self.spec.options.start_diameter_mm
+        return self._rim_mm(self._roller.positions_rad)
+
+    @property
+    def knows_its_roller(self) -> bool:
+        return self._record.count is not None and self._record.count.is_intact
+
+    @property
+    def possible_rims_mm(self) -> Sequence[float]:
+        if (count := self._record.count) is None:
+            return ()
+        return rims_mm(count.at_zero_deg + self._roller_deg, self.spec)
 
     @property
     def opening_mm(self) -> float:
@@ -128,28 +152,30 @@ class ScuHand:
         """Close the valve and the controller's port; the chain is the arm's to close."""
         self._controller.close()
 
-    def rolled_as_mounted(self) -> None:
-        """The cone has its start diameter now; what was believed of it before is given up."""
-        self._at_zero_deg = self._cone(self._start_diameter_mm).roller_deg(self.spec) - self._roller_deg
-        """What the roller's angle counted from the flat sheet is at the servo's zero."""
-        self.knows_its_roller = True
+    def rim_is(self, diameter_mm: float) -> None:
+        check_rim(diameter_mm, self.spec)
+        here_deg = self._roller_deg
+        self._record.keep(self._cone(diameter_mm).roller_deg(self.spec) - here_deg, (here_deg, here_deg))
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
         """Begin to change the cone's size, no faster than the hand's speed and than the roller's servo can."""
-        cone, duration_s = self._cone(cone_diameter_mm), checked_duration(duration_s)
-        if self._chain.trouble is not None:
-            raise self._chain.trouble
+        check_rim(cone_diameter_mm, self.spec)
+        duration_s = checked_duration(duration_s)
+        self._require_roller()
         begin_rad = float(self._roller.goals_rad[0])
-        end_rad = math.radians(cone.roller_deg(self.spec) - self._at_zero_deg)
+        end_rad = math.radians(self._cone(cone_diameter_mm).roller_deg(self.spec) - self._at_zero_deg)
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         servo_s = abs(end_rad - begin_rad) / ROLLER_SPEED_RAD_PER_S
-        self._roller.move(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)))
+        self._keep(begin_rad, end_rad)
+        self._form(Turn(begin_rad, end_rad, max(duration_s, fastest_s, servo_s, 0.02)), with_arm=False)
 
     def start_rolling(self, course: SomeAxes) -> None:
         """Begin to turn the roller along a course that is counted from the flat sheet."""
-        if self._chain.lost is not None:
-            raise self._chain.lost
-        self._roller.move(course.counted_from(math.radians(self._at_zero_deg)))
+        ends_rad = checked_course(course, self.spec)
+        self._require_roller()
+        zero_rad = math.radians(self._at_zero_deg)
+        self._keep(*(end_rad - zero_rad for end_rad in ends_rad))
+        self._form(course.counted_from(zero_rad), with_arm=True)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
         """Change the cone's size and wait for it; SkillFailed with what ended it early."""
@@ -206,9 +232,34 @@ class ScuHand:
             self._raise_trouble()
         self._controller.set_vibration(level)
 
+    def _form(self, course: Turn | SomeAxes, *, with_arm: bool) -> None:
+        """Turn the roller along a course that is counted from its servo's zero."""
+        self.on_start(Forming(course.duration_s, lambda s: self._rim_mm(course.sample(s)), with_arm))
+        self._roller.move(course)
+
+    def _rim_mm(self, roller_rad: Joints) -> float:
+        """The cone's rim with the roller's servo there."""
+        return Cone.from_roller(self._at_zero_deg + math.degrees(float(roller_rad[0])), self.spec).diameter_mm
+
     @property
     def _roller_deg(self) -> float:
         return math.degrees(float(self._roller.positions_rad[0]))
+
+    @property
+    def _at_zero_deg(self) -> float:
+        assert self._record.count is not None
+        return self._record.count.at_zero_deg
+
+    def _require_roller(self) -> None:
+        if self._chain.trouble is not None:
+            raise self._chain.trouble
+        if not self.knows_its_roller:
+            raise roller_lost()
+
+    def _keep(self, *ends_rad: float) -> None:
+        """On disk, before the roller turns: between where it is and where it will be, on the servo's count."""
+        ends_deg = [self._roller_deg, *(math.degrees(end_rad) for end_rad in ends_rad)]
+        self._record.keep(self._at_zero_deg, (min(ends_deg), max(ends_deg)))
 
     def _cone(self, diameter_mm: float) -> Cone:
         return Cone(diameter_mm, self.spec.sheet_radius_mm)

@@ -37,6 +37,8 @@ Floats = NDArray[np.float64]
 
 TURN_RAD_PER_S = 1.2
 """Of axis and handle: slower than powder is thrown."""
+FREE_MM_PER_S = 150.0
+"""Speed of lip and apex at least, where the lip is not on the wall: empty, and then straight up, which tips no load."""
 APEX_CLEAR_MM = 3.0
 """The apex is never nearer to the vessel than this."""
 LIP_GAP_MM = 0.1
@@ -109,6 +111,8 @@ class Ladle:
     """From the apex along the seam to the wrist's middle."""
     edge_speed_mm_per_s: float = 20.0
     """Of the sheet's edge along the rim: how fast the cone closes."""
+    rim_limits_mm: tuple[float, float] = (30.0, 95.0)
+    """What the roller makes."""
 
     @classmethod
     def of(cls, hand: HandSpec) -> "Ladle":
@@ -118,6 +122,7 @@ class Ladle:
             hand.mount.clamp_radius_mm,
             hand.apex_offset_mm + WRIST_TO_FLANGE_MM,
             hand.morph_speed_mm_per_s,
+            hand.rim_limits_mm,
         )
 
 
@@ -183,6 +188,10 @@ def stroke_path(vessel: Vessel, stroke: Stroke, ladle: Ladle) -> StrokePath:
         raise ValueError(
             f"a sheet of {ladle.slant_mm:g} mm makes no rims of {', '.join(f'{rim_mm:g}' for rim_mm in rims_mm)}"
         )
+    narrowest_mm, widest_mm = ladle.rim_limits_mm
+    if min(rims_mm) < narrowest_mm or max(rims_mm) > widest_mm:
+        asked = f"a rim of {stroke.open_mm:g} mm that closes to {stroke.closed_mm:g} mm"
+        raise NoStrokeError(f"{asked} is beyond the roller's, {narrowest_mm:g} to {widest_mm:g} mm")
     if stroke.open_mm > vessel.bore_mm - 2 * LIP_GAP_MM:
         raise NoStrokeError(f"a rim of {stroke.open_mm:g} mm does not go into a bore of {vessel.bore_mm:g} mm")
     return _in_space(_poses(vessel, replace(stroke, heading_deg=0.0), ladle), stroke, ladle)
@@ -419,8 +428,12 @@ def _times_s(poses: Sequence[_Pose], lip_mm: Floats, stroke: Stroke, ladle: Ladl
     )
     turns_rad = np.maximum(np.abs(np.diff(tilts_rad)), np.abs(np.diff(tilts_rad - half_rad)))
     edge_mm = math.pi * np.abs(np.diff(rims_mm))
+    on_wall = ~np.isnan([pose.attack_rad for pose in poses])
+    speeds_mm_per_s = np.where(
+        on_wall[1:] & on_wall[:-1], stroke.lip_speed_mm_per_s, max(stroke.lip_speed_mm_per_s, FREE_MM_PER_S)
+    )
     steps_s = np.maximum.reduce(
-        [ways_mm / stroke.lip_speed_mm_per_s, turns_rad / TURN_RAD_PER_S, edge_mm / ladle.edge_speed_mm_per_s]
+        [ways_mm / speeds_mm_per_s, turns_rad / TURN_RAD_PER_S, edge_mm / ladle.edge_speed_mm_per_s]
     )
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps_s, 1e-3))])
 

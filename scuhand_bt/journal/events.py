@@ -32,6 +32,8 @@ class SamplePlanned(Values):
     id: Text
     workflow: str
     inputs: dict[str, JsonValue]
+    done_s: float | None = None
+    """When it is to be done, by the plan's forecast, from the beginning of the run."""
 
 
 class OptionsGiven(Values):
@@ -66,7 +68,7 @@ class RunBegun(Event):
     simulated: bool
     unattended: bool = False
     mode: str
-    """In words: real devices, SIMULATED, REHEARSAL."""
+    """In words: real devices, TWINS, SIMULATED, REHEARSAL."""
     seed: int | None = None
     plant: str | None = None
     """The simulated physics."""
@@ -254,19 +256,22 @@ class WorkflowTree(Event):
 
 
 class ArmMoves(Event):
-    """The arm begins a motion: for whoever shows it."""
+    """The arm begins a motion, or the sheet does while the arm stands: for whoever shows it."""
 
     KIND: ClassVar = "arm_moves"
 
     step_s: float
     """Time between two of the rows."""
     joints_rad: tuple[tuple[float, ...], ...]
-    """Where the seven joints are, from the motion's beginning to its end."""
+    """Where the seven joints are, from the motion's beginning to its end; one row for an arm that stands."""
     cone_mm: float
     """The diameter of the cone's rim at its beginning."""
+    rims_mm: tuple[float, ...] = ()
+    """And in such rows, where it changes."""
 
     @property
     def duration_s(self) -> float:
+        """How long the arm moves."""
         return self.step_s * (len(self.joints_rad) - 1)
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import DoseCurve, Event
+from scuhand_bt.events import SKILL_EVENTS, BracketClosed, ContainerPlaced, DoseCurve, Event, Weighing
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.events import (
     ActionEnded,
@@ -42,7 +42,20 @@ _OF_RUN = (
     *(RunBegun, Resumed, WorkflowTree, JobStarted, JobEnded, SampleResult),
     *(Asked, Answered, Paused, Continued, Ended),
 )
-_OF_JOB = (JobResumed, ActionStarted, ActionEnded, Decided, ArmMoves, DoseCurve, Frames)
+_WEIGHINGS: tuple[type[Event], ...] = (
+    *(ContainerPlaced, BracketClosed),
+    *(kind for kind in SKILL_EVENTS if issubclass(kind, Weighing)),
+)
+_OF_JOB: tuple[type[Event], ...] = (
+    JobResumed,
+    ActionStarted,
+    ActionEnded,
+    Decided,
+    ArmMoves,
+    DoseCurve,
+    Frames,
+    *_WEIGHINGS,
+)
 """Told of the job that is under way alone: of those before it nobody looks any more."""
 
 
@@ -85,6 +98,8 @@ class Follower:
     """What the workflows' trees look like, by the workflows' names."""
     samples: dict[str, SampleResult] = field(default_factory=dict)
     """What was said of each last, the newest last."""
+    judged_s: float = 0.0
+    """Run time of the newest."""
     job: JobStarted | None = None
     job_ended: JobEnded | None = None
     """None while the job goes on."""
@@ -95,7 +110,7 @@ class Follower:
     course: list[Sequence[float]] = field(default_factory=list)
     """Of its doses until now: the points of `dose_curve`."""
     reading: tuple[float, float, bool] | None = None
-    """The balance's last line in it: run time [s], gross [mg], whether it is stable."""
+    """The balance's last line in it that was written down: run time [s], gross [mg], whether it is stable."""
     move: tuple[float, ArmMoves] | None = None
     """The last motion of the arm, and the run time at which it began."""
     state: dict[str, Any] = field(default_factory=dict)
@@ -134,6 +149,7 @@ class Follower:
                 self._weigh(frames)
             elif isinstance(event, SampleResult):
                 results.append(event)
+                self.judged_s = time_s
         if (row := database.execute(_STATE, (self._state_seq, self.until_s)).fetchone()) is not None:
             self._state_seq, self.state_s, self.state = row[0], row[1], json.loads(row[2])
         if self._seq > before:
@@ -158,6 +174,13 @@ class Follower:
         if lines:
             time_s, _, value_mg, _, stable = lines[-1]
             self.reading = time_s, value_mg, stable
+
+    def _weigh_by(self, event: Event) -> None:
+        """What was shown last in a weighing that was written down with its lines."""
+        weighings = [event, getattr(event, "bare", None), getattr(event, "loaded", None)]
+        lines = [line for one in weighings if isinstance(one, Weighing) for line in one.readings]
+        if lines:
+            self.reading = lines[-1].time_s, lines[-1].value_mg, lines[-1].stable
 
     def _take(self, seq: int, action: int | None, event: Event | None) -> None:
         match event:
@@ -184,6 +207,8 @@ class Follower:
             case SampleResult():
                 self.samples.pop(event.id, None)
                 self.samples[event.id] = event
+            case Weighing() | ContainerPlaced() | BracketClosed():
+                self._weigh_by(event)
             case Paused() | Continued():
                 self.is_paused = isinstance(event, Paused)
             case Ended() | Resumed():

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import Dose, Event
+from scuhand_bt.events import ContainerDiscarded, Dose, Event, ValueRecorded
 from scuhand_bt.journal.events import (
     ActionEnded,
     ActionStarted,
@@ -23,15 +23,15 @@ from scuhand_bt.journal.events import (
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.plain import to_json
 from scuhand_bt.journal.reader import open_contents
-from scuhand_bt.journal.results import Chosen, SampleResult
+from scuhand_bt.journal.results import Chosen, SampleResult, SoFar
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.replay import Decision, Key, Recorded, Replay
 
 STOPPED = "stopped"
 """The outcome of a job whose failure ended the run: it is taken up again where it failed."""
 _TOLD_BY = (
-    *(RunBegun, JobStarted, JobResumed, JobEnded, ActionStarted, ActionEnded, Decided, Dose, SampleResult, Chosen),
-    *(NotResumable, Ended, Resumed),
+    *(RunBegun, JobStarted, JobResumed, JobEnded, ActionStarted, ActionEnded, Decided, SampleResult, Chosen),
+    *(Dose, ContainerDiscarded, ValueRecorded, NotResumable, Ended, Resumed),
 )
 _KINDS = tuple(event.KIND for event in _TOLD_BY)
 _OF_ACTIONS = (ActionStarted.KIND, ActionEnded.KIND, Decided.KIND)
@@ -46,7 +46,7 @@ class JobHistory:
     outcome: str | None = None
     """None: interrupted without a word."""
     failure: SkillFailed | None = None
-    doses: list[Dose] = field(default_factory=list)
+    so_far: SoFar = field(default_factory=SoFar)
     actions: dict[Key, Recorded] = field(default_factory=dict)
     """Of a job that is not over, as the decisions: nothing else is replayed."""
     decisions: dict[Key, Decision] = field(default_factory=dict)
@@ -168,8 +168,8 @@ def _note(job: JobHistory, event: Event) -> None:
             job.failure = event.failure
         case JobResumed():
             job.outcome = job.failure = None
-        case Dose():
-            job.doses.append(event)
+        case _:
+            job.so_far.note(event)
 
 
 def _note_actions(job: JobHistory, acted: Iterable[tuple[int, int | None, str, str]]) -> None:

@@ -20,6 +20,10 @@ class Presence:
     def __init__(self, journal: Path) -> None:
         self._lock = _locked(journal.with_suffix(".lock"))
 
+    def fileno(self) -> int:
+        """What a program that is to share this hold is given; it lasts until the last of them has ended."""
+        return self._lock.fileno()
+
     def end(self) -> None:
         """Let go of the run; once is enough."""
         if not self._lock.closed:

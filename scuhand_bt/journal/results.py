@@ -1,11 +1,35 @@
 """How samples came out: the journal's entries of kind `sample`, and what a person chose for one that failed."""
 
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from scuhand_bt.events import Event, Text, Values
+from scuhand_bt.events import ContainerDiscarded, Dose, Event, Note, Text, ValueRecorded, Values
 from scuhand_bt.specs import Verdict
 
-SampleVerdict = Literal[Verdict, "not as asked", "no dose", "skipped", "interrupted", "not run"]
+SampleVerdict = Literal[Verdict, "not as asked", "no dose", "recorded", "skipped", "interrupted", "not run"]
+
+
+@dataclass
+class SoFar:
+    """What the entries of a job, in their order, tell of its sample."""
+
+    doses: list[Dose] = field(default_factory=list)
+    """Those that count."""
+    recorded: dict[str, ValueRecorded] = field(default_factory=dict)
+    """By name."""
+
+    def note(self, event: Event | Note) -> None:
+        """Take an entry into account."""
+        match event:
+            case Dose():
+                self.doses.append(event)
+            case ContainerDiscarded():
+                self.doses = [dose for dose in self.doses if dose.container != event.container]
+            case ValueRecorded():
+                self.recorded[event.name] = event
+
+    def copy(self) -> "SoFar":
+        return SoFar(list(self.doses), dict(self.recorded))
 
 
 class DoseResult(Values):
@@ -71,6 +95,8 @@ class SampleResult(Event):
     attempt: int = 1
     doses: tuple[DoseResult, ...] = ()
     """Every powder lot in every container; what stands above is of the one that the recipe asks for, or the last."""
+    recorded: tuple[ValueRecorded, ...] = ()
+    """What its workflow has recorded of it (`record`)."""
 
     @property
     def is_open(self) -> bool:
@@ -86,8 +112,8 @@ class SampleResult(Event):
     @property
     def is_good(self) -> bool:
         """All doses in tolerance and confirmed, or a workflow that was to dose nothing; and no failure."""
-        wanted = "no dose" if self.target_mg is None else "in tolerance"
-        return self.code is None and self.verdict == wanted and all(dose.is_good for dose in self.doses)
+        wanted = ("no dose", "recorded") if self.target_mg is None else ("in tolerance",)
+        return self.code is None and self.verdict in wanted and all(dose.is_good for dose in self.doses)
 
 
 class Chosen(Event):

@@ -22,10 +22,11 @@ from pydantic import JsonValue
 
 from scuhand_bt.clock import Signal, Wake, wall_time
 from scuhand_bt.devices.interfaces import Reading
-from scuhand_bt.events import BracketClosed, ContainerLifted, Dose, DoseBegun, DoseCurve, DoseWeighed, Event, Note
+from scuhand_bt.events import BracketClosed, ContainerLifted, DoseBegun, DoseCurve, DoseWeighed, Event, Note
 from scuhand_bt.journal.events import ActionEnded, ActionStarted, Frames, JobEnded, JobResumed, JobStarted
 from scuhand_bt.journal.hash_chain import Entry, digest
 from scuhand_bt.journal.plain import to_json
+from scuhand_bt.journal.results import SoFar
 from scuhand_bt.journal.store import Row, Store
 from scuhand_bt.record import RecordLost
 
@@ -64,8 +65,8 @@ class Journal:
         self.job: int | None = None
         self.action: int | None = None
         """The action that is acting now; what devices record is its doing."""
-        self.doses: list[Dose] = []
-        """The doses of the current job."""
+        self.so_far = SoFar()
+        """What the current job tells of its sample."""
         self._lost: RecordLost | None = None
         self._is_told = False
         self._state: Mapping[str, JsonValue] | None = None
@@ -122,18 +123,17 @@ class Journal:
         if isinstance(event, DoseCurve):
             self._course += event.points
             return
-        if isinstance(event, Dose):
-            self.doses.append(event)
+        self.so_far.note(event)
         self._append(event, with_state=isinstance(event, POINTS_OF_NO_RETURN), is_told=True)
 
     def job_started(self, event: JobStarted) -> None:
         self.job = self.action = None
-        self.doses = []
+        self.so_far = SoFar()
         self.job = self._append(event)
 
-    def job_resumed(self, job: int, doses: Sequence[Dose]) -> None:
+    def job_resumed(self, job: int, so_far: SoFar) -> None:
         """Go on with a job of this journal."""
-        self.job, self.action, self.doses = job, None, list(doses)
+        self.job, self.action, self.so_far = job, None, so_far.copy()
         self._append(JobResumed())
 
     def job_ended(self, event: JobEnded) -> None:

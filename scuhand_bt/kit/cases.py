@@ -18,17 +18,18 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from scuhand_bt.events import ValueRecorded
 from scuhand_bt.kit.rehearsed import Rehearsed, Rehearser, leaves_of
 from scuhand_bt.lab import TEST_SUFFIX, Lab
 from scuhand_bt.problems import Mark, Problems, SourceError, shorten
-from scuhand_bt.quantity import Seconds
+from scuhand_bt.quantity import Seconds, parse
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import recipe_of
 from scuhand_bt.sim.fault_rules import FaultFile, faults_of
 from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.specs import Spec
 from scuhand_bt.tree.substitutes import Substitutes, Substitution
-from scuhand_bt.tree.wires import in_words, of_field
+from scuhand_bt.tree.wires import QUANTITIES, in_words, of_field
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, from_plain, load, plain
 
@@ -39,7 +40,7 @@ SAMPLE = "test"
 SUCCESS = "success"
 
 
-class _Rule(Spec):
+class Substituted(Spec):
     """One entry of `substitute`."""
 
     at: str
@@ -65,6 +66,8 @@ class Expectation(Spec):
     """How often a skill is called; 0 for one that must not be."""
     values: dict[str, Any] = Field(default_factory=dict)
     """Of the last result of a skill, `skill` or `skill.attribute`: a value, or {about, within}."""
+    recorded: dict[str, Any] = Field(default_factory=dict)
+    """What stands in the sample's row, by name, in the row's unit: a value, or {about, within}."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,35 @@ def _against(expect: Expectation, ran: Rehearsed, lab: Lab) -> list[str]:
             wrong.append(f"expected {times} calls of {skill}, there were {count}")
     for name, wanted in expect.values.items():
         wrong += _against_value(name, wanted, ran, lab)
+    recorded = {one.name: one for one in ran.sample.recorded}
+    for name, wanted in expect.recorded.items():
+        wrong += _against_recorded(name, wanted, recorded)
     return wrong
+
+
+def _against_recorded(name: str, wanted: Any, recorded: Mapping[str, ValueRecorded]) -> list[str]:
+    """A value of the sample's row; a number is read in the unit in which it stands there."""
+    if (found := recorded.get(name)) is None:
+        had = ", ".join(recorded) or "nothing"
+        return [f"expected that {name} is recorded; there was {had}"]
+    try:
+        if isinstance(wanted, dict):
+            about, within = _number(found, wanted["about"]), _number(found, wanted["within"])
+            is_good = abs(_number(found, found.value) - about) <= within
+        elif isinstance(found.value, bool):
+            is_good = found.value == (str(wanted).lower() in ("yes", "true"))
+        else:
+            is_good = found.value == (wanted if isinstance(found.value, str) else _number(found, wanted))
+    except (KeyError, ValueError) as error:
+        return [f"expected {name} {wanted}, which is not as it is recorded ({found}): {error}"]
+    shown = f"about {wanted['about']} within {wanted['within']}" if isinstance(wanted, dict) else wanted
+    return [] if is_good else [f"expected {name} {shown}, it is {found}"]
+
+
+def _number(recorded: ValueRecorded, value: Any) -> float:
+    """A number as it is written in a test; ValueError for what is none in the unit of what was recorded."""
+    unit = next((one for one in QUANTITIES.values() if one.symbol == recorded.unit), None)
+    return parse(value, unit) if recorded.unit and unit is not None and isinstance(value, str) else float(value)
 
 
 def _against_value(name: str, wanted: Any, ran: Rehearsed, lab: Lab) -> list[str]:
@@ -208,14 +239,14 @@ class Coverage:
         return len(leaves) - len(missed), len(leaves), missed
 
     def branches(self, workflow: str) -> tuple[int, int]:
-        """Children of fallbacks and parallels come to, and all of them."""
+        """Children of fallbacks, parallels and choices come to, and all of them."""
         leaves = leaves_of(self._lab, workflow)
         every = {leaf[: leaf.index("/", i)] for leaf in leaves for kind in BRANCHING for i in _found(leaf, kind)}
         seen = self._seen.get(workflow, set())
         return sum(any(path.startswith(branch + "/") for path in seen) for branch in every), len(every)
 
 
-BRANCHING = ("/fallback.", "/parallel.")
+BRANCHING = ("/fallback.", "/parallel.", "/if.", "/switch.")
 
 
 def _found(text: str, part: str) -> Sequence[int]:
@@ -319,7 +350,7 @@ class _Reader:
     def _substitution(self, node: Node, workflow: str) -> Substitution | None:
         problems, library = self._problems, self._lab.library
         gives = node.get("gives") if isinstance(node, Entries) else None
-        rule = validate(_Rule, node.without("gives") if isinstance(node, Entries) else node, problems)
+        rule = validate(Substituted, node.without("gives") if isinstance(node, Entries) else node, problems)
         if rule is None or not isinstance(node, Entries):
             return None
         if rule.fails is not None and rule.fails not in library.failures():

@@ -18,7 +18,7 @@ class DryCell:
     def __init__(self, rehearser: Rehearser, folder: Path) -> None:
         self._lab = rehearser.lab
         recipe = Recipe(folder / "test", "", "test", "as_written", None, {}, (), {"otherwise": "flag"}, 0, {})
-        self._session = rehearser.session(Plan(recipe, (), (), (), 0.0), folder)
+        self._session = rehearser.session(Plan(recipe, (), (), (), {}), folder)
 
     @property
     def cell(self) -> Cell:

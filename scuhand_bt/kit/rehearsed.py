@@ -112,7 +112,7 @@ class Rehearser:
 
 def leaves_of(lab: Lab, workflow: str) -> Sequence[str]:
     """The places of all skills in a workflow's tree, as a run's journal names them."""
-    from scuhand_bt.tree.grammar import Branch, Call, Decorator, TreeNode
+    from scuhand_bt.tree.grammar import Branch, Call, Choice, Decorator, TreeNode
 
     library, found = lab.library, list[str]()
 
@@ -122,6 +122,9 @@ def leaves_of(lab: Lab, workflow: str) -> Sequence[str]:
                 walk(child, f"{path}/{node.kind}.{number}")
         elif isinstance(node, Decorator):
             walk(node.child, f"{path}/{node.kind}")
+        elif isinstance(node, Choice):
+            for case in node.cases:
+                walk(case.child, f"{path}/{node.kind}.{case.label}")
         elif isinstance(node, Call) and node.name in library.skills:
             found.append(f"{path}/{node.name}")
         else:

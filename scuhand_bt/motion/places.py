@@ -10,7 +10,7 @@ import numpy as np
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.motion.explain import goal_blocked, require_reachable
 from scuhand_bt.motion.inverse import solutions
-from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount
+from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount, apex
 from scuhand_bt.motion.scenes import Geometry, Scenes
 from scuhand_bt.motion.timelaw import RateLimits
 
@@ -18,6 +18,8 @@ RELAXED_RAD = (0.0, -0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
 """What postures are chosen near to, j1 from where the place is."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
+BESIDE_M = 0.02
+"""Its apex is then no farther from the place than this."""
 
 
 class Places:
@@ -58,7 +60,10 @@ class Places:
 
     def settled(self, q: Floats, geometry: Geometry) -> Floats:
         """The posture that the arm was sent to, where it reports to be within its own error of one."""
-        for name in self._poses:
+        at_m = apex(q, Mount.of(self._hand, 1e3 * geometry.cone_diameter_m)).position_m
+        for name, pose in self._poses.items():
+            if np.abs(pose.position_m - at_m).max() > BESIDE_M:
+                continue
             posture = self.posture(name, geometry)
             if np.abs(posture - q).max() <= SETTLED_RAD:
                 return posture

@@ -1,7 +1,7 @@
 """The planning service: the one object that skills ask for a motion, through the cell.
 
-A request is (start, goal, geometry, constraint); its answer is planned once and kept. Geometry is the
-cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
+A request is (start, goal, geometry, constraint); its answer is planned once, and the last ones are kept. Geometry is
+the cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
 built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
 request gets the same motion on every run, on every machine of the same versions. Between two places,
 where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan, the
@@ -14,9 +14,10 @@ arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothin
 import hashlib
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -27,15 +28,16 @@ from scuhand_bt.motion import explain, transfer
 from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.contact import contact_motion
 from scuhand_bt.motion.inverse import solutions
-from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
+from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
-from scuhand_bt.motion.stroke import StrokePoses, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import JointTrajectory, standing
+from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.trajectory import JointTrajectory, beside, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -45,6 +47,9 @@ SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
 LIMIT_STEP_DEG = 5.0
 """Limits of loads are rounded down to whole steps for planning: loads that differ a little share their plans."""
+
+PLANS_KEPT = 256
+STROKES_KEPT = 64
 
 Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
 """Start and goals as their bytes, geometry, spill limit: what a plan is kept by."""
@@ -63,6 +68,11 @@ def _seed(request: Request) -> int:
     return int.from_bytes(digest, "big")
 
 
+def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
+    """Where a motion is at times counted from one of its moments."""
+    return motion.at(begin_s + times_s)
+
+
 class MotionPlanner:
     """Plans the arm's motions in one cell, and keeps what it has planned.
 
@@ -78,8 +88,10 @@ class MotionPlanner:
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, self.rates, cell.hand)
-        self._plans: dict[Request, StoppableTrajectory] = {}
-        self._carries: dict[Request, StoppableTrajectory] = {}
+        self._plans: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
+        self._carries: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
+        self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
+        self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
 
     # What the cell looks like now -------------------------------------------------------------------
 
@@ -136,10 +148,9 @@ class MotionPlanner:
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
         key = _request(begin, goals, self._geometry, spill_limit_deg)
-        if key not in self._carries:
-            carried = self._carried(begin, goals, name, spill_limit_deg, effort)
-            self._carries[key] = self._stoppable(carried)
-        return self._carries[key]
+        return self._carries.of(
+            key, lambda: self._stoppable(self._carried(begin, goals, name, spill_limit_deg, effort))
+        )
 
     def _carried(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
@@ -164,16 +175,16 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """The plan of a request, made once. Between two configurations it is made in one direction only."""
         key = _request(begin, goals, self._geometry, spill_limit_deg)
-        if key not in self._plans:
+
+        def made() -> StoppableTrajectory:
             if len(goals) == 1 and key[1] < key[0]:
                 self._require_free(begin)
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
                 there = self._kept(goals[0], begin[None, :], "its start", spill_limit_deg, effort)
-                self._plans[key] = self._stoppable(there.reversed())
-            else:
-                planned = self._planned(begin, goals, name, spill_limit_deg, effort)
-                self._plans[key] = self._stoppable(planned)
-        return self._plans[key]
+                return self._stoppable(there.reversed())
+            return self._stoppable(self._planned(begin, goals, name, spill_limit_deg, effort))
+
+        return self._plans.of(key, made)
 
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
@@ -183,16 +194,15 @@ class MotionPlanner:
             if spill_limit_deg is None:
                 effort = POLISHED
             if self._geometry.container is not None:
-                with self._bare_pan():
+                with self._as_if(Geometry(self._geometry.cone_diameter_m)):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
                 if self.scene().proves(over_bare_pan):
                     return over_bare_pan
         return self._searched(begin, goals, name, spill_limit_deg, effort)
 
     @contextmanager
-    def _bare_pan(self) -> Iterator[None]:
-        present = self._geometry
-        self._geometry = Geometry(present.cone_diameter_m)
+    def _as_if(self, geometry: Geometry) -> Iterator[None]:
+        present, self._geometry = self._geometry, geometry
         try:
             yield
         finally:
@@ -232,16 +242,50 @@ class MotionPlanner:
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(up.reversed())
 
+    def forming(
+        self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle
+    ) -> StoppableTrajectory:
+        """The empty cone's motion between two configurations, on which its rim becomes another: 8 columns.
+
+        Either half of it is proven with the rims of that half. SkillFailed as `move`, and arm.no_path where the cone
+        would touch something on the way.
+        """
+        rates, last = (
+            with_roller(self.rates, self._cell.hand),
+            replace(self._geometry, cone_diameter_m=rims_mm[1] / 1e3),
+        )
+        with self._as_if(last):
+            way = self.move(start, goal)
+        law = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
+        both = beside(way, law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm])))
+        half_s, quarters_mm = both.duration_s / 2, np.linspace(*rims_mm, 5).round(1).tolist()
+        for begin_s, three_mm in ((0.0, quarters_mm[:3]), (half_s, quarters_mm[2:])):
+            scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
+            course = partial(_later, arm_part(both), begin_s)
+            if not scene.curve_free(course, half_s, both.extremes()[1][:JOINTS]):
+                raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
+        return StoppableTrajectory(both, rates, self._mount)
+
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
 
         Eight columns: the joints, and the roller. `rims_mm` are the first, some in between, and the last. SkillFailed
         arm.unreachable, arm.no_path.
         """
-        scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
-        mount = Mount.of(self._cell.hand, rims_mm[0])
-        rates = with_roller(self.rates, self._cell.hand)
-        return StoppableTrajectory(stroke_motion(checked_joints(near), poses, scene, rates, mount), rates, mount)
+        begin, hand = checked_joints(near), self._cell.hand
+
+        def made() -> StoppableTrajectory | SkillFailed:
+            scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
+            mount, rates = Mount.of(hand, rims_mm[0]), with_roller(self.rates, hand)
+            try:
+                return StoppableTrajectory(stroke_motion(begin, poses, scene, rates, mount), rates, mount)
+            except SkillFailed as failure:  # as expensive as a stroke that there is, and asked for as often
+                return failure
+
+        found = self._strokes.of((begin.tobytes(), poses.digest, tuple(rims_mm), station, self._geometry), made)
+        if isinstance(found, SkillFailed):
+            raise SkillFailed(found.code, found.detail)
+        return found
 
     def reform(self, start: Floats, place: str, diameter_mm: float, roller_rad: RollerAngle) -> StoppableTrajectory:
         """Arm and roller (8 columns) from `start`, the cone upright, to a place with a cone of another size.
@@ -252,11 +296,15 @@ class MotionPlanner:
         hand, begin = self._cell.hand, checked_joints(start)
         end = self._places.posture(place, replace(self._geometry, cone_diameter_m=diameter_mm / 1e3))
         rims_mm = (1e3 * self._geometry.cone_diameter_m, diameter_mm)
-        scene = self._scenes.of_stroke(self._geometry, [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]], None, CLOSE_MARGIN_M)
         rates = with_roller(self.rates, hand)
-        return StoppableTrajectory(
-            reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad), rates, self._mount
-        )
+
+        def made() -> StoppableTrajectory:
+            three_mm = [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]]
+            scene = self._scenes.of_stroke(self._geometry, three_mm, None, CLOSE_MARGIN_M)
+            motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad)
+            return StoppableTrajectory(motion, rates, self._mount)
+
+        return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
     @property
     def _mount(self) -> Mount:

@@ -1,22 +1,26 @@
-"""The cell's scenes: the arm with one size of cone among what stands there, built when first needed and kept.
+"""The cell's scenes: the arm with one size of cone among what stands there, built when first needed.
 
-A scene in which a mortar is touched is one stroke's, and is not kept: its cone hardly comes again.
+The last ones are kept, as one stroke's is asked for in each of its directions; each holds a megabyte or two.
 
 Lengths in metres.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.recent import Recent
 from scuhand_bt.specs import ContainerKind, Mortar
 
 CONE_DIAMETER_M = MOUNTED_DIAMETER_MM / 1e3
 MARGIN_M = 0.005
 CLOSE_MARGIN_M = 0.001
 """Where the start or the goal itself is nearer to something than the usual margin; and in contact."""
+SCENES_KEPT, STROKES_KEPT = 12, 2
+"""A mortar that may be touched is two hundred solids, and its stroke's scene five times as large as another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,9 @@ class Geometry:
     container: ContainerKind | None = None
 
 
+_Asked: TypeAlias = tuple[Geometry, float, str | None, tuple[float, ...]]
+
+
 class Scenes:
     """Every scene of one cell. KeyError for mortars at stations that the cell does not have."""
 
@@ -35,25 +42,24 @@ class Scenes:
         self._cell = cell
         self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
         self._bench = cell_solids.bench(cell)
-        self._scenes: dict[tuple[Geometry, float], Scene] = {}
+        self._scenes: Recent[_Asked, Scene] = Recent(SCENES_KEPT)
+        self._of_strokes: Recent[_Asked, Scene] = Recent(STROKES_KEPT)
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
         """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
-        if touching is not None:
-            return self._made(geometry, margin_m, touching)
-        key = (geometry, margin_m)
-        if key not in self._scenes:
-            self._scenes[key] = self._made(geometry, margin_m, None)
-        return self._scenes[key]
+        return self._kept(geometry, margin_m, touching, (1e3 * geometry.cone_diameter_m,))
 
     def of_stroke(self, geometry: Geometry, rims_mm: Sequence[float], station: str | None, margin_m: float) -> Scene:
         """The scene of a stroke at a station, or of none, in which the cone has each of these rims."""
-        return self._made(geometry, margin_m, station, rims_mm)
+        return self._kept(geometry, margin_m, station, tuple(rims_mm))
 
-    def _made(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: Sequence[float] = ()) -> Scene:
-        shapes = self._arm.with_sheet(self._cell.hand, rims_mm or [1e3 * geometry.cone_diameter_m])
-        solids, touchable = self._solids(geometry, touching)
-        return Scene(self._arm, shapes, solids, margin_m, touchable)
+    def _kept(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: tuple[float, ...]) -> Scene:
+        def made() -> Scene:
+            solids, touchable = self._solids(geometry, touching)
+            return Scene(self._arm, self._arm.with_sheet(self._cell.hand, rims_mm), solids, margin_m, touchable)
+
+        kept = self._scenes if touching is None else self._of_strokes
+        return kept.of((geometry, margin_m, touching, rims_mm), made)
 
     def _solids(self, geometry: Geometry, touching: str | None) -> tuple[list[Solid], list[str]]:
         if touching is not None and touching not in self._mortars:

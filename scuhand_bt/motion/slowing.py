@@ -29,7 +29,7 @@ def slowed(times_s: Floats, samples: Floats, rates: RateLimits) -> JointTrajecto
     for _ in range(ROUNDS):
         motion = through(np.concatenate([[0.0], np.cumsum(steps_s)]), samples)
         factors = _factors(motion, rates)
-        whole = motion.stretched(max(1.0, float(factors.max())))
+        whole = motion.stretched(max(1.0, rates.stretch_for(motion)))
         if whole.duration_s < best.duration_s:
             best = whole
         if factors.max() < ENOUGH:

@@ -8,6 +8,7 @@ a stop that is found for one is the same for all.
 Positions [m], angles [rad], times [s].
 """
 
+import hashlib
 import math
 from dataclasses import dataclass
 
@@ -42,6 +43,12 @@ class StrokePoses:
     seams: Floats
     roller_rad: Floats
     rests: np.ndarray
+
+    @property
+    def digest(self) -> bytes:
+        """Of all of it."""
+        parts = (self.times_s, self.positions_m, self.axes, self.seams, self.roller_rad, self.rests)
+        return hashlib.blake2b(b"".join(part.tobytes() for part in parts), digest_size=16).digest()
 
 
 def with_roller(rates: RateLimits, hand: HandSpec) -> RateLimits:
@@ -80,6 +87,7 @@ def sampled(poses: StrokePoses) -> tuple[Floats, ...]:
     width = round(AVERAGED_S / STEP_S) | 1
     pause_s = 2 * width * STEP_S
     waits_s = np.where(poses.rests, pause_s, 0.0)
+    waits_s[[0, -1]] /= 2  # the averages reach into the motion from one side alone
     begins_s = poses.times_s + np.cumsum(waits_s) - waits_s
     knots_s = np.stack([begins_s, begins_s + waits_s], axis=1).ravel()
     count = KEPT * int(np.ceil(knots_s[-1] / (KEPT * STEP_S))) + 1

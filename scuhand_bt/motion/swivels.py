@@ -4,8 +4,9 @@
 
 with the ways from where the arm is to the course, and back, at its ends.
 A state (k, i) is one of the four branches of the closed form at one swivel angle, at one of the course's poses; those
-outside the joints' limits, or in touch with something, are none. The grid's way is evened before it is followed; where
-that touches something after all, the states there are given up, and the next way is looked for.
+outside the joints' limits are none. Nine of ten touch nothing, so that is looked at late: the grid's way is evened, and
+where the course then touches something, all states of the poses there are looked at, and the next way is looked for.
+Where they were looked at before, those beside the way are given up.
 
 Angles [rad], shapes: n poses, S swivel angles, 4 branches, 7 joints.
 """
@@ -57,21 +58,14 @@ def courses(
     grid = 2 * math.pi * np.arange(SWIVELS) / SWIVELS + (swivel_of(ends[0], mount) if ends is not None else 0.0)
     positions_m, axes, seams = (part[at] for part in poses)
     q = branches_of(positions_m, axes, seams, grid, mount)
-    if q is None or not (within := within_limits(q)).any(axis=(1, 2)).all():
+    if q is None or not (open_ := within_limits(q)).any(axis=(1, 2)).all():
         raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach all of it")
-    free = within.copy()
-    free[within] = ~scene.hits(q[within])
     if ends is not None:
         for k, end in zip((0, -1), ends, strict=True):
-            free[k] &= np.abs(q[k] - end).max(axis=2) < NEXT_RAD
-    if not free.any(axis=(1, 2)).all():
-        blocked = int(np.argmin(free.any(axis=(1, 2))))
-        raise SkillFailed(Code.ARM_NO_PATH, closest_pair(scene, q[blocked][within[blocked]][0]))
-    why = "a joint would jump or leave its limits"
-    for _ in range(TRIES):
-        found = _quickest(q, free, near, speed)
-        if found is None:
-            break
+            open_[k] &= np.abs(q[k] - end).max(axis=2) < NEXT_RAD
+    looked_at = np.zeros(len(at), dtype=bool)
+    why, tries = "a joint would jump or leave its limits", TRIES
+    while tries and (found := _quickest(q, open_, near, speed)) is not None:
         swivels, way = found
         phi = np.interp(np.arange(n), at, grid[0] + swivels * (grid[1] - grid[0]))
         if ends is not None:  # the last swivel of the grid is near to the wanted one
@@ -85,36 +79,59 @@ def courses(
             else:
                 worst = int(np.argmax(hits))
                 why = closest_pair(scene, course[worst])
+                touched = np.unique(np.abs(at - np.flatnonzero(hits)[:, None]).argmin(axis=1))
+                if not looked_at[touched].all():
+                    _look(scene, q, open_, touched[~looked_at[touched]])
+                    looked_at[touched] = True
+                    continue
         k = int(np.argmin(np.abs(at - worst)))
-        free[k, np.arange(swivels[k] - GIVEN_UP, swivels[k] + GIVEN_UP + 1) % SWIVELS] = False
+        open_[k, np.arange(swivels[k] - GIVEN_UP, swivels[k] + GIVEN_UP + 1) % SWIVELS] = False
+        tries -= 1
     raise SkillFailed(Code.ARM_NO_PATH, why)
 
 
+def _look(scene: Scene, q: Floats, open_: NDArray[np.bool_], poses: NDArray[np.int_]) -> None:
+    """Close what touches something at these poses; SkillFailed arm.no_path where that is all."""
+    for k in poses:
+        states = q[k][open_[k]]
+        hits = scene.hits(states)
+        if hits.all():
+            raise SkillFailed(Code.ARM_NO_PATH, closest_pair(scene, states[0]))
+        open_[k][open_[k]] = ~hits
+
+
 def _quickest(
-    q: Floats, free: NDArray[np.bool_], near: Floats, speed: Floats
+    q: Floats, open_: NDArray[np.bool_], near: Floats, speed: Floats
 ) -> tuple[NDArray[np.int_], Floats] | None:
     """The swivels (k,) of the quickest way through q (k, S, 4, 7), counted on beyond a turn, and the way (k, 7)."""
-    steps = np.arange(-SWING, SWING + 1)
-    before = (np.arange(SWIVELS)[:, None] - steps) % SWIVELS  # (S, steps)
-    cost = np.where(free[0], (np.abs(q[0] - near) / speed).max(axis=2), math.inf)
+    states = [q[k][open_[k]] for k in range(len(q))]
+    swivels = [np.nonzero(open_[k])[0] for k in range(len(q))]
+    cost = (np.abs(states[0] - near) / speed).max(axis=1)
     came: list[NDArray[np.int_]] = []
     for k in range(1, len(q)):
-        turns = np.abs(q[k][:, None, None] - q[k - 1][before][:, :, :, None])  # (S, steps, 4 before, 4, 7)
-        total = (turns / speed).max(axis=4) + cost[before][:, :, :, None]
-        total[turns.max(axis=4) > JUMP_RAD] = math.inf
-        total = total.reshape(SWIVELS, -1, 4)
+        to, of = np.nonzero(np.abs(_steps(swivels[k][:, None] - swivels[k - 1])) <= SWING)
+        turns = np.abs(states[k][to] - states[k - 1][of])
+        total = np.full((len(states[k]), len(states[k - 1])), math.inf)
+        total[to, of] = np.where((turns <= JUMP_RAD).all(axis=1), (turns / speed).max(axis=1) + cost[of], math.inf)
+        if not total.size:
+            return None
         came.append(total.argmin(axis=1))
-        cost = np.where(free[k], total.min(axis=1), math.inf)
-    cost += (np.abs(q[-1] - near) / speed).max(axis=2)
+        cost = total.min(axis=1)
+    cost = cost + (np.abs(states[-1] - near) / speed).max(axis=1)
     if not np.isfinite(cost).any():
         return None
-    swivel, branch = divmod(int(cost.argmin()), 4)
-    swivels, way = [swivel], [q[-1, swivel, branch]]
-    for k, choices in zip(reversed(range(len(came))), reversed(came), strict=True):
-        step, branch = divmod(int(choices[swivels[-1] % SWIVELS, branch]), 4)
-        swivels.append(swivels[-1] - int(steps[step]))
-        way.append(q[k, swivels[-1] % SWIVELS, branch])
-    return np.array(swivels[::-1]), np.array(way[::-1])
+    way = [int(cost.argmin())]
+    for choices in reversed(came):
+        way.append(int(choices[way[-1]]))
+    way.reverse()
+    chosen = np.array([swivels[k][i] for k, i in enumerate(way)])
+    chosen[1:] = chosen[0] + np.cumsum(_steps(np.diff(chosen)))
+    return chosen, np.array([states[k][i] for k, i in enumerate(way)])
+
+
+def _steps(apart: NDArray[np.int_]) -> NDArray[np.int_]:
+    """By how many steps of their circle swivels are apart, the shorter way."""
+    return (apart + SWIVELS // 2) % SWIVELS - SWIVELS // 2
 
 
 def _evened(phi: Floats, width: int) -> Floats:

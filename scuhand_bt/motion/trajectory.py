@@ -143,6 +143,17 @@ def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:
     return JointTrajectory(knots_s, np.concatenate([part.coefficients for part in parts], axis=1))
 
 
+def beside(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
+    """Two motions at once, as one of all their axes: the shorter is slowed until it lasts as long."""
+    lasts_s = max(first.duration_s, second.duration_s)
+    parts = [motion.stretched(lasts_s / motion.duration_s) for motion in (first, second)]
+    knots_s = np.union1d(parts[0].knots_s, parts[1].knots_s)
+    knots_s = np.append(knots_s[:-1][knots_s[:-1] < lasts_s - _SAME_S], lasts_s)
+    knots_s = np.append(0.0, knots_s[1:][np.diff(knots_s) > _SAME_S])
+    starts = [np.hstack([part.at(knots_s[:-1], order) for part in parts]) for order in range(4)]
+    return JointTrajectory(knots_s, np.stack(starts) / np.array([1.0, 1.0, 2.0, 6.0])[:, None, None])
+
+
 def through(times_s: Floats, positions: Floats) -> JointTrajectory:
     """The smoothest cubics through samples (m, n) of a motion that begins and ends at rest."""
     from scipy.interpolate import CubicSpline  # half a second, which not every command has to spend

@@ -1,7 +1,7 @@
 """From what stands under `samples` to single samples: the rows of a table, lists side by side, repeats."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 
 from scuhand_bt.problems import Mark, Problems, shorten
@@ -12,10 +12,16 @@ MAX_SAMPLES = 20_000
 """The most that one recipe may have."""
 
 
-def expand(node: Node, folder: Path, lab: Path, problems: Problems) -> Iterator[Entries]:
+ListInputs = Callable[[Entries], Collection[str]]
+
+
+def expand(
+    node: Node, folder: Path, lab: Path, problems: Problems, list_inputs: ListInputs = lambda entry: ()
+) -> Iterator[Entries]:
     """One entry of `samples` as the samples it stands for: the rows of a table, lists, repeats.
 
-    A table is named from the recipe's `folder`, and stands there or in the `lab`.
+    A table is named from the recipe's `folder`, and stands there or in the `lab`. Where an entry's workflow takes a
+    list (`list_inputs`), a list is one value, and a list of lists gives one to each sample.
     """
     if not isinstance(node, Entries):
         problems.add(
@@ -24,7 +30,7 @@ def expand(node: Node, folder: Path, lab: Path, problems: Problems) -> Iterator[
         return
     table = node.get("table")
     if table is None:
-        yield from _expand_lists(node, problems)
+        yield from _expand_lists(node, problems, list_inputs(node))
     elif not isinstance(table, Scalar) or not table.text:
         problems.add(table.mark, f"'table': {describe(table)} is no file name", code="wrong-shape")
     elif not _is_within(folder / table.text, folder, lab):
@@ -45,7 +51,8 @@ def expand(node: Node, folder: Path, lab: Path, problems: Problems) -> Iterator[
         for row in rows:
             if "table" in row.keys:
                 problems.add(row.keys["table"], "a table cannot name another table", code="bad-table")
-            yield from _expand_lists(_merge(shared, row), problems)
+            merged = _merge(shared, row)
+            yield from _expand_lists(merged, problems, list_inputs(merged))
 
 
 def _is_within(path: Path, *folders: Path) -> bool:
@@ -60,9 +67,13 @@ def _merge(shared: Entries, row: Entries) -> Entries:
     return Entries(row.mark, {**shared.keys, **row.keys}, {**shared.values, **row.values})
 
 
-def _expand_lists(entry: Entries, problems: Problems) -> Iterator[Entries]:
+def _expand_lists(entry: Entries, problems: Problems, list_inputs: Collection[str]) -> Iterator[Entries]:
     """Lists side by side give one sample each; `repeat: n` gives n of them."""
-    lists = {key: value.items for key, value in entry.values.items() if isinstance(value, Items)}
+    lists = {
+        key: value.items
+        for key, value in entry.values.items()
+        if isinstance(value, Items) and (key not in list_inputs or any(isinstance(one, Items) for one in value.items))
+    }
     count = len(next(iter(lists.values()), ()))
     for key, items in lists.items():
         if len(items) != count:

@@ -1,22 +1,39 @@
 """What a sample's workflow does with powder: where each dose goes to, of which source, and how much.
 
 The tree is followed with the values that are known before the run, through all that it calls and along all of its ways
-at once. What matters is what is wired where, by its type, and not what it is called: a dose is of the source, and into
-the container, that were named last before it, as values of the types `Source` and `Container`. A condition that is
-given a powder names the source of that powder.
+at once; the way of an `if` and the rounds of a `for_each` are told, where they can be. A mass that only the run can
+tell has bounds: a dose that succeeded is at most its target and its tolerance.
+
+What matters is what is wired where, by its type, and not what it is called: a dose is of the source, and into the
+container, that were named last before it, as values of the types `Source` and `Container`. A condition that is given a
+powder names the source of that powder.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.problems import Mark, Problems
-from scuhand_bt.skill import Condition
+from scuhand_bt.skill import Condition, SkillFailed
 from scuhand_bt.specs import Container, Powder, Source
-from scuhand_bt.tree.build import Scope, bound_inputs
-from scuhand_bt.tree.check import Library, literal, resolve_percent
-from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode
+from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
+from scuhand_bt.tree.check import Library, Percent, literal, resolve_percent
+from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
+from scuhand_bt.tree.grammar import (
+    PARAMETERS,
+    Argument,
+    Branch,
+    Call,
+    Choice,
+    Decorator,
+    TreeNode,
+    Value,
+    references_of,
+)
+from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}
 """What a skill must command to dose: the valve, and what weighs the powder."""
@@ -35,6 +52,8 @@ class Pour:
     source: str | None
     lot: str | None
     mass_mg: float | None
+    most_mg: float | None
+    """What it is at most; None where nothing bounds it."""
     tolerance_mg: float | None
     mass_mark: Mark
     tolerance_mark: Mark
@@ -67,6 +86,10 @@ class _Reached:
         return _Reached(self.containers | other.containers, self.sources | other.sources, self.last | other.last)
 
 
+Ranges = dict[tuple[str, ...], Range]
+"""Of a value that is known only when it runs: between what its attributes are, by their names; () for itself."""
+
+
 @dataclass(frozen=True)
 class _Names:
     """The values that a workflow's names are known to have, and where those were written that it was given."""
@@ -75,6 +98,38 @@ class _Names:
     marks: Mapping[str, Mark]
     inputs: Mapping[str, str]
     """The sample's inputs that the names stand for."""
+    ranges: dict[str, Ranges] = field(default_factory=dict)
+    """Of the names that have no known value."""
+
+    def range_of(self, reference: Reference) -> Range:
+        """Between what a value is."""
+        if self.scope.has(reference.name):
+            value = self.scope.read(reference)
+            return (value, value) if isinstance(value, int | float) else ANY_NUMBER
+        return self.ranges.get(reference.name, {}).get(reference.attributes, ANY_NUMBER)
+
+    def ranges_of(self, value: Value) -> Ranges:
+        """The same of all that is known of it."""
+        if not isinstance(value, Reference):
+            return {(): value.range(self.range_of)}
+        if self.scope.has(value.name):
+            return {(): self.range_of(value)}
+        before = len(value.attributes)
+        known_of = self.ranges.get(value.name, {}).items()
+        return {keys[before:]: found for keys, found in known_of if keys[:before] == value.attributes}
+
+    def keep(self, name: str, ranges: Ranges) -> None:
+        """A result; it may be that of another way before, too."""
+        had = self.ranges.get(name)
+        self.ranges[name] = (
+            ranges
+            if had is None
+            else {
+                keys: (min(low, had[keys][0]), max(high, had[keys][1]))
+                for keys, (low, high) in ranges.items()
+                if keys in had
+            }
+        )
 
     def mark_in(self, node: Call, key: str) -> Mark:
         """Where a value that is given to a call was written; the call itself, where it is given none."""
@@ -94,7 +149,14 @@ class _Names:
 
 def sources_of(inputs: Mapping[str, Any]) -> list[Source]:
     """The sources among the inputs of a workflow, each once."""
-    return list({value.name: value for value in inputs.values() if isinstance(value, Source)}.values())
+    return list({value.name: value for _, value in each_of(inputs) if isinstance(value, Source)}.values())
+
+
+def each_of(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The values of inputs, each of those in a list by itself, with the input's name."""
+    for name, value in inputs.items():
+        for one in value if isinstance(value, tuple) else (value,):
+            yield name, one
 
 
 def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems: Problems) -> Flow:
@@ -107,19 +169,27 @@ def flow_of(workflow: str, inputs: Mapping[str, Any], library: Library, problems
     return Flow(tuple(follower.pours), reached.last)
 
 
-def known(arguments: Mapping[str, Argument], scope: Scope, library: Library, name: str | None = None) -> dict[str, Any]:
+def known(
+    arguments: Mapping[str, Argument], scope: Scope, library: Library, call: Call | None = None
+) -> dict[str, Any]:
     """The arguments whose values are known before the run: literals, and what stems from the workflow's inputs.
 
-    They are those of a call of the skill or workflow `name`; of a decorator, without one.
+    They are those of a call of a skill or workflow; of another node, without one. SkillFailed for what cannot be
+    worked out.
     """
-    wires = PARAMETERS if name is None else {key: p.wire for key, p in library.parameters(name).items()}
+    wires = PARAMETERS if call is None else library.wires(call)
     values: dict[str, Any] = {}
     for key, argument in arguments.items():
-        if not isinstance(argument, Reference):
+        if isinstance(argument, Node):
             values[key] = literal(key, wires[key], argument, library)
-        elif argument.name in scope.values:
+        elif is_known(argument, scope):
             values[key] = scope.read(argument)
     return resolve_percent(values)
+
+
+def is_known(argument: Argument, scope: Scope) -> bool:
+    """Whether a value can be told before the run."""
+    return all(scope.has(reference.name) for reference in references_of(argument))
 
 
 class _Follower:
@@ -140,8 +210,12 @@ class _Follower:
         if isinstance(node, Call):
             return self._of_call(node, names, reached, at or node)
         if isinstance(node, Decorator):
+            if node.kind == "for_each":
+                return self._of_for_each(node, names, reached, at)
             after = self.of(node.child, names, reached, at)
             return reached | after if node.kind in ("optional", "invert") else after
+        if isinstance(node, Choice):
+            return self._of_choice(node, names, reached, at)
         if node.kind == "fallback":
             return self._of_fallback(node, names, reached, at)
         for child in node.children:
@@ -157,35 +231,99 @@ class _Follower:
             ends.append(self.of(child, names, reached, at))
             reached |= ends[-1]
             lots.append({pour.lot for pour in self.pours[before:]})
-        touched = set[str | None]().union(*lots) - {""}
-        if self.is_mixed and sum(bool(of_child) for of_child in lots) > 1 and len(touched) > 1:
-            which = ", ".join(sorted(lot or "?" for lot in touched))
-            what = f"which of {which} the sheet has touched after this fallback is known only when it runs"
-            self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence", code="unknown-sheet")
+        if sum(bool(of_child) for of_child in lots) > 1:
+            self._refuse_unknown_sheet(node, set[str | None]().union(*lots))
         first, *others = ends
         for other in others:
             first |= other
         return first
 
+    def _of_for_each(self, node: Decorator, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+        """Each round in turn, where the lists can be told; else any number of rounds, with any items."""
+        lists = self._known(node.arguments, names)
+        if lists.keys() != node.arguments.keys():
+            return reached | self.of(node.child, names, reached, at)
+        counts = {key: len(listed) for key, listed in lists.items()}
+        if len(set(counts.values())) > 1:
+            said = " and ".join(f"{count} of '{key}'" for key, count in counts.items())
+            what = f"the lists of 'for_each' are not of one length: there are {said}"
+            self._problems.add(node.mark, what, "as many values in each", code="uneven-lists")
+        for items in zip(*lists.values(), strict=False):
+            within = Scope(dict(zip(lists, items, strict=True)), names.scope)
+            reached = self.of(node.child, replace(names, scope=within), reached, at)
+        return reached
+
+    def _of_choice(self, node: Choice, names: _Names, reached: _Reached, at: Call | None) -> _Reached:
+        """The way that is chosen, where that can be told; else any of them, or none."""
+        if is_known(node.argument, names.scope):
+            try:
+                number = chosen_case(node, names.scope, self._library)
+            except SkillFailed as failure:
+                self._problems.add(node.argument.mark, failure.detail, code="bad-value")
+                return reached
+            return reached if number is None else self.of(node.cases[number].child, names, reached, at)
+        before = self.pours[-1].lot if self.pours else ""
+        ends, lots = list[_Reached](), set[str | None]()
+        for case in node.cases:
+            poured = len(self.pours)
+            ends.append(self.of(case.child, names, reached, at))
+            lots.add(self.pours[-1].lot if len(self.pours) > poured else before)
+        if node.kind == "if" and not node.is_exhaustive:
+            ends.append(reached)
+            lots.add(before)
+        self._refuse_unknown_sheet(node, lots)
+        first, *others = ends
+        for other in others:
+            first |= other
+        return first
+
+    def _refuse_unknown_sheet(self, node: Branch | Choice, lots: set[str | None]) -> None:
+        if self.is_mixed and len(touched := lots - {""}) > 1:
+            which = ", ".join(sorted(lot or "?" for lot in touched))
+            what = f"which of {which} the sheet has touched after this '{node.kind}' is known only when it runs"
+            self._problems.add(node.mark, what, "sources of one powder and lot, or a sequence", code="unknown-sheet")
+
+    def _known(self, arguments: Mapping[str, Argument], names: _Names, call: Call | None = None) -> dict[str, Any]:
+        """The arguments that are known before the run; notes those that come to nothing."""
+        found: dict[str, Any] = {}
+        for key, argument in arguments.items():
+            try:
+                found |= known({key: argument}, names.scope, self._library, call)
+            except SkillFailed as failure:
+                self._problems.add(argument.mark, failure.detail, code="bad-value")
+        return resolve_percent(found)
+
     def _of_call(self, node: Call, names: _Names, reached: _Reached, at: Call) -> _Reached:
         library = self._library
-        given = known(node.arguments, names.scope, library, node.name)
+        given = self._known(node.arguments, names, node)
         reached = self._named(node, given, reached)
         if node.name in library.skills:
             return self._of_skill(node, names, given, reached, at)
         workflow = library.workflows[node.name]
+        ranges = {
+            key: names.ranges_of(argument)
+            for key, argument in node.arguments.items()
+            if key not in given and not isinstance(argument, Node)
+        }
+        if isinstance(share := given.get(TOLERANCE), Percent):  # of a mass that is not known yet
+            del given[TOLERANCE]
+            ranges[TOLERANCE] = {(): (0.0, share.ratio * ranges.get(TARGET, {}).get((), ANY_NUMBER)[1])}
         inner = Scope(bound_inputs(workflow, given, library, node.arguments.keys() - given.keys()))
         marks = {key: names.mark_in(node, key) for key in workflow.inputs}
         inputs = {key: stems for key in workflow.inputs if (stems := names.input_in(node, key)) is not None}
-        return self.of(workflow.tree, _Names(inner, marks, inputs), reached, at)
+        within = _Names(inner, marks, inputs, ranges)
+        reached = self.of(workflow.tree, within, reached, at)
+        if node.result is not None and workflow.result is not None:
+            names.keep(node.result, within.ranges_of(workflow.result))
+        return reached
 
     def _named(self, node: Call, given: Mapping[str, Any], reached: _Reached) -> _Reached:
         """After the containers, sources and powders of a call have been named."""
-        parameters = self._library.parameters(node.name)
+        wires = self._library.wires(node)
         containers: set[str | None] = set()
         sources: set[str | None] = set()
         for key in node.arguments:
-            python, value = parameters[key].wire.python, given.get(key)
+            python, value = wires[key].python, given.get(key)
             if python is Container:
                 containers.add(value.id if isinstance(value, Container) else None)
             elif python is Source:
@@ -223,21 +361,58 @@ class _Follower:
         values = {key: given.get(key) if key in node.arguments else defaults.get(key) for key in (target, TOLERANCE)}
         mass_mg, tolerance_mg = (value if isinstance(value, float) else None for value in values.values())
         mass_mark, tolerance_mark = (names.mark_in(node, key) for key in values)
-        if mass_mg is None and self.is_mixed and None not in reached.sources:
-            what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
-            self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
+        low_mg, high_mg = self._range(node, target, mass_mg, names)
+        most_mg = high_mg if math.isfinite(high_mg) else None
+        if most_mg is None:
+            self._tell_unbounded(node, at, mass_mark, reached)
         stems = names.input_in(node, target)
         pours = frozenset(
-            Pour(container, source, self._lot(source), mass_mg, tolerance_mg, mass_mark, tolerance_mark, stems)
+            Pour(
+                container,
+                source,
+                lot=self._lot(source),
+                mass_mg=mass_mg,
+                most_mg=most_mg,
+                tolerance_mg=tolerance_mg,
+                mass_mark=mass_mark,
+                tolerance_mark=tolerance_mark,
+                mass_input=stems,
+            )
             for container in reached.containers
             for source in reached.sources
         )
+        if node.result is not None and self._library.skills[node.name].result_type() is Dose:
+            share = values[TOLERANCE]
+            beside_mg = share.ratio * high_mg if isinstance(share, Percent) else None
+            beside_mg = beside_mg or self._range(node, TOLERANCE, tolerance_mg, names)[1]
+            target_range: Ranges = {("target",): (low_mg, high_mg), ("tolerance",): (0.0, beside_mg)}
+            names.keep(node.result, {**target_range, ("dispensed",): (0.0, high_mg + beside_mg)})
         self.pours += sorted(pours, key=lambda pour: (pour.container or "", pour.source or ""))
         places = {pour.place for pour in pours}
         is_certain = len(places) == 1 and not any(None in place for place in places)
         return replace(
             reached, last=pours | {pour for pour in reached.last if not (is_certain and pour.place in places)}
         )
+
+    def _range(self, node: Call, key: str, known_value: float | None, names: _Names) -> Range:
+        """Between what a number that a call is given is."""
+        if known_value is not None:
+            return known_value, known_value
+        argument = node.arguments.get(key)
+        return (
+            ANY_NUMBER
+            if argument is None or isinstance(argument, Node)
+            else names.ranges_of(argument).get((), ANY_NUMBER)
+        )
+
+    def _tell_unbounded(self, node: Call, at: Call, mark: Mark, reached: _Reached) -> None:
+        """Of one of several sources a mass without bounds cannot be planned with; of one it is only not checked."""
+        if not self.is_mixed:
+            what = "how much is dosed here at most is known only when it runs: room and powder are not checked for it"
+            self._problems.warn(mark, what, "give it a bound: min(…, 100 mg)", code="unbounded-mass")
+        elif None not in reached.sources:
+            what = f"how much '{at.name}' takes from one of several sources cannot be told before the run"
+            self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
 
     def _target_of(self, name: str) -> str | None:
         """What a dosing skill is asked for: its `mass`, else the only mass that it must be given."""
@@ -257,4 +432,4 @@ class _Follower:
                 self._problems.add(at.mark, what, TOLD_BEFORE, code="unknown-demand")
 
 
-TOLD_BEFORE = "dispense a mass that is written, or an input of the workflow"
+TOLD_BEFORE = "dispense a mass that is written, an input of the workflow, or one with a bound: min(…, 100 mg)"

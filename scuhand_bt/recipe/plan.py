@@ -1,18 +1,20 @@
 """The plan: a recipe's samples as jobs in their order, with the sheet swaps between powders, and what they need."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 from scuhand_bt.lab import CELL_FILE, Lab
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
-from scuhand_bt.recipe.flow import known
+from scuhand_bt.recipe.flow import is_known, known
+from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
 from scuhand_bt.recipe.sample import Demand, Sample, demand_of
 from scuhand_bt.specs import Source
-from scuhand_bt.tree.build import Scope, bound_inputs
+from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.check import Library, check_workflows
-from scuhand_bt.tree.grammar import Branch, Call, Decorator, TreeNode, Workflow
+from scuhand_bt.tree.grammar import Branch, Call, Choice, Decorator, TreeNode, Workflow, children_of
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
@@ -58,7 +60,12 @@ class Plan:
     jobs: tuple[Job, ...]
     demands: tuple[Demand, ...]
     persons: tuple[PersonNeeded, ...]
-    duration_s: float
+    done_s: Mapping[str, float]
+    """When each job is to be done, by its name, from the beginning of the run."""
+
+    @property
+    def duration_s(self) -> float:
+        return max(self.done_s.values(), default=0.0)
 
     @property
     def swaps(self) -> int:
@@ -90,12 +97,13 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     problems = Problems()
     check_service_workflows(recipe, lab, problems)
     problems.raise_any()
-    jobs = tuple(_jobs(recipe, lab))
     forecaster = _Forecaster(lab)
+    jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, forecaster.duration_s)))
     forecasts = [forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
-    return Plan(recipe, jobs, demands, persons, sum(f.duration_s for found in forecasts for f in found))
+    done_s = accumulate(sum(one.duration_s for one in found) for found in forecasts)
+    return Plan(recipe, jobs, demands, persons, dict(zip((job.name for job in jobs), done_s, strict=True)))
 
 
 def recoveries(sample: Sample) -> list[Job]:
@@ -128,9 +136,10 @@ def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) 
     cell_file = Mark(str(lab.folder / CELL_FILE))
     for job, found in zip(jobs, forecasts, strict=True):
         if job.sample is not None and job.sample.container is not None:
-            if changer.driver != "operator" and containers and containers % changer.slots == 0:
-                yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})", cell_file)
-            containers += 1
+            for _ in job.sample.all_containers:
+                if changer.driver != "operator" and containers and containers % changer.slots == 0:
+                    yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})", cell_file)
+                containers += 1
         for expected in found:
             if expected.person is not None:
                 yield PersonNeeded(job.name, expected.person, expected.mark)
@@ -149,34 +158,28 @@ def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterat
                 yield PersonNeeded(None, f"{expected.person}, after a failed sample", expected.mark)
 
 
-def _jobs(recipe: Recipe, lab: Lab) -> Iterator[Job]:
+def _jobs(lab: Lab, samples: Iterable[Sample]) -> Iterator[Job]:
     """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
     last: Source | None = None
-    for sample in _ordered(recipe):
+    for sample in samples:
         for first in sample.sources[:1]:
             if last is not None and first.sheet_key != last.sheet_key:
                 name = f"change powder to {first.powder.name} for {sample.id}"
                 yield Job(name, CHANGE_POWDER, {"source": last})
             last = sample.last_source
-        yield Job(sample.id, sample.workflow, sample.inputs, sample)
+        yield _job(sample)
     if last is not None and FINISH_BATCH in lab.library.workflows:
         yield Job("finish the batch", FINISH_BATCH, {"source": last})
 
 
-def _ordered(recipe: Recipe) -> list[Sample]:
-    """By the powder lot that each begins with, in the order of first mention; within a lot as written."""
-    if recipe.order == "as_written":
-        return list(recipe.samples)
-    groups: dict[str, list[Sample]] = {}
-    for sample in recipe.samples:
-        groups.setdefault(sample.sources[0].sheet_key if sample.sources else "", []).append(sample)
-    return [sample for group in groups.values() for sample in group]
+def _job(sample: Sample) -> Job:
+    return Job(sample.id, sample.workflow, sample.inputs, sample)
 
 
 def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> None:
     """Note what is wrong with the workflows that the engine calls between a recipe's samples."""
     workflows = lab.library.workflows
-    needed = {job.workflow for job in _jobs(recipe, lab) if job.sample is None}
+    needed = {job.workflow for job in _jobs(lab, recipe.samples) if job.sample is None}
     for name in sorted(needed | ({AFTER_FAILURE} & set(workflows))):
         workflow = workflows.get(name)
         if workflow is None and lab.library.broken.tell("workflow", name, problems):
@@ -206,6 +209,9 @@ class _Forecaster:
         workflow = self._library.workflows[job.workflow]
         return self._of_workflow(workflow, dict(job.inputs))
 
+    def duration_s(self, sample: Sample) -> float:
+        return sum(expected.duration_s for expected in self.of_job(_job(sample)))
+
     def after_failure(self, source: Source) -> list[_Expected]:
         workflow = self._library.workflows.get(AFTER_FAILURE)
         return self._of_workflow(workflow, {"source": source}) if workflow is not None else []
@@ -214,21 +220,34 @@ class _Forecaster:
         return self._of(workflow.tree, Scope(bound_inputs(workflow, inputs, self._library)))
 
     def _of(self, node: TreeNode, scope: Scope) -> list[_Expected]:
-        if isinstance(node, Branch):
-            found = [self._of(child, scope) for child in node.children]
+        if isinstance(node, Choice) and is_known(node.argument, scope):
+            number = chosen_case(node, scope, self._library)
+            return [] if number is None else self._of(node.cases[number].child, scope)
+        if isinstance(node, Branch | Choice):
+            found = [self._of(child, scope) for child in children_of(node)]
             if node.kind == "sequence":
                 return [expected for child in found for expected in child]
             longest = max(found, key=lambda child: sum(expected.duration_s for expected in child))
             others = [expected for child in found if child is not longest for expected in child if expected.person]
             return [*longest, *(replace(expected, duration_s=0.0) for expected in others)]
+        if isinstance(node, Decorator) and node.kind == "for_each":
+            return self._of_for_each(node, scope)
         if isinstance(node, Decorator):
             times = node.arguments.get("times")
             count = 1 if times is None else int(known(node.arguments, scope, self._library).get("times", 1))
             return [expected.repeated(count) for expected in self._of(node.child, scope)]
-        inputs = known(node.arguments, scope, self._library, node.name)
+        inputs = known(node.arguments, scope, self._library, node)
         if node.name in self._library.skills:
             return [self._of_skill(node, inputs)]
         return self._of_workflow(self._library.workflows[node.name], inputs)
+
+    def _of_for_each(self, node: Decorator, scope: Scope) -> list[_Expected]:
+        """All rounds of lists that are known; of others one."""
+        lists = known(node.arguments, scope, self._library)
+        if lists.keys() != node.arguments.keys():
+            return self._of(node.child, scope)
+        rounds = [Scope(dict(zip(lists, items, strict=True)), scope) for items in zip(*lists.values(), strict=True)]
+        return [expected for within in rounds for expected in self._of(node.child, within)]
 
     def _of_skill(self, node: Call, inputs: dict[str, Any]) -> _Expected:
         try:

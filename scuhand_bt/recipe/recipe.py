@@ -16,12 +16,15 @@ from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.flow import Flow, flow_of
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
 from scuhand_bt.recipe.identity import Ids, wrong_id
+from scuhand_bt.recipe.leftover import with_leftover
+from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sample
 from scuhand_bt.recipe.sources import SourcesReader
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
-from scuhand_bt.tree.grammar import RECIPE_WORDS, Input, Workflow
+from scuhand_bt.tree.grammar import RECIPE_WORDS, Workflow
+from scuhand_bt.tree.wires import WireType
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse, read_text
 
 Action = Literal["flag", "skip_sample", "redo", "ask", "stop"]
@@ -37,17 +40,18 @@ DEFAULT_ON_FAILURE: Mapping[str, Action] = {
     Code.DOSE_NOT_REACHED: "flag",
     "otherwise": "stop",
 }
-ORDERS = ("by_powder", "as_written")
 OVERSHOOT_LIMIT = 2
 """One overshoot is chance; two in a row are a balance, a valve or a powder that is not what it was."""
 MISPLACED = {
-    **dict.fromkeys(("recipe", "workflow", "controller", "order", "on_failure"), "it stands at the top of the recipe"),
+    **dict.fromkeys(
+        ("recipe", "workflow", "controller", "order", "leftover", "on_failure"), "it stands at the top of the recipe"
+    ),
     **dict.fromkeys(("id", "repeat", "table"), "each sample has its own"),
 }
 """Keys that are sometimes looked for under `defaults`, and where they stand."""
 RECIPE_KEYS = (
     *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
-    *("on_failure", "overshoot_limit"),
+    *("leftover", "on_failure", "overshoot_limit"),
 )
 
 
@@ -145,9 +149,13 @@ class _Reader:
         if controller is not None:
             self._check_controller(controller, root.values["controller"].mark)
         sources = SourcesReader(self.lab, self.problems, self.source_marks, self.marks).read(root.get("sources"))
+        sources = with_leftover(sources, root.get("leftover"), self.lab.cell, self.problems)
         samples = self._read_samples(root, sources)
         needed = [
-            i for workflow in self.workflows.values() for i in workflow.inputs.values() if i.type.python is Source
+            i
+            for workflow in self.workflows.values()
+            for i in workflow.inputs.values()
+            if (i.type.item or i.type).python is Source
         ]
         if "sources" not in root.keys and needed:
             self.problems.add(
@@ -220,7 +228,14 @@ class _Reader:
         samples: list[Sample] = []
         ids = Ids()
         folder, lab = self.path.parent, self.lab.folder
-        expanded = (one for item in node.items for one in expand(item, folder, lab, self.problems))
+
+        def list_inputs(entry: Entries) -> list[str]:
+            named = entry.get("workflow") or default_workflow
+            name = (named.text or "") if isinstance(named, Scalar) else ""
+            workflow = self.lab.library.workflows.get(name)
+            return [one.name for one in workflow.inputs.values() if one.type.item is not None] if workflow else []
+
+        expanded = (one for item in node.items for one in expand(item, folder, lab, self.problems, list_inputs))
         entries = list(islice(expanded, MAX_SAMPLES + 1))
         if len(entries) > MAX_SAMPLES:
             self.problems.add(
@@ -279,9 +294,9 @@ class _Reader:
                 )
                 continue
             # One container is known by its sample's id; several need one each, and no sample can have an id like it.
-            several = sum(one.type.python is Container for one in workflow.inputs.values()) > 1
+            several = sum((one.type.item or one.type).python is Container for one in workflow.inputs.values()) > 1
             container_id = f"{sample_id}/{declared.name}" if several else sample_id
-            value = self._read_value(declared, node, container_id, sources)
+            value = self._read_value(declared.name, declared.type, node, container_id, sources)
             if value is not None:
                 inputs[key] = value
         for declared in workflow.inputs.values():
@@ -342,13 +357,21 @@ class _Reader:
         self.workflows[name] = workflows[name]
         return workflows[name]
 
-    def _read_value(self, declared: Input, node: Node, container_id: str, sources: Mapping[str, Source]) -> Any:
+    def _read_value(
+        self, key: str, wire: WireType, node: Node, container_id: str, sources: Mapping[str, Source]
+    ) -> Any:
         library = self.lab.library
+        if wire.item is not None and isinstance(node, Items):
+            found = [
+                self._read_value(key, wire.item, item, f"{container_id}/{number}", sources)
+                for number, item in enumerate(node.items, 1)
+            ]
+            return tuple(found) if None not in found else None
         named: dict[type, tuple[Collection[str], str]] = {
             Source: (self.source_marks, "source"),
             Container: (library.containers, "container"),
         }
-        python = declared.type.python
+        python = wire.python
         if isinstance(python, type) and python in named:
             known, what = named[python]
             if python is Source and isinstance(node, Scalar):
@@ -365,11 +388,11 @@ class _Reader:
                 return sources.get(name)  # None for one that is wrong itself, and reported
             return Container.model_construct(**{**library.containers[name].__dict__, "id": container_id})
         try:
-            return literal(declared.name, declared.type, node, library)
+            return literal(key, wire, node, library)
         except ValueError as error:
             name = (node.text or "") if isinstance(node, Scalar) else ""
             if not (python is Powder and library.broken.tell("powder", name, self.problems)):
-                self.problems.add(node.mark, f"'{declared.name}': {error}", code="bad-value")
+                self.problems.add(node.mark, f"'{key}': {error}", code="bad-value")
             return None
 
     # --- the batch as a whole

@@ -16,14 +16,14 @@ from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.recipe.flow import Flow, Pour, sources_of
+from scuhand_bt.recipe.flow import Flow, Pour, each_of, sources_of
 from scuhand_bt.specs import Container, Source
 from scuhand_bt.yaml_source import Node
 
 
 @dataclass(frozen=True)
 class Take:
-    """So much powder out of a source; None where no mass is known."""
+    """So much powder, at most, out of a source; None where nothing bounds it."""
 
     source: Source
     mass_mg: float | None
@@ -54,22 +54,22 @@ class Sample:
         takes, held_mg = [], dict[tuple[str | None, str], float]()
         by_name = {source.name: source for source in sources_of(self.inputs)}
         for pour in self.flow.pours:
-            if pour.source and pour.mass_mg is None:
+            if pour.source and pour.most_mg is None:
                 takes.append(Take(by_name[pour.source], None))
-            elif pour.source and pour.mass_mg is not None:
+            elif pour.source and pour.most_mg is not None:
                 before_mg = held_mg.get((pour.container, pour.source), 0.0)
-                takes.append(Take(by_name[pour.source], max(0.0, pour.mass_mg - before_mg)))
-                held_mg[pour.container, pour.source] = max(before_mg, pour.mass_mg)
+                takes.append(Take(by_name[pour.source], max(0.0, pour.most_mg - before_mg)))
+                held_mg[pour.container, pour.source] = max(before_mg, pour.most_mg)
         return tuple(takes)
 
     @property
     def filled(self) -> Mapping[str, tuple[Pour, ...]]:
-        """By container, the largest dose of each lot into it that is known before the run."""
+        """By container, the largest dose of each lot into it, as far as that has a bound."""
         largest: dict[str, dict[str, Pour]] = {}
         for pour in self.flow.pours:
-            if pour.container and pour.lot and pour.mass_mg is not None:
+            if pour.container and pour.lot and pour.most_mg is not None:
                 of_container = largest.setdefault(pour.container, {})
-                if pour.mass_mg > (of_container[pour.lot].mass_mg or 0.0 if pour.lot in of_container else 0.0):
+                if pour.most_mg > (of_container[pour.lot].most_mg or 0.0 if pour.lot in of_container else 0.0):
                     of_container[pour.lot] = pour
         return {container: tuple(pours.values()) for container, pours in largest.items()}
 
@@ -86,7 +86,7 @@ class Sample:
 
     @property
     def all_containers(self) -> list[Container]:
-        return [value for value in self.inputs.values() if isinstance(value, Container)]
+        return [value for _, value in each_of(self.inputs) if isinstance(value, Container)]
 
     @property
     def containers(self) -> list[Container]:
@@ -170,11 +170,11 @@ def check_sample(
         what = f"the mass {mass_mg:g} mg is not more than its tolerance, {tolerance_mg:g} mg"
         problems.add(at("mass", "tolerance"), what, code="wide-tolerance")
     for pour in sample.flow.pours:
-        if pour.mass_mg is not None and pour.mass_mg <= 0:
-            what = f"the mass taken from '{pour.source}' is {pour.mass_mg:g} mg"
+        if pour.most_mg is not None and pour.most_mg <= 0:
+            what = f"the mass taken from '{pour.source}' is {pour.most_mg:g} mg"
             problems.add(at(pour.mass_input or "mass"), what, "more than 0", code="bad-mass")
             return
-    for key, container in sample.inputs.items():
+    for key, container in each_of(sample.inputs):
         if isinstance(container, Container):
             pours = sample.filled.get(container.id, ())
             marked = at(*(pour.mass_input for pour in pours[:1] if pour.mass_input), key)
@@ -190,13 +190,13 @@ def _check_room(
     problems: Problems,
 ) -> None:
     """What goes into one container must fit into it, and on the balance."""
-    filled_mg = sum(pour.mass_mg or 0.0 for pour in pours)
+    filled_mg = sum(pour.most_mg or 0.0 for pour in pours)
     if pours and container.empty_mass_mg + filled_mg > balance.maximum_mg:
         together = f"'{container.name}' ({format_mass(container.empty_mass_mg)}) and {format_mass(filled_mg)}"
         maximum = f"its maximum is {format_mass(balance.maximum_mg)}"
         problems.add(mark, f"{together} are too heavy for the balance", maximum, code="too-heavy")
     powders = {source.name: source.powder for source in sources}
-    parts = [(pour.mass_mg or 0.0, powders[pour.source]) for pour in pours if pour.source]
+    parts = [(pour.most_mg or 0.0, powders[pour.source]) for pour in pours if pour.source]
     volume_mm3 = sum(mass_mg / powder.bulk_density_mg_per_mm3 for mass_mg, powder in parts)
     if volume_mm3 > container.capacity_mm3:
         said = " and ".join(f"{format_mass(mass_mg)} of {powder.name}" for mass_mg, powder in parts)

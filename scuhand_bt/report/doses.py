@@ -13,14 +13,16 @@ from scuhand_bt.quantity import format_mass
 
 HOLDS = "holds (sim.)"
 """What is in the container, which only a simulation can tell: of several powders all."""
+RECORDED = "recorded"
 WIDE_COLUMNS = (
     "id", "container", "target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds",
-    "verdict", "controller", HOLDS,
+    "verdict", "controller", HOLDS, RECORDED,
 )  # fmt: skip
 NARROW_COLUMNS = ("id", "target", "dispensed", "error mg", "seconds", "verdict")
-TEXT_COLUMNS = ("id", "container", "verdict", "controller")
+TEXT_COLUMNS = ("id", "container", "verdict", "controller", RECORDED)
+FOLDED = ("verdict", RECORDED)
 LEAST_VERDICT = 16
-"""Columns that a verdict has at least, if it needs them."""
+"""Columns that each of these has at least, if it needs them."""
 STYLES = {"good": "green", "open": "yellow", "bad": "red"}
 
 
@@ -42,9 +44,10 @@ class DoseRow:
 
 
 def columns_for(results: Sequence[SampleResult]) -> list[str]:
-    """The columns of a table of these: what a simulation alone can tell is left out where none does."""
-    is_judged = any(result.true_mg is not None for result in results)
-    return [name for name in WIDE_COLUMNS if name != HOLDS or is_judged]
+    """The columns of a table of these: what a simulation tells, or a workflow records, where there is any."""
+    left_out = {HOLDS} if all(result.true_mg is None for result in results) else set()
+    left_out |= {RECORDED} if not any(result.recorded for result in results) else set()
+    return [name for name in WIDE_COLUMNS if name not in left_out]
 
 
 def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
@@ -65,6 +68,7 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
             **counts,
             "verdict": verdict,
             "controller": result.controller or "",
+            RECORDED: "; ".join(f"{one.name} {one}" for one in result.recorded),
         },
         tone_of(result),
         {
@@ -92,19 +96,19 @@ def tone_of(one: SampleResult | DoseResult) -> Tone:
 def doses_table(results: Sequence[SampleResult], width: int | None = None) -> Table:
     """The samples as a table for a terminal, each dose of one with several in a row of its own below it.
 
-    Where not all of its columns fit into `width`, it is without what can be looked up elsewhere. The verdict alone is
-    folded, and never cut.
+    Where not all of its columns fit into `width`, it is without what can be looked up elsewhere. The verdict, and
+    what was recorded, are folded and never cut; nothing else is.
     """
     rows = [row for result in results for row in dose_rows(result)]
     columns = columns_for(results)
-    if width is not None and sum(1 + _width(name, rows) for name in columns) > width:
-        columns = list(NARROW_COLUMNS)
+    if width is not None and sum(2 + _width(name, rows) for name in columns) > width:
+        columns = [*NARROW_COLUMNS, *(name for name in columns if name == RECORDED)]
     table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for name in columns:
         justify: Literal["left", "right"] = "left" if name in TEXT_COLUMNS else "right"
-        is_verdict = name == "verdict"
-        least = min(_width(name, rows), LEAST_VERDICT) if is_verdict else None
-        table.add_column(name, justify=justify, no_wrap=not is_verdict, overflow="fold", min_width=least)
+        is_folded = name in FOLDED
+        least = min(_width(name, rows), LEAST_VERDICT) if is_folded else None
+        table.add_column(name, justify=justify, no_wrap=not is_folded, overflow="fold", min_width=least)
     for row in rows:
         cells: dict[str, str | Text] = {**row.cells}
         cells["id"] = _indent(row) + row.cells["id"]
@@ -117,7 +121,7 @@ def _width(name: str, rows: Sequence[DoseRow]) -> int:
     """Of a column as far as it is not folded."""
     cells = [len(row.cells.get(name, "")) + (len(_indent(row)) if name == "id" else 0) for row in rows]
     widest = max([len(name), *cells])
-    return min(widest, LEAST_VERDICT) if name == "verdict" else widest
+    return min(widest, LEAST_VERDICT) if name in FOLDED else widest
 
 
 def _indent(row: DoseRow) -> str:

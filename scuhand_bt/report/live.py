@@ -5,6 +5,7 @@ from types import TracebackType
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
+from py_trees.composites import Selector
 from rich.console import Console
 from rich.live import Live
 
@@ -13,7 +14,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Job, Plan
 from scuhand_bt.report.live_terminal import LiveTerminal
-from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_words
+from scuhand_bt.report.picture import Asked, Node, Picture, Shown, in_grams, in_words
 from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.control import Control
 from scuhand_bt.run.outcome import BatchResult
@@ -131,7 +132,7 @@ class LiveView(BatchObserver):
         reading, empty_mg = self._cell.balance.latest, self._cell.believed.pan_empty_mg
         said = "balance: no reading"
         if reading is not None:
-            said = f"balance {reading.value_mg / 1000:.4f} g, {'stable' if reading.stable else 'moving'}"
+            said = in_grams(reading.value_mg, is_stable=reading.stable)
             said += f", net {format_mass(reading.value_mg - empty_mg)}" if empty_mg is not None else ""
         return f"{said}; valve {self._cell.hand.opening_mm:.2f} mm"
 
@@ -149,12 +150,16 @@ class LiveView(BatchObserver):
         return self._cell.clock.now_s / done * (len(self._plan.recipe.samples) - done)
 
 
-def nodes_of(root: Behaviour, depth: int = 0) -> Iterator[Node]:
-    """A tree's nodes, each below the one that it belongs to."""
-    why = str(failure_of(root)) if root.status is Status.FAILURE and not root.children else ""
-    yield Node(depth, root.name, _STATES[root.status], why)
-    for child in root.children:
-        yield from nodes_of(child, depth + 1)
+def nodes_of(root: Behaviour, depth: int = 0, passed: str = "to come") -> Iterator[Node]:
+    """A tree's nodes, each below the one that it belongs to; `passed`: the state of one that has none of its own."""
+    state = passed if root.status is Status.INVALID else _STATES[root.status]
+    why = str(failure_of(root)) if state == "failed" and not root.children else ""
+    yield Node(depth, root.name, state, why)
+    passed = "to come" if state in ("running", "to come") else "skipped"
+    # A fallback comes to a child when those before it have failed; py_trees then clears their states.
+    tried = root.children.index(root.current_child) if isinstance(root, Selector) and root.current_child else 0
+    for number, child in enumerate(root.children):
+        yield from nodes_of(child, depth + 1, "failed" if number < tried and state != "to come" else passed)
 
 
 def _about(job: Job, attempt: int) -> str:

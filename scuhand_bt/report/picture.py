@@ -25,6 +25,7 @@ SIGNS: Mapping[str, tuple[str, str]] = {
     "failed": ("✗", "red"),
     "running": ("▶", "bold yellow"),
     "to come": ("·", "dim"),
+    "skipped": ("–", "dim"),
 }
 """How each state of a node is shown: by its sign, and by a colour where there are colours."""
 
@@ -163,6 +164,11 @@ class Picture:
             yield from console.render_lines(one, options.update(height=None), pad=False)
 
 
+def in_grams(gross_mg: float, *, is_stable: bool) -> str:
+    """What the balance shows."""
+    return f"balance {gross_mg / 1000:.4f} g, {'stable' if is_stable else 'moving'}"
+
+
 def in_words(result: SampleResult) -> str:
     """A sample's result in a sentence, with the reason of one that failed."""
     why = f" ({result.code}: {result.detail})" if result.code else ""
@@ -173,7 +179,8 @@ def in_words(result: SampleResult) -> str:
     else:
         doses = ((dose, _dispensed(dose.dispensed_mg, dose.target_mg, dose.error_mg)) for dose in result.doses)
         said = "; ".join(f"{dose_name(dose, result)} {masses}, {dose.verdict}" for dose, masses in doses)
-    line = f"{said} in {result.pulses} pulses, {format_duration(result.duration_s)}: {result.verdict}"
+    pulses = f"{result.pulses} pulse{'s' if result.pulses != 1 else ''}"
+    line = f"{said} in {pulses}, {format_duration(result.duration_s)}: {result.verdict}"
     return line + why
 
 

@@ -44,7 +44,7 @@ def preview(plan: Plan, lab: Lab, odds: Odds) -> str:
         failures=[(code, f"{count:.2g}") for code, count in odds.codes.items()],
         persons=list(_persons(plan, odds)),
         packed=viewer.packed(
-            scene_of(lab, {one.station: one.mortar for one in sources}, {one["cone_mm"] for one in motions}),
+            scene_of(lab, {one.station: one.mortar for one in sources}),
             motions,
             "The arm's motions in the batch, job by job",
         ),
@@ -101,6 +101,7 @@ def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:
             _range(odds.scoops[source.name], lambda count: f"{count:.0f}"),
             format_mass(demand.needed_mg),
             _range(odds.used_mg[source.name], format_mass),
+            *(_range(one, format_mass) for one in odds.leftovers_mg[source.name].values()),
             format_mass(source.amount_mg),
         ]
 

@@ -134,7 +134,7 @@ class RunFacts:
         run, verified = self.run, self.contents.verified
         yield "recipe file", run.recipe_path
         yield "recipe's SHA-256", run.recipe_hash
-        if run.simulated:
+        if run.seed is not None:
             yield "seed", str(run.seed)
             yield "physics", str(run.plant)
         if run.faults_hash is not None:
@@ -146,9 +146,9 @@ class RunFacts:
         yield "head of the lab's ledger before", run.ledger or NONE
 
     def command(self) -> str | None:
-        """What does it again; None for a run on real devices."""
+        """What does it again; None for a run on real devices, or on twins of another program."""
         run = self.run
-        if not run.simulated:
+        if run.seed is None:
             return None
         words = [
             "scuhand-bt",

@@ -4,7 +4,7 @@ changed. None of the lab's own code is run for it.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,13 @@ from scuhand_bt.events import BracketClosed, ContainerPlaced
 from scuhand_bt.journal.events import ArmMoves, RunBegun
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.kinds import parsed
-from scuhand_bt.journal.reader import Contents, open_journal
+from scuhand_bt.journal.reader import Contents
 from scuhand_bt.lab import CELL_FILE, Lab, is_lab, load_bench, starter_lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.specs import Mortar
 
-_RIMS = f"SELECT DISTINCT ROUND(json_extract(payload, '$.cone_mm')) FROM entry WHERE kind = '{ArmMoves.KIND}' LIMIT 40"
-MOST_RIMS = 12
-"""Widths that the cone is drawn in."""
+RIMS = tuple(0.3 + 0.085 * k for k in range(9))
+"""Widths in which the cone is described, as shares of the sheet's diameter; the viewer draws those between two."""
 
 
 def run_scene(journal: Path) -> dict[str, Any]:
@@ -30,31 +29,25 @@ def run_scene(journal: Path) -> dict[str, Any]:
         raise _undrawn(journal, "the run has not begun")
     folder = journal.absolute().parent.parent
     lab = load_bench(folder.parent if is_lab(folder.parent) else starter_lab())
-    with open_journal(journal) as (database, _):
-        rims_mm = {float(row[0]) for row in database.execute(_RIMS) if row[0]}
     try:
-        return {**scene_of(lab, _mortars(now.begun, lab), rims_mm), "note": _note(now.begun, lab)}
+        return {**scene_of(lab, _mortars(now.begun, lab)), "note": _note(now.begun, lab)}
     except (KeyError, ValueError) as error:
         raise _undrawn(journal, f"the cell cannot be drawn: {error}") from None
 
 
-def scene_of(lab: Lab, mortars: Mapping[str, Mortar], rims_mm: Iterable[float]) -> dict[str, Any]:
-    """A lab's cell with a mortar at each of these stations, and cones of about these rims.
+def scene_of(lab: Lab, mortars: Mapping[str, Mortar]) -> dict[str, Any]:
+    """A lab's cell with a mortar at each of these stations, and the cone in every width that a motion may form.
 
     KeyError for a station that it does not have, ValueError for a cone that cannot be made.
     """
     from scuhand_bt.motion.scenes import CONE_DIAMETER_M
     from scuhand_bt.report.scene3d import scene_values
 
-    usual_mm = 1000 * CONE_DIAMETER_M
-    rims = sorted({float(round(rim_mm)) for rim_mm in rims_mm})
-    few = rims[:: max(1, -(-len(rims) // MOST_RIMS))]
+    rims_mm = [2.0 * lab.cell.hand.sheet_radius_mm * share for share in RIMS]
     stations = {name: [mm / 1000 for mm in station.position_mm] for name, station in lab.cell.stations.items()}
     offset_m = lab.cell.hand.apex_offset_mm / 1000
-    values = scene_values(
-        lab.motion_planner(mortars), offset_m, [*few, usual_mm], stations, lab.library.containers.values()
-    )
-    return {**values, "usual_mm": usual_mm}
+    values = scene_values(lab.motion_planner(mortars), offset_m, rims_mm, stations, lab.library.containers.values())
+    return {**values, "usual_mm": 1000 * CONE_DIAMETER_M}
 
 
 def run_motions(contents: Contents) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from scuhand_bt.journal.events import (
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.quantity import format_mass
 
-_LONG = ("readings", "bare", "loaded", "traceback", "rules")
+_LONG = ("readings", "bare", "loaded", "before", "traceback", "rules")
 
 
 def header_lines(story: Mapping[str, Any]) -> Iterator[str]:

@@ -1,20 +1,21 @@
 """What a run shows in another terminal than its own, or on a page: the same picture, from its journal."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from scuhand_bt.journal.events import RunBegun, TreeNode
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.quantity import format_mass
-from scuhand_bt.report.picture import Asked, Node, Shown
+from scuhand_bt.report.picture import Asked, Node, Shown, in_grams
 
 _STATES = {None: "running", "done": "done", "failed": "failed"}
 _TURNED = {("invert", "done"): "failed", ("invert", "failed"): "done", ("optional", "failed"): "done"}
 """What a decorator makes of the state below it."""
 
 
-def shown_of(now: Follower, run: RunBegun) -> Shown:
-    """What there is to see of a run that is followed."""
+def shown_of(now: Follower, run: RunBegun, balance: tuple[float, float, bool] | None = None) -> Shown:
+    """What there is to see of a run that is followed; `balance` shows now: run time [s], gross [mg], is it stable."""
     name = now.path.stem
     waiting = now.waiting.asked
     asked = Asked(waiting.question, waiting.choices, now.waiting.at) if waiting is not None else None
@@ -28,16 +29,36 @@ def shown_of(now: Follower, run: RunBegun) -> Shown:
         left_s=time_left_s(now, run),
         job=about(now, run),
         tree=tree_of(now),
+        readings=in_grams(balance[1], is_stable=balance[2]) if balance is not None else "",
         state=f"Paused; `scuhand-bt resume {name}` continues" if now.is_paused else "",
         keys=f"scuhand-bt answer {name}" if asked is not None else keys,
         question=asked,
     )
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How a run keeps to its plan: what was to be done at `planned_s` was at `at_s`; the rest is stretched alike."""
+
+    planned_s: float
+    at_s: float
+    stretch: float
+
+    def ends_s(self, done_s: float) -> float:
+        """The run time at which is done what was planned to be so at `done_s`."""
+        return self.at_s + self.stretch * (done_s - self.planned_s)
+
+
+def pace_of(now: Follower, run: RunBegun) -> Pace:
+    """By the samples that are done; the plan's own until one is."""
+    planned_s = max((one.done_s or 0.0 for one in run.samples or () if one.id in now.samples), default=0.0)
+    return Pace(planned_s, now.judged_s, now.judged_s / planned_s) if planned_s else Pace(0.0, 0.0, 1.0)
+
+
 def time_left_s(now: Follower, run: RunBegun) -> float | None:
-    """Run time that is left: the mean of the samples until now, for those left. None where that cannot be told."""
-    total, done = len(run.samples or ()), len(now.samples)
-    return now.time_s / done * (total - done) if done and now.ended is None else None
+    """Run time that is left; None where that cannot be told, as of an older journal."""
+    done_s = max((one.done_s or 0.0 for one in run.samples or ()), default=0.0)
+    return max(0.0, pace_of(now, run).ends_s(done_s) - now.time_s) if done_s and now.ended is None else None
 
 
 def inputs_of(run: RunBegun, sample: str | None) -> Mapping[str, Any]:
@@ -74,10 +95,14 @@ def tree_of(now: Follower) -> list[Node]:
 def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
     """A leaf's state is its last action's; that of a node above, of the last that acted below it.
 
-    What stands behind the leaf at work, and acted before it, is to come again.
+    What stands behind the leaf at work, and acted before it, is to come again. What stands before the last that acted,
+    and did not act itself, was passed by.
     """
     last = {one.path: (seq, one) for seq, one in now.actions.items()}
     at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
+    reached = (
+        max((last[node.path][0], place) for place, node in enumerate(drawn) if node.path in last)[1] if last else 0
+    )
     for place, node in enumerate(drawn):
         below = [node]
         for other in drawn[place + 1 :]:
@@ -95,9 +120,17 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
         elif failed is not None:
             yield Node(node.depth, node.name, "failed", str(failed))
         elif not acted:
-            yield Node(node.depth, node.name, "to come")
+            is_passed = now.job_ended is not None or (place < reached and not _is_beside(drawn, place, reached))
+            yield Node(node.depth, node.name, "skipped" if is_passed else "to come")
         else:
             _, one = max(acted, key=lambda pair: pair[0])
             state = _STATES.get(one.outcome, "to come")
             why = str(one.failure) if one.failure is not None and len(below) == 1 else ""
             yield Node(node.depth, node.name, _TURNED.get((node.name, state), state), why)
+
+
+def _is_beside(drawn: Sequence[TreeNode], place: int, later: int) -> bool:
+    """Whether two nodes of a tree go on at once: whether what holds both of them is a parallel."""
+    lowest = min(node.depth for node in drawn[place : later + 1])
+    above = [node for node in drawn[:place] if node.depth < lowest]
+    return bool(above) and above[-1].name == "parallel"

@@ -5,7 +5,8 @@ a formula, also where it splits at a semicolon, gets an apostrophe in front.
 
 A net mass is gross less tare less drift. A dose's tare is what the container weighed just before the valve opened,
 less what earlier doses had brought of the same powder. A `result` is what is said of a dose at the end, adjusted to the
-bare pan behind its container where that confirms it (`bracket`). They stand last, one for each dose.
+bare pan behind its container where that confirms it (`bracket`). They stand last, one for each dose, and behind
+them what workflows have recorded of their samples, one row for each value.
 """
 
 import csv
@@ -25,6 +26,7 @@ from scuhand_bt.events import (
     Pulsed,
     Reweighed,
     Tared,
+    Weighed,
     Weighing,
     WeightChecked,
 )
@@ -44,7 +46,7 @@ COLUMNS = (
     "gross_mg", "drift_mg", "earlier_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines",
     "lines_unit", "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "sample_verdict",
     "bracket", "true_mg", "failure_code", "source", "powder", "lot", "sheet",
-    "sheet_powder", "controller", "software", "entry", "entry_hash",
+    "sheet_powder", "controller", "software", "recorded_name", "recorded_value", "recorded_unit", "entry", "entry_hash",
 )  # fmt: skip
 _FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
 
@@ -126,7 +128,7 @@ def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
             of_doses[event.container, event.lot] = written
         yield written
     for result, entry in results.values():
-        yield from _result_rows(result, of_doses, entry)
+        yield from _result_rows(result, of_doses, of_run, entry)
 
 
 def _entry(contents: Contents, row: Mapping[str, Any]) -> dict[str, object]:
@@ -135,9 +137,12 @@ def _entry(contents: Contents, row: Mapping[str, Any]) -> dict[str, object]:
 
 
 def _result_rows(
-    result: SampleResult, of_doses: Mapping[tuple[str, str], Mapping[str, object]], entry: Mapping[str, object]
+    result: SampleResult,
+    of_doses: Mapping[tuple[str, str], Mapping[str, object]],
+    of_run: Mapping[str, object],
+    entry: Mapping[str, object],
 ) -> Iterator[dict[str, object]]:
-    """A row for each dose of a sample, by the last that was said of it."""
+    """A row for each dose of a sample, by the last that was said of it, and for each value that was recorded."""
     weighed = ("tare_mg", "gross_mg", "drift_mg", "earlier_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
     for dose in result.doses:
         written = of_doses.get((dose.container, dose.lot), {})
@@ -154,6 +159,19 @@ def _result_rows(
             "bracket": dose.bracket,
             "true_mg": dose.true_mg,
             "failure_code": result.code,
+            **entry,
+        }
+    for value in result.recorded:
+        yield {
+            **of_run,
+            "weighing": "recorded",
+            "sample": result.id,
+            "attempt": result.attempt,
+            "sample_verdict": result.verdict,
+            "failure_code": result.code,
+            "recorded_name": value.name,
+            "recorded_value": value.value,
+            "recorded_unit": value.unit,
             **entry,
         }
 
@@ -209,6 +227,9 @@ def _weighed(
                 "verdict": event.verdict,
                 "controller": event.controller,
             }
+        case Weighed():
+            row = _gross(event) | {"weighing": "weighed", "container": event.container, "net_mg": event.net_mg}
+            return row | {"standard_uncertainty_mg": event.net_uncertainty_mg}
         case ContainerLifted():
             row = _gross(event) | {"weighing": "lifted", "container": event.container}
             return row | {"standard_uncertainty_mg": event.uncertainty_mg}

@@ -1,8 +1,9 @@
 """The batch: a plan's jobs one after the other, what to do when one fails, and a verdict for every sample."""
 
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -10,12 +11,11 @@ from py_trees.behaviour import Behaviour
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.liveness import Hung
-from scuhand_bt.events import Dose
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import Broken, Ended, JobEnded, JobStarted
 from scuhand_bt.journal.history import STOPPED, History, read_history
-from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict
+from scuhand_bt.journal.results import Chosen, SampleResult, SampleVerdict, SoFar
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.recipe.plan import AFTER_FAILURE, Job, Plan, recoveries
 from scuhand_bt.recipe.sample import Sample
@@ -26,7 +26,6 @@ from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, doubted, inp
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
-from scuhand_bt.specs import Container
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
 from scuhand_bt.tree.replay import Replay
@@ -96,10 +95,7 @@ class Batch:
         self._doubted_of = (0.0, 0.0)
         """How large a step, and how fast a drift, of the balance's zero they were doubted of then."""
         self._owners = {
-            value.id: sample.id
-            for sample in plan.recipe.samples
-            for value in sample.inputs.values()
-            if isinstance(value, Container)
+            container.id: sample.id for sample in plan.recipe.samples for container in sample.all_containers
         }
         """The samples of all containers, by the ids that these have in a first attempt."""
 
@@ -119,7 +115,7 @@ class Batch:
                 ending = _ended(ExitCode.CELL_FAULT, reason, complete=ending.is_complete)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
-                    self._note(self._result(job.sample, (), "not run", None, 0.0, 1))
+                    self._note(self._result(job.sample, SoFar(), "not run", None, 0.0, 1))
             self._note_open_brackets()
             in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
             code = ending.exit_code
@@ -183,7 +179,7 @@ class Batch:
         """Run a sample's job, again if the recipe says so; returns how the run ends, if it ends here."""
         if (barren := self._barren_source(sample)) is not None and (job.name, 1) not in self._history.jobs:
             what = f"'{barren}' has brought nothing before, and was not tried again for this sample"
-            self._note(self._result(sample, (), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1))
+            self._note(self._result(sample, SoFar(), "not run", SkillFailed(Code.SCOOP_NOTHING, what), 0.0, 1))
             return None
         attempt = 1
         while True:
@@ -192,7 +188,7 @@ class Batch:
             outcome = self._run_job(job, inputs_for(sample, attempt), sample.id, attempt)
             failure = outcome.failure
             if outcome.interrupted is not None:
-                self._note(self._result(sample, self._journal.doses, "interrupted", failure, began_s, attempt))
+                self._note(self._result(sample, self._journal.so_far, "interrupted", failure, began_s, attempt))
                 if failure is not None:
                     return _ended(ExitCode.CELL_FAULT, f"{sample.id}: {failure}")
                 return _ended(ExitCode.INTERRUPTED, "interrupted")
@@ -208,7 +204,7 @@ class Batch:
                 if self._too_many_overshoots() is not None:
                     self._overshot = []  # a person has looked since
             else:
-                result = self._result(sample, self._journal.doses, verdict, failure, began_s, attempt)
+                result = self._result(sample, self._journal.so_far, verdict, failure, began_s, attempt)
                 self._count_overshoots(result)
                 self._note(result)
             self._note_brackets()
@@ -274,7 +270,7 @@ class Batch:
         """Run a job to its end, over all pauses that halt it; what it did before the run was resumed is replayed."""
         journal, before = self._journal, self._history.jobs.get((job.name, attempt))
         if before is not None and before.is_over:
-            journal.doses = before.doses
+            journal.so_far = before.so_far
             return Outcome(before.failure)
         self._observer.attempt_started(job, attempt)
         if before is None:
@@ -283,7 +279,7 @@ class Batch:
             journal.job_started(JobStarted(name=job.name, sample=sample_id, attempt=attempt, workflow=job.workflow))
             replay = Replay()
         else:
-            journal.job_resumed(before.seq, before.doses)
+            journal.job_resumed(before.seq, before.so_far)
             replay = before.replay(self._history.state.get("joints_rad"))
         while True:
             try:
@@ -302,7 +298,7 @@ class Batch:
             self._runner.settle()
             history = read_history(journal.path)
             again = history.jobs[job.name, attempt]
-            journal.job_resumed(again.seq, again.doses)
+            journal.job_resumed(again.seq, again.so_far)
             replay = again.replay(history.state.get("joints_rad"))
 
     def _note_outcome(self, sample_id: str | None, outcome: Outcome) -> None:
@@ -322,13 +318,13 @@ class Batch:
     def _result(
         self,
         sample: Sample,
-        doses: Sequence[Dose],
+        so_far: SoFar,
         verdict: SampleVerdict | None,
         failure: SkillFailed | None,
         began_s: float,
         attempt: int,
     ) -> SampleResult:
-        containers = [value for value in inputs_for(sample, attempt).values() if isinstance(value, Container)]
+        containers = replace(sample, inputs=inputs_for(sample, attempt)).all_containers
         was_run = verdict != "not run"
         true_mg = {}
         if self._true_mass_mg is not None and was_run:
@@ -336,7 +332,7 @@ class Batch:
         believed = self._cell.believed.dosing
         return sample_result(
             sample,
-            doses,
+            so_far,
             verdict,
             failure,
             scoops=believed.scoops if was_run else 0,

@@ -1,7 +1,7 @@
 """What the cell is believed to hold, as the journal keeps it, and a resumed run takes it up; and how its arm moves."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.devices.interfaces import Trajectory
+from scuhand_bt.devices.interfaces import Forming, Joints, Trajectory
 from scuhand_bt.journal.events import ArmMoves
 from scuhand_bt.specs import BalanceBelief, PowderBelief
 
@@ -31,13 +31,49 @@ def state_of(cell: Cell) -> dict[str, Any]:
     }
 
 
-def arm_moves(trajectory: Trajectory, cone_mm: float) -> ArmMoves:
-    """A motion of the arm that is about to begin, with a cone of this rim."""
-    steps = min(MOST_ROWS, max(1, math.ceil(trajectory.duration_s / ROW_S)))
-    step_s = trajectory.duration_s / steps
-    rows = (trajectory.sample(step_s * k) for k in range(steps + 1))
-    joints_rad = tuple(tuple(round(angle, 4) for angle in row.tolist()) for row in rows)
-    return ArmMoves(step_s=round(step_s, 6), joints_rad=joints_rad, cone_mm=round(cone_mm, 2))
+class MotionRecord:
+    """Tells of every motion of a cell's arm and sheet as it begins."""
+
+    def __init__(self, cell: Cell, tell: Callable[[ArmMoves], None]) -> None:
+        self._cell = cell
+        self._tell = tell
+        self._formed_s, self._forming = 0.0, Forming(0.0, lambda time_s: 0.0, with_arm=False)
+        cell.arm.on_start = self._moves
+        cell.hand.on_start = self._forms
+
+    def _forms(self, forming: Forming) -> None:
+        self._formed_s, self._forming = self._cell.clock.now_s, forming
+        if forming.with_arm:
+            return
+        steps, step_s = _rows(forming.duration_s)
+        self._say(step_s, [self._cell.arm.positions], self._rims_mm(steps, step_s))
+
+    def _moves(self, trajectory: Trajectory) -> None:
+        steps, step_s = _rows(trajectory.duration_s)
+        self._say(step_s, [trajectory.sample(step_s * k) for k in range(steps + 1)], self._rims_mm(steps, step_s))
+
+    def _rims_mm(self, steps: int, step_s: float) -> list[float]:
+        """Of what the sheet does from now on; none where it rests."""
+        since_s = self._cell.clock.now_s - self._formed_s
+        if since_s >= self._forming.duration_s:
+            return []
+        return [self._forming.rim_mm(since_s + step_s * k) for k in range(steps + 1)]
+
+    def _say(self, step_s: float, rows: Sequence[Joints], rims_mm: Sequence[float]) -> None:
+        self._tell(
+            ArmMoves(
+                step_s=round(step_s, 6),
+                joints_rad=tuple(tuple(round(angle, 4) for angle in row.tolist()) for row in rows),
+                cone_mm=round(self._cell.hand.cone_diameter_mm, 2),
+                rims_mm=tuple(round(rim_mm, 2) for rim_mm in rims_mm),
+            )
+        )
+
+
+def _rows(duration_s: float) -> tuple[int, float]:
+    """Into how many rows a motion is divided, and how far apart they are."""
+    steps = min(MOST_ROWS, max(1, math.ceil(duration_s / ROW_S)))
+    return steps, duration_s / steps
 
 
 def take_up(cell: Cell, state: Mapping[str, Any]) -> None:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import scuhand_bt
+from scuhand_bt.dosing.verdict import LIKELY, chance_with_lumps
 from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, read_lab, state_folder
-from scuhand_bt.problems import Problem, Problems, SourceError
+from scuhand_bt.problems import Mark, Problem, Problems, SourceError
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
 from scuhand_bt.recipe.recipe import Recipe, read_recipe
 from scuhand_bt.silencers import without_silenced
@@ -96,9 +97,27 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
     except SourceError as error:
         problems.found += error.problems
         return None
+    _check_odds(recipe, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
+
+
+def _check_odds(recipe: Recipe, problems: Problems) -> None:
+    """Warn of samples whose powder comes in lumps too large for their tolerance; of those alike, once."""
+    told = set[tuple[str, float]]()
+    for sample in recipe.samples:
+        for powder in {source.powder.name: source.powder for source in sample.sources}.values():
+            tolerance_mg = sample.tolerance_mg
+            if tolerance_mg is None or (powder.name, tolerance_mg) in told:
+                continue
+            told.add((powder.name, tolerance_mg))
+            if (chance := chance_with_lumps(tolerance_mg, powder.lump_mg)) < LIKELY:
+                lumps = f"{powder.name} comes in lumps of some {powder.lump_mg:g} mg"
+                what = f"about {chance:.0%} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
+                asked = (recipe.marks.get(f"samples.{sample.id}.{key}") for key in ("tolerance", "mass"))
+                mark = next(filter(None, asked), Mark(str(recipe.path), 1))
+                problems.warn(mark, what, "ask for a wider tolerance, or see the odds by `plan`", code="unlikely")
 
 
 def _sound(lab: Lab, errors: Collection[Problem]) -> set[str]:

@@ -15,17 +15,21 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
 from scuhand_bt.clock import Signal
+from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.lab_state.persons import Persons, person_name
 from scuhand_bt.problems import SourceError
 from scuhand_bt.run.operator import Terminal
 from scuhand_bt.run.questions import ANSWERED, UNKNOWN, Question, Questions, Who, wrong_pin
 
+Shown = tuple[float, float, bool]
+"""What a balance shows: run time [s], gross [mg], whether it is stable."""
 Wish = Literal["pause", "pause_now", "continue", "stop", "stop_now"]
 HEARD = "heard"
 ANSWER_S = 5.0
@@ -57,6 +61,8 @@ class Control:
         """What a person is asked."""
         self.terminal = Terminal()
         """Where the run's own operator answers."""
+        self.balance: Callable[[], Reading | None] = lambda: None
+        """What the balance shows now."""
 
     def wish(self, wish: Wish, who: Who | None = None) -> None:
         """Pause at the next safe point or now, continue, stop after this sample or now; without `who`, the operator."""
@@ -169,6 +175,9 @@ class WishListener:
             case "question":
                 asked = self._control.questions.waiting
                 return json.dumps(asdict(asked) if asked is not None else None)
+            case "balance":
+                shown = self._control.balance()
+                return json.dumps((shown.time_s, shown.value_mg, shown.stable) if shown is not None else None)
         return "that is no wish"
 
     def _answered(self, answer: str, number: int, name: str | None, pin: str | None, user: int) -> str:
@@ -235,6 +244,12 @@ def waiting_question(journal: Path) -> Question | None:
     """What a run waits for a person with; None for nothing, or where none listens. TimeoutError as of `say_wish`."""
     said = json.loads(_say(journal, "question") or "null")
     return Question(**{**said, "choices": tuple(said["choices"])}) if said is not None else None
+
+
+def balance_now(journal: Path) -> Shown | None:
+    """What a run's balance shows now; None for nothing, or where none listens. TimeoutError as of `say_wish`."""
+    said = json.loads(_say(journal, "balance") or "null")
+    return (said[0], said[1], said[2]) if isinstance(said, list) else None
 
 
 def say_answer(journal: Path, asked: Question, answer: str, name: str | None, pin: str | None) -> str | None:

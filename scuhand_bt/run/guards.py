@@ -11,10 +11,10 @@ import math
 from collections import deque
 
 from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.clock import Wake
-from scuhand_bt.devices.interfaces import Reading
+from scuhand_bt.devices.interfaces import Device, Reading
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.skill import DEVICES
 
 BEYOND_TARGET_MG = 100.0
 """More than honest overshoot: the worst of 24 000 simulated doses, of lumpy powder by pulses, was 96 mg too much."""
@@ -45,7 +45,7 @@ class Guards:
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
-        self._devices = [cell.device(name) for name in DEVICES]
+        self._devices: list[Device] = [cell.device(name) for name in DEVICES]
         self._signals = list({id(device.news): device.news for device in self._devices}.values())
         self._seen: Reading | None = None
         self._beyond_since_s: float | None = None

@@ -1,7 +1,7 @@
 """Making the cell that a plan runs on: simulated, simulated behind the real drivers, or the real one."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,30 +9,35 @@ from typing import ClassVar
 
 import numpy as np
 
+from scuhand_bt.cell.believed import slot_of as believed_slot
 from scuhand_bt.cell.cell import Cell, carrying_limit_deg
 from scuhand_bt.cell.places import Position, all_places, over_balance
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
+from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
+from scuhand_bt.drivers import NAMED_KINDS, NotPluggable, is_ours
 from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.lab import Lab, without_driver
+from scuhand_bt.lab import Lab, cell_mark, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-from scuhand_bt.problems import SourceError
+from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
+from scuhand_bt.run.outage import rim_in_words
 from scuhand_bt.run.questions import Questions
 from scuhand_bt.sim.cell import simulated_cell
-from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.wire.bench import WireBench
+from scuhand_bt.sim.wire.scene import twin_of
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import Container, ContainerKind
+from scuhand_bt.specs import Container, ContainerKind, Source
 
 NOT_WITHOUT_A_RECIPE = {
     "powder.clog": "no powder is behind twins alone",
@@ -184,7 +189,10 @@ def _dry_run(
     if lab.cell.changer.driver == "operator":
         cell.changer = OperatorChanger(operator, world.place, world.remove, may_be_loaded=restore)
     _follow_hands(world, cell)
-    simulated.sees = lambda: "another" if world.pan.is_exchanged else "same"
+    simulated.sees = lambda: (
+        "another" if world.pan.is_exchanged else "same",
+        rim_in_words(cell.hand.cone_diameter_mm),
+    )
 
     def tell(why: str) -> None:
         journal.event(NotResumable(why=why))
@@ -197,6 +205,7 @@ def _dry_run(
 
 
 def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner, ask: Ask) -> Setup:
+    _require_twins(lab)
     _find_plants(lab)
     liveness = Liveness()
 
@@ -216,16 +225,22 @@ def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, mot
         lab.cell, plan.recipe.sources, firmware, motion.home(), clock, rehearsal.seed, rehearsal.plant, faults=faults
     )
     world = bench.world
+
+    def slot_of(container: Container) -> int:
+        slot = believed_slot(cell.believed, container)
+        bench.scene.stands_in(slot, container)  # a person fills the changer in the order in which it is emptied
+        return slot
+
     with ExitStack() as opened:
         opened.enter_context(bench)
-        devices = connect_cell_devices(bench.spec, clock, liveness)
+        devices = connect_cell_devices(bench.spec, clock, liveness, slot_of=slot_of)
         opened.callback(devices.close)
+        devices.hand.rim_is(MOUNTED_DIAMETER_MM)
         opened.callback(liveness.end)
         operator: Operator = ask(clock)
         if not has_person:
             operator = SimulatedOperator(clock, journal.event, REHEARSED_ANSWER_S, faults)
-        by_hand = lab.cell.changer.driver == "operator"
-        changer = OperatorChanger(operator, world.place, world.remove) if by_hand else SimulatedChanger(clock, world)
+        changer = devices.changer or OperatorChanger(operator, world.place, world.remove)
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=True)
         cell.begin_sample = world.begin_sample
         _follow_hands(world, cell)
@@ -250,11 +265,18 @@ def _real(
     liveness = Liveness()
     clock = WallClock(liveness.beat, began_s)
     with ExitStack() as opened:
-        devices = connect_cell_devices(lab.cell, clock, liveness, may_torque=may_torque)
+        devices = connect_cell_devices(
+            lab.cell,
+            clock,
+            liveness,
+            may_torque=may_torque,
+            slot_of=lambda container: believed_slot(cell.believed, container),
+            roller_file=journal.path.parent.parent / ROLLER_FILE,
+        )
         opened.callback(devices.close)
         opened.callback(liveness.end)
         operator = ask(clock)
-        changer = OperatorChanger(operator, may_be_loaded=began_s > 0.0)
+        changer = devices.changer or OperatorChanger(operator, may_be_loaded=began_s > 0.0)
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=False)
         return Setup(cell, None, opened.pop_all().close, liveness)
 
@@ -284,6 +306,7 @@ def _wired_cell(
         motion=motion,
         sources=plan.recipe.sources,
         simulated=simulated,
+        devices=devices.others,
     )
 
 
@@ -317,16 +340,39 @@ def _find_plants(lab: Lab) -> None:
     sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
 
 
-def bench_of(lab: Lab, seed: int = 0, faults: FaultFile | None = None) -> WireBench:
-    """The twins of a lab's cell without a recipe: the arm parked, nothing on the pan.
+def _require_twins(lab: Lab) -> None:
+    """SourceError for a cell with a device that has no twin, and so cannot be rehearsed."""
+    problems, cell = Problems(), lab.cell
+    for name in cell.device_names:
+        kind, driver = cell.kind_of(name), cell.section(name).driver
+        try:
+            if not is_ours(kind, driver) or kind in NAMED_KINDS:
+                twin_of(kind, driver)
+                if kind in ("arm", "hand"):
+                    raise NotPluggable(
+                        f"'{driver}': the world of a rehearsal has no place for the twin of another {kind}"
+                    )
+        except NotPluggable as error:
+            keys = (name, "driver") if kind == name else ("devices", name, "driver")
+            problems.add(cell_mark(lab, *keys), f"driver {error}", "a dry run simulates it", code="no-twin")
+    problems.raise_any()
+
+
+def bench_of(
+    lab: Lab, seed: int = 0, faults: FaultFile | None = None, sources: Mapping[str, Source] | None = None
+) -> WireBench:
+    """The twins of a lab's cell without a run: the arm parked, nothing on the pan, the powder of `sources` in mortars.
 
     Raises NoCompiler, and SourceError for faults that cannot come to twins alone.
     """
+    _require_twins(lab)
     if faults is not None:
         faults.refuse(NOT_WITHOUT_A_RECIPE, of_samples="twins alone know of no sample")
     parked = lab.motion_planner({}).home()
     wrong = Faults(faults.rules if faults is not None else (), seed)
-    return WireBench(lab.cell, {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong)
+    return WireBench(
+        lab.cell, sources or {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong
+    )
 
 
 def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:

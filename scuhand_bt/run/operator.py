@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from getpass import getpass
 
@@ -38,7 +38,7 @@ class SimulatedOperator:
         self._tell = tell
         self._answer_s = answer_s
         self._faults = faults or Faults()
-        self.sees: Callable[[], str] = lambda: ""
+        self.sees: Callable[[], Collection[str]] = tuple
         """What it answers where it is asked about what it can see."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
@@ -48,7 +48,7 @@ class SimulatedOperator:
             yield Wake(ready_s)
         refuses = self._faults.comes("operator.refuses", self._clock.now_s)
         seen = self.sees()
-        answer = choices[-1] if refuses else seen if seen in choices else choices[0]
+        answer = choices[-1] if refuses else next((one for one in choices if one in seen), choices[0])
         self._tell(Answered(question=question, answer=answer))
         return answer
 

@@ -22,6 +22,10 @@ from scuhand_bt.sim.fault_rules import parse_faults
 LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
 
 
+ON_TWINS = "TWINS (simulated matter, real drivers)"
+"""The mode of a run on the cell whose devices say that they are twins, of another program."""
+
+
 @dataclass(frozen=True)
 class Options:
     """How a plan is run: `simulation` is None on the real cell; `controller` overrides the recipe's."""
@@ -45,7 +49,8 @@ def options_of(history: History, folder: Path, path: Path) -> Options:
         problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
         raise SourceError([Problem(Mark(str(path)), problem)])
     faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
-    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults, given.asks) if run.simulated else None
+    is_dry = run.seed is not None  # twins of another program have one of their own
+    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults, given.asks) if is_dry else None
     return Options(simulation, given.controller, folder, run.unattended)
 
 
@@ -69,9 +74,9 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
         lab=str(lab.folder.absolute()),
         lab_files=lab_files(lab),
         cell=lab.cell.cell,
-        simulated=simulation is not None,
+        simulated=cell.simulated,
         unattended=options.unattended,
-        mode=simulation.mode if simulation is not None else "real devices",
+        mode=simulation.mode if simulation is not None else ON_TWINS if cell.simulated else "real devices",
         seed=simulation.seed if simulation is not None else None,
         plant=(simulation.plant or lab.cell.plant or "scuhand_bt") if simulation is not None else None,
         controller=cell.controller,
@@ -91,14 +96,22 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
             for name, source in plan.recipe.sources.items()
         },
         samples=[
-            SamplePlanned(id=sample.id, workflow=sample.workflow, inputs=plain_values(sample.inputs))
+            SamplePlanned(
+                id=sample.id,
+                workflow=sample.workflow,
+                inputs=plain_values(sample.inputs),
+                done_s=round(plan.done_s[sample.id], 1),
+            )
             for sample in plan.recipe.samples
         ],
         operator=person.name,
         signed=person.is_pin is not None,
         devices={
-            name: getattr(lab.cell, name).model_dump(mode="json", by_alias=False, exclude_none=True)
-            for name in ("arm", "hand", "balance", "changer")
+            name: {
+                **lab.cell.section(name).model_dump(mode="json", by_alias=False, exclude_none=True),
+                "options": lab.cell.options_of(name).model_dump(mode="json", by_alias=False, exclude_none=True),
+            }
+            for name in lab.cell.device_names
         },
         version=scuhand_bt.__version__,
         libraries={name: _version(name) for name in LIBRARIES},

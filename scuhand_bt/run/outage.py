@@ -1,7 +1,10 @@
-"""What a resumed run settles before its first job: after an outage no device is sure to be as it was left.
+"""What a run settles before its first job: after an outage no device is sure to be as it was left.
+
+How far the sheet is rolled is known where the roller's servo has kept its turns (`devices/roller.py`); else a person
+says how wide the rim is, or mounts the sheet anew, before anything moves.
 
 The program may have ended alone, or with all the power: nobody knows which. So the balance's zero is not believed, nor
-the roller's turns, nor that what stands on the pan is what stood there:
+that what stands on the pan is what stood there:
 
     held = (l - a) - (l0 - a0)
 
@@ -25,16 +28,36 @@ from scuhand_bt.journal.events import ContainerReweighed
 from scuhand_bt.journal.writer import Journal
 
 
+def settle_roller(cell: Cell) -> Steps[None]:
+    """How wide the cone's rim is, if the roller does not know. SkillFailed operator.refused, operator.absent."""
+    hand = cell.hand
+    rims_mm = {rim_in_words(rim_mm): rim_mm for rim_mm in hand.possible_rims_mm}
+    asked = "The roller has lost its turns. How wide is the cone's rim?"
+    answer = "none"
+    if rims_mm:
+        answer = yield from cell.operator.ask(asked, [*rims_mm, "none", "stop"])
+    if answer == "none":
+        mounted_mm = cell.spec.hand.options.start_diameter_mm
+        rims_mm = {"done": mounted_mm}
+        asked = "Nobody knows how far the sheet is rolled. Empty the cone, and mount the sheet anew, its rim "
+        asked += f"{mounted_mm:g} mm wide."
+        answer = yield from cell.operator.ask(asked)
+        cell.believed.cone_spilled()
+    if answer not in rims_mm:
+        raise SkillFailed(Code.OPERATOR_REFUSED, asked)
+    hand.rim_is(rims_mm[answer])
+
+
+def rim_in_words(rim_mm: float) -> str:
+    """As a person is offered it: what may be is whole turns of the roller apart, about a centimetre."""
+    return f"{rim_mm:.0f} mm"
+
+
 def settle_outage(journal: Journal, cell: Cell) -> Steps[None]:
-    """The sheet as it is mounted, if the roller does not know; the container's weighings begun anew, if one was there.
+    """The container's weighings begun anew, if one was there; what a limp arm's cone may have lost.
 
     SkillFailed operator.refused, operator.absent; and whatever moving the arm or weighing fails with.
     """
-    if not cell.hand.knows_its_roller:
-        request = "The roller does not know how far the sheet is rolled. Roll it by hand as it is mounted."
-        if (yield from cell.operator.ask(request)) != "done":
-            raise SkillFailed(Code.OPERATOR_REFUSED, request)
-        cell.hand.rolled_as_mounted()
     if (bracket := cell.believed.bracket) is not None:
         yield from _settle_container(journal, cell, bracket)
     if cell.arm.was_limp:

@@ -10,7 +10,7 @@ from scuhand_bt.dosing.bracket import unseen_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
-from scuhand_bt.journal.results import DoseResult, SampleResult, SampleVerdict
+from scuhand_bt.journal.results import DoseResult, SampleResult, SampleVerdict, SoFar
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Verdict
@@ -47,17 +47,18 @@ class BatchResult:
 
 def inputs_for(sample: Sample, attempt: int) -> dict[str, Any]:
     """The sample's inputs; a second attempt is for new containers, with ids that no sample can have."""
-    inputs = dict(sample.inputs)
-    if attempt > 1:
-        for name, value in inputs.items():
-            if isinstance(value, Container):
-                inputs[name] = value.model_copy(update={"id": f"{value.id}#{attempt}"})
-    return inputs
+
+    def fresh(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(fresh, value))
+        return value.model_copy(update={"id": f"{value.id}#{attempt}"}) if isinstance(value, Container) else value
+
+    return {name: fresh(value) if attempt > 1 else value for name, value in sample.inputs.items()}
 
 
 def sample_result(
     sample: Sample,
-    doses: Sequence[Dose],
+    so_far: SoFar,
     verdict: SampleVerdict | None,
     failure: SkillFailed | None,
     *,
@@ -66,7 +67,7 @@ def sample_result(
     true_mg: Mapping[str, float],
     attempt: int,
 ) -> SampleResult:
-    """A sample's result from the doses of its job, in their order; `verdict` where there is another than theirs.
+    """A sample's result from what its job has told; `verdict` where there is another than that of its doses.
 
     `true_mg` is what the simulation has in its containers, by their ids.
 
@@ -74,7 +75,7 @@ def sample_result(
     within its tolerance, is held against the dose with that target, into the sample's container.
     """
     sample = replace(sample, inputs=inputs_for(sample, attempt))
-    last = list({(dose.container, dose.lot): dose for dose in doses}.values())
+    last = list({(dose.container, dose.lot): dose for dose in so_far.doses}.values())
     found = tuple(_dose_result(dose, sample, true_mg.get(dose.container)) for dose in last)
     asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
     number = asked[-1] if asked else len(found) - 1
@@ -94,12 +95,13 @@ def sample_result(
         vibration_s=of_main.vibration_s if of_main else 0.0,
         duration_s=duration_s,
         controller=of_main.controller if of_main else None,
-        verdict=verdict or _verdict(found, is_asked=is_asked),
+        verdict=verdict or _verdict(found, is_asked=is_asked, has_recorded=bool(so_far.recorded)),
         code=failure.code if failure else None,
         detail=failure.detail if failure else None,
         true_mg=main.true_mg if main else next(iter(true_mg.values()), None),
         attempt=attempt,
         doses=found,
+        recorded=tuple(so_far.recorded.values()),
     )
 
 
@@ -194,8 +196,10 @@ def _confirmed(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
     )
 
 
-def _verdict(doses: Sequence[DoseResult], *, is_asked: bool) -> SampleVerdict:
+def _verdict(doses: Sequence[DoseResult], *, is_asked: bool, has_recorded: bool = False) -> SampleVerdict:
     """The worst of its doses; a sample that was to be dosed and was dosed otherwise is not as asked."""
+    if not doses and has_recorded and is_asked:
+        return "recorded"
     if not doses:
         return "no dose"
     if not is_asked:

@@ -20,7 +20,7 @@ from scuhand_bt.run.control import Control
 from scuhand_bt.run.guards import Guards
 from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.rejoin import rejoin
-from scuhand_bt.skill import DEVICES, SkillFailed, Steps
+from scuhand_bt.skill import SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
@@ -105,8 +105,8 @@ class Runner:
     def make_safe(self) -> bool:
         """Valve closed, vibration off, arm stopped: tell every device, then wait. False if one did not stop."""
         with ExitStack() as stopping:  # one that cannot be told does not keep the others from it
-            for name in DEVICES:
-                stopping.callback(self._cell.device(name).stop)
+            for device in self._cell.every_device.values():
+                stopping.callback(device.stop)
         is_still = not self._still_moving()
         self._cell.clock.wait([Wake(self._cell.clock.now_s + FALL_S)])
         return is_still
@@ -216,7 +216,7 @@ class Runner:
 
     def _still_moving(self) -> str:
         """Wait for all devices to stop; the names of those that have not in time, "" if all have."""
-        clock, devices = self._cell.clock, {name: self._cell.device(name) for name in DEVICES}
+        clock, devices = self._cell.clock, self._cell.every_device
         began_s = clock.now_s
         while moving := {name: device for name, device in devices.items() if not device.is_stopped}:
             is_reached = any(device.fault is None or device.fault.code not in UNREACHED for device in moving.values())

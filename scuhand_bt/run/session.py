@@ -8,7 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 import scuhand_bt
-from scuhand_bt.devices.interfaces import Reading, Trajectory
+from scuhand_bt.clock import Steps
+from scuhand_bt.devices.interfaces import Reading, is_twin
 from scuhand_bt.journal.events import FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
@@ -20,7 +21,7 @@ from scuhand_bt.recipe.plan import Plan, check_unattended
 from scuhand_bt.record import RecordLost
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.batch import Batch, BatchObserver
-from scuhand_bt.run.cell_state import arm_moves, state_of, take_up
+from scuhand_bt.run.cell_state import MotionRecord, state_of, take_up
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.run.control import Control, WishListener
 from scuhand_bt.run.holds import BEING_RUN, take_cell, take_run
@@ -28,8 +29,8 @@ from scuhand_bt.run.inventory_conflicts import conflicts, corrections, recall, r
 from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
 from scuhand_bt.run.operator import Person
-from scuhand_bt.run.options import Options, check_controller, described
-from scuhand_bt.run.outage import settle_outage
+from scuhand_bt.run.options import ON_TWINS, Options, check_controller, described
+from scuhand_bt.run.outage import settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
@@ -80,8 +81,7 @@ class Session:
         self.notices = self._records.notices
         self._person = options.person or Person(user_name())
         self.control.at_terminal = Who(self._person.name)
-        has_begun = self._history is not None and self._history.state
-        self._conflicts = [] if has_begun else conflicts(plan, lab.cell, self._records.stock)
+        self._conflicts = [] if self._is_taken_up else conflicts(plan, lab.cell, self._records.stock)
         require_resolvable(self._conflicts, unattended=options.unattended)
         with ExitStack() as opened:
             self._holds = opened.enter_context(ExitStack())
@@ -97,6 +97,9 @@ class Session:
                 problem = "another process went on with it meanwhile; resume it again, to hear where it stands now"
                 raise SourceError([Problem(Mark(str(path)), problem)])
             self._make_cell(motion, opened)
+            if not self.cell.simulated:
+                self.cell.simulated = self._are_twins()
+                self._require_same_matter(path)
             if not self.cell.simulated:
                 self._meet_balance()
                 recall(self.cell, self._records.stock)
@@ -140,7 +143,8 @@ class Session:
         if options.controller is not None:
             self.cell.controller = options.controller
         self.cell.balance.on_reading = self._weighed
-        self.cell.arm.on_start = self._moves
+        self.control.balance = lambda: self.cell.balance.latest
+        MotionRecord(self.cell, self.journal.event)
         journal.now_s = lambda: self.cell.clock.now_s
         journal.state = lambda: state_of(self.cell)
         self._records.begin(journal, self.cell)
@@ -150,11 +154,26 @@ class Session:
         if self.world is not None:
             journal.before_commit = self.world.save
 
-    def _meet_balance(self) -> None:
-        """Which one it is, it has said by its first reading. SourceError where a new run asks more than it gives."""
+    def _are_twins(self) -> bool:
+        """Whether a device says that it is a twin; which one it is, a balance has said by its first reading.
+
+        Then no matter is real: nothing is learnt from this run, nor taken from the inventory.
+        """
         with suppress(SkillFailed):  # one that says nothing fails the run by itself
             for wake in self.cell.balance.next_reading():
                 self.cell.clock.wait([wake])
+        return any(is_twin(getattr(device, "identity", "")) for device in self.cell.every_device.values())
+
+    def _require_same_matter(self, path: Path) -> None:
+        """SourceError for a run that was begun on real devices and is resumed on twins, or the other way round."""
+        begun = self._history.run if self._history is not None else None
+        if begun is not None and begun.seed is None and begun.simulated != self.cell.simulated:
+            there, here = ("twins", "real devices") if begun.simulated else ("real devices", "twins")
+            problem = f"it was begun on {there}, and {here} are at the ports of robot/cell.yaml now"
+            raise SourceError([Problem(Mark(str(path)), problem)])
+
+    def _meet_balance(self) -> None:
+        """What it is known to give. SourceError where a new run asks more."""
         figures = self._records.learnt.figures(simulated=False).get(self.cell.balance_name, {})
         beyond = beyond_limits(self.plan, self._lab, figures, datetime.now().astimezone())
         if beyond and self._history is None and self._lab.cell.balance.limits.when_beyond == "refuse":
@@ -164,9 +183,6 @@ class Session:
     def _weighed(self, reading: Reading) -> None:
         self.cell.readings.append(reading)
         self.journal.weighed(reading)
-
-    def _moves(self, trajectory: Trajectory) -> None:
-        self.journal.event(arm_moves(trajectory, self.cell.hand.cone_diameter_mm))
 
     def _begin(self, resumes: Resumable | None) -> None:
         """The first words of the journal, or the first ones of a resumed run."""
@@ -201,15 +217,17 @@ class Session:
 
     @property
     def mode(self) -> str:
-        """Real devices, SIMULATED or REHEARSAL."""
+        """Real devices, TWINS, SIMULATED or REHEARSAL."""
         simulation = self._options.simulation
-        return simulation.mode if simulation is not None else "REAL DEVICES"
+        on_cell = ON_TWINS if self.cell.simulated else "REAL DEVICES"
+        return simulation.mode if simulation is not None else on_cell
 
     @property
     def title(self) -> str:
         """What is run, on what, in a line."""
         simulation = self._options.simulation
-        mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else "real devices"
+        on_cell = ON_TWINS if self.cell.simulated else "real devices"
+        mode = f"{simulation.mode} (seed {simulation.seed})" if simulation is not None else on_cell
         if simulation is not None and simulation.faults is not None:
             count = len(simulation.faults.rules)
             mode += f", {count} fault {'rule' if count == 1 else 'rules'}"
@@ -224,11 +242,8 @@ class Session:
         """
         if threading.get_ident() != self._thread:
             raise RuntimeError("a session is run in the thread in which it was made: make it there")
-        world, first = self.world, None
-        if self._conflicts:
-            first = resolve(self.cell, self._conflicts)
-        elif self._history is not None and self._history.state:
-            first = settle_outage(self.journal, self.cell)
+        world = self.world
+        has_to_settle = not self.cell.hand.knows_its_roller or self._conflicts or self._is_taken_up
         batch = Batch(
             self.plan,
             self.cell,
@@ -238,7 +253,7 @@ class Session:
             self.control,
             world.true_mass if world is not None else None,
             self._history,
-            first=first,
+            first=self._settle() if has_to_settle else None,
             after_job=self._records.after_job,
             substitutes=self._substitutes,
         )
@@ -257,6 +272,19 @@ class Session:
         if result.is_complete:
             world_path(self.journal.path).unlink(missing_ok=True)
         return result
+
+    @property
+    def _is_taken_up(self) -> bool:
+        return self._history is not None and bool(self._history.state)
+
+    def _settle(self) -> Steps[None]:
+        """What has to be known of the cell before its first job."""
+        if not self.cell.hand.knows_its_roller:
+            yield from settle_roller(self.cell)
+        if self._conflicts:
+            yield from resolve(self.cell, self._conflicts)
+        elif self._is_taken_up:
+            yield from settle_outage(self.journal, self.cell)
 
     @property
     def unused_rules(self) -> list[str]:

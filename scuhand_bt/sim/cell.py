@@ -15,6 +15,7 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
+from scuhand_bt.sim.instruments import simulated_instrument
 from scuhand_bt.sim.plant import load_plant
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Source
@@ -66,5 +67,6 @@ def simulated_cell(
         sources=sources,
         simulated=True,
         begin_sample=world.begin_sample,
+        devices={name: simulated_instrument(one.kind, clock, world) for name, one in spec.devices.items()},
     )
     return cell, world

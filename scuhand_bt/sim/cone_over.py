@@ -41,7 +41,7 @@ class ConePose:
     def moved_to(self, there: "ConePose", points: Floats) -> Floats:
         """(m, 3): where points of the cone are once it has gone there, by a turn so small that it adds."""
         from_apex = points - self.apex_mm
-        x, y, z = _cross(self.axis, there.axis)
+        x, y, z = cross(self.axis, there.axis)
         moved: Floats = there.apex_mm + from_apex @ np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
         return moved
 
@@ -56,9 +56,9 @@ class ConePose:
     def outline_mm(self, points: int = 24) -> Floats:
         """(points + 1, 3): its rim, and its apex."""
         other = (1.0, 0.0, 0.0) if abs(self.axis[0]) < 0.7 else (0.0, 1.0, 0.0)
-        aside = np.array(_cross(self.axis, other))
+        aside = np.array(cross(self.axis, other))
         aside /= math.sqrt(float(aside @ aside))
-        ring = _circle(points) @ np.stack([aside, _cross(self.axis, aside)])
+        ring = _circle(points) @ np.stack([aside, cross(self.axis, aside)])
         rim = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * ring
         return np.vstack([rim, self.apex_mm])
 
@@ -69,6 +69,13 @@ class ConePose:
         size = float(np.linalg.norm(down))
         lip: Floats = self.apex_mm + self.height_mm * self.axis + self.rim_mm / 2 * down / max(size, 1e-9)
         return lip
+
+    @property
+    def lowest_mm(self) -> float:
+        """How high the lowest of its points is: of its apex, and of its rim."""
+        apex_mm, up = float(self.apex_mm[2]), float(self.axis[2])
+        drop_mm = self.rim_mm / 2 * math.sqrt(max(0.0, 1.0 - up * up))
+        return min(apex_mm, apex_mm + self.height_mm * up - drop_mm)
 
     def way_mm(self, there: "ConePose") -> float:
         """How far its apex, or its rim, goes."""
@@ -95,7 +102,7 @@ def _circle(points: int) -> Floats:
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _cross(a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> tuple[float, float, float]:
+def cross(a: Sequence[float] | Floats, b: Sequence[float] | Floats) -> tuple[float, float, float]:
     """Of two single vectors, for which numpy's own takes ten times as long."""
     (ax, ay, az), (bx, by, bz) = a, b
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx

@@ -8,6 +8,7 @@ is shut. The servo's own encoder cannot see it: `opening_mm` reports the servo.
 
 import math
 from collections import deque
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -15,6 +16,8 @@ import numpy as np
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.arguments import (
+    check_rim,
+    checked_course,
     checked_duration,
     checked_dwell,
     checked_vibration,
@@ -22,6 +25,8 @@ from scuhand_bt.devices.arguments import (
     require_streaming,
 )
 from scuhand_bt.devices.hand_protocol import LONGEST_DWELL_S
+from scuhand_bt.devices.interfaces import Forming
+from scuhand_bt.devices.roller import rims_mm, roller_lost
 from scuhand_bt.dosing.cone import Cone, edge_travel_mm
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.axes import SomeAxes
@@ -45,6 +50,8 @@ DEAD_MAN_S = 0.3
 class SimulatedHand:
     """The hand as the world moves it; see `scuhand_bt.devices.interfaces.Hand`."""
 
+    identity = ""
+
     STATE: ClassVar[tuple[str, ...]] = (
         "vibration",
         "cone_diameter_mm",
@@ -67,6 +74,7 @@ class SimulatedHand:
         self.spec = spec
         self.longest_dwell_s = LONGEST_DWELL_S
         self.news = Signal()
+        self.on_start: Callable[[Forming], None] = lambda forming: None
         self.vibration = 0.0
         self.cone_diameter_mm = MOUNTED_DIAMETER_MM
         self.knows_its_roller = True
@@ -120,20 +128,31 @@ class SimulatedHand:
         if not self._is_lost:
             self.shut(self._clock.now_s)
 
-    def rolled_as_mounted(self) -> None:
-        self.cone_diameter_mm, self.knows_its_roller = MOUNTED_DIAMETER_MM, True
+    @property
+    def possible_rims_mm(self) -> Sequence[float]:
+        return rims_mm(Cone(self.cone_diameter_mm, self.spec.sheet_radius_mm).roller_deg(self.spec), self.spec)
+
+    def rim_is(self, diameter_mm: float) -> None:
+        check_rim(diameter_mm, self.spec)
+        self.cone_diameter_mm, self.knows_its_roller = diameter_mm, True
 
     def start_morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> None:
-        Cone(cone_diameter_mm, self.spec.sheet_radius_mm)  # refuses what the sheet cannot make
+        check_rim(cone_diameter_mm, self.spec)
         duration_s = checked_duration(duration_s)
         self._require_roller()
         fastest_s = edge_travel_mm(self.cone_diameter_mm, cone_diameter_mm) / self.spec.morph_speed_mm_per_s
         begin_s = self._clock.now_s
         end_s = begin_s + max(fastest_s, duration_s, 1e-6)
-        self._morph = (begin_s, end_s, self.cone_diameter_mm, cone_diameter_mm)
+        from_mm = self.cone_diameter_mm
+        duration_s = end_s - begin_s
+        by_mm = cone_diameter_mm - from_mm
+        self.on_start(Forming(duration_s, lambda s: from_mm + min(1.0, s / duration_s) * by_mm, with_arm=False))
+        self._morph = (begin_s, end_s, from_mm, cone_diameter_mm)
 
     def start_rolling(self, course: SomeAxes) -> None:
+        checked_course(course, self.spec)
         self._require_roller()
+        self.on_start(Forming(course.duration_s, lambda s: self._rolled_mm(course, s), with_arm=True))
         self._morph, self._course = None, (self._clock.now_s, course)
 
     def morph(self, cone_diameter_mm: float, duration_s: float | None = None) -> Steps[None]:
@@ -295,6 +314,8 @@ class SimulatedHand:
         self._was_lost = self._is_lost
         if NO_ROLLER & active.keys():
             self.hold_sheet()
+        if "arm.no_power" in active:
+            self.knows_its_roller = False
         if not ("valve.stuck_open" in active or "valve.stuck_closed" in active):
             self._blocked_s = 0.0
         is_faulty = self.fault is not None
@@ -313,6 +334,8 @@ class SimulatedHand:
     def _require_roller(self) -> None:
         if NO_ROLLER & self.faults.active.keys():
             raise SkillFailed(Code.DEVICE_LOST, "the servo bus, which the roller is on, does not answer")
+        if not self.knows_its_roller:
+            raise roller_lost()
 
     def _turn_to(self, target_mm: float, now_s: float) -> None:
         if self._servo_mm == 0.0 and self._target_mm == 0.0 and target_mm > 0.0:
@@ -342,9 +365,12 @@ class SimulatedHand:
         assert self._course is not None
         begin_s, course = self._course
         before_mm = self.cone_diameter_mm
-        roller_deg = math.degrees(float(course.sample(now_s - begin_s)[0]))
-        self.cone_diameter_mm = Cone.from_roller(roller_deg, self.spec).diameter_mm
+        self.cone_diameter_mm = self._rolled_mm(course, now_s - begin_s)
         self._closes = self.cone_diameter_mm < before_mm
         if now_s - begin_s >= course.duration_s - 1e-9:
             self.hold_sheet()
             self.news.fire()
+
+    def _rolled_mm(self, course: SomeAxes, time_s: float) -> float:
+        """The cone's rim where a course of the roller is at this time of it."""
+        return Cone.from_roller(math.degrees(float(course.sample(time_s)[0])), self.spec).diameter_mm

@@ -104,7 +104,7 @@ class Mortars:
         for name, bottom_mm in self._bottoms.items():
             mortar = self._sources[name].mortar
             aside_mm = math.dist(pose.apex_mm[:2], bottom_mm[:2])
-            if aside_mm > mortar.bore_mm / 2 + self._slant_mm or pose.apex_mm[2] > bottom_mm[2] + 2 * self._slant_mm:
+            if aside_mm > mortar.bore_mm / 2 + self._slant_mm or pose.lowest_mm >= bottom_mm[2] + mortar.depth_mm:
                 continue
             points = pose.outline_mm() - bottom_mm
             is_in = (points[:, 2] < mortar.depth_mm) & (np.hypot(points[:, 0], points[:, 1]) < mortar.bore_mm / 2)

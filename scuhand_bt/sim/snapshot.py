@@ -10,6 +10,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+from pydantic_core import to_json
+
 from scuhand_bt.sim.plain_state import Misplaced, read, written
 from scuhand_bt.sim.world_file import WorldFile, broken
 
@@ -100,9 +102,6 @@ class Memory:
             self._file = None
 
 
-_encode = json.JSONEncoder(separators=(",", ":")).encode
-
-
 def _json(plain: object) -> bytes:
-    """In ASCII, on one line."""
-    return _encode(plain).encode()
+    """On one line."""
+    return to_json(plain, inf_nan_mode="constants")

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.sim.cone_over import ConePose, Floats
+from scuhand_bt.sim.cone_over import ConePose, Floats, cross
 from scuhand_bt.specs import Powder
 
 POUR_TIME_S = 0.15
@@ -79,4 +79,4 @@ def poured_mg(held_mg: float, lean: float, pose: ConePose, powder: Powder, dt_s:
 
 
 def _between(axis: Floats, up: Floats) -> float:
-    return math.atan2(float(np.linalg.norm(np.cross(axis, up))), float(axis @ up))
+    return math.atan2(math.hypot(*cross(axis.tolist(), up.tolist())), float(axis @ up))

@@ -115,8 +115,9 @@ class World:
         self.load.begin(source)
 
     def swap_sheet(self) -> None:
-        """A new sheet: what stuck to the old one, and what was still in the cone, is thrown away."""
+        """A new sheet, as it is mounted: what stuck to the old one, and what was still in the cone, is thrown away."""
         self.load.throw_away()
+        self._hand.rim_is(self._hand.spec.options.start_diameter_mm)
 
     # --- time ---
 

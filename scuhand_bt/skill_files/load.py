@@ -9,14 +9,14 @@ import inspect
 import sys
 import traceback
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from scuhand_bt.failures import CATALOGUE, Failure
 from scuhand_bt.problems import Broken, Mark, Problem, Problems, shorten
-from scuhand_bt.skill import DEVICES, Condition, Skill
+from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.skill_files.facts import SkillFacts, facts_of, parsed, raised_codes
 from scuhand_bt.skill_files.source_check import check_shared, check_source
 
@@ -31,8 +31,13 @@ class LoadedSkills:
     facts: dict[str, SkillFacts] = field(default_factory=dict)
 
 
-def load_skills(folder: Path, paths: list[Path], problems: Problems, broken: Broken) -> LoadedSkills:
-    """Import the skills of a lab's folder from these files; what is wrong with one is noted, and the skill `broken`."""
+def load_skills(
+    folder: Path, paths: list[Path], devices: Collection[str], problems: Problems, broken: Broken
+) -> LoadedSkills:
+    """Import the skills of a lab's folder from these files; what is wrong with one is noted, and the skill `broken`.
+
+    `devices` are those of the lab's cell, by the names that skills lease them under.
+    """
     _mount(folder)
     loaded = LoadedSkills()
     shared = {code for path in paths if path.stem.startswith("_") for code in _codes_in(path)}
@@ -40,7 +45,7 @@ def load_skills(folder: Path, paths: list[Path], problems: Problems, broken: Bro
         of_file = Problems()
         skill = _load(path, of_file)
         if skill is not None:
-            _check_class(skill, Mark(str(path), inspect.findsource(skill)[1] + 1), of_file)
+            _check_class(skill, Mark(str(path), inspect.findsource(skill)[1] + 1), devices, of_file)
         if skill is not None and not of_file.errors:
             tree = parsed(path)
             of_file.found += check_source(skill, tree, sys.modules[f"{PACKAGE}.skills.{path.stem}"], str(path)).found
@@ -99,7 +104,7 @@ def _load(path: Path, problems: Problems) -> type[Skill[Any]] | None:
     return found[0]
 
 
-def _check_class(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> None:
+def _check_class(skill: type[Skill[Any]], mark: Mark, known: Collection[str], problems: Problems) -> None:
     """What Python does not check of a skill's class, and would otherwise come up in the middle of a run."""
     name = skill.__name__
     if not skill.__doc__:
@@ -131,9 +136,9 @@ def _check_class(skill: type[Skill[Any]], mark: Mark, problems: Problems) -> Non
             problems.add(mark, what, f'{key} = ("hand",), with the comma', code="skill-devices")
             continue
         for device in devices:
-            if device not in DEVICES:
+            if device not in known:
                 what = f"'{key}' of {name} names an unknown device '{shorten(str(device))}'"
-                problems.add(mark, what, unknown=str(device), known=DEVICES, code="skill-devices")
+                problems.add(mark, what, unknown=str(device), known=known, code="skill-devices")
 
 
 def _check_codes(skill: type[Skill[Any]], codes: Mapping[str, Mark], problems: Problems) -> None:

@@ -15,8 +15,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.leased import DEVICE_NAMES, of_arm
-from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.cell.leased import of_arm
+from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Wake
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, Skill
@@ -39,16 +39,16 @@ def check_source(skill: type[Skill[Any]], tree: ast.Module, module: types.Module
 def check_shared(tree: ast.Module, module: types.ModuleType, file: str) -> Problems:
     """The same of a file that skills share: which devices are leased is its callers' to say."""
     problems = Problems()
-    _check_functions(tree, module, set(DEVICE_NAMES), problems, file)
+    _check_functions(tree, module, None, problems, file)
     return problems
 
 
 def _check_functions(
-    tree: ast.Module, module: types.ModuleType, leased: set[str], problems: Problems, file: str
+    tree: ast.Module, module: types.ModuleType, leased: set[str] | None, problems: Problems, file: str
 ) -> None:
     generators = {node.name for node in ast.walk(tree) if isinstance(node, Function) and _yields(node)}
     for function in (node for node in ast.walk(tree) if isinstance(node, Function)):
-        own = leased | ({"arm", "balance"} if function.name == RESUMING else set())
+        own = leased if leased is None else leased | ({"arm", "balance"} if function.name == RESUMING else set())
         _FunctionCheck(function, vars(module), generators, own, problems, file).check()
 
 
@@ -97,7 +97,7 @@ class _FunctionCheck:
         function: Function,
         names: Mapping[str, Any],
         generators: set[str],
-        leased: set[str],
+        leased: set[str] | None,
         problems: Problems,
         file: str,
     ) -> None:
@@ -134,6 +134,7 @@ class _FunctionCheck:
                 self._check_finally(node)
             elif isinstance(node, ast.Call):
                 self._check_clock(node)
+                self._check_device(node)
 
     def _add(self, node: ast.AST, what: str, remedy: str, code: str, **names: Any) -> None:
         self._problems.add(_mark(self._file, node), what, remedy, code=code, **names)
@@ -160,10 +161,20 @@ class _FunctionCheck:
             what = f"a {owner.__name__} has no '{node.attr}'"
             self._add(node, what, "", "skill-unknown-member", unknown=node.attr, known=known)
         elif owner is Cell:
-            device = node.attr if node.attr in DEVICE_NAMES else "arm" if of_arm(node.attr) else None
-            if device is not None and device not in self._leased:
+            device = node.attr if node.attr in DEVICES else "arm" if of_arm(node.attr) else None
+            if device is not None and self._leased is not None and device not in self._leased:
                 what = f"the {device} is used here, and 'devices' does not lease it"
                 self._add(node, what, f'devices = (…, "{device}")', "skill-lease")
+
+    def _check_device(self, node: ast.Call) -> None:
+        """`cell.device("air")`, of a further device of the cell."""
+        called, named = node.func, node.args[0] if len(node.args) == 1 else None
+        if not (isinstance(called, ast.Attribute) and called.attr == "device" and self._type_of(called.value) is Cell):
+            return
+        name = named.value if isinstance(named, ast.Constant) and isinstance(named.value, str) else None
+        if name is not None and self._leased is not None and name not in self._leased:
+            what = f"the {name} is used here, and 'devices' does not lease it"
+            self._add(node, what, f'devices = (…, "{name}")', "skill-lease")
 
     def _check_yield(self, node: ast.Yield, nodes: list[ast.AST]) -> None:
         value = node.value

@@ -5,6 +5,8 @@ A place is named by its file and its keys, with dots between them: `recipe.sampl
 any recipe and any lab is.
 """
 
+import json
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -46,31 +48,45 @@ def changed(recipe: Path, lab: Path, changes: Changes) -> Iterator[tuple[Path, P
                 shutil.copy(path, beside)
         copied = beside / recipe.name
         for place, value in changes:
-            file, *keys = place.split(".")
-            path = copied if file == "recipe" else copy / FILES.get(file, "")
-            if not path.is_file() or not keys:
-                raise _no_such(place, ["recipe", *FILES])
-            path.write_text(_with(path.read_text(encoding="utf-8"), place, keys, value), encoding="utf-8")
+            path = file_of(place, copied, copy)
+            path.write_text(with_value(path.read_text(encoding="utf-8"), place, value), encoding="utf-8")
         yield copied, copy
 
 
-def _with(text: str, place: str, keys: list[str], value: Value) -> str:
-    root = inner = yaml.load(text, yaml.BaseLoader)  # every scalar stays text, as the house reads it
-    for key in keys[:-1]:
-        inner = inner[_key(inner, key, place)]
-    inner[_key(inner, keys[-1], place)] = str(value)
-    return yaml.safe_dump(root, sort_keys=False, allow_unicode=True)
+def with_value(text: str, place: str, value: Value) -> str:
+    """A file's text with another value at a place (`FILE.KEY.KEY`); all else stays as it is written.
+
+    Raises SourceError for a place that there is not.
+    """
+    node: Any = yaml.compose(text, yaml.BaseLoader)
+    for key in place.split(".")[1:]:
+        node = _below(node, key, place)
+    new = str(value)
+    if not re.fullmatch(r"[\w.+/^° -]+", new):
+        new = json.dumps(new, ensure_ascii=False)
+    return text[: node.start_mark.index] + new + text[node.end_mark.index :]
 
 
-def _key(inner: Any, key: str, place: str) -> str | int:
-    if isinstance(inner, dict) and key in inner:
-        return key
-    if isinstance(inner, list) and key.isdecimal() and int(key) < len(inner):
-        return int(key)
-    known = list(inner) if isinstance(inner, dict) else [str(number) for number in range(len(inner or ()))]
-    raise _no_such(place, known, key)
+def _below(node: Any, key: str, place: str) -> Any:
+    if isinstance(node, yaml.MappingNode):
+        found = {name.value: child for name, child in node.value}
+    else:
+        children = node.value if isinstance(node, yaml.SequenceNode) else ()
+        found = {str(number): child for number, child in enumerate(children)}
+    if key not in found:
+        raise _no_such(place, list(found), key)
+    return found[key]
 
 
 def _no_such(place: str, known: list[str], key: str = "") -> SourceError:
     what = f"'{key}' is not there" if key else "a place begins with its file"
-    return SourceError([Problem(Mark(place, 0), f"{what}; known: {', '.join(map(str, known)) or 'nothing'}")])
+    return SourceError([Problem(Mark(place, 0), f"{what}; known: {', '.join(known) or 'nothing'}")])
+
+
+def file_of(place: str, recipe: Path, lab: Path) -> Path:
+    """The file that a place is in. Raises SourceError for a place that begins with none."""
+    file, _, keys = place.partition(".")
+    path = recipe if file == "recipe" else lab / FILES.get(file, "")
+    if not path.is_file() or not keys:
+        raise _no_such(place, ["recipe", *FILES])
+    return path

@@ -20,7 +20,7 @@ from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.study.change import changed
 from scuhand_bt.study.some_cell import SomeCell
-from scuhand_bt.study.trial import SampleTrial, Setup, Trial
+from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Setup, Trial
 
 SOME_CELL = f"{SomeCell.__module__}:{SomeCell.__name__}"
 
@@ -46,6 +46,11 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         with open_journal(session.journal.path) as (database, _):
             scooped = database.execute("SELECT json_extract(payload, '$.source') FROM entry WHERE kind = 'scoop'")
             scoops = Counter(source for (source,) in scooped)
+            leftovers = database.execute(
+                "SELECT json_extract(payload, '$.source'), kind, SUM(json_extract(payload, '$.expected_mg'))"
+                " FROM entry WHERE kind IN (?, ?, ?) GROUP BY 1, 2",
+                LEFTOVERS,
+            ).fetchall()
     names = list(plan.recipe.sources)
     samples = tuple(
         SampleTrial(
@@ -71,6 +76,7 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         samples,
         {name: scoops[name] for name in names},
         used_mg,
+        {name: {kind: mg for of, kind, mg in leftovers if of == name} for name in names},
     )
 
 

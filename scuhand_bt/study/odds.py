@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import beta, t
 
+from scuhand_bt.dosing.verdict import LIKELY
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.study.trial import SampleTrial, Trial
+from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Trial
 
 COVERED = 0.9
 """Of the intervals."""
@@ -25,8 +26,6 @@ WIDE = 1.645
 """Standard deviations that hold `COVERED` of a normal distribution."""
 PRIOR = 4.0
 """Trials that what came of the whole batch counts for, beside those of a sample's own kind."""
-LIKELY = 0.9
-"""A sample that is less likely in tolerance than this is warned of."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +59,8 @@ class Odds:
     scoops: Mapping[str, Range]
     """By source."""
     used_mg: Mapping[str, Range]
+    leftovers_mg: Mapping[str, Mapping[str, Range]]
+    """By source and by what became of it, the powder that was left in the cone after doses."""
     codes: Mapping[str, float]
     """How many samples of a run fail so, on average; the most frequent first."""
 
@@ -83,6 +84,10 @@ def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
         samples=_chances(plan, found),
         scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
         used_mg={name: _seen([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
+        leftovers_mg={
+            name: {kind: _seen([trial.leftovers_mg[name].get(kind, 0.0) for trial in found]) for kind in LEFTOVERS}
+            for name in plan.recipe.sources
+        },
         codes={code: count / len(found) for code, count in codes.most_common()},
     )
 

@@ -11,6 +11,9 @@ from typing import TypeAlias
 
 from scuhand_bt.study.change import Changes
 
+LEFTOVERS = ("kept", "returned", "discarded")
+"""What becomes of powder that is left in the cone, as the journal calls it."""
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -55,6 +58,8 @@ class Trial:
     """By source."""
     used_mg: Mapping[str, float]
     """What each source has lost, by its name."""
+    leftovers_mg: Mapping[str, Mapping[str, float]]
+    """By source, what was left in the cone after doses: in sum kept for the next, returned and discarded."""
 
 
 Task: TypeAlias = tuple[Setup, int]

@@ -1,158 +1,32 @@
-"""What every balance's driver has to pass, the engine's own and anybody else's, against its twin.
+"""What every driver has to pass, the engine's own and anybody else's, against its twin.
 
     def test_my_balance_conforms() -> None:
-        balance_conforms("my_package.radwag:RADWAG")
+        conforms("balance", "my_package.radwag:RADWAG")
 
-Each check raises AssertionError with what is wrong. The second half runs in real time, a few seconds.
+It raises AssertionError with what is wrong, and runs in real time, some seconds.
 """
 
-import random
-import time
-from collections.abc import Callable
-from typing import TypeVar
+from typing import Any
 
-from scuhand_bt.cell_spec import BalanceSpec
-from scuhand_bt.clock import Steps
-from scuhand_bt.devices.balances import DIALECTS, SerialBalance, dialect_of
-from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
-from scuhand_bt.failures import SkillFailed
-from scuhand_bt.run.clock import WallClock
-from scuhand_bt.sim.wire.balances import BalanceTwin, StillPan, balance_twin
-from scuhand_bt.sim.wire.port import PtyPort
-from scuhand_bt.sim.wire.server import TwinServer
-
-MAXIMUM_MG = 120_000.0
-DIGIT_MG = 0.1
-LOADS_MG = (0.0, 0.1, 12.3, 9_200.0, 119_999.9, -0.1, -1_500.0)
-LOAD_MG = 9_200.0
-PATIENCE_S = 20.0
-T = TypeVar("T")
+from scuhand_bt.testing.of_balances import balance_conforms
+from scuhand_bt.testing.of_instruments import changer_conforms, scanner_conforms, sensor_conforms, switch_conforms
 
 
-def balance_conforms(driver: str) -> None:
-    """All of it, for a driver as `robot/cell.yaml` names it."""
-    dialect, twin = dialect_of(driver), balance_twin(driver)
-    readings_are_understood(dialect, twin)
-    nothing_else_is_a_reading(dialect, twin)
-    questions_are_answered(dialect, twin)
-    the_driver_reads_it(driver)
+def conforms(kind: str, driver: str, **options: Any) -> None:
+    """All that a driver of this kind, by its name in robot/cell.yaml, has to do; with these `options`.
 
-
-def readings_are_understood(dialect: Dialect, twin: type[BalanceTwin]) -> None:
-    """Every load is read as it is, stable only where the balance says so; what is out of range is no reading."""
-    for load_mg in LOADS_MG:
-        for stable in (True, False):
-            line = _said(dialect, twin(StillPan(load_mg, stable), DIGIT_MG, MAXIMUM_MG))
-            frame = dialect.parse(line)
-            assert isinstance(frame, Weight), f"{line!r} of {load_mg} mg is read as {frame}, not as a weight"
-            told_mg = frame.milligrams("g")
-            assert told_mg is not None, f"{line!r}: the unit '{frame.unit}' is none of mass"
-            assert abs(told_mg - load_mg) < 1e-6, f"{line!r} of {load_mg} mg is read as {told_mg} mg"
-            assert frame.stable == stable, f"{line!r} is read as {'stable' if frame.stable else 'unstable'}"
-    for load_mg, above in ((2 * MAXIMUM_MG, True), (-0.5 * MAXIMUM_MG, False)):
-        line = _said(dialect, twin(StillPan(load_mg), DIGIT_MG, MAXIMUM_MG))
-        assert dialect.parse(line) == OutOfRange(above), f"{line!r} is out of range"
-
-
-def _said(dialect: Dialect, balance: BalanceTwin) -> bytes:
-    """The line that the driver's question, or its stream, is answered by."""
-    lines = balance.hear(dialect.poll or dialect.stream, 0.0) or balance.hear(b"", 1.0)
-    assert len(lines) == 1, f"{dialect.poll or dialect.stream!r} is answered by {lines}"
-    return lines[0]
-
-
-def nothing_else_is_a_reading(dialect: Dialect, twin: type[BalanceTwin]) -> None:
-    """No bytes make the parser fail, and no shortened line is a stable weight of another value."""
-    line = _said(dialect, twin(StillPan(12_345.6), DIGIT_MG, MAXIMUM_MG))
-    whole = dialect.parse(line)
-    assert isinstance(whole, Weight)
-    for end in range(len(line.rstrip())):
-        part = dialect.parse(line[:end] + b"\r\n")
-        assert not (isinstance(part, Weight) and part.milligrams("g")), f"{line[:end]!r} is read as {part}"
-    for begin in range(1, len(line)):
-        part = dialect.parse(line[begin:])
-        is_same = isinstance(part, Weight) and abs(part.value) == abs(whole.value)
-        assert not isinstance(part, Weight) or is_same, f"{line[begin:]!r} is read as {part}"
-    rng = random.Random(1)
-    for _ in range(20_000):
-        dialect.parse(rng.randbytes(rng.randrange(30)) + b"\r\n")
-        mutant = bytearray(line)
-        mutant[rng.randrange(len(line))] = rng.randrange(256)
-        dialect.parse(bytes(mutant))
-
-
-def questions_are_answered(dialect: Dialect, twin: type[BalanceTwin]) -> None:
-    """What the driver says gets what it expects: who the balance is, a stream, or one reading."""
-    assert dialect.stream or dialect.poll, "a dialect streams, or is polled"
-    balance = twin(StillPan(LOAD_MG, stable=False), DIGIT_MG, MAXIMUM_MG)
-    if dialect.identify:
-        frames = [dialect.parse(line) for line in balance.hear(dialect.identify, 0.0)]
-        assert any(isinstance(frame, Answer) and frame.text for frame in frames), f"it says who it is by {frames}"
-    if dialect.poll:
-        frames = [dialect.parse(line) for line in balance.hear(dialect.poll, 1.0)]
-        assert any(isinstance(frame, Weight) for frame in frames), f"it answers {dialect.poll!r} by {frames}"
-    if dialect.stream:
-        times_s = [2.0 + 0.05 * n for n in range(41)]
-        lines = [line for at_s in times_s for line in balance.hear(dialect.stream if at_s == 2.0 else b"", at_s)]
-        frames = [dialect.parse(line) for line in lines]
-        weights = sum(isinstance(frame, Weight) for frame in frames)
-        assert weights >= 5, f"in 2 s of its stream there are {weights} weights"
-        assert not any(isinstance(frame, Refused | Busy) or frame is None for frame in frames), f"it streams {lines}"
-
-
-def the_driver_reads_it(driver: str) -> None:
-    """The engine's driver over the twin's wire: readings, a mean, unrest, overload, a cable pulled and put back."""
-    pan = StillPan(LOAD_MG)
-    twin = balance_twin(driver)(pan, DIGIT_MG, MAXIMUM_MG)
-    clock = WallClock()
-    with TwinServer(twin, PtyPort()) as server:
-        # A pseudo-terminal cannot be set to seven bits or parity twice.
-        spec = BalanceSpec(driver=driver, port=server.url, options={"bits": "8N1"}, maximum_mg=MAXIMUM_MG)
-        balance = SerialBalance(spec, dialect_of(driver), clock, DIALECTS.values(), reopen_s=0.05)
-        balance.open()
-        try:
-            _until(lambda: balance.latest is not None, "a first reading")
-            reading = _carried_out(balance.next_reading(), clock)
-            assert abs(reading.value_mg - LOAD_MG) < DIGIT_MG, f"{reading}"
-            mean = _carried_out(balance.stable_mean(), clock)
-            assert abs(mean.value_mg - LOAD_MG) < DIGIT_MG, f"{mean}"
-            pan.stable = False
-            time.sleep(0.3)
-            _fails(lambda: _carried_out(balance.stable_mean(0.6), clock), "balance.unstable")
-            pan.stable, pan.load_mg = True, 2 * MAXIMUM_MG
-            time.sleep(0.5)
-            _fails(lambda: _carried_out(balance.next_reading(), clock), "balance.overload")
-            pan.load_mg = LOAD_MG
-            server.unplug()
-            _until(lambda: balance.fault is not None and balance.fault.code == "device.lost", "a lost balance is told")
-            server.plug()
-            _until(lambda: balance.fault is None, "it comes back")
-            assert abs(_carried_out(balance.next_reading(), clock).value_mg - LOAD_MG) < DIGIT_MG
-        finally:
-            balance.close()
-
-
-def _carried_out(steps: Steps[T], clock: WallClock) -> T:
-    while True:
-        try:
-            wake = next(steps)
-        except StopIteration as done:
-            result: T = done.value
-            return result
-        clock.wait([wake])
-
-
-def _until(condition: Callable[[], bool], what: str) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end_s, f"this never came true: {what}"
-        time.sleep(0.01)
-
-
-def _fails(act: Callable[[], object], code: str) -> None:
-    came = "nothing"
-    try:
-        act()
-    except SkillFailed as failed:
-        came = failed.code
-    assert came == code, f"it should fail with {code}, and what came is {came}"
+    ValueError for an arm or a hand: `scuhand_bt.testing.of_motion` takes them connected, wherever they are.
+    """
+    match kind:
+        case "balance":
+            balance_conforms(driver)
+        case "sensor":
+            sensor_conforms(driver, options)
+        case "scanner":
+            scanner_conforms(driver, options)
+        case "ioniser" | "capper":
+            switch_conforms(kind, driver, options)
+        case "changer":
+            changer_conforms(driver, options)
+        case _:
+            raise ValueError(f"a driver of kind '{kind}' is checked by scuhand_bt.testing.of_motion")

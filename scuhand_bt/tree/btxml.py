@@ -16,9 +16,15 @@ text of a duration.
     repeat           Repeat num_cycles
     invert           Inverter
     optional         ForceSuccess
+    fallback: {on}   Fallback _scuhand_on
+    if               IfThenElse; its first child is a ScriptCondition with _scuhand_when
+    switch           Switch2 to Switch6; AlwaysFailure stands for what it has no case for
+    for_each         LoopString of the first of its lists, _scuhand_items
+
+What is worked out of several values ($mass - $a.dispensed) stands as its text.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -29,9 +35,10 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import DURATION, parse
 from scuhand_bt.skill import Condition
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.grammar import Argument, Branch, Call, Reference, TreeNode, Workflow, walk
+from scuhand_bt.tree.expressions import Expression, Reference
+from scuhand_bt.tree.grammar import RECORD, Argument, Branch, Call, Choice, TreeNode, Workflow, walk
 from scuhand_bt.tree.wires import NOTHING, WireType, of_field
-from scuhand_bt.yaml_source import Scalar, describe
+from scuhand_bt.yaml_source import Items, Node, Scalar, describe
 
 OWN = "_scuhand_"
 RESULT = "result"
@@ -43,7 +50,8 @@ DECORATORS = {
     "invert": ("Inverter", "", ""),
     "optional": ("ForceSuccess", "", ""),
 }
-WHILE = "ReactiveSequence"
+WHILE, LOOP, IF, ELSE, NO_CASE = "ReactiveSequence", "LoopString", "IfThenElse", "AlwaysSuccess", "AlwaysFailure"
+MOST_CASES = 6
 TYPES = {"Integer": "int", "Number": "double", "Flag": "bool"}
 """Of ports; everything else is a text."""
 
@@ -61,7 +69,7 @@ def to_xml(library: Library, name: str) -> str:
     model = SubElement(root, "TreeNodesModel")
     skills = dict.fromkeys(call for each in workflows for call in _skills(library.workflows[each], library))
     for skill in sorted(skills):
-        _model_of_skill(model, skill, library)
+        _model_of_skill(model, skill, library, workflows)
     for each in workflows:
         _model_of_workflow(model, library.workflows[each])
     ElementTree.indent(root)
@@ -84,10 +92,18 @@ def _node(parent: Element, node: TreeNode, library: Library) -> None:
         made = SubElement(parent, BRANCHES[node.kind])
         if node.kind == "parallel":
             made.attrib.update({"success_count": "-1", "failure_count": "1"})
+        _set_codes(made, node.codes)
         for child in node.children:
             _node(made, child, library)
     elif isinstance(node, Call):
         _call(parent, node, library)
+    elif isinstance(node, Choice):
+        _choice(parent, node, library)
+    elif node.kind == "for_each":
+        (name, first), *_ = node.arguments.items()
+        made = SubElement(parent, LOOP, queue=_text(first), value="{" + name + "}", if_empty="SUCCESS")
+        made.set(OWN + "items", "; ".join(f"{key}={argument}" for key, argument in node.arguments.items()))
+        _node(made, node.child, library)
     elif node.kind == "while":
         made = SubElement(parent, WHILE)
         for child in (*node.guards, node.child):
@@ -98,14 +114,38 @@ def _node(parent: Element, node: TreeNode, library: Library) -> None:
         if key:
             argument = node.arguments[key]
             made.set(port, _count(key, argument))
-            if key == "duration" and not isinstance(argument, Reference):
-                made.set(OWN + "duration", _text(argument))
-        if node.codes:
-            made.set(OWN + "on", ";".join(node.codes))
+            if isinstance(argument, Expression) or (key == "duration" and isinstance(argument, Node)):
+                made.set(OWN + key, _text(argument))
+        _set_codes(made, node.codes)
         _node(made, node.child, library)
 
 
+def _set_codes(made: Element, codes: Mapping[str, Mark]) -> None:
+    if codes:
+        made.set(OWN + "on", ";".join(codes))
+
+
+def _choice(parent: Element, node: Choice, library: Library) -> None:
+    cases, by = [case for case in node.cases if case.value is not None], _text(node.argument)
+    if node.kind == "if":
+        made = SubElement(parent, IF)
+        SubElement(made, "ScriptCondition", {"code": "true", OWN + "when": by})
+    elif 2 <= len(cases) <= MOST_CASES:
+        variable = {"variable": by} if isinstance(node.argument, Reference) else {"variable": "", OWN + "value": by}
+        values = {f"case_{number}": case.label for number, case in enumerate(cases, 1)}
+        made = SubElement(parent, f"Switch{len(cases)}", {**variable, **values})
+    else:
+        what = f"a 'switch' of {len(cases)} cases cannot stand in a file of BehaviorTree.CPP"
+        raise SourceError([Problem(node.mark, f"{what}; it has 2 to {MOST_CASES}")])
+    for case in node.cases:
+        _node(made, case.child, library)
+    if not node.is_exhaustive:
+        SubElement(made, ELSE if node.kind == "if" else NO_CASE)
+
+
 def _count(key: str, argument: Argument) -> str:
+    if isinstance(argument, Expression):
+        return "1"
     if isinstance(argument, Reference) or key != "duration":
         return _text(argument)
     return str(round(1000 * parse(_text(argument), DURATION)))
@@ -114,9 +154,11 @@ def _count(key: str, argument: Argument) -> str:
 def _call(parent: Element, node: Call, library: Library) -> None:
     is_skill = node.name in library.skills
     made = SubElement(parent, node.name) if is_skill else SubElement(parent, "SubTree", ID=node.name)
-    parameters = library.parameters(node.name)
+    wires = library.wires(node)
     for key, argument in node.arguments.items():
-        made.set(key, _text(argument, None if is_skill else parameters[key].wire))
+        made.set(key, _text(argument, None if is_skill else wires[key]))
+    if lists := [key for key, argument in node.arguments.items() if isinstance(argument, Items)]:
+        made.set(OWN + "lists", ";".join(lists))
     if node.result is not None:
         made.set(RESULT, "{" + node.result + "}")
 
@@ -125,6 +167,10 @@ def _text(argument: Argument, wire: WireType | None = None) -> str:
     """A value as an attribute; a subtree takes a number that looks like an integer for one."""
     if isinstance(argument, Reference):
         return "{" + str(argument)[1:] + "}"
+    if isinstance(argument, Expression):
+        return argument.text
+    if isinstance(argument, Items):
+        return ";".join(_text(item, wire.item if wire is not None else None) for item in argument.items)
     text = argument.text if isinstance(argument, Scalar) else None
     if text is None:
         what = f"{describe(argument)} cannot stand in a file of BehaviorTree.CPP, which knows only texts"
@@ -136,10 +182,15 @@ def _text(argument: Argument, wire: WireType | None = None) -> str:
     return text
 
 
-def _model_of_skill(model: Element, name: str, library: Library) -> None:
+def _model_of_skill(model: Element, name: str, library: Library, workflows: Iterable[str]) -> None:
     skill = library.skills[name]
     made = SubElement(model, "Condition" if issubclass(skill, Condition) else "Action", ID=name)
     fields = {info.alias or key: info for key, info in skill.model_fields.items()}
+    if name == RECORD:
+        nodes = (node for each in workflows for node in walk(library.workflows[each].tree))
+        calls = (node for node in nodes if isinstance(node, Call) and node.name == RECORD)
+        for key in dict.fromkeys(key for call in calls for key in call.arguments):
+            SubElement(made, "input_port", name=key, type="std::string")
     for key, parameter in library.parameters(name).items():
         port = SubElement(made, "input_port", name=key, type=TYPES.get(parameter.wire.name, "std::string"))
         port.text = parameter.wire.name
@@ -200,18 +251,24 @@ def _declared(model: Element | None) -> dict[str, Any]:
         name, default = port.get("name", ""), port.get("default")
         if port.tag == "input_port":
             kind = (port.text or "Text").strip()
-            inputs[name] = kind if default is None else {"type": kind, "default": default}
+            is_list = kind.startswith("[")
+            declared = [kind[1:-1]] if is_list else kind
+            of_list = default.split(";") if is_list and default is not None else default
+            inputs[name] = declared if default is None else {"type": declared, "default": of_list}
         elif port.tag == "output_port" and default:
             made["result"] = _value(default)
     return {"inputs": inputs, **made} if inputs else made
 
 
 def _read(node: Element, file: str) -> dict[str, Any]:
+    if node.tag in (IF, LOOP) or node.tag.startswith("Switch"):
+        return _read_chosen(node, file)
     kinds = {tag: kind for kind, tag in BRANCHES.items()}
     decorators = {tag: (kind, port, key) for kind, (tag, port, key) in DECORATORS.items()}
     children = [_read(child, file) for child in node]
     if node.tag in kinds:
-        return {kinds[node.tag]: children}
+        codes = node.get(OWN + "on")
+        return {kinds[node.tag]: {"on": codes.split(";"), "children": children} if codes else children}
     if node.tag == WHILE:
         return {"while": {"guards": children[:-1], "child": children[-1]}}
     if node.tag not in decorators:
@@ -230,9 +287,33 @@ def _read(node: Element, file: str) -> dict[str, Any]:
     return {kind: {**body, "child": children[0]}}
 
 
-def _arguments(attributes: Mapping[str, str]) -> dict[str, str] | None:
+def _read_chosen(node: Element, file: str) -> dict[str, Any]:
+    """An `if`, a `switch` or a `for_each`."""
+    first, last = node[0] if len(node) else None, node[-1] if len(node) else None
+    if first is None or last is None or (node.tag == IF and len(node) < 2):
+        raise SourceError([Problem(Mark(file), f"{node.tag} has {len(node)} children; it takes more")])
+    if node.tag == LOOP:
+        items = [item.split("=", 1) for item in node.get(OWN + "items", "").split("; ")]
+        return {"for_each": {"items": dict(items), "child": _read(first, file)}}
+    is_open = last.tag in (ELSE, NO_CASE)
+    ways = [_read(child, file) for child in (node[:-1] if is_open else node) if child.tag != "ScriptCondition"]
+    if node.tag == IF:
+        when = first.get(OWN + "when", first.get("code", ""))
+        return {"if": {"when": _value(when), **dict(zip(("then", "else"), ways, strict=False))}}
+    labels = [node.get(f"case_{number}", "") for number in range(1, MOST_CASES + 1) if f"case_{number}" in node.attrib]
+    by = _value(node.get(OWN + "value", node.get("variable", "")))
+    rest = {} if is_open else {"otherwise": ways[-1]}
+    return {"switch": {"value": by, "cases": dict(zip(labels, ways, strict=False)), **rest}}
+
+
+def _arguments(attributes: Mapping[str, str]) -> dict[str, Any] | None:
+    lists = attributes.get(OWN + "lists", "").split(";")
     made = {
-        "as" if key == RESULT else key: value.strip("{}") if key == RESULT else _value(value)
+        "as" if key == RESULT else key: value.strip("{}")
+        if key == RESULT
+        else value.split(";")
+        if key in lists
+        else _value(value)
         for key, value in attributes.items()
         if key not in ("ID", "name") and not key.startswith("_")
     }

@@ -8,25 +8,75 @@ from py_trees.common import ParallelPolicy
 from py_trees.composites import Parallel, Selector, Sequence
 from py_trees.decorators import FailureIsSuccess, Inverter
 
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.skill import Condition
 from scuhand_bt.tree.check import Library, Percent, literal, resolve_percent
-from scuhand_bt.tree.grammar import PARAMETERS, Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
+from scuhand_bt.tree.expressions import Reference
+from scuhand_bt.tree.grammar import (
+    PARAMETERS,
+    RECORD,
+    Argument,
+    Branch,
+    Call,
+    Choice,
+    Decorator,
+    TreeNode,
+    Value,
+    Workflow,
+)
 from scuhand_bt.tree.leaf import Arguments, SkillLeaf, Ticking, Values
-from scuhand_bt.tree.nodes import Guard, Repeat, Retry, Timeout, While, WorkflowCall
+from scuhand_bt.tree.nodes import (
+    Chosen,
+    Fallback,
+    ForEach,
+    Guard,
+    Repeat,
+    Retry,
+    Timeout,
+    While,
+    WorkflowCall,
+)
+from scuhand_bt.tree.record import Round, recorded
 from scuhand_bt.tree.wires import WireType, read_attribute
+from scuhand_bt.yaml_source import Node
 
 
 class Scope:
-    """The named values of one call of a workflow."""
+    """The named values of one call of a workflow; within a `for_each` also those of its items.
 
-    def __init__(self, values: Values) -> None:
+    `rounds` are those of the loops about it, also about the workflow's call.
+    """
+
+    def __init__(self, values: Values, outer: "Scope | None" = None, rounds: tuple[Round, ...] = ()) -> None:
         self.values = values
+        self.rounds = rounds
+        self._outer = outer
 
-    def read(self, reference: Reference) -> Any:
-        value = self.values[reference.name]
-        for attribute in reference.attributes:
-            value = read_attribute(value, attribute)
-        return value
+    def read(self, value: Value) -> Any:
+        """What a reference or an expression comes to now. SkillFailed workflow.bad_value for what comes to nothing."""
+        if not isinstance(value, Reference):
+            try:
+                return value.value(self.read)
+            except ValueError as error:
+                raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"'{value}' cannot be worked out: {error}") from None
+        found = self._named(value.name)
+        for attribute in value.attributes:
+            found = read_attribute(found, attribute)
+        return found
+
+    def keep(self, name: str, value: Any) -> None:
+        """A result: it is the workflow's, also where it comes in a loop."""
+        if self._outer is not None:
+            self._outer.keep(name, value)
+        else:
+            self.values[name] = value
+
+    def has(self, name: str) -> bool:
+        """Whether there is a value of this name yet."""
+        return name in self.values or (self._outer is not None and self._outer.has(name))
+
+    def _named(self, name: str) -> Any:
+        return self.values[name] if name in self.values or self._outer is None else self._outer._named(name)
 
 
 class Tree:
@@ -53,6 +103,18 @@ def bound_inputs(
     return resolve_percent(values)
 
 
+def chosen_case(node: Choice, scope: Scope, library: Library) -> int | None:
+    """Which of a choice's ways is gone; None for none of an `if`. SkillFailed workflow.bad_value for no case."""
+    by, wire = node.argument, PARAMETERS["when"] if node.kind == "if" else library.chosen_by[node.mark]
+    value = literal("when", wire, by, library) if isinstance(by, Node) else scope.read(by)
+    for number, case in enumerate(node.cases):
+        if case.value is None or literal("cases", wire, case.value, library) == value:
+            return number
+    if node.kind == "switch":
+        raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"there is no case for {by}, '{value}'")
+    return None
+
+
 class _Builder:
     def __init__(self, library: Library, shared: Ticking) -> None:
         self._library = library
@@ -63,6 +125,8 @@ class _Builder:
             return self._build_call(node, scope, path)
         if isinstance(node, Decorator):
             return self._build_decorator(node, scope, f"{path}/{node.kind}")
+        if isinstance(node, Choice):
+            return self._build_choice(node, scope, f"{path}/{node.kind}")
         return self._build_branch(node, scope, f"{path}/{node.kind}")
 
     def _build_branch(self, node: Branch, scope: Scope, path: str) -> Behaviour:
@@ -70,16 +134,16 @@ class _Builder:
         if node.kind == "sequence":
             return Sequence("sequence", memory=True, children=children)
         if node.kind == "fallback":
-            return Selector("fallback", memory=True, children=children)
+            return Fallback(children, frozenset(node.codes)) if node.codes else Selector("fallback", True, children)
         return Parallel("parallel", ParallelPolicy.SuccessOnAll(synchronise=True), children)
 
     def _build_decorator(self, node: Decorator, scope: Scope, path: str) -> Behaviour:
+        if node.kind in ("for_each", "repeat"):
+            return self._build_loop(node, scope, path)
         child = self.build(node.child, scope, path)
         arguments = self._arguments(node.arguments, PARAMETERS, scope)
         if node.kind == "retry":
             return Retry(child, arguments, frozenset(node.codes), self._shared)
-        if node.kind == "repeat":
-            return Repeat(child, arguments, self._shared)
         if node.kind == "timeout":
             return Timeout(path, child, arguments, self._shared)
         if node.kind == "while":
@@ -88,6 +152,18 @@ class _Builder:
         if node.kind == "invert":
             return Inverter("invert", child)
         return FailureIsSuccess("optional", child)
+
+    def _build_loop(self, node: Decorator, scope: Scope, path: str) -> Behaviour:
+        around, arguments = Round(), self._arguments(node.arguments, PARAMETERS, scope)
+        within = Scope({}, scope, (*scope.rounds, around))
+        child = self.build(node.child, within, path)
+        if node.kind == "for_each":
+            return ForEach(child, arguments, around, within.values)
+        return Repeat(child, arguments, around, self._shared)
+
+    def _build_choice(self, node: Choice, scope: Scope, path: str) -> Behaviour:
+        children = [self.build(case.child, scope, f"{path}.{case.label}") for case in node.cases]
+        return Chosen(node.kind, children, lambda: chosen_case(node, scope, self._library))
 
     def _build_guard(self, node: Call, scope: Scope) -> Guard:
         condition = self._library.skills[node.name]
@@ -100,12 +176,12 @@ class _Builder:
 
         def keep(value: Any) -> None:
             if node.result is not None:
-                scope.values[node.result] = value
+                scope.keep(node.result, value)
 
         if node.name in self._library.skills:
             return SkillLeaf(node.name, path, self._library.skills[node.name], arguments, keep, self._shared)
         workflow = self._library.workflows[node.name]
-        inner = Scope({})
+        inner = Scope({}, rounds=scope.rounds)
 
         def bind() -> None:
             inner.values = bound_inputs(workflow, arguments(), self._library)
@@ -117,19 +193,20 @@ class _Builder:
         return WorkflowCall(node.name, self.build(workflow.tree, inner, path), bind, keep_result)
 
     def _call_arguments(self, node: Call, scope: Scope) -> Arguments:
-        parameters = self._library.parameters(node.name)
-        return self._arguments(node.arguments, {name: p.wire for name, p in parameters.items()}, scope)
+        wires = self._library.wires(node)
+        arguments = self._arguments(node.arguments, wires, scope)
+        return (lambda: recorded(arguments(), wires, scope.rounds)) if node.name == RECORD else arguments
 
     def _arguments(self, arguments: Mapping[str, Argument], wires: Mapping[str, WireType], scope: Scope) -> Arguments:
         fixed = {
             name: literal(name, wires[name], argument, self._library)
             for name, argument in arguments.items()
-            if not isinstance(argument, Reference)
+            if isinstance(argument, Node)
         }
-        references = {name: argument for name, argument in arguments.items() if isinstance(argument, Reference)}
+        worked_out = {name: argument for name, argument in arguments.items() if not isinstance(argument, Node)}
 
         def evaluate() -> Values:
-            values = {**fixed, **{name: scope.read(reference) for name, reference in references.items()}}
+            values = {**fixed, **{name: scope.read(value) for name, value in worked_out.items()}}
             return resolve_percent(values) if any(isinstance(value, Percent) for value in fixed.values()) else values
 
         return evaluate

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from scuhand_bt.failures import CATALOGUE, Failure
@@ -11,22 +11,29 @@ from scuhand_bt.quantity import RATIO, parse
 from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.skill_files.facts import SkillFacts
 from scuhand_bt.specs import ContainerKind, Mortar, Powder
+from scuhand_bt.tree.expressions import Reference, fits
 from scuhand_bt.tree.grammar import (
+    EXPRESSIONS,
     KEYWORDS,
     PARAMETERS,
+    RECORD,
     Argument,
     Branch,
     Call,
+    Choice,
     Decorator,
     Input,
-    Reference,
     TreeNode,
+    Value,
     Workflow,
     walk,
+    why_no_expression,
 )
-from scuhand_bt.tree.wires import NOTHING, WireType, of_field
-from scuhand_bt.yaml_source import Node, Scalar, describe, plain
+from scuhand_bt.tree.wires import INPUT_TYPES, NOTHING, QUANTITIES, WireType, of_field
+from scuhand_bt.yaml_source import Items, Node, Scalar, describe, plain
 
+RECORDED = (*QUANTITIES, "Number", "Integer", "Text", "Flag")
+"""Types of what can stand in a sample's row."""
 MAX_TREE_NODES = 5000
 CALLED = ("skill", "workflow")
 """What a node calls by its name."""
@@ -53,6 +60,17 @@ class Library:
     """What the skills' files say of them."""
     broken: Broken = field(default_factory=Broken)
     """What its files name and cannot be used."""
+    recorded: dict[Mark, Mapping[str, WireType]] = field(default_factory=dict)
+    """The types of what `record` is given, by where it stands, in workflows that were checked."""
+
+    chosen_by: dict[Mark, WireType] = field(default_factory=dict)
+    """The types of what each `switch` of such a workflow chooses by."""
+
+    def wires(self, call: Call) -> Mapping[str, WireType]:
+        """The types of what a call of a checked workflow can be given."""
+        if call.name == RECORD:
+            return self.recorded.get(call.mark, {})
+        return {key: parameter.wire for key, parameter in self.parameters(call.name).items()}
 
     def failures(self) -> Mapping[str, Failure]:
         """The catalogue with the lab's own codes."""
@@ -87,6 +105,10 @@ class Percent:
 def literal(name: str, wire: WireType, node: Node, library: Library) -> Any:
     """The value of a literal for the parameter `name`; ValueError, worded for the user, if it has none."""
     value = plain(node)
+    if wire.item is not None:
+        if not isinstance(node, Items):
+            raise ValueError(f"{describe(node)} is no list; write [one, another]")
+        return tuple(literal("", wire.item, item, library) for item in node.items)
     if wire.is_class:
         if value is None and wire.optional:
             return None
@@ -143,6 +165,8 @@ class _Checker:
         self._is_whole = True
         self._inputs: Mapping[str, Input] = {}
         """Of the workflow that is checked now."""
+        self._items: frozenset[str] = frozenset()
+        """Names of items of the lists that are gone through here."""
         self._types: dict[str, WireType | None] = {}
         """By name; None where what gives the value is wrong, and reported, itself."""
 
@@ -162,6 +186,7 @@ class _Checker:
         outer_types, self._types = self._types, {key: declared.type for key, declared in workflow.inputs.items()}
         outer_is_whole, self._is_whole = self._is_whole, workflow.is_whole
         outer_inputs, self._inputs = self._inputs, workflow.inputs
+        outer_items, self._items = self._items, frozenset()
         for declared in workflow.inputs.values():
             if declared.default is not None:
                 value = self._check_literal(declared.name, declared.type, declared.default)
@@ -171,8 +196,9 @@ class _Checker:
         defined = self._check(workflow.tree, frozenset(workflow.inputs))
         result = NOTHING
         if workflow.result is not None:
-            result = self._type_of(workflow.result, defined) or NOTHING
+            result = self._type_of_value(workflow.result, defined) or NOTHING
         self._types, self._is_whole, self._inputs = outer_types, outer_is_whole, outer_inputs
+        self._items = outer_items
         self._calling.pop()
         self._results[name] = result
         self._check_size(workflow)
@@ -194,11 +220,16 @@ class _Checker:
         if isinstance(node, Call):
             return self._check_call(node, defined)
         if isinstance(node, Decorator):
-            return self._check_decorator(node, defined)
+            return (
+                self._check_for_each(node, defined) if node.kind == "for_each" else self._check_decorator(node, defined)
+            )
+        if isinstance(node, Choice):
+            return self._check_choice(node, defined)
         if node.kind == "sequence":
             for child in node.children:
                 defined = self._check(child, defined)
             return defined
+        self._check_codes(node.codes)
         outcomes = [self._check(child, defined) for child in node.children]
         if node.kind == "parallel":
             self._check_devices(node)
@@ -223,15 +254,7 @@ class _Checker:
             value = self._check_argument(key, PARAMETERS[key], argument, defined)
             if isinstance(value, int | float) and value <= 0:
                 self._problems.add(argument.mark, f"'{key}' is {value:g}", "more than 0", code="bad-count")
-        for code, mark in node.codes.items():
-            if code not in self._codes:
-                self._problems.add(
-                    mark,
-                    f"unknown failure code '{shorten(code)}'",
-                    unknown=code,
-                    known=self._codes,
-                    code="unknown-code",
-                )
+        self._check_codes(node.codes)
         for guard in node.guards:
             self._check_call(guard, defined)
             skill = self._library.skills.get(guard.name)
@@ -246,8 +269,89 @@ class _Checker:
         after = self._check(node.child, defined)
         return defined if node.kind in ("invert", "optional") else after
 
+    def _check_codes(self, codes: Mapping[str, Mark]) -> None:
+        for code, mark in codes.items():
+            if code not in self._codes:
+                what = f"unknown failure code '{shorten(code)}'"
+                self._problems.add(mark, what, unknown=code, known=self._codes, code="unknown-code")
+
+    def _check_for_each(self, node: Decorator, defined: frozenset[str]) -> frozenset[str]:
+        """The items have their names below it alone; it may have none, and then sets nothing."""
+        for name, argument in node.arguments.items():
+            given = None
+            if isinstance(argument, Node):
+                what = f"'{name}' takes the items of a list that the workflow is given, not {describe(argument)}"
+                self._problems.add(
+                    argument.mark, what, "an input of a type such as [Mass], as $name", code="wrong-type"
+                )
+            elif (given := self._type_of_value(argument, defined)) is not None and given.item is None:
+                what = f"'{name}' takes the items of a list, but {argument} is a {given.name}"
+                self._problems.add(argument.mark, what, code="wrong-type")
+            if name in self._types:
+                what = f"'{name}' is a value of this workflow already"
+                self._problems.add(argument.mark, what, "a name of its own for the item", code="name-taken")
+                return defined
+            self._types[name] = given.item if given is not None else None
+            self._items |= {name}
+        self._check(node.child, defined.union(node.arguments))
+        self._items = self._items.difference(node.arguments)
+        for name in node.arguments:
+            del self._types[name]
+        return defined
+
+    def _check_choice(self, node: Choice, defined: frozenset[str]) -> frozenset[str]:
+        """The names that are certain after each of its ways; after an `if` without `else`, those before it."""
+        if node.kind == "if":
+            self._check_argument("when", PARAMETERS["when"], node.argument, defined)
+        else:
+            self._check_cases(node, defined)
+        outcomes = [self._check(case.child, defined) for case in node.cases]
+        if node.kind == "if" and not node.is_exhaustive:
+            outcomes.append(defined)
+        return frozenset.intersection(*outcomes)
+
+    def _check_cases(self, node: Choice, defined: frozenset[str]) -> None:
+        argument = node.argument
+        if isinstance(argument, Node):
+            what = f"'switch' chooses by a value, not by {describe(argument)}"
+            self._problems.add(argument.mark, what, EXPRESSIONS, code="bad-value")
+            return
+        wire = self._type_of_value(argument, defined)
+        if wire is not None and (wire.name not in ("Text", "Integer") or wire.optional):
+            what = f"'switch' chooses by a Text or an Integer, but {argument} is a {wire.name}"
+            self._problems.add(argument.mark, what, "use 'if'", code="wrong-type")
+        elif wire is not None:
+            self._library.chosen_by[node.mark] = wire
+            for case in node.cases:
+                if case.value is not None:
+                    self._check_literal("cases", wire, case.value)
+
+    def _check_record(self, node: Call, defined: frozenset[str]) -> frozenset[str]:
+        """Whatever is given to it has a type that can stand in a row, which is kept for who runs it."""
+        wires: dict[str, WireType] = {}
+        for name, argument in node.arguments.items():
+            if isinstance(argument, Node):
+                wires[name] = INPUT_TYPES["Text"]
+                self._check_literal(name, wires[name], argument)
+                continue
+            wire = self._type_of_value(argument, defined)
+            if wire is not None and (wire.name not in RECORDED or wire.optional):
+                what = f"{argument} {'may be nothing' if wire.optional else f'is a {wire.name}'}: no cell of a row"
+                remedy = "record one of its values: " + ", ".join(
+                    f"{argument}.{key}" for key in [*wire.attributes()][:3]
+                )
+                self._problems.add(argument.mark, what, remedy if wire.is_class else "", code="wrong-type")
+            elif wire is not None:
+                wires[name] = wire
+        if not node.arguments:
+            self._problems.add(node.mark, f"'{RECORD}' is given nothing", "{name: $value}", code="missing-parameter")
+        self._library.recorded[node.mark] = wires
+        return self._keep(node, NOTHING, defined)
+
     def _check_call(self, node: Call, defined: frozenset[str]) -> frozenset[str]:
         library = self._library
+        if node.name == RECORD and RECORD in library.skills:
+            return self._check_record(node, defined)
         callee = library.workflows.get(node.name)
         is_known = node.name in library.skills or callee is not None
         if not is_known and not any(library.broken.tell(kind, node.name, self._problems) for kind in CALLED):
@@ -261,8 +365,8 @@ class _Checker:
             )
         if not is_known or (callee is not None and not callee.is_whole):  # what it takes and gives is not known
             for argument in node.arguments.values():
-                if isinstance(argument, Reference):
-                    self._type_of(argument, defined)
+                if not isinstance(argument, Node):
+                    self._type_of_value(argument, defined)
             if callee is not None:
                 self.result_of(node.name, node.mark)
             return self._keep(node, None, defined)
@@ -296,8 +400,9 @@ class _Checker:
         if node.result is None:
             return defined
         before = self._types.get(node.result)
-        if node.result in self._inputs:
-            what = f"'{node.result}' is an input of this workflow, and stays what the workflow was given"
+        if node.result in self._inputs or node.result in self._items:
+            which = "an input of this workflow" if node.result in self._inputs else "an item of a list"
+            what = f"'{node.result}' is {which}, and stays what the workflow was given"
             self._problems.add(node.result_mark, what, "a name of its own for the result", code="name-taken")
             return defined
         if result == NOTHING:
@@ -313,10 +418,11 @@ class _Checker:
         return defined | {node.result}
 
     def _check_argument(self, name: str, wire: WireType, argument: Argument, defined: frozenset[str]) -> Any:
-        if not isinstance(argument, Reference):
+        if isinstance(argument, Node):
             return self._check_literal(name, wire, argument)
-        given = self._type_of(argument, defined)
-        if given is not None and not wire.accepts(given):
+        given = self._type_of_value(argument, defined)
+        accepts = wire.accepts if isinstance(argument, Reference) else partial(fits, wire)
+        if given is not None and not accepts(given):
             maybe = "may be nothing" if given.optional and not wire.optional else f"is a {given.name}"
             self._problems.add(
                 argument.mark, f"'{name}' takes a {wire.name}, but {argument} {maybe}", code="wrong-type"
@@ -328,12 +434,25 @@ class _Checker:
             return literal(name, wire, node, self._library)
         except ValueError as error:
             text = node.text if isinstance(node, Scalar) else None
+            if (why := why_no_expression(node)) is not None:
+                self._problems.add(node.mark, why, EXPRESSIONS, code="bad-expression")
+                return None
             if wire.python is Powder and self._library.broken.tell("powder", text or "", self._problems):
                 return None
             known: Iterable[str] = self._library.powders if wire.python is Powder else ()
             self._problems.add(
                 node.mark, f"'{name}' takes a {wire.name}: {error}", unknown=text or "", known=known, code="bad-value"
             )
+            return None
+
+    def _type_of_value(self, value: Value, defined: frozenset[str]) -> WireType | None:
+        """The type of a reference, or of what is worked out of several; None where something of it is wrong."""
+        if isinstance(value, Reference):
+            return self._type_of(value, defined)
+        try:
+            return value.type(lambda reference: self._type_of(reference, defined))
+        except ValueError as error:
+            self._problems.add(value.mark, f"'{value}' cannot be worked out: {error}", code="bad-arithmetic")
             return None
 
     def _type_of(self, reference: Reference, defined: frozenset[str]) -> WireType | None:

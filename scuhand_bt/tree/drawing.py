@@ -3,11 +3,12 @@
 from collections.abc import Iterator
 from html import escape
 
-from scuhand_bt.tree.grammar import Argument, Branch, Call, Decorator, Reference, TreeNode, Workflow
-from scuhand_bt.yaml_source import Scalar, plain
+from scuhand_bt.tree.grammar import CHOICE_KEYS, Argument, Branch, Call, Choice, TreeNode, Workflow, children_of
+from scuhand_bt.yaml_source import Node, Scalar, plain
 
 ROW, INDENT, LEFT, CHARACTER = 26, 26, 20, 7.9
 SIGNS = {"sequence": "→", "fallback": "?", "parallel": "⇉", "while": "↻", "retry": "↺", "repeat": "↻", "timeout": "⏱"}
+SIGNS |= {"for_each": "↻", "if": "⋔", "switch": "⋔"}
 STYLE = """
 text { font: 13px ui-monospace, 'DejaVu Sans Mono', Menlo, Consolas, monospace; fill: #1f2328 }
 .given { fill: #59636e } .kind { fill: #2f6fb2 } .line { fill: none; stroke: #818b98 } .paper { fill: #ffffff }
@@ -47,13 +48,16 @@ def _rows(node: TreeNode, depth: int) -> Iterator[tuple[int, bool, str, str]]:
         kept = f" → {node.result}" if node.result is not None else ""
         yield depth, True, node.name, _given(node.arguments) + kept
         return
-    given = "" if isinstance(node, Branch) else _given(node.arguments)
-    if isinstance(node, Decorator) and node.codes:
-        given = f"{given} on {', '.join(node.codes)}"
+    by = {CHOICE_KEYS[node.kind][0]: node.argument} if isinstance(node, Choice) else {}
+    given = _given(by if isinstance(node, Branch | Choice) else node.arguments)
+    if not isinstance(node, Choice) and node.codes:
+        given = f"{given} on {', '.join(node.codes)}".strip()
     yield depth, False, f"{SIGNS.get(node.kind, '')} {node.kind}".strip(), given
-    children = node.children if isinstance(node, Branch) else [*node.guards, node.child]
-    for child in children:
-        yield from _rows(child, depth + 1)
+    ways = [case.label for case in node.cases] if isinstance(node, Choice) else []
+    for number, child in enumerate(children_of(node)):
+        if ways:
+            yield depth + 1, False, f"{ways[number]}:", ""
+        yield from _rows(child, depth + 1 + bool(ways))
 
 
 def _given(arguments: dict[str, Argument]) -> str:
@@ -61,6 +65,6 @@ def _given(arguments: dict[str, Argument]) -> str:
 
 
 def _shown(argument: Argument) -> str:
-    if isinstance(argument, Reference):
+    if not isinstance(argument, Node):
         return str(argument)
     return argument.text or "~" if isinstance(argument, Scalar) else str(plain(argument))

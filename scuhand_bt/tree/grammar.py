@@ -1,7 +1,8 @@
 """The grammar of a workflow file: from YAML nodes to a small tree of dataclasses, with positions.
 
 Every node of a tree is one key: a composite (`sequence`, `fallback`, `parallel`, `while`), a decorator
-(`retry`, `timeout`, `repeat`, `invert`, `optional`), or a call of a skill or of another workflow.
+(`retry`, `timeout`, `repeat`, `for_each`, `invert`, `optional`), a choice (`if`, `switch`), or a call of a skill or of
+another workflow.
 """
 
 import re
@@ -10,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 from scuhand_bt.problems import Mark, Problems, nearest, shorten
-from scuhand_bt.tree.wires import INPUT_TYPES, WireType
+from scuhand_bt.tree.expressions import Expression, Reference, parse_expression
+from scuhand_bt.tree.wires import INPUT_TYPES, WireType, list_of
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 
 COMPOSITES = ("sequence", "fallback", "parallel")
@@ -19,36 +21,35 @@ DECORATOR_KEYS: dict[str, tuple[str, ...]] = {
     "retry": ("attempts", "on", "child"),
     "timeout": ("duration", "child"),
     "repeat": ("times", "child"),
+    "for_each": ("items", "child"),
     "invert": ("child",),
     "optional": ("child",),
 }
-PARAMETERS = {"attempts": INPUT_TYPES["Integer"], "duration": INPUT_TYPES["Duration"], "times": INPUT_TYPES["Integer"]}
-"""The decorators' own parameters and their types; like a call's, each is a literal or a `$name`."""
-KEYWORDS = (*COMPOSITES, *DECORATOR_KEYS)
+CHOICE_KEYS: dict[str, tuple[str, ...]] = {"if": ("when", "then", "else"), "switch": ("value", "cases", "otherwise")}
+PARAMETERS = {
+    "attempts": INPUT_TYPES["Integer"],
+    "duration": INPUT_TYPES["Duration"],
+    "times": INPUT_TYPES["Integer"],
+    "when": INPUT_TYPES["Flag"],
+}
+"""The nodes' own parameters and their types; like a call's, each is a literal, a `$name` or worked out of some."""
+RECORD = "record"
+"""The skill that takes whatever it is given: it goes into the sample's row."""
+KEYWORDS = (*COMPOSITES, *DECORATOR_KEYS, *CHOICE_KEYS)
 
 QUANTITY_INPUTS = {"mass": "Mass", "tolerance": "Mass"}
 """Inputs whose name says what they are: recipes and plans reckon with them."""
 RECIPE_WORDS = ("id", "workflow", "repeat", "table")
 """Keys of a sample that are not its workflow's inputs."""
 
-_REFERENCE = re.compile(r"\$([A-Za-z_]\w*)((?:\.[A-Za-z_]\w*)*)")
+_READS_A_VALUE = re.compile(r"\$[A-Za-z_]")
 _NAME = re.compile(r"[A-Za-z_]\w*")
 
 
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """`$name.attribute.attribute`."""
-
-    mark: Mark
-    name: str
-    attributes: tuple[str, ...]
-
-    def __str__(self) -> str:
-        return "$" + ".".join((self.name, *self.attributes))
-
-
-Argument: TypeAlias = Reference | Node
-"""What stands behind a parameter: a reference, or a literal."""
+Value: TypeAlias = Reference | Expression
+"""What has its value when the workflow runs."""
+Argument: TypeAlias = Value | Node
+"""What stands behind a parameter: such a value, or a literal."""
 
 
 @dataclass(slots=True)
@@ -58,16 +59,19 @@ class Branch:
     mark: Mark
     kind: str
     children: list["TreeNode"]
+    codes: dict[str, Mark] = field(default_factory=dict)
+    """`on` of a fallback: the failure codes after which it goes on."""
 
 
 @dataclass(slots=True)
 class Decorator:
-    """A node with one child: while, retry, timeout, repeat, invert, optional."""
+    """A node with one child: while, retry, timeout, repeat, for_each, invert, optional."""
 
     mark: Mark
     kind: str
     child: "TreeNode"
     arguments: dict[str, Argument] = field(default_factory=dict)
+    """Of `for_each` by the names that the items are given."""
     codes: dict[str, Mark] = field(default_factory=dict)
     """`on` of a retry: the failure codes it retries."""
     guards: list["Call"] = field(default_factory=list)
@@ -85,7 +89,31 @@ class Call:
     result_mark: Mark
 
 
-TreeNode: TypeAlias = Branch | Decorator | Call
+@dataclass(slots=True)
+class Case:
+    """One way of a choice, and the value for which it is gone; None for all others."""
+
+    label: str
+    value: Scalar | None
+    child: "TreeNode"
+
+
+@dataclass(slots=True)
+class Choice:
+    """`if` or `switch`: what one of its ways is chosen by, when it begins, and they."""
+
+    mark: Mark
+    kind: str
+    argument: Argument
+    cases: list[Case]
+
+    @property
+    def is_exhaustive(self) -> bool:
+        """Whether there is a way for every value."""
+        return any(case.value is None for case in self.cases)
+
+
+TreeNode: TypeAlias = Branch | Decorator | Choice | Call
 
 
 @dataclass(slots=True)
@@ -106,7 +134,7 @@ class Workflow:
     name: str
     summary: str
     inputs: dict[str, Input]
-    result: Reference | None
+    result: Value | None
     tree: TreeNode
     is_whole: bool = True
     """False if its file is wrong, so that names may be missing that it is meant to have."""
@@ -115,13 +143,33 @@ class Workflow:
 def walk(node: TreeNode) -> Iterator[TreeNode]:
     """The node and all below it, in the order of the file."""
     yield node
-    children: list[TreeNode] = []
-    if isinstance(node, Branch):
-        children = node.children
-    elif isinstance(node, Decorator):
-        children = [*node.guards, node.child]
-    for child in children:
+    for child in children_of(node):
         yield from walk(child)
+
+
+def children_of(node: TreeNode) -> list[TreeNode]:
+    """The nodes right below one, a `while`'s guards before its child."""
+    if isinstance(node, Branch):
+        return node.children
+    if isinstance(node, Decorator):
+        return [*node.guards, node.child]
+    return [case.child for case in node.cases] if isinstance(node, Choice) else []
+
+
+def arguments_of(node: TreeNode) -> Iterator[Argument]:
+    """What a node is given."""
+    if isinstance(node, Choice):
+        yield node.argument
+    elif not isinstance(node, Branch):
+        yield from node.arguments.values()
+
+
+def references_of(argument: Argument | None) -> Iterator[Reference]:
+    """The values that an argument reads."""
+    if isinstance(argument, Reference):
+        yield argument
+    elif isinstance(argument, Expression):
+        yield from argument.references
 
 
 def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
@@ -149,7 +197,7 @@ def read_workflow(root: Node, stem: str, problems: Problems) -> Workflow | None:
     result = None
     if (node := root.get("result")) is not None:
         argument = _argument(node, problems)
-        if isinstance(argument, Reference):
+        if not isinstance(argument, Node):
             result = argument
         else:
             problems.add(
@@ -201,17 +249,21 @@ def _read_inputs(node: Node | None, problems: Problems) -> dict[str, Input]:
             _only_keys(declared, ("type", "default"), problems)
             default = declared.get("default")
             type_node = declared.get("type") or Scalar(declared.mark, None)
-        type_name = type_node.text if isinstance(type_node, Scalar) else None
+        is_list = isinstance(type_node, Items) and len(type_node.items) == 1
+        named = type_node.items[0] if isinstance(type_node, Items) and is_list else type_node
+        type_name = named.text if isinstance(named, Scalar) else None
         wire = INPUT_TYPES.get(type_name or "")
         if wire is None:
             problems.add(
                 type_node.mark,
-                f"{describe(type_node)} is no type",
+                f"{describe(named)} is no type",
                 unknown=type_name or "",
                 known=INPUT_TYPES,
                 code="unknown-type",
             )
             continue
+        if is_list:
+            wire = list_of(wire)
         if name in QUANTITY_INPUTS and wire.name != QUANTITY_INPUTS[name]:
             problems.add(
                 type_node.mark, f"'{name}' must be a {QUANTITY_INPUTS[name]}, not a {wire.name}", code="input-type"
@@ -241,11 +293,72 @@ def _read_node(node: Node, problems: Problems) -> TreeNode | None:
         return None
     ((key, body),) = node.values.items()
     mark = node.keys[key]
+    if key == "fallback" and isinstance(body, Entries):
+        return _read_fallback(mark, body, problems)
     if key in COMPOSITES:
         return Branch(mark, key, _read_children(body, key, problems))
+    if key in CHOICE_KEYS:
+        return _read_choice(mark, key, body, problems)
     if key in DECORATOR_KEYS:
         return _read_decorator(mark, key, body, problems)
     return _read_call(mark, key, body, problems)
+
+
+def _read_fallback(mark: Mark, body: Entries, problems: Problems) -> TreeNode | None:
+    """A fallback that goes on after some failures only."""
+    _only_keys(body, ("on", "children"), problems)
+    if (children := body.get("children")) is None:
+        problems.add(mark, "'fallback' needs 'children'", "a list of nodes", code="missing-key")
+        return None
+    return Branch(
+        mark, "fallback", _read_children(children, "fallback", problems), _read_codes(body.get("on"), problems)
+    )
+
+
+def _read_choice(mark: Mark, kind: str, body: Node, problems: Problems) -> TreeNode | None:
+    known = CHOICE_KEYS[kind]
+    if not isinstance(body, Entries):
+        what = f"'{kind}' has {describe(body)}"
+        problems.add(body.mark, what, f"it takes the keys {', '.join(known)}", code="bad-node")
+        return None
+    _only_keys(body, known, problems)
+    for key in known[:2]:
+        if key not in body.values:
+            problems.add(mark, f"'{kind}' needs '{key}'", code="missing-key")
+    cases: list[Case] = []
+    ways: list[tuple[str, Scalar | None, Node]] = []
+    listed, rest = body.get(known[1]), body.get(known[2])
+    if kind == "if" and listed is not None:
+        ways.append(("then", Scalar(listed.mark, "yes"), listed))
+    elif isinstance(listed, Entries) and listed.values:
+        ways += [(key, Scalar(listed.keys[key], key), way) for key, way in listed.values.items()]
+    elif listed is not None:
+        what = f"'cases' has {describe(listed)}"
+        problems.add(listed.mark, what, "write what is done for which value: {value: node, …}", code="bad-node")
+    if rest is not None:
+        ways.append((known[2], None, rest))
+    for label, value, way in ways:
+        if (child := _read_node(way, problems)) is not None:
+            cases.append(Case(label, value, child))
+    by = body.get(known[0])
+    return Choice(mark, kind, _argument(by, problems), cases) if by is not None and cases else None
+
+
+def _read_items(mark: Mark, node: Node | None, problems: Problems) -> dict[str, Argument]:
+    """The lists of a `for_each`, by the names of their items."""
+    if not isinstance(node, Entries) or not node.values:
+        what = "'for_each' needs 'items'" if node is None else f"'items' has {describe(node)}"
+        allowed = "the lists, and what each of their items is called: {holder: $holders}"
+        problems.add(node.mark if node else mark, what, allowed, code="bad-node" if node else "missing-key")
+        return {}
+    found: dict[str, Argument] = {}
+    for name, listed in node.values.items():
+        if _NAME.fullmatch(name):
+            found[name] = _argument(listed, problems)
+        else:
+            what = f"'{shorten(name)}' is no name"
+            problems.add(node.keys[name], what, "a name for the item, without $", code="bad-name")
+    return found
 
 
 def _read_children(node: Node, kind: str, problems: Problems) -> list[TreeNode]:
@@ -268,7 +381,7 @@ def _read_decorator(mark: Mark, kind: str, body: Node, problems: Problems) -> De
         )
         return None
     _only_keys(body, known, problems)
-    arguments: dict[str, Argument] = {}
+    arguments = _read_items(mark, body.get("items"), problems) if kind == "for_each" else {}
     for key in known:
         if key in PARAMETERS:
             if (value := body.get(key)) is None:
@@ -342,15 +455,36 @@ def _read_call(mark: Mark, name: str, body: Node, problems: Problems) -> Call | 
 
 
 def _argument(node: Node, problems: Problems) -> Argument:
-    if not isinstance(node, Scalar) or node.text is None or not node.text.startswith("$"):
+    """What reads a value (`$…`) and can be worked out is no literal; a text that does not begin with one may be one."""
+    text = node.text if isinstance(node, Scalar) else None
+    if text is None or (not _READS_A_VALUE.search(text) and not text.startswith("$")):
         return node
-    match = _REFERENCE.fullmatch(node.text)
-    if match is None:
-        problems.add(
-            node.mark, f"{describe(node)} is no reference", "write $name or $name.attribute", code="bad-reference"
-        )
+    try:
+        return parse_expression(text, node.mark)
+    except ValueError as error:
+        if not text.startswith("$"):
+            return node
+        problems.add(node.mark, no_expression(node, error), EXPRESSIONS, code="bad-expression")
         return Reference(node.mark, "", ())
-    return Reference(node.mark, match[1], tuple(match[2].split(".")[1:]))
+
+
+EXPRESSIONS = "write $name, $name.attribute, or what is worked out of such: 0.25 * $dose.dispensed"
+
+
+def no_expression(node: Node, error: ValueError) -> str:
+    """Why a text cannot be worked out."""
+    return f"{describe(node)} cannot be worked out: {error}"
+
+
+def why_no_expression(node: Node) -> str | None:
+    """Of a literal that reads a value: why that cannot be worked out."""
+    if not isinstance(node, Scalar) or not _READS_A_VALUE.search(node.text or ""):
+        return None
+    try:
+        parse_expression(node.text or "", node.mark)
+    except ValueError as error:
+        return no_expression(node, error)
+    return None
 
 
 def _only_keys(node: Entries, known: tuple[str, ...], problems: Problems) -> None:

@@ -9,11 +9,27 @@ from dataclasses import dataclass
 from typing import Any
 
 from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.failures import Code
 from scuhand_bt.problems import Problems
 from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.skill_files.facts import codes_of
 from scuhand_bt.tree.check import Library, devices_of, literal
-from scuhand_bt.tree.grammar import PARAMETERS, Branch, Call, Decorator, Reference, TreeNode, Workflow, walk
+from scuhand_bt.tree.expressions import Reference
+from scuhand_bt.tree.grammar import (
+    PARAMETERS,
+    RECORD,
+    Branch,
+    Call,
+    Choice,
+    Decorator,
+    TreeNode,
+    Workflow,
+    arguments_of,
+    children_of,
+    references_of,
+    walk,
+)
+from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}
 HASTE = 4.0
@@ -73,11 +89,12 @@ class Lint:
             self._check_names(workflow)
             for node in walk(workflow.tree):
                 if isinstance(node, Decorator) and node.kind == "retry":
-                    self._check_retry(node)
+                    self._check_codes(node)
                 elif isinstance(node, Decorator) and node.kind == "timeout":
                     self._check_timeout(node)
                 elif isinstance(node, Branch) and node.kind == "fallback":
                     self._check_fallback(node)
+                    self._check_codes(node)
             if name in roots:
                 self._check_root(workflow)
 
@@ -102,16 +119,18 @@ class Lint:
     def _check_shadowed(self, node: TreeNode, defined: frozenset[str]) -> frozenset[str]:
         """Warn of a result that takes the place of one before it; of alternatives each may give it."""
         if isinstance(node, Call):
-            if node.result is None:
-                return defined
-            if node.result in defined:
-                what = f"'{node.result}' has a value already, which is lost here"
-                self._problems.warn(node.result_mark, what, "a name of its own", code="shadowed-name")
-            return defined | {node.result}
+            given = {} if node.result is None else {node.result: node.result_mark}
+            if node.name == RECORD:
+                given = {f"{RECORD} {name}": mark for name, mark in node.argument_marks.items()}
+            for name, mark in given.items():
+                if name in defined:
+                    what = f"'{name.removeprefix(RECORD).strip()}' has a value already, which is lost here"
+                    self._problems.warn(mark, what, "a name of its own", code="shadowed-name")
+            return defined.union(given)
         if isinstance(node, Decorator):
             return self._check_shadowed(node.child, defined)
-        if node.kind == "fallback":
-            return defined.union(*(self._check_shadowed(child, defined) for child in node.children))
+        if isinstance(node, Choice) or node.kind == "fallback":
+            return defined.union(*(self._check_shadowed(child, defined) for child in children_of(node)))
         for child in node.children:
             defined = self._check_shadowed(child, defined)
         return defined
@@ -122,6 +141,8 @@ class Lint:
         """All that a node may fail with."""
         if isinstance(node, Branch):
             return frozenset[str]().union(*map(self.codes, node.children))
+        if isinstance(node, Choice):
+            return frozenset[str]().union({Code.WORKFLOW_BAD_VALUE}, *map(self.codes, children_of(node)))
         if isinstance(node, Decorator):
             own = {"timeout": {"workflow.timeout"}, "invert": {"workflow.inverted"}}.get(node.kind, set())
             guards = frozenset[str]().union(*map(self.codes, node.guards))
@@ -135,11 +156,13 @@ class Lint:
                 self._codes[node.name] = self.codes(self.library.workflows[node.name].tree)
         return self._codes[node.name]
 
-    def _check_retry(self, node: Decorator) -> None:
-        raised = self.codes(node.child)
+    def _check_codes(self, node: Decorator | Branch) -> None:
+        """Of a retry, or a fallback after some failures only."""
+        raised = frozenset[str]().union(*map(self.codes, children_of(node)))
         for code, mark in node.codes.items():
             if code not in raised:
-                what = f"nothing here fails with {code}, and so it is never tried again for it"
+                then = "is never tried again" if node.kind == "retry" else "never goes on"
+                what = f"nothing here fails with {code}, and so it {then} for it"
                 self._problems.warn(mark, what, "leave it out, or look at what the child calls", code="retry-never")
 
     def _is_sure(self, node: TreeNode) -> bool:
@@ -147,8 +170,11 @@ class Lint:
         if isinstance(node, Branch):
             found = [self._is_sure(child) for child in node.children]
             return any(found) if node.kind == "fallback" else all(found)
+        if isinstance(node, Choice):
+            return node.kind == "if" and all(map(self._is_sure, children_of(node)))
         if isinstance(node, Decorator):
-            return node.kind == "optional" or (node.kind in ("retry", "repeat") and self._is_sure(node.child))
+            loops = ("retry", "repeat", "for_each")
+            return node.kind == "optional" or (node.kind in loops and self._is_sure(node.child))
         if node.name not in self._sure:
             self._sure[node.name] = False
             skill, facts = self.library.skills.get(node.name), self.library.facts.get(node.name)
@@ -171,7 +197,7 @@ class Lint:
 
     def _check_timeout(self, node: Decorator) -> None:
         argument = node.arguments["duration"]
-        if isinstance(argument, Reference):
+        if not isinstance(argument, Node):
             return
         duration_s = float(literal("duration", PARAMETERS["duration"], argument, self.library))
         least_s = self.least_s(node.child)
@@ -184,15 +210,14 @@ class Lint:
         if isinstance(node, Branch):
             found = [self.least_s(child) for child in node.children]
             return sum(found) if node.kind == "sequence" else max(found) if node.kind == "parallel" else min(found)
+        if isinstance(node, Choice):
+            found = [self.least_s(child) for child in children_of(node)]
+            return min(found) if node.is_exhaustive or node.kind == "switch" else 0.0
         if isinstance(node, Decorator):
-            if node.kind in ("optional", "invert"):
+            if node.kind in ("optional", "invert", "for_each"):
                 return 0.0
             times = node.arguments.get("times")
-            count = (
-                1
-                if times is None or isinstance(times, Reference)
-                else int(literal("times", PARAMETERS["times"], times, self.library))
-            )
+            count = int(literal("times", PARAMETERS["times"], times, self.library)) if isinstance(times, Node) else 1
             return count * self.least_s(node.child)
         if node.name in self.library.skills:
             return self._least_of_skill(node, self.library.skills[node.name])
@@ -217,11 +242,11 @@ class Lint:
             return 0.0
 
     def _literals(self, node: Call) -> Mapping[str, Any]:
-        parameters = self.library.parameters(node.name)
+        wires = self.library.wires(node)
         return {
-            key: literal(key, parameters[key].wire, argument, self.library)
+            key: literal(key, wires[key], argument, self.library)
             for key, argument in node.arguments.items()
-            if not isinstance(argument, Reference)
+            if isinstance(argument, Node)
         }
 
     # --- a whole job
@@ -244,7 +269,7 @@ class Lint:
             return self._ends_parked(self.library.workflows[node.name].tree)
         if isinstance(node, Decorator):
             return self._ends_parked(node.child)
-        ends = [end for end in map(self._ends_parked, node.children) if end is not None]
+        ends = [end for end in map(self._ends_parked, children_of(node)) if end is not None]
         if not ends:
             return None
         return ends[-1] if node.kind == "sequence" else all(ends)
@@ -257,6 +282,9 @@ class Lint:
                     ready = self._check_ready(child, ready)
                 return ready
             return frozenset.intersection(*[self._check_ready(child, ready) for child in node.children])
+        if isinstance(node, Choice):
+            ends = [self._check_ready(child, ready) for child in children_of(node)]
+            return frozenset.intersection(*ends) if node.is_exhaustive or node.kind == "switch" else ready
         if isinstance(node, Decorator):
             after = self._check_ready(node.child, ready)
             return ready if node.kind in ("optional", "invert") else after
@@ -288,11 +316,10 @@ class Lint:
 
 
 def _references(workflow: Workflow) -> Iterator[Reference]:
-    if workflow.result is not None:
-        yield workflow.result
+    yield from references_of(workflow.result)
     for node in walk(workflow.tree):
-        if not isinstance(node, Branch):
-            yield from (argument for argument in node.arguments.values() if isinstance(argument, Reference))
+        for argument in arguments_of(node):
+            yield from references_of(argument)
 
 
 def _last(node: TreeNode) -> TreeNode:

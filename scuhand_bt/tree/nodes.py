@@ -1,11 +1,14 @@
 """The py_trees nodes that a workflow is built into, beside the skills' leaves (`tree/leaf.py`).
 
 `sequence`, `fallback`, `parallel`, `invert` and `optional` are py_trees' own. Ours are those that need the
-run's clock or a failure's code: `retry`, `timeout`, `repeat`, `while`, and the call of a workflow.
+run's clock, a failure's code or a value: `retry`, `timeout`, `repeat`, `for_each`, `while`, `if`, `switch`, a
+`fallback` after some failures only, and the call of a workflow.
+
+A value that cannot be worked out is a failure of the node that needs it, as any other.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -18,6 +21,7 @@ from scuhand_bt.clock import Wake
 from scuhand_bt.failures import Code
 from scuhand_bt.skill import Condition, SkillFailed
 from scuhand_bt.tree.leaf import Arguments, Ticking, bug_of, is_explained, is_stuck, made, unexplained
+from scuhand_bt.tree.record import Round
 from scuhand_bt.tree.replay import Decision
 
 
@@ -92,12 +96,40 @@ class While(SequenceNode):
         self._shared.done(self)
 
 
-class _OnClock(Decorator):
+class _Begun(Decorator):
+    """A decorator that begins with its values, and fails where these cannot be worked out."""
+
+    def __init__(self, name: str, child: Behaviour) -> None:
+        super().__init__(name, child)
+        self.failure: SkillFailed | None = None
+
+    def begin(self) -> None:
+        """Work out what it needs. Raises SkillFailed."""
+        raise NotImplementedError
+
+    def tick(self) -> Iterator[Behaviour]:
+        if self.status is not Status.RUNNING and not self._begins():
+            yield self
+            return
+        yield from super().tick()
+
+    def _begins(self) -> bool:
+        """False, and it has failed, where it cannot."""
+        self.failure = None
+        try:
+            self.begin()
+        except SkillFailed as failure:
+            self.failure = failure
+            self.stop(Status.FAILURE)
+            return False
+        return True
+
+
+class _OnClock(_Begun):
     """A decorator that may ask for a tick of its own, and may fail for a reason of its own."""
 
     def __init__(self, name: str, child: Behaviour, arguments: Arguments, shared: Ticking) -> None:
         super().__init__(name, child)
-        self.failure: SkillFailed | None = None
         self._arguments = arguments
         self._shared = shared
 
@@ -119,16 +151,10 @@ class _Counted(_OnClock):
         super().__init__(type(self).__name__.lower(), child, arguments, shared)
         self._left = 0
 
-    def tick(self) -> Iterator[Behaviour]:
-        if self.status is not Status.RUNNING:
-            self._left = self._arguments()[self.count]
-            self.failure = None
-            if self._left < 1:
-                self.failure = SkillFailed(Code.WORKFLOW_BAD_VALUE, f"{self.name}: '{self.count}' is {self._left}")
-                self.stop(Status.FAILURE)
-                yield self
-                return
-        yield from super().tick()
+    def begin(self) -> None:
+        self._left = self._arguments()[self.count]
+        if self._left < 1:
+            raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"{self.name}: '{self.count}' is {self._left}")
 
 
 class Retry(_Counted):
@@ -156,12 +182,126 @@ class Repeat(_Counted):
 
     count = "times"
 
+    def __init__(self, child: Behaviour, arguments: Arguments, around: Round, shared: Ticking) -> None:
+        super().__init__(child, arguments, shared)
+        self._round = around
+
+    def begin(self) -> None:
+        super().begin()
+        self._round.number = 1
+
     def update(self) -> Status:
         self._shared.done(self)
         if self.decorated.status is not Status.SUCCESS:
             return self.decorated.status
         self._left -= 1
-        return Status.SUCCESS if self._left <= 0 else self._again()
+        if self._left <= 0:
+            return Status.SUCCESS
+        self._round.number += 1
+        return self._again()
+
+
+class ForEach(_Begun):
+    """Run the child for each item of its lists, side by side; fails when the child fails.
+
+    `items` are the values that the child reads under the items' names. The next round begins in the tick in which one
+    has ended: there is an end to a list.
+    """
+
+    def __init__(self, child: Behaviour, arguments: Arguments, around: Round, items: dict[str, Any]) -> None:
+        super().__init__("for_each", child)
+        self._arguments = arguments
+        self._round = around
+        self._items = items
+        self._rounds: list[dict[str, Any]] = []
+
+    def begin(self) -> None:
+        lists = self._arguments()
+        counts = {name: len(listed) for name, listed in lists.items()}
+        if len(set(counts.values())) > 1:
+            said = ", ".join(f"'{name}' has {count}" for name, count in counts.items())
+            raise SkillFailed(Code.WORKFLOW_BAD_VALUE, f"for_each: the lists are not of one length: {said}")
+        self._rounds = [dict(zip(lists, items, strict=True)) for items in zip(*lists.values(), strict=True)]
+        self._round.number = 1
+
+    def tick(self) -> Iterator[Behaviour]:
+        if self.status is not Status.RUNNING and not self._begins():
+            yield self
+            return
+        while self._round.number <= len(self._rounds):
+            self._items.update(self._rounds[self._round.number - 1])
+            yield from self.decorated.tick()
+            if self.decorated.status is not Status.SUCCESS:
+                break
+            self._round.number += 1
+        status = self.update()
+        if status is Status.RUNNING:
+            self.status = status
+        else:
+            self.stop(status)
+        yield self
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self._round.number > len(self._rounds) else self.decorated.status
+
+
+class Chosen(Composite):
+    """`if` or `switch`: of its children it ticks the one that is chosen when it begins; none, and it succeeds."""
+
+    def __init__(self, name: str, children: Sequence[Behaviour], choose: Callable[[], int | None]) -> None:
+        super().__init__(name, list(children))
+        self.failure: SkillFailed | None = None
+        self._choose = choose
+
+    def tick(self) -> Iterator[Behaviour]:
+        if self.status is not Status.RUNNING:
+            _reset(self.children)
+            self.failure = self.current_child = None
+            try:
+                number = self._choose()
+                self.current_child = None if number is None else self.children[number]
+            except SkillFailed as failure:
+                self.failure = failure
+        status = Status.SUCCESS if self.failure is None else Status.FAILURE
+        if self.current_child is not None:
+            yield from self.current_child.tick()
+            status = self.current_child.status
+        if status is Status.RUNNING:
+            self.status = status
+        else:
+            self.stop(status)
+        yield self
+
+
+class Fallback(Selector):
+    """A fallback that goes on to its next child after a failure with one of `codes`, and fails with any other."""
+
+    def __init__(self, children: Sequence[Behaviour], codes: frozenset[str]) -> None:
+        super().__init__("fallback", memory=True, children=list(children))
+        self._codes = codes
+
+    def tick(self) -> Iterator[Behaviour]:
+        if self.status is not Status.RUNNING:
+            _reset(self.children)
+            self.current_child = self.children[0]
+        begin = self.children.index(self.current_child) if self.current_child is not None else 0
+        for child in self.children[begin:]:
+            self.current_child = child
+            yield from child.tick()
+            if child.status is not Status.FAILURE or failure_of(child).code not in self._codes:
+                break
+        if child.status is Status.RUNNING:
+            self.status = Status.RUNNING
+        else:
+            self.stop(child.status)
+        yield self
+
+
+def _reset(children: Sequence[Behaviour]) -> None:
+    """What they came to the last time does not count any more."""
+    for child in children:
+        if child.status is not Status.INVALID:
+            child.stop(Status.INVALID)
 
 
 class Timeout(_OnClock):
@@ -178,8 +318,7 @@ class Timeout(_OnClock):
     def _deadline_s(self) -> float:
         return self._began_s + self._shared.paused_s + self._duration_s
 
-    def initialise(self) -> None:
-        self.failure = None
+    def begin(self) -> None:
         self._visits += 1
         self._duration_s = self._arguments()["duration"]
         self._began_s = self._shared.cell.clock.now_s - self._shared.paused_s
@@ -205,7 +344,7 @@ class Timeout(_OnClock):
         return Status.FAILURE
 
 
-class WorkflowCall(Decorator):
+class WorkflowCall(_Begun):
     """A workflow called by another: its inputs are bound when it begins, its result kept when it succeeds."""
 
     def __init__(self, name: str, child: Behaviour, bind: Callable[[], None], keep_result: Callable[[], None]) -> None:
@@ -213,12 +352,16 @@ class WorkflowCall(Decorator):
         self._bind = bind
         self._keep_result = keep_result
 
-    def initialise(self) -> None:
+    def begin(self) -> None:
         self._bind()
 
     def update(self) -> Status:
         if self.decorated.status is Status.SUCCESS:
-            self._keep_result()
+            try:
+                self._keep_result()
+            except SkillFailed as failure:
+                self.failure = failure
+                return Status.FAILURE
         return self.decorated.status
 
 

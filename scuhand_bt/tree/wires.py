@@ -28,11 +28,15 @@ class WireType:
     python: Any = field(compare=False, hash=False)
     is_class: bool = False
     optional: bool = False
+    item: "WireType | None" = field(default=None, compare=False)
+    """Of a list, the type of what it lists."""
 
     def accepts(self, given: "WireType") -> bool:
         """True if a value of type `given` may flow into this one."""
         if given.optional and not self.optional:
             return False
+        if self.item is not None and given.item is not None:
+            return self.item.accepts(given.item)
         if self.is_class and given.is_class:
             return inspect.isclass(given.python) and issubclass(given.python, self.python)
         return self.name == given.name or (self.name, given.name) == ("Number", "Integer") or self.name == "Any"
@@ -68,7 +72,7 @@ def _adapter(name: str, python: Any) -> TypeAdapter[Any]:
     return _ADAPTERS[key]
 
 
-_QUANTITIES = {
+QUANTITIES = {
     "Mass": quantity.MASS,
     "Duration": quantity.DURATION,
     "Length": quantity.LENGTH,
@@ -83,7 +87,7 @@ LARGEST = 1_000_000_000
 """Nothing is counted further: more would be a slip of the pen."""
 
 INPUT_TYPES: Mapping[str, WireType] = {
-    **{name: WireType(name, typing.Annotated[float, unit]) for name, unit in _QUANTITIES.items()},
+    **{name: WireType(name, typing.Annotated[float, unit]) for name, unit in QUANTITIES.items()},
     "Number": WireType("Number", FiniteFloat),
     "Integer": WireType("Integer", typing.Annotated[int, Field(ge=-LARGEST, le=LARGEST)]),
     "Text": WireType("Text", str),
@@ -93,6 +97,11 @@ INPUT_TYPES: Mapping[str, WireType] = {
 """The types that a workflow may declare for its inputs."""
 
 NOTHING = WireType("nothing", type(None))
+
+
+def list_of(item: WireType) -> WireType:
+    """The type of a list: written [Mass]."""
+    return WireType(f"[{item.name}]", list[item.python], item=item)  # type: ignore[name-defined]
 
 
 def of_field(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> WireType:
@@ -109,7 +118,7 @@ def of_field(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> Wir
             return WireType(inner.name, inner.python if inner.is_class else full, inner.is_class, optional=True)
     for mark in metadata:
         if isinstance(mark, Unit):
-            return WireType(next(name for name, unit in _QUANTITIES.items() if unit == mark), full)
+            return WireType(next(name for name, unit in QUANTITIES.items() if unit == mark), full)
     if annotation in (None, type(None)):
         return NOTHING
     plain = {bool: "Flag", int: "Integer", float: "Number", str: "Text"}.get(annotation)
@@ -119,6 +128,10 @@ def of_field(annotation: Any, metadata: tuple[Any, ...] | list[Any] = ()) -> Wir
         return WireType(plain, full)
     if origin is typing.Literal:
         return WireType("Text", full)
+    if origin in (list, tuple):
+        items = [one for one in typing.get_args(annotation) if one is not Ellipsis]
+        if len(items) == 1:
+            return list_of(of_field(items[0]))
     if inspect.isclass(annotation) and (
         issubclass(annotation, BaseModel) or hasattr(annotation, "__dataclass_fields__")
     ):

@@ -7,7 +7,10 @@
 
 namespace hand {
 
-constexpr const char* kFirmware = "2.0";
+#ifndef HAND_FIRMWARE
+#define HAND_FIRMWARE "2.0"
+#endif
+constexpr const char* kFirmware = HAND_FIRMWARE;  // a twin is built with another one, by which it is known
 // Silence after which the valve closes and vibration stops. It must begin to move within 300 ms, and takes
 // 60 ms to begin; the host is heard every 30 ms.
 constexpr uint32_t kDeadManMs = 220;

@@ -11,7 +11,7 @@ export async function show(holder, note, id) {
     return null;
   }
   note.textContent = scene.note;
-  const {view, at, lasts} = await import("/static/viewer/viewer.js");
+  const {view, lasts} = await import("/static/viewer/viewer.js");
   const viewer = view(holder, scene, "The arm, the cone and what stands in the cell");
   let told = null, move = null, is_replay = false, received = 0, frame = 0;
   viewer.cone(scene.usual_mm);
@@ -21,11 +21,8 @@ export async function show(holder, note, id) {
     frame = 0;
     const passed = is_replay ? 0 : (performance.now() - received) / 1000 * speed();
     const time_s = told.time_s + (Number.isNaN(passed) ? 0 : passed);
-    if (!move || (told.rest_s > move.at_s && told.joints_rad)) {
-      if (told.joints_rad) viewer.pose(told.joints_rad);
-      return;
-    }
-    viewer.pose(at(move, time_s));
+    if (move) viewer.at(move, time_s);
+    if (told.joints_rad && !(move?.at_s >= told.rest_s)) { viewer.pose(told.joints_rad); return; }
     if (!is_replay && time_s < move.at_s + lasts(move) && told.state === "running") frame = requestAnimationFrame(step);
   }
   return {
@@ -35,7 +32,6 @@ export async function show(holder, note, id) {
       if (now.move) {
         move = now.move;
         viewer.path(move.joints_rad);
-        viewer.cone(move.cone_mm);
       } else if (replays) {
         move = null;
       }

@@ -3,13 +3,13 @@
 import {by, clock, duration, facts, get, make, post, session} from "./common.js";
 import {draw} from "./chart.js";
 
-const SIGNS = {done: "✓", failed: "✗", running: "▶", "to come": "·"};
+const SIGNS = {done: "✓", failed: "✗", running: "▶", "to come": "·", skipped: "–"};
 const HAS_ENDED = ["complete", "stopped", "fault", "interrupted", "altered", "unreadable"];
 const id = decodeURIComponent(location.pathname.split("/").pop());
 const api = `/api/runs/${encodeURIComponent(id)}`;
 
 const samples = new Map();
-let course = [], view = null, last = {}, isLive = true, lastOfLive = null, ends_s = 0;
+let course = [], balance = null, view = null, last = {}, isLive = true, lastOfLive = null, ends_s = 0;
 
 import("./arm.js").then((arm) => arm.show(by("scene"), by("scene-note"), id)).then((shown) => {
   view = shown;
@@ -27,12 +27,14 @@ function show(told) {
   by("job").textContent = told.job ? told.job.about : "No job yet";
   anew("tree", told.tree ?? [], tree);
   anew("chart", [course.length, course[course.length - 1], told.dose, told.reading], () => { figures(told); draw(by("chart"), course, told.dose); });
+  weighed();
   anew("holds", told.holds ?? [], (holds) => facts(by("holds"), holds));
   if (isLive) question(told.question);
   for (const row of by("samples").rows) {
     if (told.job && row.dataset.id === told.job.name) row.setAttribute("aria-current", "true");
     else row.removeAttribute("aria-current");
   }
+  forecast(told);
   const judged = [...samples.values()].filter((one) => one.tone);
   const left = isLive && told.left_s ? `; about ${duration(told.left_s)} of run time left` : "";
   by("progress").textContent = `Samples: ${judged.length} of ${samples.size}${left}`;
@@ -72,6 +74,19 @@ function sample(row) {
   else by("samples").append(line);
 }
 
+let forecastAt = 0;
+function forecast({pace, time_s, state}) {  // of every sample, when it will be done; seldom, as there may be thousands
+  if (!pace || !isLive || performance.now() - forecastAt < 1000) return;
+  forecastAt = performance.now();
+  for (const one of samples.values()) {
+    if (one.tone || !one.done_s || one.told) continue;
+    const left_s = Math.max(0, pace.at_s + pace.stretch * (one.done_s - pace.planned_s) - time_s);
+    const text = HAS_ENDED.includes(state) ? "" : one.verdict === "under way" ? `about ${duration(left_s)} left` : `in about ${duration(left_s)}`;
+    const cell = one.line.cells[3];
+    if (cell.textContent !== text) cell.textContent = text;
+  }
+}
+
 function tree(nodes) {
   by("tree").replaceChildren(...nodes.map((node) => {
     const why = node.why ? `: ${node.why}` : "";
@@ -85,12 +100,16 @@ function tree(nodes) {
 function figures(told) {
   const point = course.length ? course[course.length - 1] : null;
   const set = (name, text) => { by(name).textContent = text; };
-  set("reading", told.reading ? `${(told.reading[1] / 1000).toFixed(4)} g, ${told.reading[2] ? "stable" : "moving"}` : "–");
   set("net", point ? `${point[1].toFixed(1)} mg` : "–");
   set("estimate", point ? `${point[5].toFixed(1)} mg` : "–");
   set("target", told.dose ? `${told.dose.target_mg} ± ${told.dose.tolerance_mg} mg` : "–");
   set("opening", point ? `${point[2].toFixed(2)} mm` : "–");
   set("vibration", point ? `${Math.round(100 * point[3])} %` : "–");
+}
+
+function weighed() {  // what it shows now, or what was written down of it
+  const [, gross_mg, is_stable] = (isLive && balance) || last.reading || [];
+  by("reading").textContent = gross_mg === undefined ? "–" : `${(gross_mg / 1000).toFixed(4)} g, ${is_stable ? "stable" : "moving"}`;
 }
 
 let shownQuestion = "";
@@ -142,7 +161,7 @@ function tick(time_s) {
   if (time_s > ends_s) ends_s = time_s;
   slider.max = String(ends_s);
   if (isLive) slider.value = slider.max;
-  by("clock").textContent = `${duration(isLive ? time_s : Number(slider.value))} of ${duration(ends_s)}${isLive ? "" : " (played again)"}`;
+  by("clock").textContent = `${duration(isLive ? time_s : Number(slider.value))} of ${duration(ends_s)}`;
 }
 
 async function replay() {
@@ -214,6 +233,7 @@ function follow() {
     if (isLive) { if (told.run) { last = {}; course = []; } show(told); }
     tick(told.time_s ?? 0);
   });
+  events.addEventListener("balance", (event) => { balance = JSON.parse(event.data); weighed(); });
   events.addEventListener("error", () => {
     by("said").textContent = HAS_ENDED.includes(last.state)
       ? "The dashboard has ended; `scuhand-bt serve` shows the run again."

@@ -3,7 +3,6 @@
 from scuhand_bt.devices.balances import and_standard, mt_sics, sbi, shimadzu
 from scuhand_bt.devices.balances.driver import SerialBalance
 from scuhand_bt.devices.balances.frames import Dialect
-from scuhand_bt.devices.plugged import plugged
 
 DIALECTS: dict[str, Dialect] = {
     "and": and_standard.DIALECT,
@@ -14,9 +13,4 @@ DIALECTS: dict[str, Dialect] = {
 """The dialects by the name that `driver:` of the balance has in robot/cell.yaml."""
 
 
-def dialect_of(driver: str) -> Dialect:
-    """The dialect of a name, or of `package.module:NAME`; NotPluggable says what is wrong with that."""
-    return DIALECTS[driver] if driver in DIALECTS else plugged(driver, Dialect)
-
-
-__all__ = ["DIALECTS", "Dialect", "SerialBalance", "dialect_of"]
+__all__ = ["DIALECTS", "Dialect", "SerialBalance"]

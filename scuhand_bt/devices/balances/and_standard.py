@@ -42,4 +42,5 @@ DIALECT = Dialect(
     identify=b"?SN\r\n",
     stream=b"SIR\r\n",
     poll=b"Q\r\n",
+    twin="scuhand_bt.sim.wire.balances:AndTwin",
 )

@@ -91,6 +91,11 @@ class SerialBalance:
         return self._failure(trouble) if trouble is not None and trouble.code == Code.DEVICE_LOST else None
 
     @property
+    def says_who_it_is(self) -> bool:
+        """Whether there is a question for that in its dialect."""
+        return bool(self._dialect.identify)
+
+    @property
     def discarded(self) -> int:
         """Lines since the port was opened that were no reading: broken, spoilt, or not believed."""
         return self._broken + self._plausibility.discarded

@@ -4,8 +4,10 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
+from scuhand_bt.cell_spec import BalanceOptions
+from scuhand_bt.devices.interfaces import Balance, Site
 from scuhand_bt.devices.serial_link import Framing
 
 MILLIGRAMS_PER_UNIT = {
@@ -79,6 +81,15 @@ class Dialect:
     """Asks for the serial number; sent first."""
     twin: str = ""
     """`package.module:Class` of its twin, a `sim.wire.balances.BalanceTwin`: for rehearsals and conformance."""
+    Options: ClassVar = BalanceOptions
+
+    def connect(self, site: Site) -> Balance:
+        """The balance that speaks this, read by the engine's driver for all of them; SkillFailed device.lost."""
+        from scuhand_bt.devices.balances import DIALECTS, SerialBalance
+
+        balance = SerialBalance(site.spec, self, site.clock, DIALECTS.values())
+        balance.open()
+        return balance
 
 
 _NUMBER = re.compile(rb" *([+-]?) *(\d+(?:\.\d*)?|\.\d+)")

@@ -52,4 +52,5 @@ DIALECT = Dialect(
     identify=b"@\r\n",  # also ends whatever an earlier program left running
     stream=b"SIR\r\n",
     poll=b"SI\r\n",
+    twin="scuhand_bt.sim.wire.balances:MtSicsTwin",
 )

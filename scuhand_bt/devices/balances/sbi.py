@@ -51,4 +51,5 @@ DIALECT = Dialect(
     parse=parse,
     identify=ESC + b"x2_\r\n",
     poll=ESC + b"P\r\n",
+    twin="scuhand_bt.sim.wire.balances:SbiTwin",
 )

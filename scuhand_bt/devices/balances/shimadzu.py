@@ -30,4 +30,5 @@ DIALECT = Dialect(
     parse=parse,
     # D07, once with the letter, is in every model's manual; continuous output with the letter is not.
     poll=b"D07\r\n",
+    twin="scuhand_bt.sim.wire.balances:ShimadzuTwin",
 )

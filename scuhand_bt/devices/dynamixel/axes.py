@@ -85,10 +85,10 @@ class AxisState:
         return not self.moving and abs(self.velocity_rad_per_s) < 0.03
 
 
-def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
+def set_up(bus: DynamixelBus, axis: Axis, was_without_torque: Callable[[], None] = lambda: None) -> AxisState:
     """Make a servo ready: torque on, holding where it is, watchdog armed. Never drops its torque.
 
-    Raises SkillFailed with what to do; BusError.
+    One that has none is told of before it is given some. Raises SkillFailed with what to do; BusError.
     """
     number = bus.ping(axis.servo)
     if number != axis.model.number:
@@ -117,6 +117,8 @@ def set_up(bus: DynamixelBus, axis: Axis) -> AxisState:
     # No profile in the servo: the goals that are streamed to it are the profile.
     bus.write(axis.servo, r.PROFILE_ACCELERATION, 0)
     bus.write(axis.servo, r.PROFILE_VELOCITY, 0)
+    if not held:
+        was_without_torque()
     present = bus.read(axis.servo, r.PRESENT_POSITION)
     bus.write(axis.servo, r.GOAL_POSITION, present)
     bus.write(axis.servo, r.TORQUE_ENABLE, 1)

@@ -9,7 +9,7 @@ An arm that has lost it is limp, and so it stays for this program: it is listene
 import contextlib
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -53,10 +53,14 @@ HOT_MARGIN_C = 5
 class AxisGroup:
     """Servos that move together: the arm, or the roller alone."""
 
-    def __init__(self, axes: Sequence[Axis], watched: bool = True) -> None:
+    def __init__(
+        self, axes: Sequence[Axis], watched: bool = True, was_without_torque: Callable[[], None] = lambda: None
+    ) -> None:
         self.axes = list(axes)
         self.watched = watched
         """Stopped when the run's tick hangs; the roller may go on while the next motion is planned."""
+        self.was_without_torque = was_without_torque
+        """Told of a servo that has none, before that is given some: what it counted may be lost."""
         self.states: list[AxisState] = [AxisState(axis) for axis in axes]
         self.goals_rad: Joints = np.zeros(len(axes))
         self.fault: SkillFailed | None = None
@@ -225,7 +229,7 @@ class ServoChain:
     def _set_up(self) -> None:
         for group in self.groups:
             with self.bus.patience():  # a late answer on a busy computer is no missing servo
-                group.states = [set_up(self.bus, axis) for axis in group.axes]
+                group.states = [set_up(self.bus, axis, group.was_without_torque) for axis in group.axes]
             group.goals_rad = group.positions_rad
         self._hold()
         self._read()

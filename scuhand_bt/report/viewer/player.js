@@ -1,8 +1,8 @@
 // Motions of the arm, one job's after another's, to be played in a page of its own.
 //
-// motions: [{job, at_s, step_s, joints_rad, cone_mm, pan}], in their order; each job's are played as if nothing lay between.
+// motions: [{job, at_s, step_s, joints_rad, cone_mm, rims_mm, pan}], in their order; each job's are played as if nothing lay between.
 
-import {at, lasts, view} from "./viewer.js";
+import {lasts, view} from "./viewer.js";
 
 export function play(root, scene, motions, text) {
   const part = (name) => root.querySelector(`[data-part=${name}]`);
@@ -20,8 +20,8 @@ export function play(root, scene, motions, text) {
     let from_s = 0, k = 0;
     while (k < row.length - 1 && time_s > from_s + lasts(row[k])) { from_s += lasts(row[k]); k += 1; }
     const one = row[k];
-    if (one !== moved) { moved = one; viewer.path(one.joints_rad); viewer.cone(one.cone_mm); viewer.pan(one.pan); }
-    viewer.pose(at({...one, at_s: from_s}, time_s));
+    if (one !== moved) { moved = one; viewer.path(one.joints_rad); viewer.pan(one.pan); }
+    viewer.at({...one, at_s: from_s}, time_s);
     label.textContent = `${time_s.toFixed(1)} of ${total_s.toFixed(1)} s`;
     document.documentElement.style.setProperty("--now", String(time_s / total_s));
   }
@@ -44,7 +44,7 @@ export function play(root, scene, motions, text) {
     playing = 0;
     button.textContent = "Play";
   }
-  viewer.cone(scene.cones[0].mm);
+  viewer.cone(scene.usual_mm ?? scene.cones[0].mm);
   select.addEventListener("change", () => { halt(); choose(); });
   slider.addEventListener("input", () => { halt(); show(); });
   button.addEventListener("click", () => {

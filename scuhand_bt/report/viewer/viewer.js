@@ -1,6 +1,6 @@
 // The cell in 3D, by Three.js: one scene for every page that shows the arm.
 //
-// scene: {joints: [{at, axis}], solids: [{name, kind, joint, at, points, triangles, edges}], cones: [{mm, solids}],
+// scene: {joints: [{at, axis}], solids: [{name, kind, joint, at, points, triangles, edges}], cones: [{mm, solids}] by rising mm,
 // containers: [{name, solids}], places: [{name, at}], dots: [{at, tone}], home, apex}. Lengths in metres; `at` is x, y, z and a quaternion x, y, z, w; a solid's
 // joint is counted from 1, 0 for what stands still. Joint angles in radians.
 
@@ -39,8 +39,11 @@ function label(text, at) {
   pen.textAlign = "center";
   pen.lineWidth = 8; pen.strokeStyle = "#ffffffd0"; pen.strokeText(text, 256, 46);
   pen.fillStyle = "#1b6b3a"; pen.fillText(text, 256, 46);
-  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({map: new THREE.CanvasTexture(canvas), depthTest: false}));
-  sprite.scale.set(0.24, 0.03, 1);
+  const map = new THREE.CanvasTexture(canvas);
+  map.colorSpace = THREE.SRGBColorSpace;
+  const sprite = new THREE.Sprite(new THREE.SpriteMaterial({map, depthTest: false}));
+  sprite.scale.set(0.32, 0.04, 1);
+  sprite.renderOrder = 1;  // over what is seen through
   return placed(sprite, [at[0], at[1], at[2] + 0.02]);
 }
 
@@ -48,7 +51,7 @@ export function view(holder, scene, text) {
   const renderer = new THREE.WebGLRenderer({antialias: true, alpha: true});
   const world = new THREE.Scene(), camera = new THREE.PerspectiveCamera(38, 1, 0.02, 20);
   camera.up.set(0, 0, 1);
-  camera.position.set(0.92, -0.8, 0.62);
+  camera.position.set(0.81, -0.69, 0.56);
   world.add(new THREE.HemisphereLight(0xffffff, 0x8a93a0, 2.2));
   world.add(placed(new THREE.DirectionalLight(0xffffff, 1.6), [1, -2, 3]));
   const joints = [world];
@@ -59,13 +62,22 @@ export function view(holder, scene, text) {
     joints.push(turning);
   }
   for (const one of scene.solids) joints[one.joint].add(solid(one));
-  const cones = scene.cones.map(({mm, solids}) => {
-    const group = new THREE.Group();
-    for (const one of solids) group.add(solid(one));
-    joints[joints.length - 1].add(group);
-    group.visible = false;
-    return {mm, group};
-  });
+  // One cone is drawn; every width has the same points, and what lies between two widths lies between their points.
+  const sheet = scene.cones[0].solids.map((one) => solid(one));
+  joints[joints.length - 1].add(...sheet);
+  for (const mesh of sheet) mesh.frustumCulled = false;
+  const form = (mm) => {
+    const cones = scene.cones;
+    const k = Math.max(0, cones.findLastIndex((one) => one.mm <= mm)), wider = cones[Math.min(k + 1, cones.length - 1)];
+    const part = wider.mm > cones[k].mm ? Math.min(1, Math.max(0, (mm - cones[k].mm) / (wider.mm - cones[k].mm))) : 0;
+    sheet.forEach((mesh, number) => {
+      const narrow = cones[k].solids[number], wide = wider.solids[number], points = mesh.geometry.getAttribute("position");
+      points.copyArray(narrow.points.map((one, i) => one + part * (wide.points[i] - one)));
+      points.needsUpdate = true;
+      placed(mesh, between(narrow.at, wide.at, part));
+      mesh.quaternion.normalize();
+    });
+  };
   const containers = scene.containers.map(({name, solids}) => {
     const group = new THREE.Group();
     for (const one of solids) group.add(solid({...one, kind: "vessel"}));
@@ -94,6 +106,7 @@ export function view(holder, scene, text) {
   holder.replaceChildren(canvas);
   const controls = new OrbitControls(camera, canvas);
   controls.target.set(0.18, -0.02, 0.16);
+  if (scene.dots?.length) camera.position.multiplyScalar(1.5);  // they reach farther than the cell
   controls.listenToKeyEvents(canvas);
   let isAsked = false;
   const draw = () => {
@@ -107,6 +120,7 @@ export function view(holder, scene, text) {
     renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     renderer.setSize(wide, high, false);
     camera.aspect = wide / high;
+    camera.fov = 2 * THREE.MathUtils.RAD2DEG * Math.atan(0.344 * Math.max(1, 1.35 / camera.aspect));  // the cell's width fits
     camera.updateProjectionMatrix();
     draw();
   };
@@ -119,18 +133,21 @@ export function view(holder, scene, text) {
   const where = () => { world.updateMatrixWorld(); return tip.getWorldPosition(new THREE.Vector3()); };
   return {
     pose(q) { turn(q); draw(); },
-    // The cone of the nearest rim that the scene has.
-    cone(mm) {
-      const nearest = cones.reduce((best, one) => Math.abs(one.mm - mm) < Math.abs(best.mm - mm) ? one : best, cones[0]);
-      for (const one of cones) one.group.visible = one === nearest;
-      draw();
-    },
+    // The cone with a rim of this diameter.
+    cone(mm) { form(mm); draw(); },
+    // Arm and cone as they are at a time of a motion that began at its `at_s`.
+    at(move, time_s) { turn(at(move, time_s, move.joints_rad)); form(rimAt(move, time_s)); draw(); },
     // What stands on the pan, by the name of its kind.
     pan(name) {
       for (const one of containers) one.group.visible = one.name === name;
       draw();
     },
     apex() { return where().toArray(); },
+    // The diameter of the rim that is drawn [mm].
+    rim() {
+      const box = new THREE.Box3().setFromBufferAttribute(sheet[sheet.length - 1].geometry.getAttribute("position"));
+      return 1000 * (box.max.x - box.min.x);
+    },
     // The way of the cone's apex along these configurations; the arm is left at the last.
     path(rows) {
       way.geometry.dispose();
@@ -140,12 +157,15 @@ export function view(holder, scene, text) {
   };
 }
 
-// Where the joints are at a time of a motion that began at `at_s`: between its rows.
-export function at(move, time_s) {
-  const place = Math.max(0, Math.min((time_s - move.at_s) / move.step_s, move.joints_rad.length - 1));
-  const k = Math.min(Math.floor(place), move.joints_rad.length - 2), part = place - k;
-  if (k < 0) return move.joints_rad[0];
-  return move.joints_rad[k].map((angle, j) => angle + part * (move.joints_rad[k + 1][j] - angle));
+const between = (a, b, part) => a.map((one, i) => one + part * (b[i] - one));
+
+// What a motion's rows, which are lists, say of a time of it.
+function at(move, time_s, rows) {
+  const place = Math.max(0, Math.min((time_s - move.at_s) / move.step_s, rows.length - 1));
+  const k = Math.floor(place);
+  return k + 1 < rows.length ? between(rows[k], rows[k + 1], place - k) : rows[k];
 }
 
-export const lasts = (move) => move.step_s * (move.joints_rad.length - 1);
+const rimAt = (move, time_s) => move.rims_mm?.length ? at(move, time_s, move.rims_mm.map((mm) => [mm]))[0] : move.cone_mm;
+
+export const lasts = (move) => move.step_s * (Math.max(move.joints_rad.length, move.rims_mm?.length ?? 0) - 1);

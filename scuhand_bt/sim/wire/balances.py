@@ -1,6 +1,7 @@
 """Twins of the balances: A&D, MT-SICS, SBI and Shimadzu, each with its commands, formats and errors.
 
-Sources: `docs/protocols/`. They know nothing of the drivers; what they share is the pan.
+Sources: `docs/protocols/`. They know nothing of the drivers; what they share is the pan, and
+that a balance which says who it is says TWIN.
 """
 
 import re
@@ -9,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-from scuhand_bt.devices.balances import dialect_of
-from scuhand_bt.devices.plugged import NotPluggable, plugged
+from scuhand_bt.drivers import NotPluggable
+from scuhand_bt.sim.wire.scene import twin_of
 
 CRLF = b"\r\n"
 STABLE_TIMEOUT_S = 30.0
@@ -149,7 +150,7 @@ class AndTwin(BalanceTwin):
             self.cancel_waiting()
             return b""
         if command == b"?SN":
-            return b"SN,15608432" + CRLF
+            return b"SN,TWIN8432" + CRLF
         if command == b"?ID":
             return b"ID,LAB-0123" + CRLF
         if command in (b"R", b"Z", b"\x1bT", b"T"):
@@ -191,7 +192,7 @@ _PRESET = re.compile(r"(\d{1,6}(?:\.\d{1,6})?) g")
 class MtSicsTwin(BalanceTwin):
     """MT-SICS levels 0 and 1."""
 
-    serial_number = "B207696838"
+    serial_number = "TWIN696838"
 
     def obey(self, command: bytes, now_s: float) -> bytes:
         word, _, rest = command.decode("ascii", "replace").strip().partition(" ")
@@ -301,7 +302,7 @@ class SbiTwin(BalanceTwin):
             self.zero(now_s)
         elif command == b"\x1bZ":
             self.adjusting_until_s = now_s + 2.0
-        names = {b"\x1bx1_": "ENTRIS224I-1S", b"\x1bx2_": "0037402012", b"\x1bx3_": "00-20-12.01"}
+        names = {b"\x1bx1_": "ENTRIS224I-1S", b"\x1bx2_": "TWIN402012", b"\x1bx3_": "00-20-12.01"}
         return names[command].encode() + CRLF if command in names else b""
 
     def waited(self, command: bytes, now_s: float) -> bytes:
@@ -361,23 +362,9 @@ class ShimadzuTwin(BalanceTwin):
         return f"{letter}{sign}{text.lstrip('-'):>8}{self.unit:<2}".encode() + CRLF
 
 
-TWINS: dict[str, type[BalanceTwin]] = {
-    "and": AndTwin,
-    "mt_sics": MtSicsTwin,
-    "sbi": SbiTwin,
-    "shimadzu": ShimadzuTwin,
-}
-"""The twins by the driver's name in robot/cell.yaml."""
-
-
 def balance_twin(driver: str) -> type[BalanceTwin]:
-    """The twin of a driver, the engine's or another package's (`Dialect.twin`). NotPluggable where it has none."""
-    if driver in TWINS:
-        return TWINS[driver]
-    name = dialect_of(driver).twin
-    if not name:
-        raise NotPluggable(f"'{driver}' names no twin: it cannot be rehearsed")
-    twin = plugged(name, type)
+    """The twin of a balance's driver, the engine's or another package's. NotPluggable where it has none."""
+    twin = twin_of("balance", driver)
     if not issubclass(twin, BalanceTwin):
-        raise NotPluggable(f"'{name}' is no BalanceTwin")
+        raise NotPluggable(f"'{twin.__name__}' is no BalanceTwin")
     return twin

@@ -1,7 +1,7 @@
 """All twins of one cell at once, backed by one simulated world that goes on in real time.
 
     with WireBench(spec, sources, firmware, joints, clock) as bench:
-        arm, hand, balance, _ = connect_cell_devices(bench.spec, clock)
+        devices = connect_cell_devices(bench.spec, clock)
 
 The world sees the servos' shafts and the valve's position, not commands; the balance's twin shows what the
 world's balance reads.
@@ -14,10 +14,11 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, HandSpec
+from scuhand_bt.cell_spec import DEVICES, MOUNTED_DIAMETER_MM, CellSpec, HandSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints
 from scuhand_bt.dosing.cone import Cone
@@ -26,12 +27,14 @@ from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
+from scuhand_bt.sim.instruments import ROOM
 from scuhand_bt.sim.plant import Plant, load_plant
 from scuhand_bt.sim.wire.balances import balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.faults import WireFaults
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.scene import at_a_twin, twin_of
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import Servo
 from scuhand_bt.sim.world import STEP_S, World
@@ -43,8 +46,6 @@ SHUT_MM = 0.01
 SWITCH_S = 0.0005
 """How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
 usual 5 ms a servo would be kept waiting."""
-LATENCY_S = 0.04
-"""A twin on a busy computer answers later than a servo does, and is not to be taken for one without power."""
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
 
 
@@ -81,13 +82,17 @@ class WireHand(SimulatedHand):
         super().__init__(spec, clock)
         self._board = board
         self._roller = roller
-        self._at_zero_deg = Cone(MOUNTED_DIAMETER_MM, spec.sheet_radius_mm).roller_deg(spec) - self._roller_deg
+        self.rim_is(MOUNTED_DIAMETER_MM)
         self._morphed_s = self._closed_s = float("-inf")
         self._now_s = 0.0
 
     @property
     def _roller_deg(self) -> float:
-        return self._roller.position * 360 / 4096
+        return self._roller.shaft * 360 / 4096
+
+    def rim_is(self, diameter_mm: float) -> None:
+        """A sheet is mounted so, as the roller stands now."""
+        self._at_zero_deg = Cone(diameter_mm, self.spec.sheet_radius_mm).roller_deg(self.spec) - self._roller_deg
 
     @property
     def is_active(self) -> bool:
@@ -161,6 +166,30 @@ class WireWorld(World):
             super().swap_sheet()
 
 
+class BenchScene:
+    """What the twins of the further devices meet: the air of a laboratory, and what stands on the world's pan."""
+
+    air = ROOM
+
+    def __init__(self, world: WireWorld, slots: int) -> None:
+        self.slots = slots
+        self._world = world
+        self._in_slots: dict[int, Container] = {}
+
+    @property
+    def on_pan(self) -> str | None:
+        return self._world.pan.container_id
+
+    def stands_in(self, slot: int, container: Container) -> None:
+        """A person has filled the changer so."""
+        self._in_slots[slot % self.slots] = container
+
+    def bring(self, slot: int | None) -> None:
+        self._world.remove()
+        if (container := self._in_slots.get(slot) if slot is not None else None) is not None:
+            self._world.place(container)
+
+
 class WirePan:
     """What the balance's twin weighs: the reading of the world's balance."""
 
@@ -211,25 +240,30 @@ class WireBench:
         twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
-        self.spec = spec.model_copy(
-            update={
-                "arm": spec.arm.model_copy(
-                    update={
-                        "port": self.bus.url,
-                        "options": spec.arm.options.model_copy(update={"latency_s": LATENCY_S}),
-                    }
-                ),
-                "hand": spec.hand.model_copy(update={"port": self.hand.url}),
-                # A pseudo-terminal cannot be set to seven bits or parity twice.
-                "balance": spec.balance.model_copy(
-                    update={
-                        "port": self.balance.url,
-                        "options": spec.balance.options.model_copy(update={"bits": "8N1"}),
-                    }
-                ),
-                "changer": spec.changer.model_copy(update={"driver": "operator"}),
-            }
-        )
+        self.scene = BenchScene(self.world, spec.changer.slots)
+        self.others = {
+            name: TwinServer(
+                twin_of(spec.kind_of(name), spec.section(name).driver)(spec.options_of(name), self.scene),
+                PtyPort(ports and ports / name),
+            )
+            for name in spec.device_names[3:]
+            if spec.section(name).driver != "operator"
+        }
+        """The changer's, where it is none of the operator's hands, and the further devices', by name."""
+        twins: dict[str, TwinServer[Any]] = {"arm": self.bus, "hand": self.hand, "balance": self.balance, **self.others}
+
+        def section(name: str) -> Any:
+            """What is said of a device, with its twin's port."""
+            said = spec.section(name)
+            changes: dict[str, Any] = {"port": twins[name].url} if name in twins else {}
+            if "options" in type(said).model_fields:
+                changes["options"] = at_a_twin(said.options)  # type: ignore[union-attr]
+            return said.model_copy(update=changes)
+
+        own_options = {name: at_a_twin(options) for name, options in spec.own_options.items()}
+        devices = {name: section(name) for name in spec.devices}
+        update = {name: section(name) for name in DEVICES} | {"devices": devices, "own_options": own_options}
+        self.spec = spec.model_copy(update=update)
         """The cell's description with the twins' ports in it."""
         self._clock = clock
         self._running = ExitStack()
@@ -240,7 +274,7 @@ class WireBench:
     def __enter__(self) -> "WireBench":
         self._running.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_S)
-        for server in (self.bus, self.hand, self.balance):
+        for server in self.servers:
             self._running.enter_context(server)
         self._thread.start()
         return self
@@ -251,6 +285,11 @@ class WireBench:
         self._closing.set()
         self._thread.join()
         self._running.close()
+
+    @property
+    def servers(self) -> tuple[TwinServer[Any], ...]:
+        """All twins at their ports."""
+        return (self.bus, self.hand, self.balance, *self.others.values())
 
     def check(self) -> None:
         """Raise, once, what has ended the world's thread: a plant may fail in the middle of a run."""

@@ -150,7 +150,7 @@ class DynamixelTwin:
             still = abs(servo.velocity) < 1
             if parameters != MULTI_TURN_RESET or not still:
                 return RESULT_FAIL, b""
-            servo.position %= 4096
+            servo.forget_turns()
             return NO_ERROR, b""
         known = instruction in (READ, WRITE, REG_WRITE)
         return LENGTH_ERROR if known else INSTRUCTION_ERROR, b""

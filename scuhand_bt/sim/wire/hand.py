@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from scuhand_bt.cell_spec import HandOptions, ValvePoint
+from scuhand_bt.devices.interfaces import TWIN
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
 from scuhand_bt.sim.wire.servo import XC330, Servo
 
@@ -47,7 +48,8 @@ def build_brain(firmware: Path) -> ctypes.CDLL:
     sources = [*sorted((firmware / "hand_controller").glob("*.cpp")), firmware / "host" / "brain.cpp"]
     with tempfile.TemporaryDirectory(prefix="hand-") as folder:
         library = Path(folder) / "brain.so"
-        command = [compiler, "-std=c++11", "-O1", "-shared", "-fPIC", "-o", str(library), *map(str, sources)]
+        says = f'-DHAND_FIRMWARE="{TWIN}-2.0"'
+        command = [compiler, "-std=c++11", "-O1", "-shared", "-fPIC", says, "-o", str(library), *map(str, sources)]
         built = subprocess.run(command, capture_output=True, text=True, check=False)
         if built.returncode != 0:
             raise NoCompiler(built.stderr)

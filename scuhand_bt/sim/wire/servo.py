@@ -62,7 +62,10 @@ class Servo:
     ):
         self.id = servo_id
         self.kind = kind
-        self.position = position
+        self.shaft = position
+        """How far it is turned, whatever it remembers of that."""
+        self._forgotten = 0
+        """Counts of the turns that it does not remember."""
         self.velocity = 0.0
         """Counts per second."""
         self.temperature_c = AMBIENT_C
@@ -85,6 +88,20 @@ class Servo:
         self._goals: list[tuple[float, float]] = []
         """Goals that it has not begun to follow yet, and from when it will."""
         self._factory_settings(window)
+
+    @property
+    def position(self) -> float:
+        """How far it takes itself to be turned."""
+        return self.shaft - self._forgotten
+
+    @position.setter
+    def position(self, count: float) -> None:
+        self.shaft = count + self._forgotten
+
+    def forget_turns(self) -> None:
+        """Know the angle within one turn alone, and stand there."""
+        self._forgotten += 4096 * math.floor(self.position / 4096)
+        self._stand()
 
     def _factory_settings(self, window: tuple[int, int]) -> None:
         kind = self.kind
@@ -195,9 +212,10 @@ class Servo:
         self._spoken_to_s = now_s
 
     def reboot(self, now_s: float) -> None:
-        """Power on again: what is not EEPROM is lost, and a shutdown is cleared."""
+        """Power on again: what is not EEPROM is lost, also how often it has turned, and a shutdown is cleared."""
         self.registered = None
         self._loaded_s = 0.0
+        self.forget_turns()
         self._volatile_settings()
         self._stepped_s = now_s
         self._boots_until_s = now_s + BOOT_S

@@ -16,14 +16,17 @@ from pydantic import BaseModel
 
 from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing import CONTROLLERS
+from scuhand_bt.kit.cases import SUCCESS, Expectation, Substituted
 from scuhand_bt.lab import TEST_SUFFIX, Lab
-from scuhand_bt.recipe.recipe import ACTIONS, ORDERS
+from scuhand_bt.recipe.leftover import POLICIES, TO
+from scuhand_bt.recipe.order import ORDERS
+from scuhand_bt.recipe.recipe import ACTIONS
 from scuhand_bt.recipe.sources import SourceText
 from scuhand_bt.sim.fault_rules import KINDS, Rule
 from scuhand_bt.skill import Condition
 from scuhand_bt.specs import Container, ContainerKind, Mortar, Powder, Source
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.grammar import COMPOSITES, DECORATOR_KEYS, PARAMETERS
+from scuhand_bt.tree.grammar import COMPOSITES, DECORATOR_KEYS, PARAMETERS, RECORD
 from scuhand_bt.tree.wires import INPUT_TYPES, WireType
 
 Json = dict[str, Any]
@@ -33,6 +36,11 @@ REFERENCE: Json = {
     "type": "string",
     "pattern": r"^\$[A-Za-z_]\w*(\.[A-Za-z_]\w*)*$",
     "description": "$name or $name.attribute",
+}
+EXPRESSION: Json = {
+    "type": "string",
+    "pattern": r"\$[A-Za-z_]",
+    "description": "$name, $name.attribute, or what is worked out of such: 0.25 * $dose.dispensed",
 }
 TEXT: Json = {"type": ["string", "number", "boolean"]}
 FLAG: Json = {"enum": [True, False, "yes", "no"]}
@@ -64,7 +72,16 @@ def write_schemas(lab: Lab) -> list[Path]:
 
 def _cell(lab: Lab) -> Json:
     made = _model(CellSpec)
-    made["properties"]["stations"] = _named(_model(Station))
+    properties = made["properties"]
+    properties["stations"] = _named(_model(Station))
+    properties.pop("own_options")
+    device = properties["devices"]["additionalProperties"]
+    device["properties"]["options"] = {"type": "object", "description": "as its driver's `Options` have them"}
+    named = {name: {**device, "properties": dict(device["properties"])} for name in lab.cell.devices}
+    properties["devices"]["properties"] = named
+    for name, options in lab.cell.own_options.items():
+        section = named[name] if name in named else properties[name]
+        section["properties"]["options"] = _model(type(options))
     return made
 
 
@@ -168,6 +185,8 @@ def _tidied(part: Any) -> Any:
 
 def _of_wire(wire: WireType, library: Library) -> Json:
     """What may be written for a value of this type; a thing of the lab by its name."""
+    if wire.item is not None:
+        return {"type": "array", "items": _of_wire(wire.item, library)}
     if wire.python is Powder:
         return {"enum": sorted(library.powders)}
     if wire.python is Container:
@@ -195,22 +214,40 @@ def _workflow(lab: Lab) -> Json:
         **own,
         "on": {"anyOf": [codes, {"type": "array", "items": codes, "minItems": 1}]},
         "guards": {"type": "array", "items": {"$ref": "#/$defs/condition"}, "minItems": 1},
+        "items": {
+            "type": "object",
+            "additionalProperties": EXPRESSION,
+            "minProperties": 1,
+            "description": "lists side by side, by what their items are called: {holder: $holders}",
+        },
         "child": node,
     }
     keys: Json = dict.fromkeys(COMPOSITES, nodes)
+    after = _object({"on": parts["on"], "children": nodes}, ["children"])
+    keys["fallback"] = {"anyOf": [nodes, after]}
+    keys["if"] = _object({"when": own["when"], "then": node, "else": node}, ["when", "then"])
+    cases: Json = {"type": "object", "additionalProperties": node, "minProperties": 1}
+    keys["switch"] = _object({"value": EXPRESSION, "cases": cases, "otherwise": node}, ["value", "cases"])
     for kind, known in DECORATOR_KEYS.items():
         needed = [key for key in known if key != "on"]
         made = _object({key: parts[key] for key in known}, needed)
         keys[kind] = {"anyOf": [made, node]} if known == ("child",) else made
     calls = {name: _call(name, library) for name in (*library.skills, *library.workflows)}
     conditions = {name: calls[name] for name, skill in library.skills.items() if issubclass(skill, Condition)}
-    declared: Json = {"enum": sorted(INPUT_TYPES)}
+    calls[RECORD] = {
+        "type": "object",
+        "additionalProperties": {"anyOf": [EXPRESSION, TEXT]},
+        "minProperties": 1,
+        "description": library.skills[RECORD].summary(),
+    }
+    one: Json = {"enum": sorted(INPUT_TYPES)}
+    declared: Json = {"anyOf": [one, {"type": "array", "items": one, "minItems": 1, "maxItems": 1}]}
     an_input = {"anyOf": [declared, _object({"type": declared, "default": {}}, ["type"])]}
     workflow = {
         "workflow": {"type": "string", "description": "the name of this file"},
         "summary": {"type": "string"},
         "inputs": {"type": ["object", "null"], "additionalProperties": an_input},
-        "result": REFERENCE,
+        "result": EXPRESSION,
         "tree": node,
     }
     return {
@@ -230,11 +267,12 @@ def _call(name: str, library: Library) -> Json:
 
 def _or_reference(value: Json, wire: WireType | None = None) -> Json:
     """A thing of the lab but a powder is always wired, from an input."""
-    return REFERENCE if wire is not None and wire.python in (Source, Container) else {"anyOf": [value, REFERENCE]}
+    return REFERENCE if wire is not None and wire.python in (Source, Container) else {"anyOf": [value, EXPRESSION]}
 
 
 def _recipe(lab: Lab) -> Json:
     library = lab.library
+    vessels = [one.name for one in lab.cell.stations.values() if one.kind == "waste"]
     mortar_stations = [one.name for one in lab.cell.stations.values() if one.kind == "mortar"]
     source = _model(SourceText)
     known = {"station": mortar_stations, "container": library.mortars, "powder": library.powders}
@@ -262,11 +300,47 @@ def _recipe(lab: Lab) -> Json:
             "sources": {"type": "object", "additionalProperties": source, "minProperties": 1},
             "defaults": _object(values, []),
             "samples": {"type": "array", "items": _object({**own, **each}, []), "minItems": 1},
+            "leftover": {
+                "anyOf": [
+                    {"oneOf": [{"const": key, "description": said} for key, said in POLICIES.items()]},
+                    _object({TO: {"enum": sorted(vessels)}}, [TO]),
+                ]
+            },
             "on_failure": _object({**codes, "otherwise": actions}, []),
             "overshoot_limit": {"type": "integer", "minimum": 0},
         },
         ["samples"],
     )
+
+
+def _test(lab: Lab) -> Json:
+    library, recipe = lab.library, _recipe(lab)["properties"]
+    codes, skills = sorted(library.failures()), sorted(library.skills)
+    inputs = recipe["defaults"]
+    rule = _model(Substituted)
+    rule["properties"] |= {"fails": {"enum": codes}, "gives": {"description": "the result that it ends with"}}
+    expect = _model(Expectation)
+    expect["properties"]["outcome"] |= {"enum": [SUCCESS, *codes]}
+    expect["properties"]["calls"] = {"type": "array", "items": {"enum": skills}}
+    times: Json = {"type": "integer", "minimum": 0}
+    expect["properties"]["times"] = _object(dict.fromkeys(skills, times), [])
+    case = {
+        "name": {**TEXT, "description": "the sentence that it proves"},
+        "inputs": inputs,
+        "seed": {"type": "integer", "minimum": 0},
+        "substitute": {"type": "array", "items": rule},
+        "faults": _faults(lab)["properties"]["faults"],
+        "expect": expect,
+        "trace": {"type": "string", "description": "a file beside the test with all calls of the case"},
+    }
+    whole = {
+        "test": {"enum": sorted(library.workflows)},
+        "summary": {"type": "string"},
+        "sources": recipe["sources"],
+        "inputs": inputs,
+        "cases": {"type": "array", "items": _object(case, ["name"]), "minItems": 1},
+    }
+    return _object(whole, ["test", "cases"])
 
 
 def _object(properties: Mapping[str, Any], required: list[str]) -> Json:
@@ -286,6 +360,7 @@ KINDS_OF_FILES: Mapping[str, Callable[[Lab], Json]] = {
     "powders": _powders,
     "containers": _containers,
     "faults": _faults,
+    "test": _test,
 }
 FILES_OF: Mapping[str, str] = {
     "recipe": "recipes/*.yaml",
@@ -293,11 +368,15 @@ FILES_OF: Mapping[str, str] = {
     "cell": "robot/cell.yaml",
     "powders": "robot/powders.yaml",
     "containers": "robot/containers.yaml",
+    "test": f"trees/*{TEST_SUFFIX}",
 }
 """Where the files of a kind stand in a lab."""
 
 
 def vscode_settings() -> Json:
     """Settings of VS Code for a lab's folder: the schemas for its files (of the extension redhat.vscode-yaml)."""
-    schemas = {f"{FOLDER}/{kind}.schema.json": [pattern, f"!*{TEST_SUFFIX}"] for kind, pattern in FILES_OF.items()}
+    schemas = {
+        f"{FOLDER}/{kind}.schema.json": [pattern] if kind == "test" else [pattern, f"!*{TEST_SUFFIX}"]
+        for kind, pattern in FILES_OF.items()
+    }
     return {"yaml.schemas": schemas, "yaml.validate": True, "files.associations": {"*.yaml": "yaml"}}

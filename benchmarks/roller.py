@@ -1,0 +1,45 @@
+"""Runs on the real drivers, killed while they scoop and resumed: is the cone what the next program takes it for?
+
+    python -m benchmarks.roller [--batches 20] [--kills 10] [--seed 0]
+
+In real time, over twins in a process of their own (`harness/roller_kill.py`); a kill takes about half a minute.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+from harness.roller_kill import Tally, kill_while_scooping
+
+RESULTS = Path(__file__).with_name("roller_results.json")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--batches", type=int, default=20)
+    parser.add_argument("--kills", type=int, default=10, help="in each batch")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    tally, began_s = Tally(), time.monotonic()
+    for seed in range(given.seed, given.seed + given.batches):
+        with tempfile.TemporaryDirectory(prefix="roller-") as folder:
+            kill_while_scooping(Path(folder) / "batch", given.kills, seed, tally)
+        found = {
+            "kills": tally.kills,
+            "batches": tally.batches,
+            "rims_mm": [round(tally.narrowest_mm, 2), round(tally.widest_mm, 2)],
+            "rims_at_kills_mm": tally.while_rolled_mm,
+            "worst_belief_mm": round(tally.worst_belief_mm, 3),
+            "dosed_mg": tally.dosed_mg,
+            "ended_safe_and_resumed": tally.ended_safe,
+            "problems": tally.problems,
+            "took_s": round(time.monotonic() - began_s),
+        }
+        RESULTS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        print(f"{tally.kills} kills in {tally.batches} batches, problems: {tally.problems}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

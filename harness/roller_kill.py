@@ -1,0 +1,285 @@
+"""Kill a run on the real drivers again and again while it scoops, and resume it, over twins that outlive it.
+
+The twins have a process of their own, with the powder and the roller's shaft in it; the run is a child that is ended
+with SIGKILL after some time of scooping. Whoever does what the run asks for answers at once. The shaft, and not what
+any program believes of it, tells how wide the rim was.
+"""
+
+import math
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Client, Connection, Listener
+from pathlib import Path
+from typing import Any
+
+import yaml
+from py_trees.common import Status
+
+from harness.kill import BROKEN, journals
+from scuhand_bt.clock import Clock, Steps, Wake
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.journal.history import read_history
+from scuhand_bt.lab import Lab, load_lab, starter_lab
+from scuhand_bt.motion import MotionPlanner
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.clock import WallClock
+from scuhand_bt.run.make_cell import prepared_motion
+from scuhand_bt.run.operator import OperatorChanger
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.resume import checked_history, resumable
+from scuhand_bt.run.session import Session
+from scuhand_bt.sim.wire.bench import WireBench
+
+RECIPE = """
+recipe: scoops
+workflow: scoop_and_dispense
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
+defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
+samples: [{id: a, mass: 300 mg}, {id: b, mass: 200 mg}, {id: c, mass: 400 mg}]
+"""
+MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
+SCOOPING_S = 20.0
+"""A run is killed within so much time of scooping; one scoop takes most of it."""
+LOOK_S = 0.005
+TRIES = 5
+"""So often a run that ended by itself is resumed."""
+
+
+@dataclass
+class Seen:
+    """What the twins have seen."""
+
+    narrowest_mm: float = math.inf
+    widest_mm: float = 0.0
+    worst_belief_mm: float = 0.0
+    """Of what a program that had just connected believed of the rim."""
+    masses_mg: dict[str, float] = field(default_factory=dict)
+    dosed_mg: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class Tally(Seen):
+    """What was seen of all batches."""
+
+    kills: int = 0
+    while_rolled_mm: list[float] = field(default_factory=list)
+    """The rim at each kill."""
+    batches: int = 0
+    ended_safe: int = 0
+    problems: list[str] = field(default_factory=list)
+
+
+def make_lab_of_twins(folder: Path) -> Path:
+    """A copy of the starter lab whose devices are twins in `folder`/ports, and whose changer is a person."""
+    lab = folder / "lab"
+    for part in ("robot", "skills", "trees"):
+        shutil.copytree(starter_lab() / part, lab / part, ignore=shutil.ignore_patterns("__pycache__"))
+    path, ports = lab / "robot" / "cell.yaml", folder / "ports"
+    ports.mkdir()
+    cell = yaml.safe_load(path.read_text(encoding="utf-8"))
+    cell["arm"] |= {"port": str(ports / "arm"), "options": {"latency": "40 ms"}}
+    cell["hand"] |= {"port": str(ports / "hand")}
+    cell["balance"] |= {"port": str(ports / "balance"), "options": {"bits": "8N1"}, "limits": {}}
+    cell["changer"] = {"driver": "operator"}
+    path.write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
+    (folder / "recipe.yaml").write_text(RECIPE, encoding="utf-8")
+    return lab
+
+
+def _plan(folder: Path) -> tuple[Plan, Lab]:
+    lab = load_lab(folder / "lab")
+    return make_plan(load_recipe(folder / "recipe.yaml", lab), lab), lab
+
+
+def _keep_twins(folder: Path, joints: Any, seed: int) -> None:
+    """The twins' process: they go on until it is told to end."""
+    plan, lab = _plan(folder)
+    firmware = lab.folder / "robot" / "firmware"
+    bench = WireBench(lab.cell, plan.recipe.sources, firmware, joints, WallClock(), seed, ports=folder / "ports")
+    world, seen, ended = bench.world, Seen(), threading.Event()
+    roller = bench.bus.twin.servos[ROLLER]
+
+    def rim_mm() -> float:
+        hand = lab.cell.hand
+        turned_deg = (roller.shaft - MOUNTED_COUNT) * 360 / 4096
+        return Cone.from_roller(Cone(MOUNTED_MM).roller_deg(hand) + turned_deg, hand).diameter_mm
+
+    def look() -> None:
+        while not ended.wait(LOOK_S):
+            now_mm = rim_mm()
+            seen.narrowest_mm, seen.widest_mm = min(seen.narrowest_mm, now_mm), max(seen.widest_mm, now_mm)
+
+    def serve(caller: Connection) -> None:
+        with suppress(EOFError, OSError):
+            while True:
+                what, said = caller.recv()
+                if what == "place":
+                    world.place(said)
+                elif what == "remove":
+                    world.remove()
+                elif what == "believes":
+                    seen.worst_belief_mm = max(seen.worst_belief_mm, abs(said - rim_mm()))
+                elif what == "end":
+                    ended.set()
+                elif what == "seen":
+                    seen.masses_mg = dict(world.masses_mg)
+                    seen.dosed_mg = {sample.id: world.true_mass(sample.id) for sample in plan.recipe.samples}
+                caller.send((rim_mm(), seen))
+
+    def listen() -> None:
+        with Listener(str(folder / "ask")) as door:
+            while True:
+                threading.Thread(target=serve, args=(door.accept(),), daemon=True).start()
+
+    with bench:
+        for task in (look, listen):
+            threading.Thread(target=task, daemon=True).start()
+        ended.wait()
+
+
+class Twins:
+    """What one process asks of the twins'."""
+
+    def __init__(self, folder: Path) -> None:
+        deadline_s = time.monotonic() + 60.0
+        while not (folder / "ask").exists() and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        self._line = Client(str(folder / "ask"))
+
+    def ask(self, what: str, said: object = None) -> tuple[float, Seen]:
+        self._line.send((what, said))
+        answer: tuple[float, Seen] = self._line.recv()
+        return answer
+
+
+class Hands:
+    """The person at the cell, who does what is asked."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+
+    def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
+        if "rim" in question and "sheet" not in question:
+            raise RuntimeError("the roller's turns were not lost, and it asks for them")
+        ready_s = self._clock.now_s + 0.3
+        while self._clock.now_s < ready_s:
+            yield Wake(ready_s)
+        return choices[0]
+
+
+class KilledScooping(BatchObserver):
+    """Ends its own process after so much time of scooping."""
+
+    def __init__(self, after_s: float) -> None:
+        self._left_s, self._since_s = after_s, math.inf
+
+    def ticked(self, root: Any) -> None:
+        now_s = time.monotonic()
+        self._left_s -= max(0.0, now_s - self._since_s)
+        scoops = any(node.name == "scoop" and node.status is Status.RUNNING for node in root.iterate())
+        self._since_s = now_s if scoops else math.inf
+        if self._left_s <= 0.0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: KilledScooping | None) -> int:
+    twins, runs = Twins(folder), folder / "state" / "runs"
+    begun, found = next(journals(runs), None), None
+    if begun is not None:
+        found = resumable(begun, checked_history(begun), plan, lab, accept_changes=False)
+    session = Session(plan, lab, Options(None, folder=runs), motion, resumes=found)
+    try:
+        cell = session.cell
+        if begun is None:
+            cell.hand.rim_is(MOUNTED_MM)
+        twins.ask("believes", cell.hand.cone_diameter_mm)
+        cell.operator = Hands(cell.clock)
+        cell.changer = OperatorChanger(
+            cell.operator,
+            lambda container: void(twins.ask("place", container)),
+            lambda: void(twins.ask("remove")),
+            may_be_loaded=begun is not None,
+        )
+        return session.run(kill or BatchObserver()).exit_code
+    finally:
+        session.close()
+
+
+def void(answer: object) -> None:
+    """What is answered does not matter."""
+
+
+def kill_while_scooping(folder: Path, kills: int, seed: int, tally: Tally) -> None:
+    """One batch: killed so often, then let end and judged."""
+    folder.mkdir(parents=True)
+    make_lab_of_twins(folder)
+    plan, lab = _plan(folder)
+    motion, rng = prepared_motion(plan, lab, for_real=True), random.Random(seed)
+    spawn = multiprocessing.get_context("spawn")
+    keeper = spawn.Process(target=_keep_twins, args=(folder, motion.home(), seed), daemon=True)
+    keeper.start()
+    twins, runs, tries = Twins(folder), folder / "state" / "runs", TRIES
+    try:
+        while tries and not any(read_history(path).is_complete for path in journals(runs)):
+            is_last = kills <= 0
+            code = _child(folder, plan, lab, motion, None if is_last else rng.uniform(0.0, SCOOPING_S))
+            if code is None:
+                kills -= 1
+                tally.kills += 1
+                tally.while_rolled_mm.append(round(twins.ask("rim")[0], 1))
+                time.sleep(0.4)  # the dead-men
+            elif code == BROKEN:
+                tally.problems.append(f"seed {seed}: a child broke")
+                return
+            elif code not in (0, 1):
+                tally.ended_safe += 1
+                tries -= 1
+        _judge(plan, lab, seed, twins.ask("seen")[1], tally)
+    finally:
+        with suppress(EOFError, OSError):
+            twins.ask("end")
+        keeper.join(10.0)
+
+
+def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: float | None) -> int | None:
+    """Run or resume in a process of its own; its exit code, None if it was killed."""
+    child = os.fork()
+    if child == 0:
+        code = BROKEN
+        try:
+            code = _run(folder, plan, lab, motion, None if after_s is None else KilledScooping(after_s))
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    _, status = os.waitpid(child, 0)
+    return None if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
+
+
+def _judge(plan: Plan, lab: Lab, seed: int, seen: Seen, tally: Tally) -> None:
+    narrowest_mm, widest_mm = lab.cell.hand.rim_limits_mm
+    tally.batches += 1
+    tally.narrowest_mm = min(tally.narrowest_mm, seen.narrowest_mm)
+    tally.widest_mm = max(tally.widest_mm, seen.widest_mm)
+    tally.worst_belief_mm = max(tally.worst_belief_mm, seen.worst_belief_mm)
+    if not narrowest_mm <= seen.narrowest_mm <= seen.widest_mm <= widest_mm:
+        tally.problems.append(f"seed {seed}: rims of {seen.narrowest_mm:.1f} to {seen.widest_mm:.1f} mm")
+    for sample in plan.recipe.samples:
+        dosed_mg, mass_mg = seen.dosed_mg[sample.id], sample.mass_mg or 0.0
+        tally.dosed_mg[f"{seed}/{sample.id}"] = round(dosed_mg, 1)
+        if abs(dosed_mg - mass_mg) > 2.0 * (sample.tolerance_mg or 0.0):
+            tally.problems.append(f"seed {seed}: '{sample.id}' holds {dosed_mg:.1f} mg of {mass_mg:g} mg")
+    there_mg = sum(source.amount_mg for source in plan.recipe.sources.values())
+    if abs(math.fsum(seen.masses_mg.values()) - there_mg) > 1e-6:
+        tally.problems.append(f"seed {seed}: powder was lost or made")

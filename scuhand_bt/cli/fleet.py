@@ -1,0 +1,198 @@
+"""Commands about several cells on one queue: a cell's station, and what is submitted to it and looked at."""
+
+import asyncio
+import signal
+from collections.abc import Coroutine
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import JsonFlag, LabOption, UnattendedFlag, app, err, out, print_json, the_lab
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.quantity import format_duration
+
+if TYPE_CHECKING:
+    from scuhand_bt.fleet.queue import KnownStation, QueuedJob
+
+T = TypeVar("T")
+DatabaseOption = Annotated[
+    str,
+    typer.Option(
+        "--database",
+        envvar="SCUHAND_DATABASE",
+        help="The queue's PostgreSQL database, as libpq names it; default: what PGSERVICE, PGHOST … say.",
+    ),
+]
+SHOWN = 30
+
+
+@app.command()
+def station(
+    name: Annotated[str | None, typer.Option("--name", help="Its name in the queue; default: the cell's.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="A simulated station, for orders of dry runs.")] = False,
+    unattended: UnattendedFlag = False,
+    resumes: Annotated[
+        bool, typer.Option("--resume", help="Resume by itself, once, a run that was killed; else a person does.")
+    ] = False,
+    operator: Annotated[str | None, typer.Option(metavar="NAME", help="Who is at the cell, for its runs.")] = None,
+    database: DatabaseOption = "",
+    lab: LabOption = None,
+) -> None:
+    """Take the jobs that the queue has for this cell, one after the other. SIGTERM: none after the one that runs."""
+    _require_fleet()
+    from scuhand_bt.fleet.queue import open_queue
+    from scuhand_bt.fleet.station import Manner, Station
+
+    if not dry_run and operator is None:
+        raise typer.BadParameter("a run on the cell has a person's name: say whose", param_hint="--operator")
+    folder = the_lab(lab).folder
+
+    async def work() -> None:
+        async with open_queue(database) as queue:
+            manner = Manner(dry_run, unattended, resumes, operator)
+            made = Station(queue, folder, name, manner, lambda line: _say(line))
+            for number in (signal.SIGINT, signal.SIGTERM):
+                asyncio.get_running_loop().add_signal_handler(number, made.leave)
+            _say(f"Station '{made.name}'{' (SIMULATED)' if dry_run else ''}.")
+            await made.work()
+
+    asyncio.run(work())
+
+
+@app.command()
+def submit(
+    recipes: Annotated[list[Path], typer.Argument(help="Recipe files (YAML); each is a job.", show_default=False)],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="For simulated stations.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of the dry runs.")] = 0,
+    at: Annotated[str | None, typer.Option("--station", metavar="NAME", help="Only there.")] = None,
+    database: DatabaseOption = "",
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Check recipes, and queue each for a station that has what it needs, or none of them."""
+    _require_fleet()
+    from scuhand_bt.cli.batch import the_plan
+    from scuhand_bt.fleet.order import submission_of
+    from scuhand_bt.fleet.queue import choose, open_queue
+
+    asked = [submission_of(the_plan(recipe, lab)[0], simulated=dry_run, seed=seed) for recipe in recipes]
+
+    async def queue_them() -> "tuple[list[int], list[KnownStation], list[str]]":
+        async with open_queue(database) as queue:
+            known = await queue.stations()
+            chosen = choose(asked, known, at)
+            return await queue.submit(chosen), known, [one.order.stations[0] for one in chosen]
+
+    numbers, known, where = _answered(queue_them(), "whether it was queued is not known: `scuhand-bt queue` tells")
+    if as_json:
+        print_json([{"job": job, "station": name} for job, name in zip(numbers, where, strict=True)])
+        return
+    absent = {one.name for one in known if not one.is_there}
+    for number, recipe, name in zip(numbers, recipes, where, strict=True):
+        out.print(Text(f"job {number}: {recipe} at {name}"), soft_wrap=True)
+    for name in dict.fromkeys(name for name in where if name in absent):
+        err.print(Text(f"Note: no station that can do it is there now; {name} has to begin first"))
+
+
+@app.command()
+def queue(
+    every: Annotated[bool, typer.Option("--all", help="Also the jobs that are over.")] = False,
+    most: Annotated[int, typer.Option(min=1, help="So many at the most, the newest ones.")] = SHOWN,
+    database: DatabaseOption = "",
+    as_json: JsonFlag = False,
+) -> None:
+    """List the jobs that wait and that are run, the newest first."""
+    _require_fleet()
+    from scuhand_bt.fleet.queue import open_queue
+
+    async def jobs() -> "list[QueuedJob]":
+        async with open_queue(database) as queue:
+            return await queue.jobs(every=every, limit=most)
+
+    found = _answered(jobs())
+    if as_json:
+        print_json([{**asdict(job), "at": job.at.isoformat()} for job in found])
+        return
+    table = Table("job", "recipe", "station", "status", "by", "since", "run", "", show_edge=False)
+    for job in found:
+        status = f"{job.status}, to stop" if job.is_to_stop else job.status
+        recipe = f"{job.recipe} (SIMULATED)" if job.simulated else job.recipe
+        since = f"{job.at.astimezone():%Y-%m-%d %H:%M}"
+        table.add_row(str(job.id), recipe, job.station, status, job.by, since, job.run, job.said)
+    out.print(table if found else "The queue is empty.")
+
+
+@app.command()
+def cancel(
+    job: Annotated[int, typer.Argument(help="The job's number.", show_default=False)], database: DatabaseOption = ""
+) -> None:
+    """Take a job out of the queue; one that is run stops after its current sample."""
+    _require_fleet()
+    from scuhand_bt.fleet.queue import open_queue
+
+    async def cancelled() -> bool:
+        async with open_queue(database) as queue:
+            return await queue.cancel(job)
+
+    if not _answered(cancelled(), "whether it was cancelled is not known: `scuhand-bt queue` tells"):
+        err.print(Text(f"job {job} neither waits nor is it run; `scuhand-bt queue --all` lists all"))
+        raise typer.Exit(ExitCode.BAD_INPUT)
+    out.print(Text(f"job {job} is cancelled, or stops after its current sample."))
+
+
+@app.command()
+def fleet(
+    forget: Annotated[str | None, typer.Option(metavar="NAME", help="Forget a station that is no more.")] = None,
+    database: DatabaseOption = "",
+    as_json: JsonFlag = False,
+) -> None:
+    """List the stations: what each does, when it was last heard of, and what it has before it."""
+    _require_fleet()
+    from scuhand_bt.fleet.queue import open_queue
+
+    async def stations() -> "tuple[bool, list[KnownStation]]":
+        async with open_queue(database) as queue:
+            is_gone = forget is None or await queue.forget(forget)
+            return is_gone, await queue.stations()
+
+    is_gone, found = _answered(stations())
+    if not is_gone:
+        raise typer.BadParameter(f"'{forget}' has jobs, or is none of the stations", param_hint="--forget")
+    if as_json:
+        print_json([{**asdict(one), "offer": one.offer.model_dump(mode="json")} for one in found])
+        return
+    table = Table("station", "cell", "heard of", "jobs", "before it", "state", show_edge=False)
+    for one in found:
+        heard = "now" if one.is_there else f"{format_duration(one.silent_s)} ago"
+        cell = f"{one.offer.cell} (SIMULATED)" if one.offer.simulated else one.offer.cell
+        ahead = format_duration(one.ahead_s) if one.jobs else ""
+        table.add_row(one.name, cell, heard, str(one.jobs), ahead, one.state if one.is_there else f"was: {one.state}")
+    out.print(table if found else "There are no stations.")
+
+
+def _require_fleet() -> None:
+    try:
+        import procrastinate  # noqa: F401
+    except ImportError as error:
+        raise typer.BadParameter(f"a queue needs {error.name}: pip install 'scuhand-bt[fleet]'") from None
+
+
+def _answered(asked: "Coroutine[Any, Any, T]", else_: str = "") -> T:
+    """What the database answers; SourceError where it went away meanwhile."""
+    from procrastinate.exceptions import ConnectorException
+
+    try:
+        return asyncio.run(asked)
+    except ConnectorException as error:
+        what = f"the queue's database went away ({error.__cause__ or error}); {else_}".removesuffix("; ")
+        raise SourceError([Problem(Mark("--database", 0), what)]) from None
+
+
+def _say(line: str) -> None:
+    out.print(Text(line), soft_wrap=True)
+    out.file.flush()

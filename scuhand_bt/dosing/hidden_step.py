@@ -1,0 +1,49 @@
+"""A step of the zero while the balance still comes to rest: by how it came to rest before.
+
+A container comes (p: the share of it that the balance misses, by time) and goes again. If nothing else happens, the
+pan comes to rest as it did then, a little earlier or later: m p(t - d). A zero that is S lower until t1, and then goes
+back, is shown by the same filter: - S p(t - t1), with p = 1 before t1. Both are fitted by least squares, in which the
+steep part of the curve counts little, as it tells little of milligrams.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scuhand_bt.dosing.characteristic import Step
+
+EARLIER_S = np.arange(-0.3, 0.305, 0.01)
+"""By how much a load may come earlier or later than it was taken to: d."""
+BEND_SHARE, FALL_SHARE = 0.25, 0.1
+"""Of a curve's second and first differences: how far it may be off between readings (a parabola by an eighth of the
+second), and by the steps of `EARLIER_S`."""
+CLEARER = 40.0
+"""A step that explains so many times the variance that stays is one: noise alone explains 15 times at most."""
+LEAST_DIGITS, MOST_MG = 5.0, 50.0
+"""Of a step that is looked for."""
+
+
+def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
+    """How far the zero stepped while what `came` went again; 0 where no step is told."""
+    times_s, mass_mg = np.asarray(went.times_s), abs(went.step_mg)
+    shown_mg = mass_mg * np.asarray(went.missing)
+    if len(times_s) < 10:
+        return 0.0
+    expected_mg = mass_mg * _missing(came, times_s - EARLIER_S[:, None])  # (D, N)
+    bends_mg = np.abs(np.diff(expected_mg, n=2, prepend=mass_mg, append=0.0, axis=1))
+    bends_mg = np.maximum(bends_mg, np.maximum(np.roll(bends_mg, 1, axis=1), np.roll(bends_mg, -1, axis=1)))
+    falls_mg = np.gradient(expected_mg, axis=1)
+    weights = 1.0 / (readability_mg**2 + (BEND_SHARE * bends_mg) ** 2 + (FALL_SHARE * falls_mg) ** 2)
+    off_mg = shown_mg - expected_mg
+    without = float((weights * off_mg**2).sum(axis=1).min())
+    back = _missing(came, times_s - times_s[:, None])  # (T, N): a zero that goes back with each of the readings
+    top, below = (weights * off_mg) @ back.T, weights @ (back**2).T
+    steps_mg = top / np.maximum(below, 1e-12)
+    left = (weights * off_mg**2).sum(axis=1)[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
+    best = np.unravel_index(int(left.argmin()), left.shape)
+    stepped_mg = abs(float(steps_mg[best]))
+    is_clear = without - left[best] > CLEARER * left[best] / len(times_s)
+    return stepped_mg if is_clear and stepped_mg > LEAST_DIGITS * readability_mg else 0.0
+
+
+def _missing(step: Step, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.interp(times_s, (0.0, *step.times_s), (1.0, *step.missing), left=1.0, right=0.0)

@@ -1,0 +1,130 @@
+"""What a recipe needs of a cell, and what a cell has: by it a job goes to a station that can do it.
+
+Both are names and a few figures, and no rule of a recipe is written anew here: the run at the station checks all, with
+the station's own lab, before anything moves.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from scuhand_bt.lab import Lab, state_folder
+from scuhand_bt.lab_state.inventory import Inventory
+from scuhand_bt.quantity import format_mass
+from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.run.inventory_conflicts import EMPTY_MG
+
+Kind = Literal["powder", "container", "mortar", "workflow", "mortar station"]
+
+
+class Needs(BaseModel):
+    """What a plan names, and what its balance must be able to do."""
+
+    model_config = ConfigDict(frozen=True)
+
+    simulated: bool
+    names: Mapping[Kind, tuple[str, ...]]
+    lots: Mapping[str, str]
+    """The powder lot (`Source.sheet_key`) at each station of a mortar."""
+    heaviest_mg: float
+    """What stands on the balance at the most."""
+    tolerance_mg: float | None
+    """The narrowest one."""
+    person: str
+    """The first moment that needs one, "" for none."""
+
+
+class Offer(BaseModel):
+    """What a station's cell has."""
+
+    model_config = ConfigDict(frozen=True)
+
+    cell: str
+    simulated: bool
+    unattended: bool
+    names: Mapping[Kind, tuple[str, ...]]
+    lots: Mapping[str, str]
+    """What stands at its stations by the inventory; empty where nothing is known."""
+    maximum_mg: float
+    least_tolerance_mg: float
+
+
+def needs_of(plan: Plan, *, simulated: bool) -> Needs:
+    """What this plan needs."""
+    samples, sources = plan.recipe.samples, plan.recipe.sources.values()
+    containers = [one for sample in samples for one in sample.all_containers]
+    filled = {
+        one.id: one.empty_mass_mg + sum(pour.mass_mg or 0.0 for pour in sample.filled.get(one.id, ()))
+        for sample in samples
+        for one in sample.all_containers
+    }
+    return Needs(
+        simulated=simulated,
+        names={
+            "powder": _sorted(source.powder.name for source in sources),
+            "container": _sorted(one.name for one in containers),
+            "mortar": _sorted(source.mortar.name for source in sources),
+            "workflow": _sorted(job.workflow for job in plan.jobs),
+            "mortar station": _sorted(source.station for source in sources),
+        },
+        lots={source.station: source.sheet_key for source in sources},
+        heaviest_mg=max(filled.values(), default=0.0),
+        tolerance_mg=min((sample.tolerance_mg for sample in samples if sample.tolerance_mg), default=None),
+        person=next((str(person) for person in plan.persons), ""),
+    )
+
+
+def offer_of(lab: Lab, *, simulated: bool, unattended: bool) -> Offer:
+    """What this lab's cell has now. SourceError where its database cannot be read."""
+    stock = {} if simulated else Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
+    holds = {name: one.lot_key for (kind, name), one in stock.items() if kind == "station" and _is_there(one.mass_mg)}
+    library = lab.library
+    return Offer(
+        cell=lab.cell.cell,
+        simulated=simulated,
+        unattended=unattended,
+        names={
+            "powder": _sorted(library.powders),
+            "container": _sorted(library.containers),
+            "mortar": _sorted(library.mortars),
+            "workflow": _sorted(library.workflows),
+            "mortar station": _sorted(one.name for one in lab.cell.stations.values() if one.kind == "mortar"),
+        },
+        lots=holds,
+        maximum_mg=lab.cell.balance.maximum_mg,
+        least_tolerance_mg=lab.cell.balance.least_tolerance_mg,
+    )
+
+
+def missing(needs: Needs, offer: Offer) -> list[str]:
+    """What a station lacks for it, in words; nothing for one that can do it."""
+    return list(_missing(needs, offer))
+
+
+def _missing(needs: Needs, offer: Offer) -> Iterator[str]:
+    if needs.simulated != offer.simulated:
+        yield "it is a simulated one" if offer.simulated else "it is a real one, and simulated devices are asked for"
+    for kind, names in needs.names.items():
+        for name in names:
+            if name not in offer.names[kind]:
+                yield f"it has no {kind} '{name}'"
+    for station, lot in needs.lots.items():
+        if (holds := offer.lots.get(station, lot)) != lot:
+            yield f"its {station} holds {holds}, not {lot}"
+    if needs.heaviest_mg > offer.maximum_mg:
+        what = f"{format_mass(offer.maximum_mg)}, and {format_mass(needs.heaviest_mg)} would stand on it"
+        yield f"its balance's maximum is {what}"
+    if needs.tolerance_mg is not None and needs.tolerance_mg < offer.least_tolerance_mg:
+        told = f"{offer.least_tolerance_mg:g} mg, and the recipe's is {needs.tolerance_mg:g} mg"
+        yield f"the narrowest tolerance that its balance can tell is {told}"
+    if needs.person and offer.unattended:
+        yield f"it is unattended, and a person is {needs.person}"
+
+
+def _sorted(names: "Iterator[str] | Mapping[str, object]") -> tuple[str, ...]:
+    return tuple(sorted(set(names)))
+
+
+def _is_there(mass_mg: float | None) -> bool:
+    return (mass_mg or 0.0) >= EMPTY_MG

@@ -1,0 +1,282 @@
+"""The queue: procrastinate's jobs in a PostgreSQL database, and beside them what each station says of itself.
+
+One job is one run. Its queue and its lock are its station's name, so that a station has one job at a time, and none
+after one that died there until that is settled. A job is never tried again by itself. Times of the database only.
+"""
+
+import logging
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
+
+import psycopg
+from procrastinate import App, PsycopgConnector
+from procrastinate.jobs import Job, Status
+from procrastinate.schema import SchemaManager
+from psycopg.types.json import Jsonb
+from pydantic import ValidationError
+
+from scuhand_bt.fleet.needs import Offer, missing
+from scuhand_bt.fleet.order import Files, Order, Submission
+from scuhand_bt.problems import Mark, Problem, SourceError
+
+TASK = "scuhand-bt run"
+ABSENT_S = 60.0
+"""A station that has not been heard of for so long is not there."""
+CONNECT_S = 5
+_STATIONS = """
+CREATE TABLE scuhand_stations (
+    name text PRIMARY KEY, identity text NOT NULL, offer jsonb NOT NULL, state text NOT NULL,
+    seen timestamptz NOT NULL DEFAULT now());
+CREATE TABLE scuhand_recipes (hash text PRIMARY KEY, files jsonb NOT NULL);
+CREATE INDEX scuhand_jobs_of_station ON procrastinate_jobs (lock, status, priority, id);
+"""
+_ENROL = """
+INSERT INTO scuhand_stations (name, identity, offer, state) VALUES (%(name)s, %(identity)s, %(offer)s, 'begins')
+ON CONFLICT (name) DO UPDATE SET offer = excluded.offer, seen = now()
+WHERE scuhand_stations.identity = excluded.identity RETURNING name
+"""
+_KNOWN = """
+SELECT name, offer, state, extract(epoch FROM now() - seen)::float AS silent_s,
+    count(job.id) AS jobs, coalesce(sum((job.args->>'duration_s')::float), 0) AS ahead_s
+FROM scuhand_stations LEFT JOIN procrastinate_jobs AS job ON lock = name AND status IN ('todo', 'doing')
+GROUP BY name ORDER BY name
+"""
+_JOBS = """
+SELECT job.id, lock AS station, status, abort_requested, args,
+    (SELECT min(at) FROM procrastinate_events WHERE job_id = job.id) AS at
+FROM procrastinate_jobs AS job WHERE %(every)s OR status IN ('todo', 'doing') ORDER BY job.id DESC LIMIT %(limit)s
+"""
+_TAKE_OVER = """
+UPDATE procrastinate_jobs SET queue_name = %(name)s, lock = %(name)s WHERE id = (
+    SELECT id FROM procrastinate_jobs WHERE status = 'todo' AND args->'stations' ? %(name)s
+    ORDER BY priority DESC, id LIMIT 1 FOR UPDATE SKIP LOCKED) RETURNING id
+"""
+
+
+@dataclass(frozen=True)
+class KnownStation:
+    """A station as it was last heard of, and what it has before it."""
+
+    name: str
+    offer: Offer
+    state: str
+    silent_s: float
+    jobs: int
+    ahead_s: float
+    """Forecast duration of its jobs."""
+
+    @property
+    def is_there(self) -> bool:
+        return self.silent_s <= ABSENT_S
+
+
+@dataclass(frozen=True)
+class QueuedJob:
+    """A job as a person looks at it."""
+
+    id: int
+    station: str
+    status: str
+    is_to_stop: bool
+    recipe: str
+    by: str
+    simulated: bool
+    run: str
+    """The run's id at its station, once it has begun."""
+    said: str
+    """What it came to, or what its station says of it."""
+    at: datetime
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A job that a station has taken."""
+
+    job: Job
+    order: Order | None
+    """None for one that another version has written."""
+
+    @property
+    def id(self) -> int:
+        assert self.job.id is not None
+        return self.job.id
+
+
+def choose(submitted: Sequence[Submission], known: Sequence[KnownStation], only: str | None = None) -> list[Submission]:
+    """For each the stations that can do it, first the one with the least before it.
+
+    A station that is not there comes last. SourceError, with what is missing at which, where none can.
+    """
+    stations = [station for station in known if only in (None, station.name)]
+    ahead_s = {station.name: station.ahead_s for station in stations}
+    chosen, problems = [], []
+    for one in submitted:
+        order, lacks = one.order, {station.name: missing(one.needs, station.offer) for station in stations}
+        able = [station for station in stations if not lacks[station.name]]
+        if not able:
+            what = "no station can do it" if stations else "there is no station" if only is None else "no such station"
+            whys = [f"at {name} {'; '.join(lack)}" for name, lack in lacks.items()]
+            where = Mark(order.file if only is None or stations else f"--station {only}", 0)
+            problems.append(Problem(where, ": ".join([what, "; ".join(whys)]) if whys else what))
+            continue
+        able.sort(key=lambda station: (not station.is_there, ahead_s[station.name], station.name))
+        ahead_s[able[0].name] += order.duration_s
+        order = order.model_copy(update={"stations": tuple(station.name for station in able)})
+        chosen.append(replace(one, order=order))
+    if problems:
+        raise SourceError(problems)
+    return chosen
+
+
+class Queue:
+    """An open queue. Its methods raise procrastinate's ConnectorException where the database is not reached."""
+
+    def __init__(self, app: App) -> None:
+        self._jobs, self._database = app.job_manager, app.connector
+
+    # --- who submits, and who looks
+
+    async def submit(self, submitted: Sequence[Submission]) -> list[int]:
+        """A job for each, for the first of its stations, all of them or none; their numbers."""
+        for files, text in {one.order.files: Jsonb(one.files) for one in submitted}.items():
+            query = "INSERT INTO scuhand_recipes VALUES (%(hash)s, %(files)s) ON CONFLICT DO NOTHING"
+            await self._database.execute_query_async(query, hash=files, files=text)
+        jobs = [
+            Job(
+                queue=order.stations[0],
+                lock=order.stations[0],
+                queueing_lock=order.key,
+                task_name=TASK,
+                task_kwargs=order.model_dump(mode="json"),
+            )
+            for order in (one.order for one in submitted)
+        ]
+        return [job.id or 0 for job in await self._jobs.batch_defer_jobs_async(jobs)]
+
+    async def stations(self) -> list[KnownStation]:
+        """All that were ever heard of."""
+        rows = await self._database.execute_query_all_async(_KNOWN)
+        return [KnownStation(**{**row, "offer": Offer.model_validate(row["offer"])}) for row in rows]
+
+    async def jobs(self, *, every: bool, limit: int) -> list[QueuedJob]:
+        """The newest first; those that wait or are run, or also those that are over."""
+        rows = await self._database.execute_query_all_async(_JOBS, every=every, limit=limit)
+        return [_looked_at(row) for row in rows]
+
+    async def cancel(self, number: int) -> bool:
+        """A job that waits is not run, one that is run is to stop; False for one that is over, or was never there."""
+        return await self._jobs.cancel_job_by_id_async(number, abort=True)
+
+    async def forget(self, name: str) -> bool:
+        """A station that is no more; False for one that has jobs, or was never there."""
+        query = """DELETE FROM scuhand_stations WHERE name = %(name)s AND NOT EXISTS (
+            SELECT FROM procrastinate_jobs WHERE lock = name AND status IN ('todo', 'doing')) RETURNING name"""
+        return bool(await self._database.execute_query_all_async(query, name=name))
+
+    # --- a station
+
+    async def enrol(self, name: str, identity: str, offer: Offer) -> bool:
+        """What this station has now; False where another one has its name."""
+        named = {"name": name, "identity": identity, "offer": Jsonb(offer.model_dump(mode="json"))}
+        return bool(await self._database.execute_query_all_async(_ENROL, **named))
+
+    async def tell(self, name: str, state: str) -> None:
+        """That a station is there, and what it does."""
+        query = "UPDATE scuhand_stations SET state = %(state)s, seen = now() WHERE name = %(name)s"
+        await self._database.execute_query_async(query, name=name, state=state)
+
+    async def taken(self, name: str) -> Taken | None:
+        """The job that this station has taken, and that is not settled."""
+        query = "SELECT * FROM procrastinate_jobs WHERE lock = %(name)s AND status = 'doing'"
+        rows = await self._database.execute_query_all_async(query, name=name)
+        return _taken(Job.from_row(rows[0])) if rows else None
+
+    async def take(self, name: str) -> Taken | None:
+        """The next job of this station, which is its own from now on."""
+        job = await self._jobs.fetch_job([name], None)  # type: ignore[arg-type]  # a station is no worker that is pruned
+        return _taken(job) if job is not None else None
+
+    async def files(self, order: Order) -> Files:
+        """The recipe of an order, with its tables."""
+        query = "SELECT files FROM scuhand_recipes WHERE hash = %(hash)s"
+        files: Files = (await self._database.execute_query_one_async(query, hash=order.files))["files"]
+        return files
+
+    async def take_over(self, name: str) -> bool:
+        """Whether there was a job that waits at another station, and that this one can do; it waits here now."""
+        return bool(await self._database.execute_query_all_async(_TAKE_OVER, name=name))
+
+    async def note(self, number: int, run: str, said: str) -> None:
+        """What a job's run is, and what there is to say of it."""
+        query = "UPDATE procrastinate_jobs SET args = args || %(news)s WHERE id = %(number)s"
+        await self._database.execute_query_async(query, number=number, news=Jsonb({"run": run, "said": said}))
+
+    async def finish(self, number: int, status: Status) -> None:
+        """A job is over."""
+        await self._jobs.finish_job_by_id_async(number, status, delete_job=False)
+
+
+@asynccontextmanager
+async def open_queue(database: str) -> AsyncIterator[Queue]:
+    """The queue in a database (a libpq connection string; "" for what PGSERVICE, PGHOST and so on say).
+
+    Its tables are made if there are none. SourceError where it cannot be reached or used.
+    """
+    where = Mark(f"the queue's database ({database or 'by PGSERVICE, PGHOST …'})", 0)
+    logging.getLogger("psycopg.pool").setLevel(logging.CRITICAL)  # what it says, the station says in words
+    try:
+        async with await psycopg.AsyncConnection.connect(database, connect_timeout=CONNECT_S) as connection:
+            await _make_tables(connection)
+    except psycopg.Error as error:
+        what = " ".join(str(error).split()) or type(error).__name__
+        raise SourceError([Problem(where, f"{what}; docs/fleet.md sets it up")]) from None
+    connector = PsycopgConnector(
+        conninfo=database,
+        min_size=1,
+        max_size=1,
+        kwargs={"connect_timeout": CONNECT_S},
+        timeout=CONNECT_S,
+        reconnect_timeout=1.0,  # the next question tries again
+    )
+    app = App(connector=connector)
+    async with app.open_async():
+        yield Queue(app)
+
+
+async def _make_tables(connection: "psycopg.AsyncConnection[Any]") -> None:
+    async def is_there(table: str) -> bool:
+        row = await (await connection.execute("SELECT to_regclass(%s)", (table,))).fetchone()
+        return row is not None and row[0] is not None
+
+    if not await is_there("scuhand_stations"):
+        await connection.execute("SELECT pg_advisory_xact_lock(hashtext('scuhand-bt'))")  # who is first makes them
+        if not await is_there("procrastinate_jobs"):
+            await connection.execute(SchemaManager.get_schema())
+        if not await is_there("scuhand_stations"):
+            await connection.execute(_STATIONS)
+
+
+def _taken(job: Job) -> Taken:
+    try:
+        return Taken(job, Order.model_validate(job.task_kwargs))
+    except ValidationError:
+        return Taken(job, None)
+
+
+def _looked_at(row: dict[str, Any]) -> QueuedJob:
+    args = row["args"]
+    return QueuedJob(
+        id=row["id"],
+        station=row["station"],
+        status=row["status"],
+        is_to_stop=row["abort_requested"],
+        recipe=args.get("recipe", ""),
+        by=args.get("by", ""),
+        simulated=args.get("simulated", False),
+        run=args.get("run", ""),
+        said=args.get("said", ""),
+        at=row["at"],
+    )

@@ -1,0 +1,273 @@
+"""A station: it takes one job of the queue after the other, and has each run by a program of its own.
+
+What has become of a job is read from the run's journal, never remembered: whatever was killed and whenever, a station
+that begins looks at the job that it has taken and goes on from there. A run that has not begun begins; one that goes on
+is waited for, also one that a station before it has left behind; one that is complete is marked; one that was
+interrupted is resumed, by a person or (`resumes`) once by itself; it is never begun a second time.
+"""
+
+import asyncio
+import json
+import secrets
+import sqlite3
+import sys
+from collections.abc import Callable
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from procrastinate.exceptions import ConnectorException
+from procrastinate.jobs import Status
+
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.fleet.needs import offer_of
+from scuhand_bt.fleet.order import Order, write
+from scuhand_bt.fleet.queue import Queue, Taken
+from scuhand_bt.journal.events import RunBegun
+from scuhand_bt.journal.history import History, read_history
+from scuhand_bt.journal.presence import Held, Presence, is_held
+from scuhand_bt.journal.reader import open_journal
+from scuhand_bt.journal.store import read_only
+from scuhand_bt.lab import load_lab, state_folder
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.run.control import say_wish
+from scuhand_bt.run.holds import CELL
+
+LOOK_S = 2.0
+"""How often a station looks at its queue and its run."""
+IDLE_LOOKS = 10
+"""So many looks an idle station waits before it takes over what waits elsewhere."""
+LAST_WORDS = 600
+"""Characters of what a refused run has said."""
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a station runs its jobs."""
+
+    simulated: bool = False
+    unattended: bool = False
+    resumes: bool = False
+    """It resumes by itself a run that was killed."""
+    operator: str | None = None
+
+
+class Station:
+    """The station of a lab; `work` until `leave`. `say` tells whoever watches, in lines."""
+
+    def __init__(
+        self,
+        queue: Queue,
+        lab: Path,
+        name: str | None,
+        manner: Manner,
+        say: Callable[[str], None],
+        look_s: float = LOOK_S,
+    ) -> None:
+        loaded = load_lab(lab)
+        self.name = name or loaded.cell.cell
+        self._queue, self._lab, self._manner, self._say, self._look_s = queue, lab.absolute(), manner, say, look_s
+        self._state = state_folder(loaded).absolute()
+        self._orders = self._state / "queue"
+        self._child: asyncio.subprocess.Process | None = None
+        self._is_leaving = asyncio.Event()
+        self._resumed: set[str] = set()
+        self._keys: dict[Path, str] = {}
+        self._idle, self._said = 0, ""
+
+    def leave(self) -> None:
+        """Take no more jobs, and end when the run that goes on has ended."""
+        self._is_leaving.set()
+
+    async def work(self) -> None:
+        """Until told to leave. SourceError for a name that is taken, or a lab that has broken meanwhile."""
+        presence = await self._alone()
+        if presence is None:
+            return
+        with presence:
+            self._lock = presence
+            await self._enrol()
+            while True:
+                try:
+                    goes_on = await self._look()
+                except ConnectorException as error:
+                    self._tell(f"the queue's database is not reached ({error.__cause__}); trying again")
+                    goes_on = False
+                if self._is_leaving.is_set() and not self._has_child:
+                    return
+                if not goes_on:
+                    await self._wait()
+
+    @property
+    def _has_child(self) -> bool:
+        return self._child is not None and self._child.returncode is None
+
+    async def _alone(self) -> Presence | None:
+        """The lab's one place for a station; the run that a station before this one has left behind still has it."""
+        self._orders.mkdir(parents=True, exist_ok=True)
+        while not self._is_leaving.is_set():
+            try:
+                return Presence(self._orders)
+            except Held:
+                self._tell("another station of this lab works, or the run that it has left goes on; waiting for it")
+                await self._wait()
+        return None
+
+    async def _enrol(self) -> None:
+        """Say what the cell has now; the lab is read anew, so that a broken one takes no job."""
+        manner, lab = self._manner, load_lab(self._lab)
+        offer = offer_of(lab, simulated=manner.simulated, unattended=manner.unattended)
+        if not await self._queue.enrol(self.name, _identity(self._orders / "identity"), offer):
+            what = f"the station '{self.name}' of the queue is another lab's: give this one another --name"
+            raise SourceError([Problem(Mark(str(self._lab), 0), f"{what}, or `scuhand-bt fleet --forget {self.name}`")])
+
+    async def _wait(self) -> None:
+        """Until the next look; less where the run ends before."""
+        waits = self._child.wait() if self._child is not None else self._is_leaving.wait()
+        done = asyncio.ensure_future(waits)
+        await asyncio.wait([done], timeout=self._look_s)
+        done.cancel()
+
+    async def _look(self) -> bool:
+        """One look at the queue and the run, and one step on; whether there is to be another one at once."""
+        taken = await self._queue.taken(self.name)
+        if taken is None:
+            return not self._has_child and not self._is_leaving.is_set() and await self._take_next()
+        if taken.order is None:
+            return await self._over(taken, Status.FAILED, "", "another version of scuhand-bt has submitted it")
+        journal = self._journal_of(taken.order.key)
+        if self._has_child or (journal is not None and is_held(journal)):
+            await self._goes_on(taken, journal)
+            return False
+        if journal is None:
+            return await self._not_begun(taken, taken.order)
+        return await self._has_begun(taken, journal)
+
+    def _journal_of(self, key: str) -> Path | None:
+        """The journal of the run that was begun for an order."""
+        for journal in (*self._state.glob("runs/*.sqlite"), *self._state.glob("rescued-*/*.sqlite")):
+            if journal not in self._keys and (found := key_of(journal)) is not None:
+                self._keys[journal] = found
+        return next((journal for journal, of in self._keys.items() if of == key), None)
+
+    async def _take_next(self) -> bool:
+        if not self._manner.simulated and is_held(self._state / CELL):
+            await self._note("another run has the cell")
+            return False
+        self._child = None
+        if await self._queue.take(self.name) is not None:
+            self._idle = 0
+            return True
+        self._idle += 1
+        await self._note("waits for a job")
+        return self._idle % IDLE_LOOKS == 0 and await self._queue.take_over(self.name)
+
+    async def _goes_on(self, taken: Taken, journal: Path | None) -> None:
+        run = journal.stem if journal is not None else ""
+        if taken.job.abort_requested and journal is not None:
+            with suppress(TimeoutError):
+                say_wish(journal, "stop")
+        await self._note(f"runs job {taken.id}", taken, run, "goes on")
+
+    async def _not_begun(self, taken: Taken, order: Order) -> bool:
+        """Nothing has moved for it: it begins, unless it was refused, or is not wanted any more."""
+        log = self._orders / order.key / "output.txt"
+        if taken.job.abort_requested:
+            return await self._over(taken, Status.ABORTED, "", "cancelled before it began")
+        if self._child is not None:
+            said = log.read_text(encoding="utf-8", errors="replace").strip()[-LAST_WORDS:]
+            return await self._over(taken, Status.FAILED, "", f"it did not begin: {said}")
+        if self._is_leaving.is_set():
+            return False
+        try:
+            write(await self._queue.files(order), log.parent)
+        except (OSError, SourceError) as error:
+            return await self._over(taken, Status.FAILED, "", f"it did not begin: {error}")
+        how = ["--dry-run", "--seed", str(order.seed)] if self._manner.simulated else []
+        how += ["--unattended"] if self._manner.unattended else []
+        self._say(f"job {taken.id}: {order.recipe} begins")
+        await self._start(log, "run", str(log.parent / order.file), *how)
+        return False
+
+    async def _has_begun(self, taken: Taken, journal: Path) -> bool:
+        """What its journal says it has come to, as nobody is at it now."""
+        run, history = journal.stem, read_history(journal)
+        if (ended := history.ended) is not None and history.is_complete:
+            is_done = ended.exit_code in (ExitCode.OK, ExitCode.FLAGGED)
+            status = Status.SUCCEEDED if is_done else Status.FAILED
+            return await self._over(taken, status, run, _came_to(history))
+        if taken.job.abort_requested:
+            return await self._over(taken, Status.ABORTED, run, f"cancelled; {_came_to(history)}")
+        if self._is_leaving.is_set():
+            return False
+        if ended is None and self._manner.resumes and run not in self._resumed:
+            self._resumed.add(run)
+            self._say(f"job {taken.id}: {run} was killed, and is resumed")
+            await self._start(self._orders / "resume.txt", "resume", run)
+            return False
+        what = f"{_came_to(history)}; `scuhand-bt resume {run}` goes on with it"
+        await self._note(f"has to wait for job {taken.id}: {what}", taken, run, what)
+        return False
+
+    async def _start(self, log: Path, *words: str) -> None:
+        """A program for the run, which holds this lab's place for a station as long as it lives."""
+        who = ["--operator", self._manner.operator] if self._manner.operator is not None else []
+        command = [sys.executable, "-m", "scuhand_bt", *words, *who, "--quiet", "--lab", str(self._lab)]
+        with log.open("wb") as output:
+            self._child = await asyncio.create_subprocess_exec(
+                *command,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=output,
+                stderr=asyncio.subprocess.STDOUT,
+                cwd=self._state.parent,
+                pass_fds=(self._lock.fileno(),),
+            )
+
+    async def _over(self, taken: Taken, status: Status, run: str, said: str) -> bool:
+        await self._queue.note(taken.id, run, said)
+        await self._queue.finish(taken.id, status)
+        self._child = None
+        self._tell(f"job {taken.id}: {status.value}: {said}")
+        await self._enrol()
+        return True
+
+    async def _note(self, state: str, taken: Taken | None = None, run: str = "", said: str = "") -> None:
+        """What this station does now, for who looks at the queue."""
+        self._tell(state)
+        await self._queue.tell(self.name, state)
+        if taken is not None and (run, said) != (taken.job.task_kwargs.get("run"), taken.job.task_kwargs.get("said")):
+            await self._queue.note(taken.id, run, said)
+
+    def _tell(self, line: str) -> None:
+        if line != self._said:
+            self._say(line)
+            self._said = line
+
+
+def key_of(journal: Path) -> str | None:
+    """The key of the order that a run was begun for: its recipe is in the folder of that name. None: it has not begun.
+
+    SourceError for a journal that cannot be read: whose it is nobody knows, and no run is to be begun twice.
+    """
+    query = f"SELECT json_extract(payload, '$.recipe_path') FROM entry WHERE kind = '{RunBegun.KIND}'"
+    with suppress(OSError, sqlite3.Error), closing(read_only(journal)) as file:
+        if file.execute("PRAGMA user_version").fetchone()[0] == 0:
+            return None
+    with open_journal(journal) as (database, _):
+        row = database.execute(query).fetchone()
+        return Path(row[0]).parent.name if row is not None else None
+
+
+def _came_to(history: History) -> str:
+    last = {sample: result.verdict for (sample, _), result in history.samples.items()}
+    verdicts = list(last.values())
+    counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in dict.fromkeys(verdicts))
+    why = (history.ended.reason or "done") if history.ended is not None else "it was killed"
+    return f"{why} ({counts or 'no sample done'})"
+
+
+def _identity(file: Path) -> str:
+    """Of this lab's station, among those of the queue."""
+    if not file.exists():
+        file.write_text(json.dumps(secrets.token_hex(8)), encoding="utf-8")
+    return str(json.loads(file.read_text(encoding="utf-8")))

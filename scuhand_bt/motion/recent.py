@@ -1,0 +1,26 @@
+"""The last answers, by what was asked: what a long run asks for again is at hand, and what it does not is let go."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+Asked = TypeVar("Asked", bound=Hashable)
+Answer = TypeVar("Answer")
+
+
+class Recent(Generic[Asked, Answer]):
+    """At most so many answers are kept; the one that was not asked for longest goes first."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._answers: OrderedDict[Asked, Answer] = OrderedDict()
+
+    def of(self, asked: Asked, make: Callable[[], Answer]) -> Answer:
+        """The answer, made if it is not at hand."""
+        if asked in self._answers:
+            self._answers.move_to_end(asked)
+            return self._answers[asked]
+        answer = self._answers[asked] = make()
+        if len(self._answers) > self._most:
+            self._answers.popitem(last=False)
+        return answer

@@ -1,0 +1,59 @@
+"""`leftover`: what a recipe wants done with powder that is left in the cone.
+
+What went back to stock has been in the cone, over the pan and in the air; whether that may be is the chemist's to say.
+"""
+
+from collections.abc import Mapping
+from typing import get_args
+
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.problems import Problems, shorten
+from scuhand_bt.specs import Leftover, Source
+from scuhand_bt.yaml_source import Entries, Node, Scalar, describe
+
+POLICIES: Mapping[Leftover, str] = {
+    "keep": "it stays in the cone for the next sample of its lot, and goes back when there is none",
+    "return": "it goes back to its source after each sample",
+    "discard": "it goes to waste, or with `{to: STATION}` into another vessel",
+}
+assert set(POLICIES) == set(get_args(Leftover))
+TO = "to"
+
+
+def with_leftover(
+    sources: Mapping[str, Source], node: Node | None, cell: CellSpec, problems: Problems
+) -> dict[str, Source]:
+    """The sources, each knowing what becomes of what is left of it; what is wrong is noted."""
+    if node is None:
+        return dict(sources)
+    name = (node.text or "") if isinstance(node, Scalar) else ""
+    if name in POLICIES:
+        return _told(sources, {"leftover": name})
+    if not isinstance(node, Entries):
+        known = [*POLICIES, f"{{{TO}: STATION}}"]
+        problems.add(
+            node.mark, f"'leftover': {describe(node)} is no policy", unknown=name, known=known, code="unknown-name"
+        )
+        return dict(sources)
+    for key, mark in node.keys.items():
+        if key != TO:
+            problems.add(mark, f"unknown key '{shorten(key)}'", unknown=key, known=[TO], code="unknown-key")
+    vessel = node.get(TO)
+    if vessel is None:
+        problems.add(node.mark, f"'{TO}' is missing", "the station of the vessel", code="missing-key")
+        return dict(sources)
+    vessels = [station.name for station in cell.stations.values() if station.kind == "waste"]
+    name = (vessel.text or "") if isinstance(vessel, Scalar) else ""
+    if name not in vessels:
+        what = f"unknown vessel {describe(vessel)}: a station of the kind 'waste'"
+        problems.add(vessel.mark, what, unknown=name, known=vessels, code="unknown-name")
+        return dict(sources)
+    lots = sorted({source.sheet_key for source in sources.values()})
+    if len(lots) > 1:
+        what = f"what is left of {' and of '.join(lots)} would mix in '{name}'"
+        problems.add(vessel.mark, what, "a recipe for each lot, or the policy 'discard'", code="leftover-mixed")
+    return _told(sources, {"leftover": "discard", "leftover_to": name})
+
+
+def _told(sources: Mapping[str, Source], leftover: Mapping[str, str]) -> dict[str, Source]:
+    return {name: source.model_copy(update=leftover) for name, source in sources.items()}

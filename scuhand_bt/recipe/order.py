@@ -1,0 +1,75 @@
+"""The order of a batch's samples, by the powder lots on the sheet before and after each.
+
+by_powder         by the lot that each begins with, in the order of first mention
+as_written        as the recipe says
+fastest           with as few changes of the sheet between samples as there can be
+persons_together  by powder, with the two longest stretches that need no person first and last: whoever changes the
+                  sheets is needed only between them
+"""
+
+from collections import defaultdict, deque
+from collections.abc import Callable, Mapping, Sequence
+
+from scuhand_bt.recipe.sample import Sample
+
+ORDERS = ("by_powder", "as_written", "fastest", "persons_together")
+
+
+def in_order(order: str, samples: Sequence[Sample], duration_s: Callable[[Sample], float]) -> list[Sample]:
+    """The samples in one of `ORDERS`; `duration_s` forecasts one."""
+    if order == "as_written":
+        return list(samples)
+    if order == "fastest":
+        return _with_fewest_changes(samples)
+    groups: dict[str, list[Sample]] = defaultdict(list)
+    for sample in samples:
+        groups[_first(sample)].append(sample)
+    lots = list(groups)
+    if order == "persons_together":
+        alone = [lot for lot in lots if all(_first(one) == _last(one) for one in groups[lot])]
+        alone.sort(key=lambda lot: sum(map(duration_s, groups[lot])))
+        lots = [*alone[-2:-1], *(lot for lot in lots if lot not in alone[-2:]), *alone[-1:]]
+    return [sample for lot in lots for sample in groups[lot]]
+
+
+def _first(sample: Sample) -> str:
+    return sample.sources[0].sheet_key if sample.sources else ""
+
+
+def _last(sample: Sample) -> str:
+    return sample.last_source.sheet_key if sample.last_source is not None else ""
+
+
+def _with_fewest_changes(samples: Sequence[Sample]) -> list[Sample]:
+    """Samples are the edges of a graph of lots; it is covered by as few trails as can be.
+
+    Each trail goes on where the sheet is; a change leads from its end to the next one's start. With a change from each
+    lot where more samples end than begin to one where more begin, every connected part has an Eulerian circuit, found
+    by Hierholzer's algorithm (Mathematische Annalen 6, 30, 1873).
+    """
+    ways: dict[str, deque[tuple[str, Sample | None]]] = defaultdict(deque)
+    more_ends: dict[str, int] = defaultdict(int)
+    for sample in samples:
+        ways[_first(sample)].append((_last(sample), sample))
+        more_ends[_first(sample)] -= 1
+        more_ends[_last(sample)] += 1
+    ends = [lot for lot, more in more_ends.items() for _ in range(more)]
+    begins = [lot for lot, more in more_ends.items() for _ in range(-more)]
+    for end, begin in zip(ends, begins, strict=True):
+        ways[end].append((begin, None))
+    return [one for lot in list(ways) for one in _circuit(lot, ways) if one is not None]
+
+
+def _circuit(lot: str, ways: Mapping[str, deque[tuple[str, Sample | None]]]) -> list[Sample | None]:
+    """All ways of the connected part of a lot, each taken once; begun behind a change of the sheet (None)."""
+    found: list[Sample | None] = []
+    taken: list[tuple[str, Sample | None]] = [(lot, None)]
+    while taken:
+        at = taken[-1][0]
+        if ways[at]:
+            taken.append(ways[at].popleft())
+        else:
+            found.append(taken.pop()[1])
+    circuit = found[-2::-1]  # without the lot that it was begun at
+    behind = max((number + 1 for number, one in enumerate(circuit) if one is None), default=0)
+    return circuit[behind:] + circuit[:behind]

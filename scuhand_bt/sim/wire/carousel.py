@@ -1,0 +1,32 @@
+"""The twin of the carousel: one servo on a line of its own, and the wheel that its shaft carries."""
+
+from scuhand_bt.cell_spec import CarouselOptions
+from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
+from scuhand_bt.sim.wire.scene import Scene
+from scuhand_bt.sim.wire.servo import Servo
+
+STANDS = 0.15
+"""So near to its place over the pan, in slots, a container stands on it alone."""
+
+
+class CarouselTwin(DynamixelTwin):
+    """It is delivered with the pan bare, before the first slot."""
+
+    def __init__(self, options: CarouselOptions, scene: Scene) -> None:
+        self.pitch = 4096 / scene.slots * options.direction
+        self._first, self._slots = options.first_slot_count, scene.slots
+        self.shaft = Servo(options.servo_id, position=self._first - 0.5 * self.pitch)
+        super().__init__([self.shaft])
+        self._scene = scene
+        self.slot: int | None = None
+        """The slot whose container stands on the pan."""
+
+    def hear(self, data: bytes, now_s: float) -> list[bytes]:
+        """Obey, and carry containers along."""
+        said = super().hear(data, now_s)
+        place = (self.shaft.position - self._first) / self.pitch
+        slot = round(place) % self._slots if abs(place - round(place)) < STANDS else None
+        if slot != self.slot:
+            self.slot = slot
+            self._scene.bring(slot)
+        return said

@@ -1,0 +1,104 @@
+"""What of a plan is done in hours in which nobody comes."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+
+from scuhand_bt.lab import Lab
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.quantity import format_duration
+from scuhand_bt.recipe.order import ORDERS
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.study.odds import Odds
+
+
+@dataclass(frozen=True)
+class Night:
+    """From one time of the day until another, on the same day or the next."""
+
+    begins: datetime
+    ends: datetime
+
+    @property
+    def lasts_s(self) -> float:
+        return (self.ends - self.begins).total_seconds()
+
+    def clock(self, after_s: float) -> str:
+        """The time of the day, so long after it began; with the days that have gone by."""
+        at = self.begins + timedelta(seconds=after_s)
+        days = (at.date() - self.begins.date()).days
+        return f"{at:%H:%M}" + (f" (+{days} d)" if days > 1 else "")
+
+
+@dataclass(frozen=True)
+class Fate:
+    """A sample of the night."""
+
+    sample: str
+    done_s: float | None
+    """By when it is done in 19 of 20 nights; None for one that is not begun."""
+    why: str | None
+    """Why it does not fit."""
+
+
+def read_night(text: str) -> Night:
+    """`20:00-08:00`; SourceError for anything else."""
+    found = re.fullmatch(r"\s*(\d{1,2}:\d\d)\s*[-–]\s*(\d{1,2}:\d\d)\s*", text)
+    try:
+        begins, ends = (datetime.strptime(part, "%H:%M") for part in found.groups()) if found else (None, None)
+    except ValueError:
+        begins = ends = None
+    if begins is None or ends is None:
+        raise SourceError([Problem(Mark("--night", 0), f"'{text}' is no night; such as 20:00-08:00")])
+    return Night(begins, ends if ends > begins else ends + timedelta(days=1))
+
+
+def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
+    """Each sample in its order: done by then, or why not. What needs a person stops all that comes after it."""
+    needed = {person.job: person.what for person in plan.persons if person.job is not None}
+    waits: str | None = None
+    names = [job.name for job in plan.jobs]
+    for job, following in zip(plan.jobs, [*names[1:], None], strict=True):
+        if waits is None and job.name in needed:
+            waits = f"a person is needed before, at '{job.name}': {needed[job.name]}"
+        if job.sample is None:
+            continue
+        ended = odds.duration_s if following is None else odds.began_s.get(following)
+        done_s = ended.high if ended is not None and waits is None else None
+        late = done_s is None or done_s > night.lasts_s
+        yield Fate(job.name, done_s, waits or ("it may take longer" if late else None))
+
+
+def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> tuple[str, int] | None:
+    """An order of the recipe with which more samples are done, and how many, by the plan's own forecast of each."""
+    slower = odds.duration_s.high / plan.duration_s if plan.duration_s > 0.0 else 1.0
+
+    def done(order: str) -> int:
+        made = make_plan(replace(plan.recipe, order=order), lab)
+        needed, many = {person.job for person in made.persons}, 0
+        for job in made.jobs:
+            if job.name in needed or made.done_s[job.name] * slower > night.lasts_s:
+                break
+            many += job.sample is not None
+        return many
+
+    best = max(ORDERS, key=done)
+    return (best, done(best)) if done(best) > done(plan.recipe.order) else None
+
+
+def in_words(plan: Plan, lab: Lab, odds: Odds, night: Night) -> Iterator[str]:
+    """What a person is told of it."""
+    found = list(fates(plan, odds, night))
+    fit = [fate for fate in found if fate.why is None]
+    hours = f"from {night.clock(0.0)} to {night.clock(night.lasts_s)} ({format_duration(night.lasts_s)})"
+    last = f", the last by {night.clock(fit[-1].done_s or 0.0)}" if fit else ""
+    yield f"In a night {hours} with nobody there: {len(fit)} of {len(found)} samples{last}."
+    reasons: dict[str, list[str]] = {}
+    for fate in found:
+        if fate.why is not None:
+            reasons.setdefault(fate.why, []).append(fate.sample)
+    for why, samples in reasons.items():
+        yield f"Not {', '.join(samples)}: {why}."
+    if len(fit) < len(found) and (better := better_order(plan, lab, odds, night)) is not None:
+        yield f"With `order: {better[0]}` it would be about {better[1]}."

@@ -1,0 +1,42 @@
+"""Trials as a table: a row for each sample of each, for other programs."""
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from scuhand_bt.problems import Mark, Problem, SourceError
+from scuhand_bt.study.trial import Task, Trial
+
+KINDS = (".csv", ".parquet")
+
+
+def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:
+    """Write it as its suffix says. SourceError where that cannot be done."""
+    found = list(_rows(trials))
+    try:
+        if path.suffix.lower() == ".parquet":
+            import pyarrow
+            from pyarrow import parquet
+
+            parquet.write_table(pyarrow.Table.from_pylist(found), path)
+            return
+        with path.open("w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, found[0] if found else [])
+            table.writeheader()
+            table.writerows(found)
+    except ImportError:
+        raise _cannot(path, "it needs pyarrow; `pip install 'scuhand-bt[study]'`") from None
+    except OSError as error:
+        raise _cannot(path, error.strerror or str(error)) from None
+
+
+def _rows(trials: Sequence[tuple[Task, Trial]]) -> Iterator[dict[str, Any]]:
+    for (setup, seed), one in trials:
+        for sample in one.samples:
+            yield {"seed": seed, "run_s": round(one.duration_s, 1), **dict(setup.changes), **asdict(sample)}
+
+
+def _cannot(path: Path, why: str) -> SourceError:
+    return SourceError([Problem(Mark(str(path)), f"cannot be written: {why}")])

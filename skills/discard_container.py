@@ -1,0 +1,30 @@
+"""A container off the balance that counts no more."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from scuhand_bt.cell.weighing import take_container_away
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.skill import Cell, ContainerDiscarded, Forecast, Skill, Steps
+
+
+class DiscardContainer(Skill[None]):
+    """Take the container off the pan to throw away what is in it: what was dosed into it is no dose of the sample."""
+
+    devices = ("changer", "balance")
+    typical_s = 9.0
+    interrupted = "repeat"
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        by_hand = cell.changer.driver == "operator"
+        what = "take the container off the pan, and throw away what is in it"
+        return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
+
+    def run(self, cell: Cell) -> Steps[None]:
+        believed = cell.believed
+        of_bracket = believed.bracket.container if believed.bracket is not None else None
+        container = believed.pan.id if believed.pan is not None else of_bracket
+        if container is not None:  # else it went before an interruption
+            cell.record.event(ContainerDiscarded(container=container))
+        yield from take_container_away(cell)

@@ -1,0 +1,567 @@
+"""Several cells on one queue: who can do what, a job is one run, and whatever dies, nothing is done twice."""
+
+import asyncio
+import base64
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import REPOSITORY, Call, LabFolder
+from procrastinate.jobs import Status
+from running import make_lab
+
+from harness.fleet import chaos
+from harness.postgres import Server, server, tools
+from scuhand_bt.fleet.needs import Offer, missing, needs_of, offer_of
+from scuhand_bt.fleet.order import Submission, submission_of, write
+from scuhand_bt.fleet.queue import KnownStation, Queue, QueuedJob, choose, open_queue
+from scuhand_bt.fleet.station import Manner, Station
+from scuhand_bt.journal.presence import Presence
+from scuhand_bt.journal.reader import read
+from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.lab_state.inventory import Inventory, StockEntry
+from scuhand_bt.problems import SourceError
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+
+pytestmark = pytest.mark.xdist_group("postgres")
+RECIPE = """recipe: queued
+workflow: fill_xrd_holder
+sources:
+  beads: {{station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g, lot: GB-1}}
+defaults: {{source: beads, container: xrd_holder, tolerance: 2 mg}}
+samples: [{{id: a, mass: 30 mg, repeat: {count}}}]
+"""
+PATIENCE_S = 300.0
+
+
+def plan_of(lab: Path, name: str = "queued.yaml", text: str | None = None, count: int = 2) -> Plan:
+    recipe = lab / name
+    recipe.write_text(text or RECIPE.format(count=count), encoding="utf-8")
+    loaded = load_lab(lab)
+    return make_plan(load_recipe(recipe, loaded), loaded)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    return plan_of(make_lab(tmp_path_factory.mktemp("lab")))
+
+
+@pytest.fixture
+def order(plan: Plan) -> Submission:
+    return submission_of(plan, simulated=True)
+
+
+def but(one: Submission, **changes: Any) -> Submission:
+    """The same, with another order."""
+    return replace(one, order=one.order.model_copy(update=changes))
+
+
+@pytest.fixture(scope="module")
+def offer(starter: Lab) -> Offer:
+    return offer_of(starter, simulated=True, unattended=False)
+
+
+# --- who can do it
+
+
+def test_a_station_with_all_that_a_recipe_names_lacks_nothing(plan: Plan, offer: Offer) -> None:
+    assert missing(needs_of(plan, simulated=True), offer) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"simulated": False}, "it is a real one, and simulated devices are asked for"),
+        ({"maximum_mg": 100.0}, "its balance's maximum is 100.0 mg, and "),
+        (
+            {"least_tolerance_mg": 2.5},
+            "the narrowest tolerance that its balance can tell is 2.5 mg, and the recipe's is 2",
+        ),
+        ({"lots": {"mortar_bay": "glass_beads/GB-0"}}, "its mortar_bay holds glass_beads/GB-0, not glass_beads/GB-1"),
+        ({"powder": ()}, "it has no powder 'glass_beads'"),
+        ({"container": ()}, "it has no container 'xrd_holder'"),
+        ({"mortar": ()}, "it has no mortar 'agate_mortar'"),
+        ({"workflow": ("finish_batch",)}, "it has no workflow 'fill_xrd_holder'"),
+        ({"mortar station": ("mortar_bay_2",)}, "it has no mortar station 'mortar_bay'"),
+    ],
+)
+def test_what_a_station_lacks_is_said(plan: Plan, offer: Offer, changes: dict[str, Any], words: str) -> None:
+    names = {**offer.names, **{key: value for key, value in changes.items() if key in offer.names}}
+    others = {key: value for key, value in changes.items() if key not in offer.names}
+    (lack,) = missing(needs_of(plan, simulated=True), offer.model_copy(update={"names": names, **others}))
+    assert lack.startswith(words)
+
+
+def test_an_unattended_station_lacks_the_person_that_a_plan_needs(tmp_path: Path, offer: Offer) -> None:
+    lab = make_lab(tmp_path / "lab")
+    cell = (lab / "robot" / "cell.yaml").read_text().replace("driver: carousel, slots: 24", "driver: operator")
+    (lab / "robot" / "cell.yaml").write_text(cell)
+    needs = needs_of(plan_of(lab), simulated=True)
+    (lack,) = missing(needs, offer.model_copy(update={"unattended": True}))
+    assert lack.startswith("it is unattended, and a person is needed at 'a-1'")
+    assert missing(needs, offer) == []
+
+
+def test_a_real_station_offers_the_lots_of_its_inventory_and_a_simulated_one_any(lab_folder: LabFolder) -> None:
+    lab = lab_folder.load()
+    inventory = Inventory(lab.folder / ".scuhand", lab.cell.cell)
+    inventory.enter(StockEntry("station", "mortar_bay", "glass_beads", "GB-7", mass_mg=5000.0))
+    inventory.enter(StockEntry("station", "mortar_bay_2", "glass_beads", "GB-8", mass_mg=0.0))
+    assert offer_of(lab, simulated=False, unattended=False).lots == {"mortar_bay": "glass_beads/GB-7"}
+    assert offer_of(lab, simulated=True, unattended=False).lots == {}
+
+
+def known(offer: Offer, name: str, ahead_s: float, silent_s: float = 1.0) -> KnownStation:
+    return KnownStation(name, offer, "", silent_s, 1, ahead_s)
+
+
+def test_an_order_goes_where_least_is_before_it_and_to_who_is_not_there_last(order: Submission, offer: Offer) -> None:
+    stations = [known(offer, "busy", 5000.0), known(offer, "gone", 0.0, 61.0), known(offer, "idle", 4000.0)]
+    (one,) = choose([order], stations)
+    assert one.order.stations == ("idle", "busy", "gone")
+    many = choose([but(order, duration_s=600.0)] * 4, stations)
+    assert [each.order.stations[0] for each in many] == ["idle", "idle", "busy", "idle"], (
+        "what goes there counts at once"
+    )
+    assert choose([order], stations, only="busy")[0].order.stations == ("busy",)
+
+
+def test_an_order_that_no_station_can_do_says_what_is_missing_where(order: Submission, offer: Offer) -> None:
+    bare = offer.model_copy(update={"names": {**offer.names, "powder": (), "mortar": ()}})
+    stations = [known(bare, "bare", 0.0), known(offer.model_copy(update={"simulated": False}), "real", 0.0)]
+    with pytest.raises(SourceError) as error:
+        choose([order], stations)
+    assert str(error.value) == (
+        "queued.yaml: no station can do it: at bare it has no powder 'glass_beads'; it has no mortar 'agate_mortar'; "
+        "at real it is a real one, and simulated devices are asked for"
+    )
+    for only, words in ((None, "there is no station"), ("nowhere", "no such station")):
+        with pytest.raises(SourceError, match=words):
+            choose([order], [], only)
+
+
+# --- what an order carries
+
+
+def test_an_order_carries_the_recipe_and_its_tables_byte_for_byte(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    (lab / "tables").mkdir()
+    table = "\ufeffid;mass [mg]\r\nb;30,5\r\n".encode()
+    (lab / "tables" / "t.csv").write_bytes(table)
+    text = RECIPE.format(count=1).replace("samples: [", "samples: [{table: tables/t.csv}, ")
+    made = submission_of(plan_of(lab, text=text), simulated=True)
+    write(json.loads(json.dumps(made.files)), tmp_path / "there")
+    assert (tmp_path / "there" / "queued.yaml").read_text() == text
+    assert (tmp_path / "there" / "tables" / "t.csv").read_bytes() == table
+
+
+def test_a_table_elsewhere_is_refused_by_who_submits_and_by_who_would_write_it(tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    (lab / "t.csv").write_text("id,mass\nb,30 mg\n")
+    (lab / "recipes").mkdir()
+    text = RECIPE.format(count=1).replace("samples: [", "samples: [{table: ../t.csv}, ")
+    plan = plan_of(lab, "recipes/r.yaml", text)
+    with pytest.raises(SourceError, match="put the table beside it"):
+        submission_of(plan, simulated=True)
+    for name in ("../out.csv", "/tmp/out.csv"):
+        with pytest.raises(SourceError, match="the recipe's own folder"):
+            write({name: ""}, tmp_path / "there")
+
+
+# --- the queue
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[Server]:
+    if tools() is None:
+        pytest.skip("no PostgreSQL here: apt install postgresql")
+    with server() as made:
+        yield made
+
+
+@pytest.fixture
+def database(postgres: Server, request: pytest.FixtureRequest) -> str:
+    """A new database for each test."""
+    name = f"d{abs(hash(request.node.nodeid))}"
+    create = ["psql", "-X", "-q", postgres.address(), "-c", f"CREATE DATABASE {name}"]
+    subprocess.run(create, check=True, capture_output=True)
+    return postgres.address(name)
+
+
+@asynccontextmanager
+async def enrolled(database: str, offer: Offer, *names: str) -> AsyncIterator[Queue]:
+    async with open_queue(database) as queue:
+        for name in names:
+            assert await queue.enrol(name, f"identity of {name}", offer)
+        yield queue
+
+
+def run(coroutine: Coroutine[Any, Any, None]) -> None:
+    asyncio.run(asyncio.wait_for(coroutine, PATIENCE_S))
+
+
+def test_a_station_has_one_job_at_a_time_in_the_order_of_their_coming(
+    database: str, order: Submission, offer: Offer
+) -> None:
+    async def check() -> None:
+        async with enrolled(database, offer, "one", "two") as queue:
+            here = but(order, stations=("one",))
+            orders = [but(here, key=key) for key in ("first", "second")]
+            first, second = await queue.submit(orders)
+            assert await queue.files(orders[0].order) == order.files
+            taken = await queue.take("one")
+            assert taken is not None
+            assert (taken.id, taken.order) == (first, orders[0].order)
+            assert await queue.take("one") is None, "it has one"
+            assert await queue.take("two") is None, "and these are not for it"
+            assert (again := await queue.taken("one")) is not None
+            assert again.id == first
+            await queue.finish(first, Status.SUCCEEDED)
+            assert (after := await queue.take("one")) is not None
+            assert after.id == second
+
+    run(check())
+
+
+def test_an_idle_station_takes_over_the_oldest_job_that_it_can_do_and_none_that_is_run(
+    database: str, order: Submission, offer: Offer
+) -> None:
+    async def check() -> None:
+        async with enrolled(database, offer, "one", "two", "three") as queue:
+            both = but(order, stations=("one", "two"))
+            numbers = await queue.submit([but(both, key=key) for key in "abc"])
+            assert await queue.take("one") is not None
+            assert not await queue.take_over("three")
+            assert await queue.take_over("two")
+            assert (taken := await queue.take("two")) is not None
+            assert taken.id == numbers[1]
+            assert {job.id: job.station for job in await queue.jobs(every=False, limit=9)} == {
+                numbers[0]: "one",
+                numbers[1]: "two",
+                numbers[2]: "one",
+            }
+
+    run(check())
+
+
+def test_what_stations_say_of_themselves_is_seen_with_what_is_before_them(
+    database: str, order: Submission, offer: Offer
+) -> None:
+    async def check() -> None:
+        async with enrolled(database, offer, "one", "two") as queue:
+            assert not await queue.enrol("one", "another lab's", offer), "its name is taken"
+            here = but(order, stations=("one",), duration_s=70.0)
+            numbers = await queue.submit([but(here, key=key) for key in "ab"])
+            await queue.tell("one", "dreams")
+            one, two = await queue.stations()
+            assert (one.state, one.jobs, one.ahead_s, one.offer, one.is_there) == ("dreams", 2, 140.0, offer, True)
+            assert (two.jobs, two.ahead_s) == (0, 0.0)
+            assert not await queue.forget("one"), "it has jobs"
+            assert [await queue.cancel(number) for number in numbers] == [True, True]
+            assert not await queue.cancel(numbers[0]), "it is over"
+            assert await queue.take("one") is None
+            assert await queue.forget("one")
+            assert [station.name for station in await queue.stations()] == ["two"]
+
+    run(check())
+
+
+def test_two_programs_may_make_the_tables_at_once_and_later_ones_find_them(database: str) -> None:
+    async def look() -> None:
+        async with open_queue(database) as queue:
+            assert await queue.stations() == []
+
+    async def check() -> None:
+        await asyncio.gather(look(), look(), look())
+        await look()
+
+    run(check())
+
+
+def test_a_database_that_is_not_there_is_said_with_where_and_what_to_read(command: Call) -> None:
+    for words in (["queue"], ["fleet"], ["cancel", 1], ["station", "--dry-run"]):
+        code, _, err = command(*words, "--database", "host=127.0.0.1 port=1")
+        assert code == 2
+        assert "the queue's database (host=127.0.0.1 port=1)" in err
+        assert "Connection refused" in err
+        assert err.strip().endswith("docs/fleet.md sets it up")
+
+
+# --- stations, with runs in programs of their own
+
+
+async def works(
+    station: Station, queue: Queue, until: Callable[[list[QueuedJob]], Awaitable[bool] | bool]
+) -> list[QueuedJob]:
+    """Let a station work until something is so of the jobs; these, the oldest first."""
+    working = asyncio.ensure_future(station.work())
+    try:
+        while True:
+            jobs = (await queue.jobs(every=True, limit=99))[::-1]
+            if working.done():
+                await working
+            if (is_so := until(jobs)) is True or (not isinstance(is_so, bool) and await is_so):
+                return jobs
+            await asyncio.sleep(0.05)
+    finally:
+        station.leave()
+        await working
+
+
+def all_over(jobs: list[QueuedJob]) -> bool:
+    return all(job.status not in ("todo", "doing") for job in jobs)
+
+
+def journals(lab: Path) -> list[Path]:
+    return sorted((lab / ".scuhand" / "runs").glob("*.sqlite"))
+
+
+def test_jobs_are_run_once_each_and_marked_from_their_journals_and_one_that_cannot_begin_says_why(
+    database: str, tmp_path: Path
+) -> None:
+    lab, said = make_lab(tmp_path / "lab"), list[str]()
+    good, bad = plan_of(lab), plan_of(lab, "bad.yaml")
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            station = Station(queue, lab, "here", Manner(simulated=True), said.append, look_s=0.1)
+            wrong = submission_of(bad, simulated=True)
+            wrong = replace(wrong, files={"bad.yaml": base64.b64encode(b"recipe: bad\n").decode()})
+            orders = [wrong, submission_of(good, simulated=True, seed=5)]
+            await queue.submit([but(order, stations=("here",)) for order in orders])
+            first, second = await works(station, queue, all_over)
+            assert (first.status, first.run) == ("failed", "")
+            assert first.said.startswith("it did not begin: ")
+            assert "bad.yaml:1:1: 'samples' is missing" in first.said
+            (journal,) = journals(lab)
+            assert (second.status, second.run) == ("succeeded", journal.stem)
+            assert second.said == "done (2 in tolerance)"
+            facts = {row["key"]: row["value"] for row in read(journal, "run")}
+            assert (facts["simulated"], facts["seed"]) == ("true", "5")
+
+    run(check())
+    assert "job 2: succeeded: done (2 in tolerance)" in said
+
+
+def test_a_run_that_was_killed_holds_its_station_until_it_is_resumed_and_is_then_marked(
+    database: str, tmp_path: Path
+) -> None:
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab, count=20), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            here = but(order, stations=("here",))
+            await queue.submit([here, but(here, key="another")])
+            station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
+
+            def kill_it(jobs: list[QueuedJob]) -> bool:
+                if jobs[0].run and (child := station._child) is not None and child.returncode is None:
+                    child.send_signal(signal.SIGKILL)
+                return "was killed" in jobs[0].said
+
+            await works(station, queue, kill_it)
+            (journal,) = journals(lab)
+            (state,) = [one.state for one in await queue.stations()]
+            assert f"`scuhand-bt resume {journal.stem}` goes on with it" in state
+            station = Station(queue, lab, "here", Manner(simulated=True, resumes=True), print, look_s=0.1)
+            first, second = await works(station, queue, lambda jobs: jobs[0].status != "doing" and jobs[1].run != "")
+            assert (first.status, first.run, first.said) == ("succeeded", journal.stem, "done (20 in tolerance)")
+            assert second.status == "doing"
+
+    run(check())
+    assert len(journals(lab)) == 2
+
+
+@pytest.mark.slow
+def test_a_job_that_is_cancelled_while_it_is_run_stops_after_its_sample(database: str, tmp_path: Path) -> None:
+    lab = make_lab(tmp_path / "lab")
+    order = submission_of(plan_of(lab, count=300), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            (number,) = await queue.submit([but(order, stations=("here",))])
+            station = Station(queue, lab, "here", Manner(simulated=True), print, look_s=0.1)
+
+            async def cancelled(jobs: list[QueuedJob]) -> bool:
+                if jobs[0].run and jobs[0].status == "doing" and not jobs[0].is_to_stop:
+                    await queue.cancel(number)
+                return jobs[0].status == "aborted"
+
+            (job,) = await works(station, queue, cancelled)
+            assert job.said.startswith("cancelled; ")
+            assert "interrupted" not in job.said, "no sample is left half done"
+
+    run(check())
+    (journal,) = journals(lab)
+    ended = [row["payload"] for row in read(journal, "event") if row["kind"] == "ended"]
+    assert [one["complete"] for one in ended] == [False]
+
+
+def test_a_lab_has_one_station_and_a_name_one_lab(database: str, tmp_path: Path) -> None:
+    labs = [make_lab(tmp_path / name) for name in ("one", "two")]
+    said: list[str] = []
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            station = Station(queue, labs[0], None, Manner(simulated=True), said.append, look_s=0.1)
+            (labs[0] / ".scuhand").mkdir()
+            with Presence(labs[0] / ".scuhand" / "queue"):  # as the run of a station that was killed
+                waiting = asyncio.ensure_future(station.work())
+                while not said:
+                    await asyncio.sleep(0.05)
+                assert "waiting for it" in said[0]
+                assert await queue.stations() == []
+            while "waits for a job" not in said:
+                await asyncio.sleep(0.05)
+            other = Station(queue, labs[1], "starter", Manner(simulated=True), said.append, look_s=0.1)
+            with pytest.raises(SourceError, match="is another lab's"):
+                await other.work()
+            station.leave()
+            await waiting
+
+    run(check())
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_and_is_marked_while_the_database_is_away(
+    postgres: Server, database: str, tmp_path: Path
+) -> None:
+    lab, said = make_lab(tmp_path / "lab"), list[str]()
+    order = submission_of(plan_of(lab, count=20), simulated=True)
+
+    async def check() -> None:
+        async with open_queue(database) as queue:
+            await queue.submit([but(order, stations=("here",))])
+            station = Station(queue, lab, "here", Manner(simulated=True), said.append, look_s=0.1)
+            working = asyncio.ensure_future(station.work())
+            while "runs job 1" not in said:
+                await asyncio.sleep(0.05)
+            await asyncio.to_thread(postgres.stop, "immediate")
+            while not any("is not reached" in line for line in said):
+                await asyncio.sleep(0.05)
+            await asyncio.to_thread(postgres.start)
+            while not any(line.startswith("job 1: ") and "succeeded" in line for line in said):
+                await asyncio.sleep(0.05)
+            station.leave()
+            await working
+
+    run(check())
+    assert len(journals(lab)) == 1
+
+
+def test_commands_submit_list_and_cancel(database: str, tmp_path: Path, command: Call, offer: Offer) -> None:
+    async def enrol() -> None:
+        async with enrolled(database, offer, "here"):
+            pass
+
+    run(enrol())
+    recipe = REPOSITORY / "recipes" / "synthesis_batch.yaml"
+    where = ("--database", database)
+    assert command("submit", recipe, *where)[0] == 2, "the only station is simulated"
+    code, out, _ = command("submit", recipe, "--dry-run", *where)
+    assert (code, out) == (0, f"job 1: {recipe} at here\n")
+    code, out, _ = command("queue", "--json", *where)
+    (job,) = json.loads(out)
+    assert (job["recipe"], job["station"], job["status"], job["simulated"]) == ("synthesis-batch", "here", "todo", True)
+    assert "SIMULATED" in command("queue", *where).stdout
+    assert command("cancel", 1, *where).returncode == 0
+    assert command("cancel", 1, *where).returncode == 2
+    assert "is empty" in command("queue", *where).stdout
+    assert "here" in command("fleet", *where).stdout
+    assert command("fleet", "--forget", "nobody", *where).returncode == 2
+    assert "no stations" in command("fleet", "--forget", "here", *where).stdout
+
+
+def test_a_real_station_asks_whose_its_runs_are(command: Call) -> None:
+    code, _, err = command("station")
+    assert code == 2
+    assert "--operator" in err
+
+
+@pytest.mark.slow
+def test_no_kill_makes_a_fleet_do_anything_twice_or_lose_a_job(postgres: Server, tmp_path: Path) -> None:
+    done = chaos(tmp_path, postgres, kills=12, seed=0)
+    assert done.tally.problems == []
+    assert done.kills.total() >= 12
+    assert done.jobs == {"succeeded": done.jobs["succeeded"]}
+
+
+# --- the page
+
+PAGE = (REPOSITORY / "docs" / "fleet.md").read_text(encoding="utf-8")
+ETC = "/etc/postgresql/15/main"
+PASSWORD = "correct horse"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(tools() is None, reason="no PostgreSQL here: apt install postgresql")
+def test_the_queue_is_set_up_and_used_as_the_page_says(tmp_path: Path) -> None:
+    """Server and clients with the page's own commands and files; only places, the port and the password differ."""
+    setup, use = re.findall(r"^```sh\n(.*?)^```", PAGE, re.M | re.S)
+    settings, access, service, password, _ = re.findall(r"^```ini\n(.*?)^```", PAGE, re.M | re.S)
+    with server() as made:
+        data = made.folder / "data"
+        for line in setup.splitlines()[1:]:
+            words = shlex.split(line.replace(ETC, str(data)))
+            assert words[:3] == ["sudo", "-u", "postgres"]
+            made.run(*words[3:], answers=f"{PASSWORD}\n{PASSWORD}\n")
+        with (data / "postgresql.conf").open("a") as file:
+            file.write(settings.replace(ETC, str(data)).replace("queue.lab.example", "127.0.0.1"))
+        (data / "pg_hba.conf").write_text(access)
+        made.restart()
+        home = tmp_path / "home"
+        (home / ".postgresql").mkdir(parents=True)
+        (home / ".postgresql" / "root.crt").write_bytes((data / "queue.crt").read_bytes())
+        (home / ".pg_service.conf").write_text(service)
+        (home / ".pgpass").write_text(password.replace("5432", str(made.port)).replace("the password", PASSWORD))
+        (home / ".pgpass").chmod(0o600)
+        lab = make_lab(tmp_path / "lab")
+        shutil.copytree(REPOSITORY / "recipes", lab / "recipes")
+        here = {**os.environ, "HOME": str(home), "PGHOSTADDR": "127.0.0.1", "PGPORT": str(made.port)}
+        (variable, station, *commands) = (shlex.split(line)[1:] for line in use.splitlines())
+        environment = {**here, **dict([variable[0].split("=")])}
+
+        def command(*words: str) -> "subprocess.CompletedProcess[str]":
+            program = [sys.executable, "-m", "scuhand_bt", *words]
+            return subprocess.run(program, env=environment, cwd=lab, capture_output=True, text=True)
+
+        said = tmp_path / "said.txt"
+        with said.open("w") as output:
+            works = subprocess.Popen(
+                [sys.executable, "-m", "scuhand_bt", *station], env=environment, cwd=lab, stdout=output, stderr=output
+            )
+        try:
+            await_line(said, "waits for a job")
+            submit, queue, fleet = commands
+            assert command(*submit).stdout == "job 1: recipes/xrd_holders.yaml at trial\n"
+            await_line(said, "job 1: succeeded: done (8 in tolerance)")
+            assert "succeeded" in command(*queue).stdout
+            assert "trial" in command(*fleet).stdout
+            plain = command("queue", "--database", "service=scuhand sslmode=disable")
+            assert (plain.returncode, "no encryption" in plain.stderr) == (2, True)
+            (home / ".pgpass").unlink()
+            assert "password" in command("queue").stderr
+        finally:
+            works.terminate()
+            assert works.wait() == 0
+
+
+def await_line(file: Path, line: str) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while line not in file.read_text().splitlines():
+        assert time.monotonic() < until_s, file.read_text()
+        time.sleep(0.1)

@@ -1,0 +1,111 @@
+"""A step of the zero that comes while the bare pan is not yet at rest."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.bench import Bench
+from harness.falsify import Falsifier, Tally
+from harness.ills_balance import Between
+from harness.worlds import HostileWorld
+from scuhand_bt.dosing.characteristic import Step, step_of
+from scuhand_bt.dosing.hidden_step import hidden_step_mg
+
+FINE_S, PERIOD_S, DIGIT_MG, MASS_MG = 0.005, 0.1, 0.1, 9200.0
+TIMES_S = np.arange(0.0, 14.0, FINE_S)
+Filter = Callable[[np.ndarray], np.ndarray]
+
+
+def poles(tau_s: float) -> Filter:
+    def filtered(load_mg: np.ndarray) -> np.ndarray:
+        for _ in range(2):
+            shown_mg = np.empty_like(load_mg)
+            shown_mg[0] = now_mg = load_mg[0]
+            for number in range(1, len(load_mg)):
+                now_mg += (load_mg[number] - now_mg) * -np.expm1(-FINE_S / tau_s)
+                shown_mg[number] = now_mg
+            load_mg = shown_mg
+        return load_mg
+
+    return filtered
+
+
+def mean(over_s: float) -> Filter:
+    many = round(over_s / FINE_S)
+    return lambda load_mg: np.convolve(np.r_[np.full(many - 1, load_mg[0]), load_mg], np.full(many, 1 / many), "valid")
+
+
+def ringing(load_mg: np.ndarray) -> np.ndarray:
+    shown_mg, speed = np.empty_like(load_mg), 0.0
+    shown_mg[0] = load_mg[0]
+    for number in range(1, len(load_mg)):
+        speed += FINE_S * (25.0 * (load_mg[number] - shown_mg[number - 1]) - 5.0 * speed)
+        shown_mg[number] = shown_mg[number - 1] + FINE_S * speed
+    return shown_mg
+
+
+FILTERS = {"0.3 s": poles(0.3), "0.6 s": poles(0.6), "a mean": mean(1.0), "ringing": ringing}
+
+
+def shown(filtered: Filter, load_mg: np.ndarray, changed_s: float, rng: np.random.Generator) -> Step:
+    every = round(PERIOD_S / FINE_S)
+    times_s = TIMES_S[::every]
+    values_mg = filtered(load_mg)[::every] + 0.05 * rng.standard_normal(len(times_s))
+    values_mg = np.round(values_mg / DIGIT_MG) * DIGIT_MG
+    curve = list(zip(times_s.tolist(), values_mg.tolist(), strict=True))
+    step = step_of(curve, float(values_mg[:5].mean()), float(values_mg[-5:].mean()), changed_s)
+    assert step is not None
+    return step
+
+
+def told_mg(filtered: Filter, stepped_mg: float, after_s: float, seed: int = 0) -> float:
+    """What is told of a zero that steps so long after the container went."""
+    rng = np.random.default_rng(seed)
+    at_s = 1.0 + rng.uniform(0.0, PERIOD_S)
+    came = shown(filtered, np.where(at_s > TIMES_S, 0.0, MASS_MG), at_s, rng)
+    at_s = 1.0 + rng.uniform(0.0, PERIOD_S)
+    load_mg = np.where(at_s > TIMES_S, MASS_MG + 35.0, 0.0) + np.where(at_s + after_s > TIMES_S, 0.0, stepped_mg)
+    return hidden_step_mg(came, shown(filtered, load_mg, at_s, rng), DIGIT_MG)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pan_that_comes_to_rest_as_it_did_before_hides_nothing(name: str, seed: int) -> None:
+    assert told_mg(FILTERS[name], 0.0, 0.0, seed) == 0.0
+
+
+@pytest.mark.parametrize("stepped_mg", [3.0, -3.0, 1.5])
+@pytest.mark.parametrize(("name", "after_s"), [("0.3 s", 2.5), ("0.3 s", 3.3), ("0.6 s", 5.0), ("a mean", 1.2)])
+def test_a_step_on_a_pan_that_is_not_yet_at_rest_is_told(name: str, after_s: float, stepped_mg: float) -> None:
+    assert told_mg(FILTERS[name], stepped_mg, after_s) == pytest.approx(abs(stepped_mg), rel=0.35)
+
+
+def test_too_little_of_a_curve_tells_nothing() -> None:
+    short = Step(-MASS_MG, (0.1, 0.2), (0.5, 0.0))
+    assert hidden_step_mg(short, short, DIGIT_MG) == 0.0
+
+
+@dataclass
+class Once(Between):
+    """It pushes at one container only, from when powder falls."""
+
+    container: str = ""
+    after_s: float = 0.0
+
+    def force_mg(self, bench: Bench, dt_s: float) -> float:
+        is_another = bench.container not in (None, self.container)
+        if is_another or bench.now_s < bench.at.get("opened", 0.0) + self.after_s:
+            return 0.0
+        return super().force_mg(bench, dt_s)
+
+
+def test_the_only_step_of_a_run_is_found_where_it_ends_on_a_pan_that_comes_to_rest(tmp_path: Path) -> None:
+    ill = Once("opened", "bare", (-3.0,), later_s=3.0, container="b-xrd-2", after_s=3.5)
+    falsifier, tally = Falsifier(tmp_path, ("short",)), Tally("once")
+    falsifier.run_once(HostileWorld("once", "", lambda: [ill]), "short", 54002, tally)
+    assert ill._seen_s is not None, "it came"
+    assert tally.false_goods == []
+    assert tally.flagged["balance.bracket_open"] > 0

@@ -1,0 +1,115 @@
+"""What becomes of powder that is left in the cone: the recipe's to say, else the workflow's."""
+
+from collections import Counter
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from conftest import read
+from running import Ran, dry_run, make_lab
+
+from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.load import Load
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.skill import SkillFailed
+from scuhand_bt.specs import Source
+
+RECIPE = """
+recipe: two
+workflow: WORKFLOW
+LEFTOVER
+defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
+samples:
+  - {id: a, mass: 300 mg}
+  - {id: b, mass: 300 mg}
+"""
+
+
+def run(tmp_path: Path, workflow: str, leftover: str, lab: Path | None = None) -> Ran:
+    line = f"leftover: {leftover}" if leftover else ""
+    return dry_run(tmp_path, RECIPE.replace("WORKFLOW", workflow).replace("LEFTOVER", line), lab=lab)
+
+
+def events(ran: Ran, *kinds: str) -> list[tuple[str, dict[str, object]]]:
+    return [(event["kind"], event["payload"]) for event in read(ran.journal, "event") if event["kind"] in kinds]
+
+
+@pytest.mark.parametrize(
+    ("workflow", "leftover", "came"),
+    [
+        ("scoop_and_dispense", "", {"scoop": 2, "returned": 2}),
+        ("scoop_and_dispense", "keep", {"scoop": 1, "kept": 2, "returned": 1}),
+        ("scoop_and_dispense", "discard", {"scoop": 2, "discarded": 2}),
+        ("fill_crucible", "", {"scoop": 1, "kept": 2, "returned": 1}),
+        ("fill_crucible", "return", {"scoop": 2, "returned": 2}),
+        ("fill_crucible", "discard", {"scoop": 2, "discarded": 2}),
+    ],
+)
+def test_what_is_left_is_kept_returned_or_discarded(
+    tmp_path: Path, workflow: str, leftover: str, came: dict[str, int]
+) -> None:
+    ran = run(tmp_path, workflow, leftover)
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 2
+    assert Counter(kind for kind, _ in events(ran, "scoop", "kept", "returned", "discarded")) == came
+    world = ran.session.world
+    assert world is not None
+    assert (world.masses_mg["waste"] > 1000.0) == (leftover == "discard")
+    assert world.masses_mg["cone"] < 1.0, "after the last sample nothing is kept"
+
+
+def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_is_believed_without_it(
+    tmp_path: Path,
+) -> None:
+    lab = make_lab(tmp_path / "lab")
+    cell = lab / "robot" / "cell.yaml"
+    text = cell.read_text(encoding="utf-8")
+    jar = "  jar: {kind: waste, position: [0 mm, 320 mm, 100 mm]}\n  sheet_swap:"
+    cell.write_text(text.replace("  sheet_swap:", jar), encoding="utf-8")
+    assert "jar" in load_lab(lab).cell.stations
+    ran = run(tmp_path, "fill_crucible", "{to: jar}", lab)
+    gone = [payload for _, payload in events(ran, "discarded")]
+    assert [(one["source"], one["to"]) for one in gone] == [("beads", "jar")] * 2
+    world, believed = ran.session.world, ran.session.cell.believed
+    assert world is not None
+    assert believed.sources_mg["beads"] == pytest.approx(world.masses_mg["source:beads"], abs=1000.0)
+    assert world.masses_mg["source:beads"] < 15_000.0
+
+
+def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_record_has_which(tmp_path: Path) -> None:
+    text = RECIPE.replace("WORKFLOW", "scoop_and_dispense").replace("LEFTOVER", "")
+    salt = "salt: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, lot: B, amount: 9 g}"
+    text = text.replace("amount: 20 g}}", f"amount: 20 g}}, {salt}}}").replace("{id: b,", "{id: b, source: salt,")
+    ran = dry_run(tmp_path, text)
+    (asked,) = events(ran, "asked")
+    assert "wipe both rollers and the clamp: they and this sheet have touched glass_beads" in str(asked[1]["question"])
+    assert [payload["touched"] for _, payload in events(ran, "sheet")] == ["glass_beads"]
+
+
+@pytest.mark.parametrize(
+    ("wanted_mg", "held_mg", "begins"),
+    [
+        (1000.0, 2600.0, True),
+        (1000.0, 2500.0, False),
+        (4200.0, 2600.0, True),
+        (4200.0, 1500.0, False),
+        (20.0, 1700.0, True),
+        (20.0, 1550.0, False),
+    ],
+)
+def test_a_dose_begins_with_what_is_in_the_cone_but_not_with_the_last_of_a_load(
+    wanted_mg: float, held_mg: float, begins: bool
+) -> None:
+    library = load_lab(starter_lab()).library
+    powder = library.powders["glass_beads"]
+    mortar = library.mortars["agate_mortar"]
+    beads = Source(name="beads", station="mortar_bay", mortar=mortar, powder=powder, amount_mg=20_000.0)
+    believed = replace(
+        Believed(), cone_mg=held_mg, cone_source="beads", sheet=beads.sheet_key, load=Load(scooped_mg=4750.0)
+    )
+    cell = SimpleNamespace(believed=believed, sources={"beads": beads})
+    condition = library.skills["cone_holds"](powder=powder, wanted_mg=wanted_mg)
+    with nullcontext() if begins else pytest.raises(SkillFailed, match=r"hand\.cone_empty"):
+        condition.check(cell)  # type: ignore[attr-defined]

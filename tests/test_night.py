@@ -1,0 +1,95 @@
+"""What a plan's night holds."""
+
+from datetime import timedelta
+
+import pytest
+from conftest import Call, Desk, LabFolder
+
+from scuhand_bt.problems import SourceError
+from scuhand_bt.recipe.plan import Plan, make_plan
+from scuhand_bt.study.night import fates, in_words, read_night
+from scuhand_bt.study.odds import odds_of
+from scuhand_bt.study.trial import SampleTrial, Trial
+
+RECIPE = """recipe: two
+workflow: fill_xrd_holder
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+  msg: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: 5 g}
+defaults: {container: xrd_holder, mass: 50 mg}
+samples:
+  - {id: a, source: beads}
+  - {id: m, source: msg, repeat: 3}
+"""
+
+
+@pytest.fixture
+def plan(desk: Desk) -> Plan:
+    return make_plan(desk.load(RECIPE), desk.lab)
+
+
+def trial_of(plan: Plan, job_s: float) -> Trial:
+    """Each job takes as long."""
+    samples = tuple(
+        SampleTrial(one.id, True, True, "in tolerance", None, 50.0, 50.0, 50.0, job_s) for one in plan.recipe.samples
+    )
+    began_s = {job.name: job_s * number for number, job in enumerate(plan.jobs)}
+    return Trial(
+        0,
+        0,
+        job_s * len(plan.jobs),
+        began_s,
+        samples,
+        dict.fromkeys(plan.recipe.sources, 1),
+        {"beads": 1.0, "msg": 1.0},
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "lasts"), [("20:00-08:00", timedelta(hours=12)), ("9:30 - 17:00", timedelta(hours=7.5))]
+)
+def test_a_night_may_end_on_the_next_day(text: str, lasts: timedelta) -> None:
+    assert read_night(text).lasts_s == lasts.total_seconds()
+
+
+@pytest.mark.parametrize("text", ["", "20:00", "25:00-08:00", "8pm-6am"])
+def test_what_is_no_night_is_refused(text: str) -> None:
+    with pytest.raises(SourceError, match="is no night; such as 20:00-08:00"):
+        read_night(text)
+
+
+def test_a_sample_behind_a_moment_that_needs_a_person_is_not_done(plan: Plan, desk: Desk) -> None:
+    odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
+    found = {fate.sample: fate.why for fate in fates(plan, odds, read_night("20:00-08:00"))}
+    assert found["a"] is None
+    assert "swap the sheet" in (found["m-1"] or "")
+    told = list(in_words(plan, desk.lab, odds, read_night("20:00-08:00")))
+    assert told[0].startswith("In a night from 20:00 to 08:00 (12 h 00 min) with nobody there: 1 of 4 samples")
+    assert told[1].startswith("Not m-1, m-2, m-3: a person is needed before, at 'change powder to")
+
+
+def test_a_sample_that_ends_too_late_is_not_done(desk: Desk) -> None:
+    plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
+    odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
+    done = [fate.why is None for fate in fates(plan, odds, read_night("20:00-20:25"))]
+    assert done == [True, True, False, False], "the second ends after 20 minutes, give or take some"
+
+
+def test_an_order_that_lets_more_be_done_is_named(plan: Plan, desk: Desk) -> None:
+    recipe = RECIPE.replace("workflow: fill", "order: persons_together\nworkflow: fill").replace(
+        "id: a,", "id: a, repeat: 2,"
+    )
+    plan = make_plan(desk.load(recipe.replace("repeat: 3", "repeat: 1")), desk.lab)
+    odds = odds_of(plan, [trial_of(plan, 600.0)] * 8)
+    assert list(in_words(plan, desk.lab, odds, read_night("20:00-08:00")))[-1] == (
+        "With `order: by_powder` it would be about 2."
+    )
+
+
+def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) -> None:
+    path = lab_folder.write("recipes/two.yaml", RECIPE)
+    said = command("plan", path, "--trials", "1", "--workers", "1", "--night", "20:00-08:00")
+    assert "with nobody there: 1 of 4 samples" in said.stdout
+    refused = command("plan", path, "--trials", "0", "--night", "20:00-08:00")
+    assert (said.returncode, refused.returncode) == (0, 2)
+    assert "at least one" in refused.stderr

@@ -1,0 +1,106 @@
+"""The order of a batch's samples: how often the sheet is changed, and when a person has to."""
+
+from collections.abc import Iterable
+from itertools import pairwise, permutations
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from conftest import LabFolder
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scuhand_bt.recipe.order import ORDERS, in_order
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+
+MIX = """workflow: mix
+inputs: {first: Source, second: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 2 mg}}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $first, container: $container, mass: $mass, tolerance: $tolerance}
+    - change_powder: {source: $first}
+    - tare:
+    - fill: {source: $second, container: $container, mass: $mass, tolerance: $tolerance}
+    - park:
+"""
+MIXED = """recipe: mixed
+workflow: mix
+order: ORDER
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+  msg: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: 5 g}
+defaults: {container: xrd_holder, mass: 50 mg}
+samples:
+  - {id: bm-1, first: beads, second: msg}
+  - {id: b, workflow: scoop_and_dispense, source: beads}
+  - {id: mb-1, first: msg, second: beads}
+  - {id: bm-2, first: beads, second: msg}
+  - {id: m, workflow: scoop_and_dispense, source: msg}
+"""
+
+
+def sample(name: str, first: str, last: str) -> Any:
+    lots = [SimpleNamespace(sheet_key=lot) for lot in (first, last)]
+    return SimpleNamespace(id=name, sources=lots[:1], last_source=lots[1])
+
+
+def changes(order: Iterable[Any]) -> int:
+    return sum(a.last_source.sheet_key != b.sources[0].sheet_key for a, b in pairwise(order))
+
+
+@pytest.mark.parametrize(("order", "swaps"), [("as_written", 2), ("by_powder", 2), ("fastest", 0)])
+def test_the_fastest_order_goes_on_with_the_sheet_that_is_in_the_hand(
+    lab_folder: LabFolder, order: str, swaps: int
+) -> None:
+    lab_folder.write("trees/mix.yaml", MIX)
+    lab = lab_folder.load()
+    plan = make_plan(load_recipe(lab_folder.write("recipes/mixed.yaml", MIXED.replace("ORDER", order)), lab), lab)
+    assert sorted(job.sample.id for job in plan.jobs if job.sample) == ["b", "bm-1", "bm-2", "m", "mb-1"]
+    assert plan.swaps == swaps
+
+
+@given(st.lists(st.tuples(st.sampled_from("abcd"), st.sampled_from("abcd")), max_size=6))
+def test_no_order_changes_the_sheet_less_often_than_the_fastest(ends: list[tuple[str, str]]) -> None:
+    samples = [sample(str(number), *lots) for number, lots in enumerate(ends)]
+    found = in_order("fastest", samples, lambda _: 1.0)
+    assert sorted(map(id, found)) == sorted(map(id, samples))
+    assert changes(found) == min(map(changes, permutations(samples)))
+
+
+@given(st.lists(st.tuples(st.sampled_from("abcd"), st.floats(1.0, 100.0)), min_size=1, max_size=8))
+def test_persons_are_needed_within_as_short_a_time_as_there_is(given_samples: list[tuple[str, float]]) -> None:
+    samples = [sample(str(number), lot, lot) for number, (lot, _) in enumerate(given_samples)]
+
+    def duration_s(one: Any) -> float:
+        return given_samples[int(one.id)][1]
+
+    def together_s(order: Iterable[Any]) -> float:
+        now_s, swaps_s, last = 0.0, [], None
+        for one in order:
+            if last not in (None, one.sources[0].sheet_key):
+                swaps_s.append(now_s)
+            now_s, last = now_s + duration_s(one), one.sources[0].sheet_key
+        return max(swaps_s, default=0.0) - min(swaps_s, default=0.0)
+
+    lots = list(dict.fromkeys(lot for lot, _ in given_samples))
+    grouped = [
+        [one for lot in order for one in samples if one.sources[0].sheet_key == lot] for order in permutations(lots)
+    ]
+    found = in_order("persons_together", samples, duration_s)
+    assert together_s(found) == pytest.approx(min(map(together_s, grouped)))
+    assert changes(found) == len(lots) - 1
+
+
+def test_a_lot_whose_samples_need_a_person_themselves_is_neither_first_nor_last() -> None:
+    samples = [sample("m", "a", "b"), sample("n", "a", "b"), sample("c", "c", "c"), sample("d", "d", "d")]
+    found = in_order("persons_together", samples, lambda one: 100.0 if one.id in "mn" else 1.0)
+    assert [one.id for one in found] == ["c", "m", "n", "d"]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_within_a_lot_samples_stay_as_written(order: str) -> None:
+    samples = [sample(str(number), "a", "a") for number in range(5)]
+    assert in_order(order, samples, lambda _: 1.0) == samples

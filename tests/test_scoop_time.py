@@ -1,0 +1,47 @@
+"""How long a scoop takes, and what it does where its cone cannot be formed on the way."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from running import Ran, dry_run
+
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.journal.reader import read
+from scuhand_bt.motion import MotionPlanner
+
+RECIPE = """
+recipe: r
+workflow: scoop_and_dispense
+defaults: {container: alumina_crucible, tolerance: 5 mg}
+samples:
+  - {id: a, source: beads, mass: 500 mg}
+"""
+
+
+def _scoop_s(ran: Ran) -> float:
+    (scoop,) = [row for row in read(ran.journal, "action") if row["skill"] == "scoop"]
+    took_s: float = scoop["ended_s"] - scoop["started_s"]
+    return took_s
+
+
+def test_a_scoop_takes_less_than_12_s_from_the_mortars_place_back_to_it(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, RECIPE)
+    to_the_place_s = 1.1
+    assert ran.sample("a").verdict == "in tolerance"
+    assert _scoop_s(ran) < 12.0 + to_the_place_s
+
+
+def test_where_the_cone_cannot_be_formed_on_the_way_it_is_formed_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_the_way_s = _scoop_s(dry_run(tmp_path, RECIPE))
+
+    def never(*asked: Any) -> None:
+        raise SkillFailed(Code.ARM_NO_PATH, "a cone that becomes 82 mm wide would touch something")
+
+    monkeypatch.setattr(MotionPlanner, "forming", never)
+    (tmp_path / "again").mkdir()
+    ran = dry_run(tmp_path / "again", RECIPE)
+    assert ran.sample("a").verdict == "in tolerance"
+    assert _scoop_s(ran) > on_the_way_s + 0.5

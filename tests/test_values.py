@@ -1,0 +1,487 @@
+"""What a workflow does by its values: expressions, `if`, `switch`, `for_each`, `record`, and a `fallback` by codes."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Bench, Desk, LabFolder, wait_until
+from running import dry_run
+
+from scuhand_bt.clock import Wake
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.journal.reader import open_contents, read
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.record import Record
+from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.skill import Milligrams, Seconds, Skill, Steps
+from scuhand_bt.tree.record import Record as RecordSkill
+
+
+class Give(Skill[Milligrams]):
+    """Give a mass, after some time."""
+
+    interrupted = "repeat"
+
+    mass_mg: Milligrams
+    duration_s: Seconds = 0.0
+
+    def run(self, cell: Any) -> Steps[Milligrams]:
+        yield from wait_until(cell, cell.clock.now_s + self.duration_s)
+        cell.note(f"{self.mass_mg:g}")
+        return self.mass_mg
+
+
+class Say(Skill[str]):
+    """Give a word."""
+
+    word: str = "yes"
+
+    def run(self, cell: Any) -> Steps[str]:
+        cell.note(self.word)
+        return self.word
+        yield
+
+
+class Several(Skill[tuple[Milligrams, ...]]):
+    """Give masses."""
+
+    masses: tuple[Milligrams, ...] = (20.0, 30.0)
+
+    def run(self, cell: Any) -> Steps[tuple[float, ...]]:
+        return self.masses
+        yield
+
+
+class Fail(Skill[None]):
+    """Fail with a code, once or always."""
+
+    code: str = "hand.cone_empty"
+    once: bool = False
+
+    def run(self, cell: Any) -> Steps[None]:
+        cell.note(f"fails: {self.code}")
+        if not self.once or [what for _, what in cell.log].count(f"fails: {self.code}") < 2:
+            raise SkillFailed(self.code, "as it was told")
+        return
+        yield Wake()
+
+
+SKILLS: dict[str, type[Skill[Any]]] = {
+    "give": Give,
+    "say": Say,
+    "several": Several,
+    "fail": Fail,
+    "record": RecordSkill,
+}
+
+
+def names(bench: Bench) -> list[str]:
+    return [what for _, what in bench.log]
+
+
+# --- expressions as arguments
+
+
+def test_an_argument_is_worked_out_when_its_call_begins(bench: Bench) -> None:
+    tree = "sequence: [{give: {mass: 40 mg, as: a}}, {give: {mass: 0.25 * $a + 5 mg, as: b}}, {give: {mass: $a - $b}}]"
+    assert bench.run(tree, SKILLS).failure is None
+    assert names(bench) == ["40", "15", "25"]
+
+
+def test_a_value_that_cannot_be_worked_out_fails_the_call_and_a_fallback_goes_on(bench: Bench) -> None:
+    tree = "sequence: [{give: {mass: 0 mg, as: a}}, {fallback: [{give: {mass: 1 mg * (3 mg / $a)}}, {say: {word: b}}]}]"
+    assert bench.run(tree, SKILLS).failure is None
+    assert names(bench) == ["0", "b"]
+    failed = bench.run(tree.replace(", {say: {word: b}}", ""), SKILLS)
+    assert failed.failure is not None
+    assert failed.failure.code == "workflow.bad_value"
+    assert "3 mg / $a divides by 0" in failed.failure.detail
+
+
+@pytest.mark.parametrize(
+    "node",
+    [
+        "repeat: {times: 1 + count($none), child: {inner: {mass: 1 mg * (1 mg / $zero)}}}",
+        "timeout: {duration: 1 s * (1 mg / $zero), child: {say: }}",
+        "for_each: {items: {x: $two, y: $three}, child: {say: }}",
+        "if: {when: 1 mg / $zero > 1, then: {say: }}",
+        "switch: {value: $word, cases: {no: {say: }, never: {say: }}}",
+    ],
+)
+def test_a_node_whose_value_cannot_be_worked_out_fails_as_any_other(bench: Bench, node: str) -> None:
+    begin = "{several: {masses: [1 mg, 2 mg], as: two}}, {several: {masses: [1 mg, 2 mg, 3 mg], as: three}}"
+    begin += ", {several: {masses: [], as: none}}, {give: {mass: 0 mg, as: zero}}, {say: {as: word}}"
+    inner = {"inner": "workflow: inner\ninputs: {mass: Mass}\ntree: {give: {mass: $mass}}"}
+    ended = bench.run(f"sequence: [{begin}, {{fallback: [{{{node}}}, {{say: {{word: else}}}}]}}]", SKILLS, inner)
+    assert ended.failure is None
+    assert names(bench)[-2:] == ["yes", "else"]
+
+
+# --- choices
+
+
+@pytest.mark.parametrize(("mass", "said"), [("60 mg", "large"), ("50 mg", "small"), ("40 mg", "small")])
+def test_an_if_goes_one_way_by_a_value(bench: Bench, mass: str, said: str) -> None:
+    choice = "if: {when: $a > 50 mg, then: {say: {word: large}}, else: {say: {word: small}}}"
+    assert bench.run(f"sequence: [{{give: {{mass: {mass}, as: a}}}}, {{{choice}}}]", SKILLS).failure is None
+    assert names(bench)[1:] == [said]
+
+
+def test_an_if_without_else_succeeds_where_it_does_not_hold(bench: Bench) -> None:
+    tree = "sequence: [{give: {mass: 1 mg, as: a}}, {if: {when: $a > 50 mg, then: {fail: }}}, {say: }]"
+    assert bench.run(tree, SKILLS).failure is None
+    assert names(bench) == ["1", "yes"]
+
+
+@pytest.mark.parametrize(("word", "said"), [("a", "1"), ("b", "2"), ("c", "other")])
+def test_a_switch_takes_the_case_of_its_value(bench: Bench, word: str, said: str) -> None:
+    cases = "cases: {a: {say: {word: '1'}}, b: {say: {word: '2'}}}, otherwise: {say: {word: other}}"
+    assert bench.run(f"sequence: [{{say: {{word: {word}, as: w}}}}, {{switch: {{value: $w, {cases}}}}}]", SKILLS)
+    assert names(bench) == [word, said]
+
+
+def test_a_switch_without_a_case_for_its_value_fails(bench: Bench) -> None:
+    ended = bench.run(
+        "sequence: [{say: {word: c, as: w}}, {switch: {value: $w, cases: {a: {say: }, b: {say: }}}}]", SKILLS
+    )
+    assert ended.failure is not None
+    assert (ended.failure.code, ended.failure.detail) == ("workflow.bad_value", "there is no case for $w, 'c'")
+
+
+def test_a_choice_is_made_anew_each_time_and_a_failure_of_before_is_not_told_again(bench: Bench) -> None:
+    tree = """\
+sequence:
+  - several: {masses: [1 mg, 9 mg], as: all}
+  - for_each:
+      items: {mass: $all}
+      child:
+        optional:
+          if: {when: $mass < 5 mg, then: {fail: {code: hand.no_flow}}, else: {fail: {code: source.empty}}}
+  - retry:
+      attempts: 2
+      on: [hand.no_flow]
+      child: {sequence: [{fail: {code: hand.no_flow, once: yes}}, {fail: {code: source.empty}}]}
+"""
+    ended = bench.run(tree, SKILLS)
+    assert ended.failure is not None
+    assert ended.failure.code == "source.empty"
+    assert names(bench)[:2] == ["fails: hand.no_flow", "fails: source.empty"]
+
+
+# --- lists
+
+
+def test_for_each_goes_through_lists_side_by_side(bench: Bench) -> None:
+    inner = "workflow: inner\ninputs: {masses: [Mass], words: [Text]}\ntree:\n  for_each:\n"
+    inner += "    items: {mass: $masses, word: $words}\n"
+    inner += "    child: {sequence: [{give: {mass: 2 * $mass}}, {say: {word: $word}}]}\n"
+    ended = bench.run("inner: {masses: [1 mg, 2 mg, 0.003 g], words: [a, b, c]}", SKILLS, {"inner": inner})
+    assert ended.failure is None
+    assert names(bench) == ["2", "a", "4", "b", "6", "c"]
+
+
+def test_for_each_of_nothing_succeeds_and_one_that_fails_ends_it(bench: Bench) -> None:
+    tree = "sequence: [{several: {masses: %s, as: all}}, {for_each: {items: {m: $all}, child: CHILD}}]"
+    tree = tree.replace("CHILD", "{sequence: [{give: {mass: $m}}, {fail: }]}")
+    assert bench.run(tree % "[]", SKILLS).failure is None
+    assert names(bench) == []
+    ended = bench.run(tree % "[1 mg, 2 mg]", SKILLS)
+    assert ended.failure is not None
+    assert ended.failure.code == "hand.cone_empty"
+    assert names(bench) == ["1", "fails: hand.cone_empty"]
+
+
+def test_items_of_two_loops_at_once_are_their_own(bench: Bench) -> None:
+    loop = "{for_each: {items: {m: $%s}, child: {give: {mass: $m, duration: 1 s}}}}"
+    tree = "sequence: [{several: {as: a}}, {several: {masses: [1 mg, 2 mg], as: b}}, "
+    tree += f"{{parallel: [{loop % 'a'}, {loop % 'b'}]}}]"
+    assert bench.run(tree, SKILLS).failure is None
+    assert names(bench) == ["20", "1", "30", "2"]
+
+
+# --- a fallback after some failures only
+
+
+def test_a_fallback_with_codes_goes_on_after_these_alone(bench: Bench) -> None:
+    tree = "fallback: {on: [source.empty], children: [{fail: {code: %s}}, {say: }]}"
+    assert bench.run(tree % "source.empty", SKILLS).failure is None
+    ended = bench.run(tree % "hand.no_flow", SKILLS)
+    assert ended.failure is not None
+    assert ended.failure.code == "hand.no_flow"
+    assert names(bench) == ["fails: source.empty", "yes", "fails: hand.no_flow"]
+
+
+def test_a_fallback_with_codes_begins_anew_and_goes_on_where_it_was(bench: Bench) -> None:
+    child = (
+        "fallback: {on: [source.empty], children: [{fail: {code: source.empty}}, {give: {mass: 1 mg, duration: 2 s}}]}"
+    )
+    assert bench.run(f"repeat: {{times: 2, child: {{{child}}}}}", SKILLS).failure is None
+    assert bench.log == [
+        *[(0.0, "fails: source.empty"), (2.0, "1")],
+        *[(2.0, "fails: source.empty"), (4.0, "1")],
+    ]
+
+
+# --- a row of its own
+
+
+def recording(bench: Bench) -> list[tuple[str, Any, str]]:
+    """What is recorded from now on."""
+    written: list[Any] = []
+    bench.cell.record = Record(lambda event: written.append((event.name, event.value, event.unit)))
+    return written
+
+
+def test_what_is_recorded_has_its_unit_and_in_a_loop_its_round(tmp_path: Path) -> None:
+    tree = """\
+sequence:
+  - several: {as: all}
+  - say: {as: word}
+  - record: {share: min($all) / max($all), sum: sum($all), n: count($all)}
+  - record: {word: $word, is_small: sum($all) < 1 g, why: as told}
+  - for_each: {items: {m: $all}, child: {repeat: {times: 2, child: {inner: {mass: $m}}}}}
+"""
+    bench = Bench(tmp_path)
+    recorded = recording(bench)
+    inner = {"inner": "workflow: inner\ninputs: {mass: Mass}\ntree: {record: {twice: 2 * $mass}}"}
+    assert bench.run(tree, SKILLS, inner).failure is None
+    assert recorded == [
+        ("share", pytest.approx(2 / 3), ""),
+        ("sum", 50.0, "mg"),
+        ("n", 2, ""),
+        ("word", "yes", ""),
+        ("is_small", True, ""),
+        ("why", "as told", ""),
+        *[("twice[1][1]", 40.0, "mg"), ("twice[1][2]", 40.0, "mg")],
+        *[("twice[2][1]", 60.0, "mg"), ("twice[2][2]", 60.0, "mg")],
+    ]
+
+
+# --- taken up again
+
+
+def test_a_job_that_was_stopped_works_its_values_out_of_the_journal_and_does_nothing_twice(tmp_path: Path) -> None:
+    tree = """\
+sequence:
+  - several: {masses: [3 mg, 8 mg, 5 mg], as: all}
+  - for_each:
+      items: {m: $all}
+      child:
+        sequence:
+          - if: {when: $m < 4 mg, then: {say: {word: skipped}}, else: {give: {mass: 2 * $m, duration: 10 s, as: twice}}}
+          - record: {m: $m}
+  - give: {mass: sum($all) - 1 mg}
+"""
+    bench = Bench(tmp_path)
+    recorded = recording(bench)
+    bench.agenda.at(15.0, lambda: bench.control.wish("stop_now"))
+    assert bench.run(tree, SKILLS).interrupted == "stopped"
+    assert names(bench) == ["skipped", "16"]
+    assert recorded == [("m[1]", 3.0, "mg"), ("m[2]", 8.0, "mg")]
+    again = Bench(tmp_path)
+    recorded = recording(again)
+    assert again.run(tree, SKILLS, resumes=True).failure is None
+    assert names(again) == ["10", "15"], "the second round had ended, the third begins again"
+    assert recorded == [("m[3]", 5.0, "mg")]
+
+
+# --- what is known before the run
+
+MIX = """\
+workflow: mix
+inputs:
+  first: Source
+  second: Source
+  into: Container
+  mass: Mass
+  share: Ratio
+result: $b
+tree:
+  sequence:
+    - place_container: {container: $into}
+    - tare:
+    - fill: {source: $first, container: $into, mass: $mass, tolerance: 2 mg, as: a}
+    - change_powder: {source: $first}
+    - fill: {source: $second, container: $into, mass: $share * $a.dispensed, tolerance: 1 %, as: b}
+    - record: {share: $b.dispensed / $a.dispensed}
+    - return_leftover: {source: $second}
+    - park:
+"""
+SOURCES = """\
+recipe: r
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+  msg: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: %s}
+"""
+
+
+def of_lab(lab: LabFolder, trees: dict[str, str]) -> Desk:
+    for name, text in trees.items():
+        lab.write(f"trees/{name}.yaml", text)
+    assert lab.problems() == []
+    return Desk(lab.folder / "recipes", lab.load())
+
+
+def test_powder_for_a_mass_that_is_known_only_at_run_time_is_planned_at_its_bound(lab_folder: LabFolder) -> None:
+    desk = of_lab(lab_folder, {"mix": MIX})
+    sample = "workflow: mix\nsamples:\n"
+    sample += "  - {id: x, first: beads, second: msg, into: alumina_crucible, mass: 1 g, share: 50 %}\n"
+    (mixed,) = desk.load(SOURCES % "5 g" + sample).samples
+    assert [(take.source.name, take.mass_mg) for take in mixed.takes] == [("beads", 1000.0), ("msg", 501.0)]
+    assert mixed.last_source is not None
+    assert mixed.last_source.name == "msg"
+    said = desk.problems(SOURCES % "510 mg" + sample)  # 20 mg are lost with a scoop
+    assert said == ["4:3: 'msg' holds 510.0 mg of monosodium_glutamate, but its 1 samples need 521.0 mg with losses"]
+
+
+def test_room_for_a_mass_that_is_known_only_at_run_time_is_checked_at_its_bound(lab_folder: LabFolder) -> None:
+    desk = of_lab(lab_folder, {"mix": MIX})
+    sample = "workflow: mix\nsamples: [{id: x, first: beads, second: msg, into: xrd_holder, mass: 100 mg, share: %s}]\n"
+    assert desk.problems(SOURCES % "5 g" + sample % "110 %") == []
+    (said,) = desk.problems(SOURCES % "5 g" + sample % "115 %")
+    assert "100.0 mg of glass_beads and 117.3 mg of monosodium_glutamate (0.20 cm³) do not fit" in said
+
+
+ANY = """\
+workflow: any
+inputs: {source: Source, into: Container, mass: Mass, spare: {type: [Container], default: []}}
+tree:
+  sequence:
+    - place_container: {container: $into}
+    - tare:
+    - weigh: {as: weighed}
+    - fill: {source: $source, container: $into, mass: MASS}
+    - return_leftover: {source: $source}
+    - park:
+"""
+
+
+def test_a_mass_without_a_bound_is_warned_of_and_one_with_a_bound_is_not(lab_folder: LabFolder, command: Any) -> None:
+    recipe = SOURCES.replace(
+        "  msg: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: %s}\n", ""
+    )
+    recipe += "workflow: any\nsamples: [{id: x, source: beads, into: xrd_holder, mass: 50 mg}]\n"
+    for mass, is_warned in (("$mass + $weighed.net", True), ("min($mass + $weighed.net, 80 mg)", False)):
+        lab_folder.write(
+            "trees/any.yaml", ANY.replace("MASS", f'"{mass}"').replace(", spare: {type: [Container], default: []}", "")
+        )
+        ended = command("check", lab_folder.write("recipes/r.yaml", recipe), "--fast", "--lab", lab_folder.folder)
+        assert ended.returncode == 0, ended.stdout
+        assert ("[unbounded-mass]" in ended.stdout) == is_warned, ended.stdout
+
+
+LISTS = """\
+workflow: lists
+inputs:
+  source: Source
+  last: Container
+  holders: [Container]
+  masses: {type: [Mass], default: [20 mg, 30 mg]}
+  big: {type: Mass, default: 0 mg}
+tree:
+  sequence:
+    - for_each:
+        items: {holder: $holders, mass: $masses}
+        child:
+          sequence:
+            - park:
+            - place_container: {container: $holder}
+            - tare:
+            - fill: {source: $source, container: $holder, mass: $mass}
+    - if:
+        when: $big > 0 mg
+        then:
+          fill: {source: $source, container: $last, mass: $big}
+    - park:
+"""
+
+
+def test_rounds_and_ways_that_can_be_told_before_the_run_are_told(lab_folder: LabFolder) -> None:
+    desk = of_lab(lab_folder, {"lists": LISTS})
+    head = SOURCES % "5 g" + "workflow: lists\ndefaults: {source: beads, last: xrd_holder}\nsamples:\n"
+    recipe = desk.load(
+        head
+        + "  - {id: a, holders: [xrd_holder, xrd_holder]}\n"
+        + "  - {id: b, holders: [xrd_holder], masses: [40 mg], big: 70 mg}\n"
+    )
+    a, b = recipe.samples
+    assert [one.id for one in a.all_containers] == ["a/last", "a/holders/1", "a/holders/2"]
+    assert [(p.container, p.mass_mg) for p in a.flow.pours] == [("a/holders/1", 20.0), ("a/holders/2", 30.0)]
+    assert [(p.container, p.mass_mg) for p in b.flow.pours] == [("b/holders/1", 40.0), ("b/last", 70.0)]
+    plan = make_plan(recipe, desk.lab)
+    assert plan.demands[0].needed_mg == pytest.approx(20 + 30 + 40 + 70 + 4 * 20)
+    (said,) = desk.problems(head + "  - {id: a, holders: [xrd_holder], masses: [310 mg]}\n")
+    assert "310.0 mg of glass_beads (0.21 cm³) does not fit into 'xrd_holder'" in said
+    (said,) = desk.problems(head + "  - {id: a, holders: [xrd_holder]}\n")
+    assert "the lists of 'for_each' are not of one length: there are 1 of 'holder' and 2 of 'mass'" in said
+
+
+def test_lists_of_lists_give_one_to_each_sample(lab_folder: LabFolder) -> None:
+    desk = of_lab(lab_folder, {"lists": LISTS})
+    samples = "defaults: {source: beads, last: xrd_holder, holders: [xrd_holder, xrd_holder]}\n"
+    samples += "samples: [{id: [a, b], masses: [[1 mg, 2 mg], [5 mg, 6 mg]]}]\n"
+    a, b = desk.load(SOURCES % "5 g" + "workflow: lists\n" + samples).samples
+    assert (a.inputs["masses"], b.inputs["masses"]) == ((1.0, 2.0), (5.0, 6.0))
+    assert [one.id for one in b.all_containers] == ["b/last", "b/holders/1", "b/holders/2"]
+    single = samples.replace("[[1 mg, 2 mg], [5 mg, 6 mg]]", "5 mg").replace("[a, b]", "a")
+    (said,) = desk.problems(SOURCES % "5 g" + "workflow: lists\n" + single)
+    assert "'masses': '5 mg' is no list; write [one, another]" in said
+
+
+def test_a_powder_that_only_one_way_doses_is_refused_among_several(lab_folder: LabFolder) -> None:
+    text = MIX.replace(
+        "    - record:",
+        "    - if: {when: $b.dispensed < 10 mg, then: {MORE}}\n    - record:",
+    ).replace("MORE", "fill: {source: $first, container: $into, mass: $mass}")
+    desk = of_lab(lab_folder, {"mix": text})
+    sample = "workflow: mix\nsamples:\n"
+    sample += "  - {id: x, first: beads, second: msg, into: alumina_crucible, mass: 1 g, share: 50 %}\n"
+    (said,) = desk.problems(SOURCES % "5 g" + sample)
+    assert (
+        "which of glass_beads, monosodium_glutamate the sheet has touched after this 'if' is known only when it" in said
+    )
+
+
+# --- runs
+
+
+def test_a_mixture_doses_the_second_powder_by_what_was_measured_of_the_first_and_its_row_says_the_ratio(
+    tmp_path: Path,
+) -> None:
+    samples = "samples:\n  - {id: x, first: beads, second: msg, container: alumina_crucible, mass: 400 mg, ratio: 50 %,"
+    samples += " tolerance: 20 mg}\n"
+    ran = dry_run(tmp_path, "workflow: mix_at_ratio\n" + samples, seed=2, controller=None)
+    result = ran.sample("x")
+    first, second = result.doses
+    assert second.target_mg == pytest.approx(0.5 * first.dispensed_mg, abs=0.1)
+    assert second.target_mg != pytest.approx(200.0, abs=1e-6), "of what was measured, not of what was asked"
+    (value,) = result.recorded
+    assert (value.name, value.unit) == ("ratio", "")
+    assert value.value == pytest.approx(second.dispensed_mg / first.dispensed_mg, abs=0.001)
+    with open_contents(ran.journal) as contents:
+        rows = weighing_record(contents).splitlines()
+    assert any('"ratio"' in row and '"recorded"' in row for row in rows)
+
+
+def test_a_container_that_is_discarded_has_no_say_in_its_sample(tmp_path: Path) -> None:
+    recipe = """\
+workflow: prime_and_fill
+samples: [{id: x, source: beads, container: xrd_holder, waste: waste_dish, mass: 50 mg, prime: 60 mg}]"""
+    ran = dry_run(tmp_path, recipe, seed=2, controller=None)
+    result = ran.sample("x")
+    assert [dose.container for dose in result.doses] == ["x/container"]
+    assert result.is_good
+    doses = [row for row in read(ran.journal, "event") if row["kind"] == "container_discarded"]
+    assert [row["payload"]["container"] for row in doses] == ["x/waste"]
+    assert len(read(ran.journal, "dose")) == 2
+
+
+def test_a_blank_is_recorded_and_good(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, "workflow: weigh_blank\nsamples: [{id: x, container: xrd_holder}]", controller=None)
+    result = ran.sample("x")
+    assert (result.verdict, result.is_good, result.doses) == ("recorded", True, ())
+    blank, uncertainty = result.recorded
+    assert (blank.name, blank.unit, uncertainty.unit) == ("blank", "mg", "mg")
+    assert isinstance(blank.value, float)
+    assert isinstance(uncertainty.value, float)
+    assert abs(blank.value) < 3 * uncertainty.value < 1.0
