@@ -53,7 +53,7 @@ CAME_SHARE, CAME_MG = 0.2, 20.0
 """An opening that brought this share of what was expected, or of so much, was not in vain."""
 SLOW_SHARE = 0.5
 """An opening that brought less than this share of what was missing was too narrow."""
-LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.3
+LUMPY_MG, LUMPS_LEFT, LUMP_SHARE, SHAKE_S = 0.7, 3.0, 0.12, 0.8
 """Lumps of this mean mass are shaken out singly, over the last so many, by openings that should bring this share in
 such a time."""
 SPARED_MG = 20.0
