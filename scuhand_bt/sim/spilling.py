@@ -20,8 +20,8 @@ from scuhand_bt.specs import Powder
 
 POUR_TIME_S = 0.15
 GRAVITY_MM_PER_S2 = 9810.0
-SHORTEST_S = 1e-3
-"""Looks at the apex that are nearer in time say nothing of its acceleration."""
+SHORTEST_S = 0.05
+"""Over less than this no acceleration is told: servos go by counts and in steps, and powder takes longer to flow."""
 
 
 def held_mm3(half_angle: float, slant_mm: float, lean: float, repose: float, wall_friction: float) -> float:
