@@ -93,13 +93,18 @@ def test_the_picture_of_the_rooms_is_of_today(tmp_path: Path) -> None:
 # --- examples
 
 
+def file_of(cls: str) -> str:
+    """The file of a skill's class, without its ending: `read_pan` of `ReadPan`."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", cls).lower()
+
+
 @pytest.mark.parametrize("text", blocks("yaml"))
 def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> None:
     lab_folder.write("recipes/holders.csv", texts("csv")[0])
     kind = text.split(":", 1)[0]
     for skill in (text for text in texts("python") if "(Skill" in text and "cell.device(" not in text):
         (cls,) = re.findall(r"^class (\w+)", skill, re.M)
-        lab_folder.write(f"skills/{cls.lower()}.py", skill)
+        lab_folder.write(f"skills/{file_of(cls)}.py", skill)
     if kind == "recipe":
         recipe = load_recipe(lab_folder.write("recipes/example.yaml", text), lab_folder.load())
         assert recipe.samples
@@ -126,7 +131,7 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
     elif kind in ("changer", "devices"):
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^changer: .*$", text, cell, flags=re.M))
-        assert lab_folder.problems() == []
+        assert [problem for problem in lab_folder.problems() if problem.startswith("robot/")] == []
     elif kind == "design":
         vary = lab_folder.write("vary.yaml", text)
         assert read_vary(vary).changes()
@@ -165,7 +170,7 @@ def test_every_python_example_is_python(text: str) -> None:
 
 @pytest.mark.parametrize("text", [block for block in blocks("python") if "(Skill" in block.values[0]])
 def test_every_skill_example_is_loaded_and_called_as_the_page_says(text: str, lab_folder: LabFolder) -> None:
-    name = re.findall(r"^class (\w+)\(Skill", text, re.M)[0].lower()
+    name = file_of(re.findall(r"^class (\w+)\(Skill", text, re.M)[0])
     lab_folder.write(f"skills/{name}.py", text)
     lab_folder.replace(
         "robot/cell.yaml", "stations:", "devices: {codes: {kind: scanner, driver: keyboard_wedge}}\nstations:"

@@ -181,7 +181,7 @@ def test_the_tutorial_leads_from_an_empty_folder_to_a_passing_test(
     files = re.findall(r"`my-lab/((?:skills|trees)/\w+(?:\.test)?\.\w+)`[^`]*```\w+\n(.*?)```", page, re.S)
     assert [name for name, _ in files] == [
         "skills/tap.py",
-        "skills/read_pan.py",
+        "skills/gauge.py",
         "trees/tap_and_weigh.yaml",
         "trees/tap_and_weigh.test.yaml",
     ]

@@ -6,8 +6,10 @@ from typing import Any
 import pytest
 from running import Ran, dry_run
 
+from scuhand_bt.cell.cell import carrying_limit_deg
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
+from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
 
 RECIPE = """
@@ -45,3 +47,12 @@ def test_where_the_cone_cannot_be_formed_on_the_way_it_is_formed_before(
     ran = dry_run(tmp_path / "again", RECIPE)
     assert ran.sample("a").verdict == "in tolerance"
     assert _scoop_s(ran) > on_the_way_s + 0.5
+
+
+def test_a_rim_that_a_servos_count_has_moved_carries_its_load_by_the_same_limit() -> None:
+    lab = load_lab(starter_lab())
+    limits_deg = {
+        carrying_limit_deg(lab.cell, lab.library.powders["glass_beads"], 4000.0, rim_mm)
+        for rim_mm in (69.99999999999, 70.0, 70.00000000001)
+    }
+    assert len(limits_deg) == 1

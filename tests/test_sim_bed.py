@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scuhand_bt.dosing.swing import Ladle, Stroke, StrokePath, headings_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import CELL_MM, HeightField
-from scuhand_bt.sim.cone_over import Floats
+from scuhand_bt.sim.cone_over import ConePose, Floats
 from scuhand_bt.specs import Mortar, Powder
 
 MORTAR = Mortar(name="agate", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0)
@@ -192,3 +192,10 @@ def test_what_came_back_lies_in_a_heap_and_is_taken_with_the_rest() -> None:
     bench.mortar_mg += 5000.0
     bench.go(WIDE)
     assert bench.take() > first_mg + 2500.0
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 30.0, 75.0, 110.0, 170.0])
+def test_a_leaning_cone_is_as_low_as_the_lowest_of_its_apex_and_its_rim(tilt_deg: float) -> None:
+    lean = math.radians(tilt_deg)
+    pose = ConePose(np.array([1.0, 2.0, 30.0]), np.array([math.sin(lean), 0.0, math.cos(lean)]), 80.0, 50.0)
+    assert pose.lowest_mm == pytest.approx(pose.outline_mm(3600)[:, 2].min(), abs=1e-3)

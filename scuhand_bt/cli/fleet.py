@@ -55,13 +55,13 @@ def station(
     async def work() -> None:
         async with open_queue(database) as queue:
             manner = Manner(dry_run, unattended, resumes, operator)
-            made = Station(queue, folder, name, manner, lambda line: _say(line))
+            made = Station(queue, folder, name, manner, _say)
             for number in (signal.SIGINT, signal.SIGTERM):
                 asyncio.get_running_loop().add_signal_handler(number, made.leave)
             _say(f"Station '{made.name}'{' (SIMULATED)' if dry_run else ''}.")
             await made.work()
 
-    asyncio.run(work())
+    _answered(work())
 
 
 @app.command()

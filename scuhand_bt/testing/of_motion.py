@@ -95,7 +95,10 @@ def arm_conforms(arm: Arm, clock: Clock) -> None:
 
 
 def hand_conforms(hand: Hand, clock: Clock) -> None:
-    """Its valve opens for as long as it is told, shuts whatever happens, and what cannot be is refused."""
+    """Its valve opens for as long as it is told, shuts whatever happens, and what cannot be is refused.
+
+    A sheet whose rim it does not know is taken to be as it is mounted.
+    """
     assert hand.fault is None, f"{hand.fault}"
     assert hand.opening_mm <= SHUT_MM, "its valve is shut at first"
     for wrong in (
@@ -130,6 +133,8 @@ def hand_conforms(hand: Hand, clock: Clock) -> None:
         hand.stop()
         _is_shut(hand, "after a stop")
 
+    if not hand.knows_its_roller:
+        hand.rim_is(hand.spec.options.start_diameter_mm)
     smaller_mm = hand.cone_diameter_mm - 5.0
     carried_out(hand.morph(smaller_mm), clock)
     assert abs(hand.cone_diameter_mm - smaller_mm) < 1.0, f"told {smaller_mm:.0f} mm, it is {hand.cone_diameter_mm}"
