@@ -11,7 +11,7 @@ What is too much is gone with the time constant `POUR_TIME_S`. Angles in radians
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,6 +22,8 @@ POUR_TIME_S = 0.15
 GRAVITY_MM_PER_S2 = 9810.0
 SHORTEST_S = 0.05
 """Over less than this no acceleration is told: servos go by counts and in steps, and powder takes longer to flow."""
+
+_UP = np.array([0.0, 0.0, GRAVITY_MM_PER_S2])
 
 
 def held_mm3(half_angle: float, slant_mm: float, lean: float, repose: float, wall_friction: float) -> float:
@@ -42,25 +44,23 @@ class Carried:
 
     _seen: tuple[float, Floats] | None = None
     _speed: tuple[float, Floats] | None = None
-    _up: Floats | None = None
+    _up: Floats = field(default_factory=_UP.copy)
 
     def lean(self, now_s: float, pose: ConePose) -> float:
         """Between the cone's axis and apparent gravity's opposite, with the acceleration of the last three looks."""
-        up = np.array([0.0, 0.0, GRAVITY_MM_PER_S2])
-        if self._seen is not None and now_s - self._seen[0] >= SHORTEST_S:
+        if self._seen is None:
+            self._seen = (now_s, pose.apex_mm)
+        elif now_s - self._seen[0] >= SHORTEST_S:
             then_s, was_mm = self._seen
             middle_s, speed = (then_s + now_s) / 2, (pose.apex_mm - was_mm) / (now_s - then_s)
             if self._speed is not None:
-                up = up + (speed - self._speed[1]) / (middle_s - self._speed[0])
-            self._speed, self._up = (middle_s, speed), up
-        elif self._seen is not None and self._up is not None:
-            return _between(pose.axis, self._up)
-        self._seen = (now_s, pose.apex_mm)
-        return _between(pose.axis, up)
+                self._up = _UP + (speed - self._speed[1]) / (middle_s - self._speed[0])
+            self._seen, self._speed = (now_s, pose.apex_mm), (middle_s, speed)
+        return _between(pose.axis, self._up)
 
     def rest(self) -> None:
         """It stands still."""
-        self._seen = self._speed = self._up = None
+        self._seen, self._speed, self._up = None, None, _UP
 
 
 def poured_mg(held_mg: float, lean: float, pose: ConePose, powder: Powder, dt_s: float) -> float:
