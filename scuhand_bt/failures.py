@@ -170,7 +170,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.CONTAINER_MISSING: Failure(
         "No container stands on the pan, or another one than should.",
         "Put the container on the pan, or fill the changer's slot.",
-        ("run",),
+        ("devices", "run"),
     ),
     Code.CONTAINER_MOVED: Failure(
         "The pan lost mass while a dose was going on.",

@@ -97,7 +97,12 @@ class Scoop(Skill[Milligrams]):
         top_m = now.position_m.copy()
         top_m[2] = max(top_m[2], above_mm[2] / 1000)
         up = [ApexPose(top_m, now.axis, now.seam), ApexPose(top_m), cell.place(source.station)]
-        yield from cell.touch(up, self.speed_mm_per_s, source.station)
+        try:
+            yield from cell.touch(up, self.speed_mm_per_s, source.station)
+        except SkillFailed as failure:
+            if failure.code != Code.ARM_NO_PATH:
+                raise
+            yield from cell.move_to(source.station)  # it was above the mortar, on the way to its stroke
         yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
         held_mg = believed.cone_mg
         believed.cone_holds(source, source.powder.load_limit_mg)

@@ -255,7 +255,7 @@ def test_a_dose_in_two_parts_is_weighed_against_the_empty_container_and_its_brac
         journal.event(DoseWeighed.model_validate(weighed))
         journal.event(Dose.model_validate(dosed | cost | {"dispensed_mg": net_mg, "verdict": "in tolerance"}))
     adjusted = dosed | {"dispensed_mg": 50.3, "tolerance_mg": 0.5, "verdict": "over", "bracket": "closed"}
-    result = dict.fromkeys(SampleResult.model_fields) | cost | {"scoops": 1, "attempt": 1, "id": "a"}
+    result = dict.fromkeys(SampleResult.model_fields) | cost | {"scoops": 1, "attempt": 1, "id": "a", "recorded": []}
     for _ in range(2):  # as when another of the sample's containers goes
         journal.event(SampleResult.model_validate(result | {"verdict": "over", "doses": [adjusted]}))
     journal.close()

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from wire_helpers import carry_out, wait_for
 
-from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.devices import doctor
 from scuhand_bt.devices.balances import DIALECTS, SerialBalance
 from scuhand_bt.devices.balances.plausibility import FLOW_MG_PER_S, LUMP_MG
@@ -509,12 +509,16 @@ def test_after_a_broken_answer_a_polled_balance_is_asked_again_at_once(
         balance.close()
 
 
+def of_cell(balance: BalanceSpec) -> CellSpec:
+    return CellSpec(cell="bench", stations={}, balance=balance)
+
+
 @pytest.mark.real_time
 @pytest.mark.parametrize("served", ALL, indirect=True)
 def test_the_doctor_says_which_readability_it_has_seen_and_how_clean_the_line_is(
     served: tuple[TwinServer[BalanceTwin], BalanceSpec],
 ) -> None:
-    found = [(f.check, f.verdict) for f in doctor.balance(served[1], WallClock())]
+    found = [(f.check, f.verdict) for f in doctor.balance(of_cell(served[1]), WallClock())]
     assert found[:2] == [("reading", "ok"), ("readability", "ok")]
     assert found[-1] == ("line", "ok")
 
@@ -524,7 +528,7 @@ def test_the_doctor_says_which_readability_it_has_seen_and_how_clean_the_line_is
 def test_the_doctor_says_that_the_readability_is_another_and_what_to_write(
     served: tuple[TwinServer[BalanceTwin], BalanceSpec],
 ) -> None:
-    (wrong,) = doctor.balance(served[1].model_copy(update={"readability_mg": 0.1}), WallClock())
+    (wrong,) = doctor.balance(of_cell(served[1].model_copy(update={"readability_mg": 0.1})), WallClock())
     assert (wrong.check, wrong.verdict, wrong.found, wrong.expected) == (
         "readability",
         "FAIL",
@@ -539,6 +543,6 @@ def test_the_doctor_says_that_the_readability_is_another_and_what_to_write(
 def test_the_doctor_finds_a_bad_cable(served: tuple[TwinServer[BalanceTwin], BalanceSpec]) -> None:
     server, spec = served
     server.misbehaviour.flip_every = 3
-    findings = {f.check: f for f in doctor.balance(spec, WallClock())}
+    findings = {f.check: f for f in doctor.balance(of_cell(spec), WallClock())}
     assert findings["line"].verdict == "FAIL"
     assert "cable" in findings["line"].what_to_do

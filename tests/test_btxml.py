@@ -177,5 +177,5 @@ def test_the_command_writes_and_reads_the_file_and_draws_the_tree(command: Call,
     drawing = ElementTree.fromstring(picture.encode())
     said = ["".join(text.itertext()) for text in drawing.iter("{http://www.w3.org/2000/svg}text")]
     assert said[0] == "fill_crucible"
-    assert "cone_holds powder: $source.powder" in said
+    assert "return_leftover source: $source, keep: unless_told" in said
     assert any(line.startswith("fill source: $source, container: $container") and "→ dose" in line for line in said)

@@ -272,7 +272,7 @@ def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_
     for name in (("check",), ("plan", "--trials", 0)):
         ended = command(*name, recipe)
         assert (ended.returncode, ended.stderr[:6]) == (0, "Note: ")
-        assert "robot/cell.yaml:7:19: the changer 'carousel' has no driver" in ended.stderr
+        assert "robot/cell.yaml:7:19: the changer 'carousel' has no port" in ended.stderr
         ended = command(*name, recipe, "--json")
         assert (json.loads(ended.stdout)["notes"][0].split(": ", 1)[1][:22], ended.stderr) == (
             "the changer 'carousel'",
@@ -280,7 +280,7 @@ def test_a_changer_without_a_driver_is_noted_by_check_and_plan_and_refused_by_a_
         )
     ended = command("run", recipe, "--operator", "Eve")
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert "robot/cell.yaml:7:19: the changer 'carousel' has no driver" in ended.stderr
+    assert "robot/cell.yaml:7:19: the changer 'carousel' has no port" in ended.stderr
 
 
 def test_ctrl_c_while_running_ends_safe_with_code_130(recipe: Path) -> None:

@@ -52,7 +52,7 @@ def test_a_cone_that_empties_slowly_takes_several_pulses_and_each_is_one_that_th
         yield from pulse(opening_mm, dwell_s, vibration)
 
     cell.hand.pulse = noted  # type: ignore[method-assign]
-    skill: Any = starter.library.skills["discard"]
+    skill: Any = starter.library.skills["scoop"]
     carry_out(sys.modules[skill.__module__].empty_cone(cell), cast(Any, clock))
     assert len(dwells_s) == pulses
     assert dwells_s[:-1] == [cell.hand.longest_dwell_s] * (pulses - 1)

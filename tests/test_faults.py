@@ -229,7 +229,7 @@ def test_a_device_that_cannot_be_told_does_not_keep_a_run_that_ends_waiting(tmp_
 
 
 def test_a_cone_that_leaks_loses_powder_through_its_shut_valve(tmp_path: Path) -> None:
-    ran = run_with(tmp_path, "fault: cone.leak, at: 0 s, for: 30 s")
+    ran = run_with(tmp_path, "fault: cone.leak, at: 0 s, for: 22 s")
     sound = dry_run(tmp_path, BATCH, controller="adaptive")
     assert ran.session.world is not None
     assert sound.session.world is not None

@@ -302,7 +302,7 @@ def test_without_a_map_nothing_moves() -> None:
 def test_a_map_that_is_none_is_refused_and_the_one_before_is_kept(commands: tuple[str, ...]) -> None:
     host = Host()
     assert [host.report(command).refusal for command in commands][-1] == "range"
-    assert host.say("hello 2") == Hello(host.number, "2.0", 2.4)
+    assert host.say("hello 2") == Hello(host.number, "TWIN-2.0", 2.4)
 
 
 def test_a_map_is_not_changed_under_an_open_valve() -> None:

@@ -42,6 +42,7 @@ def trial_of(plan: Plan, job_s: float) -> Trial:
         samples,
         dict.fromkeys(plan.recipe.sources, 1),
         {"beads": 1.0, "msg": 1.0},
+        {"beads": {}, "msg": {}},
     )
 
 

@@ -59,7 +59,8 @@ def test_the_page_has_the_plans_order_and_when_each_job_is_to_begin(made: Any) -
 def test_the_page_says_how_much_powder_is_used_and_when_a_person_is_needed(made: Any) -> None:
     plan, odds, page = made
     tables = Tables(page)
-    columns = "source, powder, station, samples, scoops, needed with losses, used, amount"
+    columns = "source, powder, station, samples, scoops, needed with losses, used, "
+    columns += "left, kept, left, returned, left, discarded, amount"
     for row, demand in zip(tables.found[columns][1:], plan.demands, strict=True):
         name = demand.source.name
         assert (row[0], row[4]) == (name, f"{odds.scoops[name].middle:.0f}")

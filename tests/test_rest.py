@@ -70,7 +70,7 @@ class Left(Skill[None]):
 
     def run(self, cell: FakeCell) -> Steps[None]:  # type: ignore[override]
         yield from wait_until(cell, 1.0)
-        cell.devices["hand"].is_stopped = False
+        cell.device("hand").is_stopped = False
         cell.note("left")
 
 

@@ -355,7 +355,7 @@ def test_a_run_that_goes_on_shows_what_it_does_and_why_in_every_size(tmp_path: P
             running = terminal.shows(f"a-{number}: 30.0 mg", "▶ dispense", "Ctrl-C stops now")
             assert "SIMULATED: shown" in running
             assert f"a-{number}: 30.0 mg ± 2.0 mg of glass_beads into xrd_holder" in running
-            assert "✓ move_over ▶ dispense · park" in running
+            assert "✓ move_over ▶ dispense · return_leftover · park" in running
             assert "g, stable" in running or "g, moving" in running
             assert "valve " in running
             assert "Ctrl-Z pauses, Ctrl-\\ stops after this sample, Ctrl-C stops now" in running

@@ -1,5 +1,6 @@
 """Weighing until it stays, and the bare pan behind a container: with a balance that shows what it is told to."""
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, cast
@@ -51,6 +52,8 @@ class Shown:
                 arm=SimpleNamespace(was_limp=False),
                 believed=self.believed,
                 record=Record(self.events.append),
+                readings=deque(),
+                came=None,
                 changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
             ),
         )

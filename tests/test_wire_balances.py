@@ -87,7 +87,7 @@ def test_mt_sics_lines_are_those_of_the_manual() -> None:
     assert say(twin, b"T\r\n") == b""
     assert say(twin, b"", 31.0) == b"T I\r\n", "it gives up after half a minute"
     assert say(twin, b"TI\r\n") == b"TI D     100.00 g\r\n"
-    assert say(twin, b"@\r\n") == b'I4 A "B207696838"\r\n'
+    assert say(twin, b"@\r\n") == b'I4 A "TWIN696838"\r\n'
     assert say(twin, b"C3\r\n", 50.0) == b"C3 B\r\n"
     assert say(twin, b"SI\r\n", 51.0) == b"S I\r\n"
     pan.stable = True
