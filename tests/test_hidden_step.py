@@ -50,9 +50,13 @@ def ringing(load_mg: np.ndarray) -> np.ndarray:
 FILTERS = {"0.3 s": poles(0.3), "0.6 s": poles(0.6), "a mean": mean(1.0), "ringing": ringing}
 
 
-def shown(filtered: Filter, load_mg: np.ndarray, changed_s: float, rng: np.random.Generator) -> Step:
+def shown(
+    filtered: Filter, load_mg: np.ndarray, changed_s: float, rng: np.random.Generator, late_s: float = 0.0
+) -> Step:
     every = round(PERIOD_S / FINE_S)
-    times_s = TIMES_S[::every]
+    times_s = TIMES_S[::every] + rng.uniform(0.0, late_s, len(TIMES_S[::every]))
+    if late_s:  # and one is lost
+        times_s[np.searchsorted(times_s, changed_s + rng.uniform(0.5, 4.0)) :] += PERIOD_S
     values_mg = filtered(load_mg)[::every] + 0.05 * rng.standard_normal(len(times_s))
     values_mg = np.round(values_mg / DIGIT_MG) * DIGIT_MG
     curve = list(zip(times_s.tolist(), values_mg.tolist(), strict=True))
@@ -61,14 +65,14 @@ def shown(filtered: Filter, load_mg: np.ndarray, changed_s: float, rng: np.rando
     return step
 
 
-def told_mg(filtered: Filter, stepped_mg: float, after_s: float, seed: int = 0) -> float:
-    """What is told of a zero that steps so long after the container went."""
+def told_mg(filtered: Filter, stepped_mg: float, after_s: float, seed: int = 0, late_s: float = 0.0) -> float:
+    """What is told of a zero that steps so long after the container went; by readings that may come so late."""
     rng = np.random.default_rng(seed)
     at_s = 1.0 + rng.uniform(0.0, PERIOD_S)
-    came = shown(filtered, np.where(at_s > TIMES_S, 0.0, MASS_MG), at_s, rng)
+    came = shown(filtered, np.where(at_s > TIMES_S, 0.0, MASS_MG), at_s, rng, late_s)
     at_s = 1.0 + rng.uniform(0.0, PERIOD_S)
     load_mg = np.where(at_s > TIMES_S, MASS_MG + 35.0, 0.0) + np.where(at_s + after_s > TIMES_S, 0.0, stepped_mg)
-    return hidden_step_mg(came, shown(filtered, load_mg, at_s, rng), DIGIT_MG)
+    return hidden_step_mg(came, shown(filtered, load_mg, at_s, rng, late_s), DIGIT_MG)
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -77,10 +81,16 @@ def test_a_pan_that_comes_to_rest_as_it_did_before_hides_nothing(name: str, seed
     assert told_mg(FILTERS[name], 0.0, 0.0, seed) == 0.0
 
 
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("seed", range(10))
+def test_readings_that_arrive_unevenly_tell_no_step(name: str, seed: int) -> None:
+    assert told_mg(FILTERS[name], 0.0, 0.0, seed, late_s=0.05) == 0.0
+
+
 @pytest.mark.parametrize("stepped_mg", [3.0, -3.0, 1.5])
-@pytest.mark.parametrize(("name", "after_s"), [("0.3 s", 2.5), ("0.3 s", 3.3), ("0.6 s", 5.0), ("a mean", 1.2)])
+@pytest.mark.parametrize(("name", "after_s"), [("0.3 s", 2.8), ("0.3 s", 3.3), ("0.6 s", 5.6), ("a mean", 1.4)])
 def test_a_step_on_a_pan_that_is_not_yet_at_rest_is_told(name: str, after_s: float, stepped_mg: float) -> None:
-    assert told_mg(FILTERS[name], stepped_mg, after_s) == pytest.approx(abs(stepped_mg), rel=0.35)
+    assert told_mg(FILTERS[name], stepped_mg, after_s) > abs(stepped_mg) / 2.0, "what doubt 2.15 times as wide covers"
 
 
 def test_too_little_of_a_curve_tells_nothing() -> None:

@@ -13,9 +13,11 @@ from scuhand_bt.dosing.characteristic import Step
 
 EARLIER_S = np.arange(-0.3, 0.305, 0.01)
 """By how much a load may come earlier or later than it was taken to: d."""
-BEND_SHARE, FALL_SHARE = 0.25, 0.1
+TAIL_MG = 100.0
+"""So much of the load is still shown where the fit begins."""
+BEND_SHARE, FALL_SHARE = 0.25, 1.0
 """Of a curve's second and first differences: how far it may be off between readings (a parabola by an eighth of the
-second), and by the steps of `EARLIER_S`."""
+second), and by when they arrive: one that is lost puts the others a period off."""
 CLEARER = 40.0
 """A step that explains so many times the variance that stays is one: noise alone explains 15 times at most."""
 LEAST_DIGITS, MOST_MG = 5.0, 50.0
@@ -24,12 +26,14 @@ LEAST_DIGITS, MOST_MG = 5.0, 50.0
 
 def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
     """How far the zero stepped while what `came` went again; 0 where no step is told."""
-    times_s, mass_mg = np.asarray(went.times_s), abs(went.step_mg)
+    mass_mg = abs(went.step_mg)
     shown_mg = mass_mg * np.asarray(went.missing)
+    tail = int(np.argmax(np.abs(shown_mg) < TAIL_MG)) if len(shown_mg) else 0
+    times_s, shown_mg = np.asarray(went.times_s)[tail:], shown_mg[tail:]
     if len(times_s) < 10:
         return 0.0
     expected_mg = mass_mg * _missing(came, times_s - EARLIER_S[:, None])  # (D, N)
-    bends_mg = np.abs(np.diff(expected_mg, n=2, prepend=mass_mg, append=0.0, axis=1))
+    bends_mg = np.abs(np.diff(expected_mg, n=2, axis=1, append=np.zeros((len(EARLIER_S), 2))))
     bends_mg = np.maximum(bends_mg, np.maximum(np.roll(bends_mg, 1, axis=1), np.roll(bends_mg, -1, axis=1)))
     falls_mg = np.gradient(expected_mg, axis=1)
     weights = 1.0 / (readability_mg**2 + (BEND_SHARE * bends_mg) ** 2 + (FALL_SHARE * falls_mg) ** 2)
