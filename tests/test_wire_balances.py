@@ -149,7 +149,7 @@ def test_labmcp_weighs_tares_and_zeroes_on_our_mettler_twin() -> None:
     served = Served("mt_sics")
     with served.on(SocketPort()) as server:
         balance = driver.MTSICSBalance(labmcp_transport(server.url))
-        assert balance.identify()["serial"] == "B207696838"
+        assert balance.identify()["serial"] == "TWIN696838"
         assert balance.weight() == driver.Weight(12.3456, "g", True)
         served.pan.stable = False
         assert balance.weight(stable=False) == driver.Weight(12.3456, "g", False)
@@ -173,7 +173,7 @@ def test_pylabrobot_weighs_and_tares_on_our_mettler_twin() -> None:
     async def weigh(url: str) -> tuple[float, float]:
         scale = backend.MettlerToledoWXS205SDUBackend(port=url)
         await scale.setup()
-        assert scale.serial_number == "B207696838"
+        assert scale.serial_number == "TWIN696838"
         first = await scale.read_stable_weight()
         await scale.tare()
         second = await scale.read_stable_weight()
@@ -195,7 +195,7 @@ def test_labmcp_weighs_and_tares_on_our_sartorius_twin() -> None:
             served.pan.stable = False
             assert not balance.weight(stable=False).stable
             served.pan.stable = True
-            assert balance.identify()["serial"] == "0037402012"
+            assert balance.identify()["serial"] == "TWIN402012"
             balance.close()
 
 
