@@ -220,7 +220,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.HAND_ROLLER_LOST: Failure(
         "The roller's servo was without power, or is new here: nobody knows how far the sheet is rolled.",
         "Begin or resume a run with a person at the cell: it asks how wide the cone's rim is.",
-        ("devices", "run"),
+        ("devices",),
     ),
     Code.SCOOP_NOTHING: Failure(
         "Two scoops in a row brought nothing that comes out: the source is not scooped from any more in this run.",

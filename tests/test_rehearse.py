@@ -180,6 +180,7 @@ def test_without_a_compiler_there_is_no_rehearsal(tmp_path: Path, lab: Lab, monk
 # --- on twins of another program
 
 
+@pytest.mark.slow
 def test_a_run_on_twins_of_another_program_says_so_and_nothing_of_it_is_taken_for_real(
     tmp_path: Path, lab: Lab
 ) -> None:

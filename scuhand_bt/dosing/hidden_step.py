@@ -20,6 +20,10 @@ BEND_SHARE, FALL_SHARE = 0.25, 1.0
 second), and by when they arrive: one that is lost puts the others a period off."""
 CLEARER = 40.0
 """A step that explains so many times the variance that stays is one: noise alone explains 15 times at most."""
+LIKE = 3.0
+"""Variances of a reading: a curve that is farther from the other than this, whatever stepped, is of another filter."""
+SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
+"""So much of a step shows as it is, so clearly and so often: what shows less is the curve's own shape."""
 LEAST_DIGITS, MOST_MG = 5.0, 50.0
 """Of a step that is looked for."""
 
@@ -38,15 +42,19 @@ def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
     falls_mg = np.gradient(expected_mg, axis=1)
     weights = 1.0 / (readability_mg**2 + (BEND_SHARE * bends_mg) ** 2 + (FALL_SHARE * falls_mg) ** 2)
     off_mg = shown_mg - expected_mg
-    without = float((weights * off_mg**2).sum(axis=1).min())
+    misfit = (weights * off_mg**2).sum(axis=1)
+    plain = int(misfit.argmin())
     back = _missing(came, times_s - times_s[:, None])  # (T, N): a zero that goes back with each of the readings
     top, below = (weights * off_mg) @ back.T, weights @ (back**2).T
     steps_mg = top / np.maximum(below, 1e-12)
-    left = (weights * off_mg**2).sum(axis=1)[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
+    left = misfit[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
     best = np.unravel_index(int(left.argmin()), left.shape)
-    stepped_mg = abs(float(steps_mg[best]))
-    is_clear = without - left[best] > CLEARER * left[best] / len(times_s)
-    return stepped_mg if is_clear and stepped_mg > LEAST_DIGITS * readability_mg else 0.0
+    stepped_mg, per_reading = abs(float(steps_mg[best])), left[best] / len(times_s)
+    is_clear = misfit[plain] - left[best] > CLEARER * per_reading and per_reading < LIKE
+    seen_mg = np.abs(off_mg[plain])
+    shows = (seen_mg > SEEN_SHARE * stepped_mg) & (seen_mg > SEEN_SIGMAS / np.sqrt(weights[plain]))
+    is_seen = shows.sum() >= SEEN_READINGS and stepped_mg > LEAST_DIGITS * readability_mg
+    return stepped_mg if is_clear and is_seen else 0.0
 
 
 def _missing(step: Step, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
