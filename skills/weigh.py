@@ -11,7 +11,7 @@ STILL_DIGITS = 2.0
 class Weigh(Skill[Weighed]):
     """Weigh the container on the pan; gives its gross, and the net that it has gained since it was weighed empty."""
 
-    raises = (Code.CONTAINER_CHANGED, Code.CONTAINER_MISSING)
+    raises = (Code.CONTAINER_MISSING,)
     devices = ("balance",)
     typical_s = 6.0
     interrupted = "repeat"
