@@ -100,7 +100,10 @@ def test_who_is_said_to_raise_a_code_does_so(starter: Lab) -> None:
     for code, failure in CATALOGUE.items():
         assert set(failure.raised_in) == {room for room, codes in rooms.items() if code in codes}, code
     for name, skill in starter.library.skills.items():
-        text = (starter.folder / "skills" / f"{name}.py").read_text(encoding="utf-8")
+        file = starter.folder / "skills" / f"{name}.py"
+        if not file.exists():  # `record` is the engine's own
+            continue
+        text = file.read_text(encoding="utf-8")
         body = re.sub(r"    raises = \(.*?\)\n", "", text, flags=re.DOTALL)
         used = {Code[found] for found in re.findall(r"\bCode\.([A-Z_]+)", body)}
         assert set(skill.raises) == used | set(skill.failures), name
