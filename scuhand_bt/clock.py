@@ -88,3 +88,14 @@ def until(clock: Clock, condition: Callable[[], bool], signal: Signal, timeout_s
             return False
         yield Wake.on(signal, deadline_s)
     return True
+
+
+def carried_out(steps: Steps[T], clock: Clock) -> T:
+    """Carry out steps here, to their end, and give their result: where nothing else is to go on meanwhile."""
+    while True:
+        try:
+            wake = next(steps)
+        except StopIteration as done:
+            result: T = done.value
+            return result
+        clock.wait([wake])

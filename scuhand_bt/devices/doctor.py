@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal
 
 from serial.tools import list_ports
 
 from scuhand_bt.cell_spec import CellSpec, HandSpec
-from scuhand_bt.clock import Clock, Steps, until
+from scuhand_bt.clock import Clock, carried_out, until
 from scuhand_bt.devices.balances import SerialBalance
 from scuhand_bt.devices.connect import connect_alone
 from scuhand_bt.devices.crane_x7 import bus_of
@@ -54,7 +54,6 @@ WAKINGS = 200
 WAKING_S = 0.005
 
 Health = Literal["ok", "FAIL", "not done"]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -213,7 +212,7 @@ def hand(spec: HandSpec, clock: Clock, *, self_test: bool) -> Iterator[Finding]:
         return
     with closing(controller):
         yield Finding("hand", "firmware", hello.firmware, f"protocol {VERSION}", "ok")
-        if not _now(until(clock, lambda: controller.report is not None, controller.news, ANSWER_S), clock):
+        if not carried_out(until(clock, lambda: controller.report is not None, controller.news, ANSWER_S), clock):
             yield judged("hand", "status", "no report", "a report", False, "check its cable and supply")
             return
         yield from _hand_status(controller)
@@ -252,7 +251,7 @@ def _hand_test(controller: HandController, clock: Clock) -> Iterator[Finding]:
         return controller.is_done and report.is_safe
 
     controller.step(TEST_OPENING_MM, TEST_DWELL_S, TEST_VIBRATION)
-    over = _now(until(clock, is_over, controller.news, ANSWER_S), clock)
+    over = carried_out(until(clock, is_over, controller.news, ANSWER_S), clock)
     trouble = controller.trouble or controller.refused
     if trouble is not None or not over:
         controller.make_safe()
@@ -278,9 +277,9 @@ def driven(spec: CellSpec, name: str, clock: Clock) -> Iterator[Finding]:
         fault: SkillFailed | None = None
         try:
             if hasattr(device, "read"):
-                _now(device.read(ANSWER_S), clock)
+                carried_out(device.read(ANSWER_S), clock)
             else:
-                _now(until(clock, lambda: device.fault is not None, device.news, ANSWER_S), clock)
+                carried_out(until(clock, lambda: device.fault is not None, device.news, ANSWER_S), clock)
         except SkillFailed as error:
             fault = error if error.code == Code.DEVICE_LOST else None  # a scanner has read nothing: nothing is there
         fault = fault or device.fault
@@ -300,11 +299,11 @@ def balance(cell: CellSpec, clock: Clock) -> Iterator[Finding]:
         return
     with closing(device):  # type: ignore[type-var]
         try:
-            reading = _now(device.next_reading(FIRST_READING_S), clock)
+            reading = carried_out(device.next_reading(FIRST_READING_S), clock)
             yield Finding("balance", "reading", _grams(reading.value_mg), "a reading", "ok")
             yield Finding("balance", "readability", f"{spec.readability_mg:g} mg", "as in robot/cell.yaml", "ok")
             yield _identity(device)
-            mean = _now(device.stable_mean(), clock)
+            mean = carried_out(device.stable_mean(), clock)
             found = f"{_grams(mean.value_mg)} ± {mean.uncertainty_mg:.2f} mg"
             yield Finding("balance", "stability", found, "stable readings", "ok")
             if isinstance(device, SerialBalance):
@@ -339,14 +338,3 @@ def _identity(device: Balance) -> Finding:
 
 def _lost(device: str, error: SkillFailed) -> Finding:
     return judged(device, "connection", error.detail, "a device that answers", False, CATALOGUE[error.code].remedy)
-
-
-def _now(steps: Steps[T], clock: Clock) -> T:
-    """Carry out a device's action here, on a clock in real time."""
-    while True:
-        try:
-            wake = next(steps)
-        except StopIteration as done:
-            result: T = done.value
-            return result
-        clock.wait([wake])

@@ -19,7 +19,7 @@ BEND_SHARE, FALL_SHARE = 0.25, 1.0
 """Of a curve's second and first differences: how far it may be off between readings (a parabola by an eighth of the
 second), and by when they arrive: one that is lost puts the others a period off."""
 CLEARER = 40.0
-"""A step that explains so many times the variance that stays is one: noise alone explains 15 times at most."""
+"""A step that explains so many times the variance that stays is one; tried on the filters of its tests, not derived."""
 LIKE = 3.0
 """Variances of a reading: a curve that is farther from the other than this, whatever stepped, is of another filter."""
 SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3

@@ -5,12 +5,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import BaseModel
 
 from scuhand_bt.cell_spec import ChangerSpec, DeviceSpec
-from scuhand_bt.clock import Clock, Steps
+from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Site
 from scuhand_bt.drivers import driver_of
 from scuhand_bt.failures import SkillFailed
@@ -21,7 +21,6 @@ from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.specs import Container
 
 PATIENCE_S = 20.0
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -70,17 +69,6 @@ def it_comes_and_goes(wire: AtTheWire, kind: str) -> None:
     until(lambda: bool(device.is_stopped), f"a lost {kind} gives its lease back")
     wire.server.plug()
     until(lambda: device.fault is None, "it comes back")
-
-
-def carried_out(steps: Steps[T], clock: Clock) -> T:
-    """Carry out a device's action here."""
-    while True:
-        try:
-            wake = next(steps)
-        except StopIteration as done:
-            result: T = done.value
-            return result
-        clock.wait([wake])
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

@@ -7,6 +7,7 @@ import random
 import time
 
 from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.clock import carried_out
 from scuhand_bt.devices.balances.frames import Answer, Busy, Dialect, OutOfRange, Refused, Weight
 from scuhand_bt.devices.interfaces import Site, is_twin
 from scuhand_bt.drivers import driver_of
@@ -14,7 +15,7 @@ from scuhand_bt.run.clock import WallClock
 from scuhand_bt.sim.wire.balances import BalanceTwin, StillPan, balance_twin
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
-from scuhand_bt.testing.at_the_wire import carried_out, fails, options_of, until
+from scuhand_bt.testing.at_the_wire import fails, options_of, until
 
 MAXIMUM_MG = 120_000.0
 DIGIT_MG = 0.1

@@ -4,10 +4,11 @@ import random
 from collections.abc import Mapping
 from typing import Any
 
+from scuhand_bt.clock import carried_out
 from scuhand_bt.devices.line_device import LineReader, LineSwitch
 from scuhand_bt.sim.wire.line_twin import LineTwin
 from scuhand_bt.specs import Container
-from scuhand_bt.testing.at_the_wire import AtTheWire, at_the_wire, carried_out, fails, it_comes_and_goes, until
+from scuhand_bt.testing.at_the_wire import AtTheWire, at_the_wire, fails, it_comes_and_goes, until
 
 AIRS = (
     {"temperature_c": 22.4, "humidity_percent": 45.1},

@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from scuhand_bt.clock import Clock
+from scuhand_bt.clock import Clock, carried_out
 from scuhand_bt.devices.interfaces import Arm, Hand, Joints
-from scuhand_bt.testing.at_the_wire import carried_out, fails, until
+from scuhand_bt.testing.at_the_wire import fails, until
 
 SWAY_RAD = math.radians(6.0)
 NEAR_RAD = math.radians(1.0)
