@@ -145,6 +145,16 @@ WORLDS: tuple[HostileWorld, ...] = (
     W("hold-3", "holds its display over less than 3 mg, as the load is lifted too", lambda: [Hold(3.0)]),
     W("zero-tracking", "swallows what comes slower than 0.3 mg/s", lambda: [ZeroTracking(1.0, 0.3)]),
     W("ringing", "underdamped: 0.6 Hz, damping 0.12", lambda: [Ringing(0.6, 0.12)]),
+    W(
+        "ringing-and-back",
+        "the same, and the zero up or down in the dose, and back seconds later",
+        lambda: [Ringing(0.6, 0.12), Step("opened", (0.1, 8.0), back_s=(1.0, 20.0))],
+    ),
+    W(
+        "ringing-pushed",
+        "the same, and 3 mg from the first opening until the hand leaves",
+        lambda: [Ringing(0.6, 0.12), Between("opened", "leaving")],
+    ),
     W("mean-later", "a moving mean of 6 s from some time on", lambda: [Later(MovingMean(6.0), (20.0, 200.0))]),
     W("hold-later", "a display that holds over 2 mg from some time on", lambda: [Later(Hold(2.0), (20.0, 200.0))]),
     W("poles-between", "0.7 s more a pole from the second container on", lambda: [FromContainer(Poles(0.7), 2)]),

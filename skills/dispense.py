@@ -30,6 +30,7 @@ from scuhand_bt.dosing.bracket import (
     watch_s,
 )
 from scuhand_bt.dosing.characteristic import held_mg, is_frozen
+from scuhand_bt.dosing.hidden_step import fallen_beside_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
     BalanceDoubted,
@@ -137,9 +138,7 @@ class Dispense(Skill[Dose]):
         self._learn(cell, run)
         for pair in run.watched:
             note_moved(cell, *pair)
-        fell_mg = fallen_mg(self._unshaken_mg(run))
-        noise_mg = max(digit_mg, cell.balance_belief.noise_mg)
-        believed.zero_stepped(fell_mg if fell_mg > FELL_NOISES * noise_mg else 0.0)
+        believed.zero_stepped(self._fell_mg(cell, run))
         pause_s = watch_s(before, run.last, self.tolerance_mg)
         after, mean = yield from weigh_until_still(cell, run.last, 0.0, pause_s, may_gain=True)
         self._require_alive(cell)
@@ -159,15 +158,20 @@ class Dispense(Skill[Dose]):
         return run, after, mean
 
     @staticmethod
-    def _unshaken_mg(run: DoseRun) -> list[float]:
-        """The readings of a dose that no motor has disturbed, nor had so a moment before."""
-        readings_mg, shaken_s = [], -math.inf
+    def _fell_mg(cell: Cell, run: DoseRun) -> float:
+        """By how much the zero fell, by the readings that no motor has disturbed, nor had so a moment before."""
+        times_s, readings_mg, shaken_s = list[float](), list[float](), -math.inf
         for point in run.curve:
             if point.vibration > 0.0:
                 shaken_s = point.time_s
             elif not point.stable and point.time_s > shaken_s + RINGS_S:
+                times_s.append(point.time_s)
                 readings_mg.append(point.net_mg)
-        return readings_mg
+        least_mg = FELL_NOISES * max(cell.spec.balance.readability_mg, cell.balance_belief.noise_mg)
+        fell_mg = fallen_mg(readings_mg)
+        if fell_mg > least_mg and cell.came is not None:
+            fell_mg = min(fell_mg, fallen_beside_mg(times_s, readings_mg, cell.came))
+        return fell_mg if fell_mg > least_mg else 0.0
 
     @staticmethod
     def _flow_s(request: DoseRequest) -> float:

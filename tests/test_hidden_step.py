@@ -1,4 +1,4 @@
-"""A step of the zero that comes while the bare pan is not yet at rest."""
+"""A step of the zero that a balance's filter hides: while the bare pan is not yet at rest, and while powder falls."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,9 +10,10 @@ import pytest
 from harness.bench import Bench
 from harness.falsify import Falsifier, Tally
 from harness.ills_balance import Between
-from harness.worlds import HostileWorld
+from harness.worlds import WORLDS, HostileWorld
+from scuhand_bt.dosing.bracket import fallen_mg
 from scuhand_bt.dosing.characteristic import Step, step_of
-from scuhand_bt.dosing.hidden_step import hidden_step_mg
+from scuhand_bt.dosing.hidden_step import fallen_beside_mg, hidden_step_mg
 
 FINE_S, PERIOD_S, DIGIT_MG, MASS_MG = 0.005, 0.1, 0.1, 9200.0
 TIMES_S = np.arange(0.0, 14.0, FINE_S)
@@ -38,16 +39,19 @@ def mean(over_s: float) -> Filter:
     return lambda load_mg: np.convolve(np.r_[np.full(many - 1, load_mg[0]), load_mg], np.full(many, 1 / many), "valid")
 
 
-def ringing(load_mg: np.ndarray) -> np.ndarray:
-    shown_mg, speed = np.empty_like(load_mg), 0.0
-    shown_mg[0] = load_mg[0]
-    for number in range(1, len(load_mg)):
-        speed += FINE_S * (25.0 * (load_mg[number] - shown_mg[number - 1]) - 5.0 * speed)
-        shown_mg[number] = shown_mg[number - 1] + FINE_S * speed
-    return shown_mg
+def ringing(damping: float) -> Filter:
+    def filtered(load_mg: np.ndarray) -> np.ndarray:
+        shown_mg, speed = np.empty_like(load_mg), 0.0
+        shown_mg[0] = load_mg[0]
+        for number in range(1, len(load_mg)):
+            speed += FINE_S * (25.0 * (load_mg[number] - shown_mg[number - 1]) - 10.0 * damping * speed)
+            shown_mg[number] = shown_mg[number - 1] + FINE_S * speed
+        return shown_mg
+
+    return filtered
 
 
-FILTERS = {"0.3 s": poles(0.3), "0.6 s": poles(0.6), "a mean": mean(1.0), "ringing": ringing}
+FILTERS = {"0.3 s": poles(0.3), "0.6 s": poles(0.6), "a mean": mean(1.0), "ringing": ringing(0.5)}
 
 
 def shown(
@@ -119,3 +123,42 @@ def test_the_only_step_of_a_run_is_found_where_it_ends_on_a_pan_that_comes_to_re
     assert ill._seen_s is not None, "it came"
     assert tally.false_goods == []
     assert tally.flagged["balance.bracket_open"] > 0
+
+
+def fell_mg(filtered: Filter, zero_mg: np.ndarray, seed: int) -> tuple[float, float]:
+    """By how much the readings of a dose of 50 mg in pulses fall, and by how much beside what powder explains."""
+    rng = np.random.default_rng(seed)
+    came = shown(filtered, np.where(TIMES_S < 1.0, 0.0, MASS_MG), 1.0, rng)
+    pours = np.isin(np.arange(len(TIMES_S)) // 60, (6, 14, 15, 27))  # 0.3 s each
+    load_mg = 20.0 + 50.0 * np.cumsum(pours) / pours.sum() + zero_mg
+    every = round(PERIOD_S / FINE_S)
+    times_s, values_mg = (
+        TIMES_S[::every],
+        filtered(load_mg)[::every] + 0.05 * rng.standard_normal(len(TIMES_S[::every])),
+    )
+    values_mg = np.round(values_mg / DIGIT_MG) * DIGIT_MG
+    return fallen_mg(values_mg.tolist()), fallen_beside_mg(times_s.tolist(), values_mg.tolist(), came)
+
+
+LIVELY = ringing(0.15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_readings_that_ring_fall_by_no_more_than_powder_explains(seed: int) -> None:
+    all_mg, beside_mg = fell_mg(LIVELY, np.zeros_like(TIMES_S), seed)
+    assert all_mg > 5.0, "or nothing is asked"
+    assert beside_mg < 0.25
+
+
+@pytest.mark.parametrize("at_s", [3.0, 7.0, 10.5])
+@pytest.mark.parametrize("filtered", [LIVELY, FILTERS["0.3 s"]])
+def test_a_zero_that_falls_behind_a_filter_that_rings_is_told(filtered: Filter, at_s: float) -> None:
+    _, beside_mg = fell_mg(filtered, np.where(at_s > TIMES_S, 0.0, -3.0), 0)
+    assert beside_mg > 1.5
+
+
+def test_doses_on_a_balance_that_rings_are_good(tmp_path: Path) -> None:
+    falsifier, tally = Falsifier(tmp_path, ("short",)), Tally("ringing")
+    falsifier.run_once(next(world for world in WORLDS if world.name == "ringing"), "short", 70000, tally)
+    assert tally.false_goods == []
+    assert tally.good > tally.doses / 2

@@ -1,14 +1,21 @@
-"""A step of the zero while the balance still comes to rest: by how it came to rest before.
+"""Steps of the zero that hide behind a balance's filter: by how it was seen to come to rest, when a container came.
 
-A container comes (p: the share of it that the balance misses, by time) and goes again. If nothing else happens, the
-pan comes to rest as it did then, a little earlier or later: m p(t - d). A zero that is S lower until t1, and then goes
-back, is shown by the same filter: - S p(t - t1), with p = 1 before t1. Both are fitted by least squares, in which the
-steep part of the curve counts little, as it tells little of milligrams.
+**While the pan becomes bare.** A container comes (p: the share of it that the balance misses, by time) and goes again.
+If nothing else happens, the pan comes to rest as it did then, a little earlier or later: m p(t - d). A zero that is S
+lower until t1, and then goes back, is shown by the same filter: - S p(t - t1), with p = 1 before t1. Both are fitted by
+least squares, in which the steep part of the curve counts little, as it tells little of milligrams.
+
+**While powder falls.** Readings that fall are the zero's, as no powder leaves the pan, unless the filter rings. What
+can have come, with each reading no less than nothing, is fitted through that filter: sum of m_j (1 - p(t - t_j)),
+m_j >= 0. What falls beside the fit is the zero's.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scuhand_bt.dosing.bracket import fallen_mg
 from scuhand_bt.dosing.characteristic import Step
 
 EARLIER_S = np.arange(-0.3, 0.305, 0.01)
@@ -55,6 +62,17 @@ def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
     shows = (seen_mg > SEEN_SHARE * stepped_mg) & (seen_mg > SEEN_SIGMAS / np.sqrt(weights[plain]))
     is_seen = shows.sum() >= SEEN_READINGS and stepped_mg > LEAST_DIGITS * readability_mg
     return stepped_mg if is_clear and is_seen else 0.0
+
+
+def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], came: Step) -> float:
+    """By how much (N,) readings fall that no powder explains through a filter that has shown a container so."""
+    from scipy.optimize import nnls  # which not every command has to load
+
+    shown_mg, at_s = np.asarray(readings_mg), np.asarray(times_s)
+    comes = 1.0 - _missing(came, at_s[:, None] - at_s)  # (N, N): what came with each of them
+    design = np.column_stack((comes, np.ones(len(at_s)), -np.ones(len(at_s))))
+    masses_mg, _ = nnls(design, shown_mg)
+    return fallen_mg(list(shown_mg - design @ masses_mg))
 
 
 def _missing(step: Step, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
