@@ -81,6 +81,15 @@ def test_what_a_balance_shows_when_the_valve_has_long_been_shut_is_no_stronger_f
     assert known.surely == surely
 
 
+def test_a_first_opening_that_was_held_up_leaves_the_next_as_careful_and_one_that_was_not_does_not() -> None:
+    held_up, free = Knowledge(request(powder=BEADS)), Knowledge(request(powder=BEADS))
+    before_mm = free.begins_mm(480.0)
+    Scale(held_up, 0.2 * BEADS.coefficient).opening(1.0, 2.0)
+    Scale(free, 0.8 * BEADS.coefficient).opening(1.0, 2.0)
+    assert before_mm <= held_up.begins_mm(480.0) < 1.2 * before_mm, "by what the flow is believed to be weaker"
+    assert free.begins_mm(480.0) > 1.3 * before_mm
+
+
 def test_an_opening_that_need_not_have_brought_anything_teaches_nothing() -> None:
     known = Knowledge(request())
     assert Scale(known, 0.25 * BEADS.coefficient).opening(0.15, 0.5) == BEADS.coefficient

@@ -57,6 +57,8 @@ ERRATIC_GAIN, MOST_ERRATIC = 0.1, 25.0
 """How fast it is learnt that predictions are worse than they claim; and the most that one of them tells."""
 DIFFERS = 0.5
 """By how much the flow may differ from what is believed, as a logarithm."""
+FREELY = 0.5
+"""An opening that brought less than this share of what was expected may have been held up: bridged, or not primed."""
 GUESSED_SPREAD, LEAST_KEPT_SPREAD = 0.3, 0.15
 """What doses are taken to differ by, at least: until a second one was seen, and ever."""
 SHAKING_NOISE_MG = 0.3
@@ -303,8 +305,11 @@ class Knowledge:
         found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
+        was_held_up = gained_mg < FREELY * self.reference * phi_s
         self.reference = max(found, SLOWER * self.reference)
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
+        if was_held_up:  # what comes when nothing is in its way is as little known as before
+            spread = max(spread, self.spread)
         self.spread = min(spread, UNKNOWN_SPREAD)
         if gained_mg > LEAST_MG:  # where nothing came the cone may have been empty
             self._ratios.append((gained_mg, math.log(self.reference / self.belief.coefficient), gap_mm))
