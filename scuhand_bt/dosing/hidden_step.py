@@ -3,7 +3,8 @@
 **While the pan becomes bare.** A container comes (p: the share of it that the balance misses, by time) and goes again.
 If nothing else happens, the pan comes to rest as it did then, a little earlier or later: m p(t - d). A zero that is S
 lower until t1, and then goes back, is shown by the same filter: - S p(t - t1), with p = 1 before t1. Both are fitted by
-least squares, in which the steep part of the curve counts little, as it tells little of milligrams.
+least squares. A line that falls behind looks alike: a step must explain the curve better than one that was late from
+some reading on.
 
 **While powder falls.** Readings that fall are the zero's, as no powder leaves the pan, unless the filter rings. What
 can have come, with each reading no less than nothing, is fitted through that filter: sum of m_j (1 - p(t - t_j)),
@@ -22,15 +23,14 @@ EARLIER_S = np.arange(-0.3, 0.305, 0.01)
 """By how much a load may come earlier or later than it was taken to: d."""
 TAIL_MG = 100.0
 """So much of the load is still shown where the fit begins."""
-BEND_SHARE, FALL_SHARE = 0.25, 1.0
-"""Of a curve's second and first differences: how far it may be off between readings (a parabola by an eighth of the
-second), and by when they arrive: one that is lost puts the others a period off."""
-CLEARER = 40.0
+BEND_SHARE = 0.25
+"""Of a curve's second differences: how far it may be off between readings (a parabola by an eighth)."""
+UNEVEN_S = 0.005
+"""How far apart from their times readings arrive."""
+CLEARER = 30.0
 """A step that explains so many times the variance that stays is one; tried on the filters of its tests, not derived."""
 LIKE = 3.0
 """Variances of a reading: a curve that is farther from the other than this, whatever stepped, is of another filter."""
-SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
-"""So much of a step shows as it is, so clearly and so often: what shows less is the curve's own shape."""
 LEAST_DIGITS, MOST_MG = 5.0, 50.0
 """Of a step that is looked for."""
 
@@ -46,22 +46,19 @@ def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
     expected_mg = mass_mg * _missing(came, times_s - EARLIER_S[:, None])  # (D, N)
     bends_mg = np.abs(np.diff(expected_mg, n=2, axis=1, append=np.zeros((len(EARLIER_S), 2))))
     bends_mg = np.maximum(bends_mg, np.maximum(np.roll(bends_mg, 1, axis=1), np.roll(bends_mg, -1, axis=1)))
-    falls_mg = np.gradient(expected_mg, axis=1)
-    weights = 1.0 / (readability_mg**2 + (BEND_SHARE * bends_mg) ** 2 + (FALL_SHARE * falls_mg) ** 2)
-    off_mg = shown_mg - expected_mg
-    misfit = (weights * off_mg**2).sum(axis=1)
-    plain = int(misfit.argmin())
+    falls_mg = UNEVEN_S * np.gradient(expected_mg, times_s, axis=1)
+    off_mg, variances = shown_mg - expected_mg, readability_mg**2 + (BEND_SHARE * bends_mg) ** 2 + falls_mg**2
+    misfits = off_mg**2 / variances
+    misfit, until = misfits.sum(axis=1), misfits.cumsum(axis=1)
+    late = float((until.min(axis=0) + (misfit[:, None] - until).min(axis=0)).min())
     back = _missing(came, times_s - times_s[:, None])  # (T, N): a zero that goes back with each of the readings
-    top, below = (weights * off_mg) @ back.T, weights @ (back**2).T
+    top, below = (off_mg / variances) @ back.T, (1.0 / variances) @ (back**2).T
     steps_mg = top / np.maximum(below, 1e-12)
     left = misfit[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)
     best = np.unravel_index(int(left.argmin()), left.shape)
     stepped_mg, per_reading = abs(float(steps_mg[best])), left[best] / len(times_s)
-    is_clear = misfit[plain] - left[best] > CLEARER * per_reading and per_reading < LIKE
-    seen_mg = np.abs(off_mg[plain])
-    shows = (seen_mg > SEEN_SHARE * stepped_mg) & (seen_mg > SEEN_SIGMAS / np.sqrt(weights[plain]))
-    is_seen = shows.sum() >= SEEN_READINGS and stepped_mg > LEAST_DIGITS * readability_mg
-    return stepped_mg if is_clear and is_seen else 0.0
+    is_clear = late - left[best] > CLEARER * per_reading and per_reading < LIKE
+    return stepped_mg if is_clear and stepped_mg > LEAST_DIGITS * readability_mg else 0.0
 
 
 def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], came: Step) -> float:
