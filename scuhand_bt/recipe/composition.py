@@ -19,8 +19,8 @@ class ComposedPowder(Values):
     formula: Text
     target_mg: float
     tolerance_mg: float
-    mmol_per_mg: float
-    """Of the formula, in a mass of the lot: purity (1 - water) / molar mass."""
+    mg_per_mmol: float
+    """So much of the lot has a mmol of the formula: molar mass / (purity (1 - water))."""
     assay_uncertainty: float
     """Standard uncertainty of that, relative, by the lot's assay."""
     counts: dict[str, float]

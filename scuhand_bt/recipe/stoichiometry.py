@@ -132,14 +132,14 @@ def composed(
     product_mmol = amount_mg / product.molar_mass_g_per_mol
     powders = []
     for lot, amount in zip(lots, amounts, strict=True):
-        mmol_per_mg = lot.assay / lot.formula.molar_mass_g_per_mol
+        mg_per_mmol = lot.formula.molar_mass_g_per_mol / lot.assay
         powders.append(
             ComposedPowder(
                 lot=lot.name,
                 formula=lot.formula.text,
-                target_mg=product_mmol * float(amount) * (1.0 + lot.excess) / mmol_per_mg,
+                target_mg=product_mmol * float(amount) * (1.0 + lot.excess) * mg_per_mmol,
                 tolerance_mg=0.0,
-                mmol_per_mg=mmol_per_mg,
+                mg_per_mmol=mg_per_mmol,
                 assay_uncertainty=lot.assay_uncertainty,
                 counts={e: float(lot.formula.counts[e]) for e in elements if e in lot.formula.counts},
             )
@@ -187,7 +187,7 @@ def reached(composition: Composition, doses: Mapping[str, tuple[float, float]], 
 
     Not known where that is not each of its lots, and no other.
 
-    u²(c_e) = Σ_j ((S A_ej - c_e A_j) / Σ N)² ((s_j u(m_j))² + (n_j u_j)²),   s_j: mmol in a mg, A_j = Σ_e A_ej
+    u²(c_e) = Σ_j ((S A_ej - c_e A_j) / Σ N)² ((u(m_j) / m_j)² + u_j²) n_j²,   A_j = Σ_e A_ej
     """
     powders = composition.powders
     is_whole = doses.keys() == {powder.lot for powder in powders}
@@ -205,7 +205,7 @@ def reached(composition: Composition, doses: Mapping[str, tuple[float, float]], 
             mass_mg, u_mg = doses[powder.lot]
             gain = (asked * powder.counts.get(one.element, 0.0) - count * sum(powder.counts.values())) / whole
             of_assay = mass_mg * powder.assay_uncertainty
-            parts.append(gain * powder.mmol_per_mg * math.hypot(u_mg, of_assay))
+            parts.append(gain * math.hypot(u_mg, of_assay) / powder.mg_per_mmol)
         elements.append(one.model_copy(update={"reached": count, "uncertainty": math.hypot(*parts)}))
     verdict = _verdict(elements, composition.tolerance, is_closed=is_closed)
     return composition.model_copy(update={"elements": tuple(elements), "verdict": verdict})
@@ -224,7 +224,7 @@ def _atoms(powders: Sequence[ComposedPowder], masses_mg: Mapping[str, float]) ->
     """mmol of each element, by powder."""
     elements = dict.fromkeys(element for powder in powders for element in powder.counts)
     return {
-        element: [powder.counts.get(element, 0.0) * powder.mmol_per_mg * masses_mg[powder.lot] for powder in powders]
+        element: [powder.counts.get(element, 0.0) * masses_mg[powder.lot] / powder.mg_per_mmol for powder in powders]
         for element in elements
     }
 
