@@ -7,19 +7,30 @@ import re
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from conftest import REPOSITORY, Call, LabFolder, problems_of
+from conftest import REPOSITORY, Call, Desk, LabFolder
 from hypothesis import given
 from hypothesis import strategies as st
+from running import Watching, make_lab, shared_planner
 
 from scuhand_bt.dosing.verdict import judge
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.formula import parse_formula
+from scuhand_bt.journal.reader import read
+from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.composition import ComposedPowder, Composition, ElementShare
+from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.recipe.stoichiometry import Imbalance, Lot, balanced, composed, reached, relative_tolerance
+from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.outcome import BatchResult
+from scuhand_bt.run.resume import Resumable, checked_history, find_run, resumable
+from scuhand_bt.run.session import Session
 
 # Standard atomic weights, abridged to five figures (IUPAC, 2021), typed from its table.
 H, C, N, O, LI, P, FE = 1.008, 12.011, 14.007, 15.999, 6.94, 30.974, 55.845  # noqa: E741
@@ -45,15 +56,16 @@ POWDERS = {
 BAYS = ("mortar_bay", "mortar_bay_2", "mortar_bay_3")
 
 
-@pytest.fixture
-def lab(lab_folder: LabFolder) -> LabFolder:
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Desk:
     """The starter lab with a third mortar, and powders for ceramics."""
-    powders = (lab_folder.folder / "robot/powders.yaml").read_text(encoding="utf-8")
+    folder = LabFolder(make_lab(tmp_path_factory.mktemp("ceramics") / "lab"))
+    powders = (folder.folder / "robot/powders.yaml").read_text(encoding="utf-8")
     more = "".join(POWDER.format(name=name, formula=formula) for name, formula in POWDERS.items())
-    lab_folder.write("robot/powders.yaml", powders + more)
+    folder.write("robot/powders.yaml", powders + more)
     bay = "  mortar_bay_3: {kind: mortar, position: [330 mm, 240 mm, 0 mm]}\n"
-    lab_folder.replace("robot/cell.yaml", "  balance: ", f"{bay}  balance: ")
-    return lab_folder
+    folder.replace("robot/cell.yaml", "  balance: ", f"{bay}  balance: ")
+    return Desk(folder.folder, folder.load())
 
 
 def recipe_of(
@@ -69,14 +81,6 @@ def recipe_of(
     return f"recipe: one\nworkflow: weigh_in\nsources:\n{sources}{samples}"
 
 
-def load(lab: LabFolder, text: str) -> Sample:
-    return load_recipe(lab.write("recipes/one.yaml", text), lab.load()).samples[0]
-
-
-def found(lab: LabFolder, text: str) -> list[str]:
-    return problems_of(lambda: load(lab, text))
-
-
 def masses(sample: Sample) -> dict[str, float]:
     return {
         source.powder.name: mass for source, mass in zip(sample.inputs["sources"], sample.inputs["masses"], strict=True)
@@ -86,13 +90,13 @@ def masses(sample: Sample) -> dict[str, float]:
 # --- by hand: what literature's stoichiometries weigh
 
 
-def test_llzo_with_ten_percent_of_lithium_more_is_weighed_in_as_by_hand(lab: LabFolder) -> None:
+def test_llzo_with_ten_percent_of_lithium_more_is_weighed_in_as_by_hand(lab: Desk) -> None:
     pure = "purity: 100 %"
     text = recipe_of(
         f"lithium_carbonate, {pure}", f"lanthana, {pure}", f"zirconia, {pure}",
         product="Li7La3Zr2O12", chosen="Li2CO3 (excess 10 %), La2O3, ZrO2",
     )  # fmt: skip
-    sample = load(lab, text)
+    sample = lab.load(text).samples[0]
     n = 2000.0 / (7 * LI + 3 * LA + 2 * ZR + 12 * O)  # mmol
     by_hand = {
         "lithium_carbonate": n * 3.5 * 1.1 * (2 * LI + C + 3 * O),
@@ -106,21 +110,21 @@ def test_llzo_with_ten_percent_of_lithium_more_is_weighed_in_as_by_hand(lab: Lab
     assert asked == pytest.approx({"Li": 7.7, "La": 3.0, "Zr": 2.0}, rel=1e-12)
 
 
-def test_ybco_is_weighed_in_as_by_hand(lab: LabFolder) -> None:
-    sample = load(lab, recipe_of(
+def test_ybco_is_weighed_in_as_by_hand(lab: Desk) -> None:
+    text = recipe_of(
         "yttria, purity: 99.9 %", "barium_carbonate, purity: 99.5 %", "copper_oxide, purity: 99.7 %",
         product="YBa2Cu3O6.9", chosen="CuO, BaCO3, Y2O3",
-    ))  # fmt: skip
+    )  # fmt: skip
     n = 2000.0 / (Y + 2 * BA + 3 * CU + 6.9 * O)
     by_hand = {
         "yttria": n * 0.5 * (2 * Y + 3 * O) / 0.999,
         "barium_carbonate": n * 2 * (BA + C + 3 * O) / 0.995,
         "copper_oxide": n * 3 * (CU + O) / 0.997,
     }
-    assert masses(sample) == pytest.approx(by_hand, rel=1e-4)
+    assert masses(lab.load(text).samples[0]) == pytest.approx(by_hand, rel=1e-4)
 
 
-def test_lithium_iron_phosphate_from_wet_powders_is_weighed_in_as_by_hand(lab: LabFolder) -> None:
+def test_lithium_iron_phosphate_from_wet_powders_is_weighed_in_as_by_hand(lab: Desk) -> None:
     dry = "purity: 99.9 %"
     text = recipe_of(
         f"lithium_carbonate, {dry}, water: 0.5 %", f"iron_oxalate, {dry}", f"phosphate, {dry}, water: 1.2 %",
@@ -132,26 +136,26 @@ def test_lithium_iron_phosphate_from_wet_powders_is_weighed_in_as_by_hand(lab: L
         "iron_oxalate": n * (FE + 2 * C + 6 * O + 4 * H) / 0.999,
         "phosphate": n * (N + 6 * H + P + 4 * O) / (0.999 * 0.988),
     }
-    assert masses(load(lab, text)) == pytest.approx(by_hand, rel=1e-4)
+    assert masses(lab.load(text).samples[0]) == pytest.approx(by_hand, rel=1e-4)
 
 
 # --- what a recipe may say
 
 
-def test_the_smallest_mass_is_dosed_first_and_the_sheet_is_changed_between_powders_only(lab: LabFolder) -> None:
+def test_the_smallest_mass_is_dosed_first_and_the_sheet_is_changed_between_powders_only(lab: Desk) -> None:
     text = recipe_of(
         "lanthana, purity: 99.9 %", "zirconia, purity: 99.9 %", "lithium_carbonate, purity: 99.9 %",
         product="Li7La3Zr2O12", chosen="La2O3, ZrO2, Li2CO3", amount="4 g",
     )  # fmt: skip
-    sample = load(lab, text)
+    sample = lab.load(text).samples[0]
     assert [source.powder.name for source in sample.sources] == ["zirconia", "lithium_carbonate", "lanthana"]
     assert [pour.mass_mg for pour in sample.flow.pours] == sorted(masses(sample).values())
     assert sample.inputs["first"].powder.name == "zirconia"
 
 
-def test_a_sample_says_what_is_its_own_and_the_defaults_the_rest(lab: LabFolder) -> None:
+def test_a_sample_says_what_is_its_own_and_the_defaults_the_rest(lab: Desk) -> None:
     text = (REPOSITORY / "recipes/cathodes.yaml").read_text(encoding="utf-8")
-    samples = load_recipe(lab.write("recipes/one.yaml", text), lab.load()).samples
+    samples = lab.load(text).samples
     asked = [{one.element: one.asked for one in s.composition.elements} for s in samples if s.composition]
     assert asked == [pytest.approx({"Li": li, "Co": 1.0}) for li in (1.0, 1.05, 1.05)]
     n = 2000.0 / (LI + CO + 2 * O)
@@ -162,31 +166,31 @@ def test_a_sample_says_what_is_its_own_and_the_defaults_the_rest(lab: LabFolder)
     assert doped[1] < rich[1], "and what the formula has is part of it"
 
 
-def test_a_table_may_have_a_column_of_products(lab: LabFolder) -> None:
+def test_a_table_may_have_a_column_of_products(lab: Desk) -> None:
     text = (REPOSITORY / "recipes/cathodes.yaml").read_text(encoding="utf-8")
-    lab.write("recipes/products.csv", "id,compose\nx,LiCoO2\ny,Li1.1CoO2\n")
+    lab.write("products.csv", "id,compose\nx,LiCoO2\ny,Li1.1CoO2\n")
     text = text.split("samples:")[0] + "samples:\n  - {table: products.csv}\n"
-    samples = load_recipe(lab.write("recipes/one.yaml", text), lab.load()).samples
+    samples = lab.load(text).samples
     assert [one.composition.product for one in samples if one.composition] == ["LiCoO2", "Li1.1CoO2"]
 
 
 @pytest.mark.parametrize("name", ["Li2CO3", "CLi2O3", "Li₂CO₃", "lithium_carbonate", "s1"])
-def test_a_powder_is_named_by_its_formula_its_name_or_its_source(lab: LabFolder, name: str) -> None:
+def test_a_powder_is_named_by_its_formula_its_name_or_its_source(lab: Desk, name: str) -> None:
     text = recipe_of(
         "lithium_carbonate, purity: 99.9 %", "cobalt_oxide, purity: 99.9 %", product="LiCoO2", chosen=f"{name}, s2"
     )
-    assert [source.name for source in load(lab, text).sources] == ["s1", "s2"]
+    assert [source.name for source in lab.load(text).samples[0].sources] == ["s1", "s2"]
 
 
-def test_an_element_that_is_not_ignored_is_balanced(lab: LabFolder) -> None:
+def test_an_element_that_is_not_ignored_is_balanced(lab: Desk) -> None:
     powders = ("lithium_hydroxide, purity: 100 %", "phosphate, purity: 100 %")
     text = recipe_of(*powders, product="Li3PO4", chosen="LiOH·H2O, NH4H2PO4", more=", ignore: [O, H]")
-    assert found(lab, text) == [
+    assert lab.problems(text) == [
         "7:115: NH4H2PO4 brings N, which Li3PO4 does not have; another powder; if it leaves, ignore N".replace(
             "NH4H2PO4", "(NH4)H2PO4"
         )
     ]
-    assert masses(load(lab, text.replace("[O, H]", "[O, H, N]")))
+    assert masses(lab.load(text.replace("[O, H]", "[O, H, N]")).samples[0])
 
 
 @pytest.mark.parametrize(
@@ -196,17 +200,17 @@ def test_an_element_that_is_not_ignored_is_balanced(lab: LabFolder) -> None:
         ("Li2CO3, Co3O4", "Li2CO3 (10 %), Co3O4", "no formula"),
         ("Li2CO3, Co3O4", "Li2CO3 (excess), Co3O4", "is not understood; Li2CO3 (excess 10 %)"),
         ("Li2CO3, Co3O4", "Li2CO3 (excess 5), Co3O4", "has no unit"),
-        ("Li2CO3, Co3O4", "Li2CO3 (excess 500 %), Co3O4", "-50% to 100%"),
+        ("Li2CO3, Co3O4", "Li2CO3 (excess 500 %), Co3O4", "-50 % to 100 %"),
         ("Li2CO3, Co3O4", "glass_beads, Co3O4", "neither a source nor a powder of one"),
         ("2 %", "0.15 %", "is known to ± "),
         ("2 g", "20 mg", "which cannot be told with a readability of 0.1 mg; at least 0.2 mg"),
     ],
 )
-def test_what_cannot_be_composed_is_told_where_it_stands(lab: LabFolder, old: str, new: str, code: str) -> None:
+def test_what_cannot_be_composed_is_told_where_it_stands(lab: Desk, old: str, new: str, code: str) -> None:
     text = recipe_of(
         "lithium_carbonate, purity: 99.8 %", "cobalt_oxide, purity: 99.8 %", product="LiCoO2", chosen="Li2CO3, Co3O4"
     )
-    (problem,) = found(lab, text.replace(old, new, 1))
+    (problem,) = lab.problems(text.replace(old, new, 1))
     line, column, message = problem.split(":", 2)
     assert code in message
     written = text.replace(old, new, 1).splitlines()[int(line) - 1][int(column) - 1 :]
@@ -355,17 +359,17 @@ def test_what_the_assays_leave_uncertain_is_taken_from_the_doses() -> None:
     known, uncertain = (relative_tolerance(atoms, [u, 0.0], 0.01) for u in (0.0, 0.002))
     assert known == pytest.approx(0.01 / 1.21)  # Li: 1 - 0.99 x 0.4 of its own, 1.01 x 0.6 of the other
     assert uncertain < 0.8 * known
-    with pytest.raises(ValueError, match=r"Li is known to ± 1\.\d\d%"):
+    with pytest.raises(ValueError, match=r"Li is known to ± 1\.\d\d %"):
         relative_tolerance(atoms, [0.009, 0.0], 0.01)
 
 
-def test_the_uncertainty_of_a_composition_is_that_of_many_draws(lab: LabFolder) -> None:
+def test_the_uncertainty_of_a_composition_is_that_of_many_draws(lab: Desk) -> None:
     text = recipe_of(
         "lithium_carbonate, purity: 99.5 %, purity_uncertainty: 0.2 %, water: 1 %, water_uncertainty: 0.3 %",
         "lanthana, purity: 99.9 %", "zirconia, purity: 98 %",
         product="Li7La3Zr2O12", chosen="Li2CO3 (excess 10 %), La2O3, ZrO2", tolerance="6 %",
     )  # fmt: skip
-    made = load(lab, text).composition
+    made = lab.load(text).samples[0].composition
     assert made is not None
     u_mg = {"lithium_carbonate": 4.0, "lanthana": 6.0, "zirconia": 2.0}
     came = reached(made, {p.lot: (p.target_mg + 3.0, u_mg[p.lot]) for p in made.powders}, is_closed=True)
@@ -405,18 +409,44 @@ def test_a_powder_that_is_not_dosed_and_one_that_is_nobodys_make_a_composition_u
 # --- runs
 
 
+class StopInTheSecond(Watching):
+    """Stops a run while it doses its second powder."""
+
+    def ticked(self, root: Any) -> None:
+        assert self.session is not None
+        is_second = bool(self.session.journal.so_far.doses)
+        self.ticks += is_second and self.session.cell.believed.dosing.target_mg is not None
+        if self.ticks == 20:
+            self.session.control.wish("stop_now")
+
+
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a dry run of the shipped recipe, cut to its last sample."""
-    from running import dry_run
-
-    folder = tmp_path_factory.mktemp("composed")
-    text = (REPOSITORY / "recipes/cathodes.yaml").read_text(encoding="utf-8")
-    head, samples = text.split("samples:\n")
+    """The journal of a dry run of one of the shipped samples that was stopped in its second dose, and resumed."""
+    folder, lab = tmp_path_factory.mktemp("composed"), load_lab(starter_lab())
+    head, samples = (REPOSITORY / "recipes/cathodes.yaml").read_text(encoding="utf-8").split("samples:\n")
     rich = next(line for line in samples.splitlines() if "lco-rich" in line)
-    run = dry_run(folder, f"{head}samples:\n{rich}\n", seed=1, controller=None)
-    assert (run.result.exit_code, run.result.samples[0].is_good) == (0, True)
-    return run.journal
+    (folder / "rich.yaml").write_text(f"{head}samples:\n{rich}\n", encoding="utf-8")
+    plan = make_plan(load_recipe(folder / "rich.yaml", lab), lab)
+    options = Options(DryRun(1), None, folder / "runs")
+
+    def go(watching: Watching, found: Resumable | None = None) -> BatchResult:
+        watching.session = Session(plan, lab, options, shared_planner(plan, lab), resumes=found)
+        try:
+            return watching.session.run(watching)
+        finally:
+            watching.session.close()
+
+    stopped = StopInTheSecond()
+    assert go(stopped).exit_code == ExitCode.INTERRUPTED
+    before = stopped.results[-1]
+    assert (before.verdict, before.composition and before.composition.verdict) == ("interrupted", "not known")
+    journal = find_run(folder / "runs", "last")
+    ended = go(Watching(), resumable(journal, checked_history(journal), plan, lab, accept_changes=False))
+    assert (ended.exit_code, ended.samples[0].is_good) == (ExitCode.OK, True)
+    doses = [row["outcome"] for row in read(journal, "action") if row["skill"] == "dispense"]
+    assert doses.count("done") == 2, "and the first is not done again"
+    return journal
 
 
 def test_every_face_of_a_run_tells_the_same_composition(ran: Path, command: Call, tmp_path: Path) -> None:
@@ -455,6 +485,10 @@ def test_a_plan_tells_what_each_sample_is_made_of(command: Call) -> None:
     assert re.search(
         r"^lco-rich: LiCoO2 \(Li 1\.05 Co 1, each within 1\.5 %\): 798\.3 mg ± 10\.\d* mg of lithium", told, re.M
     )
+    page = (REPOSITORY / "docs/compose.md").read_text(encoding="utf-8")
+    shown = [line for line in page.splitlines() if re.match(r"lco\S*: LiCoO2 ", line)]
+    assert len(shown) == 2
+    assert [line for line in shown if line not in told] == [], "the page shows what the command says"
     values = json.loads(command("plan", "recipes/cathodes.yaml", "--trials", 0, "--json").stdout)
     (job,) = (job for job in values["jobs"] if job["sample"] == "lco")
     assert [powder["formula"] for powder in job["composition"]["powders"]] == ["Li2CO3", "Co3O4"]

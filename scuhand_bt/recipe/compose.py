@@ -107,7 +107,7 @@ class Composer:
             return Entries(node.mark, {"product": node.mark}, {"product": node})
         if isinstance(node, Entries):
             return node
-        what = f"'{COMPOSE}': {describe(node)} composes nothing"
+        what = f"'{COMPOSE}': {describe(node)} is no composition"
         self.problems.add(node.mark, what, "{product: …, amount: …, tolerance: …, from: […]}", code="wrong-shape")
         return None
 
@@ -200,8 +200,8 @@ class Composer:
             return None
         if LEAST_EXCESS <= excess <= MOST_EXCESS:
             return excess
-        what = f"an excess of {excess:.0%}"
-        self.problems.add(item.mark, what, f"{LEAST_EXCESS:.0%} to {MOST_EXCESS:.0%}", code="bad-excess")
+        allowed = f"{100.0 * LEAST_EXCESS:g} % to {100.0 * MOST_EXCESS:g} %"
+        self.problems.add(item.mark, f"an excess of {100.0 * excess:g} %", allowed, code="bad-excess")
         return None
 
     def _source(self, name: str, mark: Mark) -> Source | None:
@@ -224,7 +224,13 @@ class Composer:
             names = " or ".join(f"'{source.name}'" for source in found)
             self.problems.add(mark, what, f"write which: {names}", code="several-sources")
         elif len(self.sources) == len(self.source_marks):  # else it may be one that is reported
+            silent = sorted({one.powder.name for one in self.sources.values() if one.powder.formula is None})
             what = f"no source holds {shorten(name)}"
+            what += (
+                f", as far as is known: {', '.join(silent)} in robot/powders.yaml is without a formula"
+                if silent
+                else ""
+            )
             self.problems.add(mark, what, unknown=name, known=self._known(), code="no-source")
         return None
 

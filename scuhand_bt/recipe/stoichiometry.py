@@ -56,7 +56,8 @@ def balanced(product: Formula, formulas: Sequence[Formula], ignored: Sequence[st
     if free := [j for j in range(len(formulas)) if j not in pivots]:
         also = [formulas[pivots[i]] for i in range(len(pivots)) if rows[i][free[0]] != 0]
         one = formulas[free[0]]
-        what = f"there are several ways to make {product.text}: {one.text} brings no more than {_listed(also)}"
+        why = f"{one.text} stands there twice" if one in also else f"{one.text} brings no more than {_listed(also)}"
+        what = f"there are several ways to make {product.text}: {why}"
         return [Imbalance("ambiguous-precursors", what, "leave one of them out", free[0])]
     found = [row[-1] for row in rows[: len(formulas)]]
     return [_negative(formulas[j], found[j], j) for j in range(len(found)) if found[j] <= 0] or found
@@ -177,7 +178,7 @@ def relative_tolerance(atoms: Mapping[str, Sequence[float]], assay: Sequence[flo
         ]
         unknown = COVERAGE * math.hypot(*(gain * u for gain, u in zip(gains, assay, strict=True)))
         if unknown >= tolerance:
-            raise ValueError(f"by the powders' assays alone, {element} is known to ± {unknown:.2%}")
+            raise ValueError(f"by the powders' assays alone, {element} is known to ± {100.0 * unknown:.2f} %")
         least = min(least, (tolerance - unknown) / (sum(gains) + unknown))
     return least
 
