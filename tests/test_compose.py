@@ -53,6 +53,15 @@ POWDERS = {
     "phosphate": "(NH4)H2PO4",
     "lithium_hydroxide": "LiOH·H2O",
 }
+FILL = "- fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance}"
+OTHERWISE = {
+    "halved": ("mass: $mass,", "mass: 0.5 * $mass,"),
+    "coarse": ("tolerance: $tolerance}", "tolerance: 2 * $tolerance}"),
+    "one_tolerance": ("tolerance: $tolerance}", "tolerance: max($tolerances)}"),
+    "one_alone": (FILL, f"- if: {{when: $source.name == $first.name, then: {{{FILL[2:]}}}}}"),
+    "salted": ("    - park:", "    - fill: {source: $salt, container: $container, mass: 100 mg}\n    - park:"),
+}
+"""Workflows that dose otherwise than they are asked: what of `weigh_in` is other."""
 BAYS = ("mortar_bay", "mortar_bay_2", "mortar_bay_3")
 
 
@@ -65,6 +74,12 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Desk:
     folder.write("robot/powders.yaml", powders + more)
     bay = "  mortar_bay_3: {kind: mortar, position: [330 mm, 240 mm, 0 mm]}\n"
     folder.replace("robot/cell.yaml", "  balance: ", f"{bay}  balance: ")
+    for name, (old, new) in OTHERWISE.items():
+        text = (folder.folder / "trees/weigh_in.yaml").read_text(encoding="utf-8").replace("weigh_in", name)
+        assert old in text
+        if name == "salted":
+            text = text.replace("inputs:\n", "inputs:\n  salt: Source\n")
+        folder.write(f"trees/{name}.yaml", text.replace(old, new))
     return Desk(folder.folder, folder.load())
 
 
@@ -215,6 +230,27 @@ def test_what_cannot_be_composed_is_told_where_it_stands(lab: Desk, old: str, ne
     assert code in message
     written = text.replace(old, new, 1).splitlines()[int(line) - 1][int(column) - 1 :]
     assert written.startswith((new.split(",")[0], new.rpartition(", ")[2], "2 %"))
+
+
+@pytest.mark.parametrize(
+    ("workflow", "what"),
+    [
+        ("halved", r"no dose is of the 7\d\d\.\d+ mg of lithium_carbonate that sample 'a' asks for; this one is of 3"),
+        ("coarse", r"the dose is within \d+\.\d+ mg, and sample 'a' asks for \d+\.\d+ mg; write each of \$tolerances"),
+        ("one_tolerance", r"the dose is within 3\d\.\d+ mg, and sample 'a' asks for 1\d\.\d+ mg"),
+        ("one_alone", r"asks for 1\d+\.?\d* mg of cobalt_oxide, and 'one_alone' doses nothing into its container"),
+        ("salted", r"'zirconia' comes into the container of sample 'a', and is not of its composition"),
+    ],
+)
+def test_a_workflow_that_doses_otherwise_than_a_composition_asks_is_refused(
+    lab: Desk, workflow: str, what: str
+) -> None:
+    powders = [f"{name}, purity: 99.9 %" for name in ("lithium_carbonate", "cobalt_oxide", "zirconia")]
+    text = recipe_of(*powders, product="LiCoO2", chosen="Li2CO3, Co3O4").replace("weigh_in", workflow)
+    if workflow == "salted":
+        text = text.replace("{id: a,", "{id: a, salt: s3,")
+    told = lab.problems(text)
+    assert any(re.search(what, problem) for problem in told), told
 
 
 # --- the balance of masses

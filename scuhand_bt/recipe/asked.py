@@ -14,13 +14,13 @@ from scuhand_bt.tree.check import Library
 
 def check_asked(samples: Sequence[Sample], library: Library, problems: Problems) -> None:
     """Note each place at which checked workflows dose otherwise than samples ask, once."""
-    found: dict[tuple[Mark, str], list[str]] = {}
+    found: dict[tuple[Mark, str], dict[str, str]] = {}
     for sample in samples:
         for mark, what, fix in _wrong(sample, library):
-            found.setdefault((mark, fix), []).append(what)
+            found.setdefault((mark, fix), {}).setdefault(sample.id, what)
     for (mark, fix), said in found.items():
         more = f" (and {len(said) - 1} more samples like it)" if len(said) > 1 else ""
-        problems.add(mark, said[0] + more, fix, code="not-asked")
+        problems.add(mark, next(iter(said.values())) + more, fix, code="not-asked")
 
 
 def _wrong(sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
