@@ -303,6 +303,12 @@ def test_the_elements_that_go_in_are_those_of_the_product(
     wanted = [product_mmol * float(product.counts.get(e, 0)) for e in POOL]
     assert atoms @ mmol == pytest.approx(wanted, rel=1e-9)
     assert [powder.target_mg for powder in made.powders] == sorted(masses_mg.values())
+    rows = {
+        one.element: [p.counts.get(one.element, 0.0) * p.target_mg / p.mg_per_mmol for p in made.powders]
+        for one in made.elements
+    }
+    share = relative_tolerance(rows, [0.0] * len(lots), 0.01)
+    assert all(-1e-9 < share * p.target_mg - p.tolerance_mg < 0.01 + 1e-9 for p in made.powders), "rounded down"
 
 
 @pytest.mark.parametrize(
@@ -394,9 +400,13 @@ def test_what_the_assays_leave_uncertain_is_taken_from_the_doses() -> None:
     atoms = {"Li": [2.0, 0.0], "Co": [0.0, 3.0]}
     known, uncertain = (relative_tolerance(atoms, [u, 0.0], 0.01) for u in (0.0, 0.002))
     assert known == pytest.approx(0.01 / 1.21)  # Li: 1 - 0.99 x 0.4 of its own, 1.01 x 0.6 of the other
-    assert uncertain < 0.8 * known
+    assert uncertain == pytest.approx((0.01 - 0.004 * 0.604) / (1.21 + 0.004 * 0.604))  # 1 - 0.99 x 0.4
     with pytest.raises(ValueError, match=r"Li is known to ± 1\.\d\d %"):
         relative_tolerance(atoms, [0.009, 0.0], 0.01)
+
+
+def test_what_says_nothing_of_a_composition_is_held_to_the_tolerance_itself() -> None:
+    assert relative_tolerance({"Ti": [3.0]}, [0.0], 0.02) == 0.02
 
 
 def test_the_uncertainty_of_a_composition_is_that_of_many_draws(lab: Desk) -> None:
