@@ -580,3 +580,8 @@ def test_a_second_attempts_composition_is_that_of_its_own_container() -> None:
     made = sample_result(BLEND, SoFar(again), None, None, **COUNTS, attempt=2)
     assert made.composition is not None
     assert (made.composition.container, made.composition.verdict) == ("a#2", "open")
+
+
+def test_two_powders_that_were_taken_for_each_other_are_not_as_asked() -> None:
+    swapped = result(dose(200.0, 200.0), dose(100.0, 100.0, lot=SALT), of=BLEND)
+    assert swapped.verdict == "not as asked"
