@@ -21,6 +21,7 @@ from typing import Any
 from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.lab import Lab, find_lab, load_lab
 from scuhand_bt.problems import Problem, Problems, SourceError
+from scuhand_bt.recipe.composition import Composition
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import Recipe, load_recipe, recipe_of
 from scuhand_bt.run.batch import BatchObserver
@@ -56,6 +57,9 @@ class DoseRecord:
     """The simulation's, of all that the container holds, whichever lot; None on a real cell."""
     recorded: Mapping[str, bool | int | float | str]
     """What the workflow has recorded of the sample, by name, in mg, mm, s or degrees."""
+    composition: Mapping[str, float | str | None]
+    """Of a composed sample: by element the atoms reached per formula of the product, and their `u(ELEMENT)`; `verdict`.
+    """
 
 
 @dataclass(frozen=True)
@@ -75,9 +79,12 @@ class Result:
         return [record for sample in self.samples for record in _records(sample)]
 
     def rows(self) -> list[dict[str, Any]]:
-        """The doses as dicts: `pandas.DataFrame(result.rows())`; recorded values stand there as `recorded.NAME`."""
+        """The doses as dicts: `pandas.DataFrame(result.rows())`; recorded values stand there as `recorded.NAME`, and
+        what a sample is composed of as `composition.ELEMENT`.
+        """
         rows = [asdict(dose) for dose in self.doses]
-        return [row | {f"recorded.{name}": value for name, value in row.pop("recorded").items()} for row in rows]
+        nested = ("recorded", "composition")
+        return [row | {f"{of}.{key}": value for of in nested for key, value in row.pop(of).items()} for row in rows]
 
 
 @dataclass(frozen=True)
@@ -177,4 +184,12 @@ def _record(sample: SampleResult, of: SampleResult | DoseResult, lot: str | None
         detail=sample.detail,
         true_mg=true_mg,
         recorded={one.name: one.value for one in sample.recorded},
+        composition=_composition(sample.composition) if sample.composition is not None else {},
     )
+
+
+def _composition(composition: Composition) -> dict[str, float | str | None]:
+    found: dict[str, float | str | None] = {}
+    for one in composition.elements:
+        found |= {one.element: one.reached, f"u({one.element})": one.uncertainty}
+    return found | {"verdict": composition.verdict}

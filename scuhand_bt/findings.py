@@ -103,6 +103,36 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "What a workflow doses is known only when it runs, and nothing bounds it: room and powder are not checked.",
             "Give it a bound: min(…, 100 mg).",
         ),
+        "bad-formula": Finding(
+            "A text is no chemical formula, or one that could be read in two ways.",
+            "Elements, counts and brackets: Li6.5La3Zr1.5Ta0.5O12; water behind a dot: FeC2O4·2H2O.",
+        ),
+        "not-composing": Finding(
+            "`compose` stands in a sample whose workflow takes no composed powders.",
+            "One with the inputs container: Container, sources: [Source], masses: [Mass], tolerances: [Mass].",
+        ),
+        "composed-input": Finding(
+            "A sample gives what its `compose` gives.", "Leave it out, or compose nothing in this sample."
+        ),
+        "no-source": Finding("No source of the recipe holds a powder of `from`.", "Add the source, or correct it."),
+        "several-sources": Finding("Several sources hold a powder of `from`.", "Write the name of the source."),
+        "no-formula": Finding("A powder that is composed has no formula.", "`formula:` in robot/powders.yaml."),
+        "no-purity": Finding("A lot that is composed has no purity.", "`purity:` at the source, by its certificate."),
+        "bad-excess": Finding("An excess is none: (excess 10 %).", "A share, from -50 % to 100 %."),
+        "missing-element": Finding("No powder of `from` brings an element of the product.", "Name one that does."),
+        "foreign-element": Finding(
+            "A powder brings what the product does not have, or nothing that is balanced.",
+            "Another powder; or `ignore` what leaves.",
+        ),
+        "ambiguous-precursors": Finding(
+            "Several amounts of the powders make the same product.", "Leave one of the powders out."
+        ),
+        "unbalanced": Finding("No amounts of the powders make the product.", "Add a powder, or correct a count."),
+        "negative-amount": Finding("Of a powder nothing, or less, is needed.", "Leave it out, or take other powders."),
+        "uncertain-assay": Finding(
+            "The assays of the powders are less certain than the composition is to be.",
+            "A wider tolerance, or give the uncertainties of a better assay.",
+        ),
         "service-workflow": Finding(
             "A workflow that the engine calls has other inputs than it gives.", "`source` alone."
         ),

@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from scuhand_bt.formula import FormulaText
 from scuhand_bt.quantity import (
     CubicMillimetres,
     Degrees,
@@ -148,6 +149,8 @@ class Powder(Spec):
 
     name: str
     summary: str = ""
+    formula: FormulaText | None = None
+    """What it is, for samples that are composed (docs/compose.md)."""
     bulk_density_mg_per_mm3: Annotated[MilligramsPerCubicMillimetre, Field(gt=0, le=23)]
     """At most that of osmium: what is denser is a slip of units."""
     repose_deg: Annotated[Degrees, Field(gt=0, lt=90)]
@@ -224,7 +227,24 @@ Leftover = Literal["keep", "return", "discard"]
 """What becomes of powder that is left in the cone (`recipe/leftover.py`)."""
 
 
-class Source(Spec):
+class Assay(Spec):
+    """How much of a lot is what its powder's formula says, as its certificate has it; for composed samples.
+
+    Where an uncertainty is not given, what is not the formula is known to within itself: u = x / √3, a rectangular
+    distribution (JCGM 100:2008, 4.3.7).
+    """
+
+    purity_ratio: Annotated[Ratio, Field(gt=0, le=1)] | None = None
+    """Share of the formula in the dry powder."""
+    purity_uncertainty_ratio: Annotated[Ratio, Field(ge=0, lt=1)] | None = None
+    """Standard uncertainty of the purity, as a share of the whole."""
+    water_ratio: Annotated[Ratio, Field(ge=0, lt=1)] = 0.0
+    """Share of water, and of all else that drying takes away, in the powder as it is weighed; beside the formula's."""
+    water_uncertainty_ratio: Annotated[Ratio, Field(ge=0, lt=1)] | None = None
+    """Standard uncertainty of the water, as a share of the whole."""
+
+
+class Source(Assay):
     """A mortar with powder at a station, as a recipe names it."""
 
     name: str

@@ -60,13 +60,13 @@ def _explain(model: type[BaseModel], node: Node, error: Any, problems: Problems)
     elif error["type"] == "missing":
         problems.add(mark, f"'{name}' is missing", code="missing-key")
     else:
-        code = "bad-unit" if error["type"] == "quantity" else "bad-value"
+        code = _OWN_CODES.get(error["type"], "bad-value")
         problems.add(mark, (f"'{shorten(name)}': " if name else "") + refusal(error), code=code)
 
 
 def refusal(error: Any) -> str:
     """What pydantic has against a value (one of `ValidationError.errors()`), in a user's words."""
-    if error["type"] == "quantity":
+    if error["type"] in _OWN_CODES:
         return str(error["msg"])
     given, context = error["input"], error.get("ctx", {})
     shown = (
@@ -75,6 +75,9 @@ def refusal(error: Any) -> str:
     why = _WHY.get(error["type"], "").format(**context) or error["msg"].removeprefix("Value error, ")
     return f"{shown} is not accepted; {why[:1].lower() + why[1:]}"
 
+
+_OWN_CODES = {"quantity": "bad-unit", "formula": "bad-formula"}
+"""The codes of findings of the types of errors that are our own, and worded already."""
 
 _WHY = {
     "missing": "it is missing",

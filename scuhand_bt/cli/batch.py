@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.lab import Lab
     from scuhand_bt.recipe.plan import Plan
+    from scuhand_bt.recipe.sample import Sample
     from scuhand_bt.run.control import Control
     from scuhand_bt.run.outcome import BatchResult
     from scuhand_bt.run.session import Session
@@ -256,6 +257,8 @@ def plan(
         of_kind(html, *PAGES, option="--html")
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
+    from scuhand_bt.report.doses import asked_cells, composed_lines
+
     made, loaded = the_plan(recipe, lab)
     hours = _night(night, trials) if night is not None else None
     notes = notes_of(made, loaded, quiet=as_json)
@@ -278,10 +281,11 @@ def plan(
             sample.workflow,
             ", ".join(source.name for source in sample.sources),
             sample.container.name if sample.container else "",
-            format_mass(sample.mass_mg) if sample.mass_mg is not None else "",
-            f"{sample.tolerance_mg:g} mg" if sample.tolerance_mg is not None else "",
+            *asked_cells(sample),
         )
     out.print(jobs)
+    for line in composed_lines(made.recipe.samples):
+        out.print(Text(line), soft_wrap=True)
     powders = Table("source", "powder", "samples", "needed with losses", "amount", show_edge=False)
     for demand in made.demands:
         source = demand.source
@@ -340,6 +344,10 @@ def _preview(made: "Plan", lab: "Lab", odds: "Odds", page: Path) -> None:
     out.print(Text(f"Written: {page}"), soft_wrap=True)
 
 
+def _composition_values(sample: "Sample") -> dict[str, Any] | None:
+    return sample.composition.model_dump(exclude_unset=True) if sample.composition is not None else None
+
+
 def _plan_values(made: "Plan") -> dict[str, Any]:
     return {
         "recipe": made.recipe.name,
@@ -353,6 +361,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
                 "container": job.sample.container.name if job.sample and job.sample.container else None,
                 "mass_mg": job.sample.mass_mg if job.sample else None,
                 "tolerance_mg": job.sample.tolerance_mg if job.sample else None,
+                "composition": _composition_values(job.sample) if job.sample else None,
             }
             for job in made.jobs
         ],

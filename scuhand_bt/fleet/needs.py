@@ -70,7 +70,7 @@ def needs_of(plan: Plan, *, simulated: bool) -> Needs:
         },
         lots={source.station: source.sheet_key for source in sources},
         heaviest_mg=max(filled.values(), default=0.0),
-        tolerance_mg=min((sample.tolerance_mg for sample in samples if sample.tolerance_mg), default=None),
+        tolerance_mg=min((one for sample in samples if (one := sample.least_tolerance_mg)), default=None),
         person=next((str(person) for person in plan.persons), ""),
     )
 

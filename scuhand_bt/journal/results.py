@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from scuhand_bt.events import ContainerDiscarded, Dose, Event, Note, Text, ValueRecorded, Values
+from scuhand_bt.recipe.composition import Composition
 from scuhand_bt.specs import Verdict
 
 SampleVerdict = Literal[Verdict, "not as asked", "no dose", "recorded", "skipped", "interrupted", "not run"]
@@ -97,6 +98,8 @@ class SampleResult(Event):
     """Every powder lot in every container; what stands above is of the one that the recipe asks for, or the last."""
     recorded: tuple[ValueRecorded, ...] = ()
     """What its workflow has recorded of it (`record`)."""
+    composition: Composition | None = None
+    """What it was to be composed of, and what its doses come to; None where its recipe gives masses."""
 
     @property
     def is_open(self) -> bool:
@@ -113,7 +116,8 @@ class SampleResult(Event):
     def is_good(self) -> bool:
         """All doses in tolerance and confirmed, or a workflow that was to dose nothing; and no failure."""
         wanted = ("no dose", "recorded") if self.target_mg is None else ("in tolerance",)
-        return self.code is None and self.verdict in wanted and all(dose.is_good for dose in self.doses)
+        is_composed = self.composition is None or self.composition.verdict == "in tolerance"
+        return self.code is None and self.verdict in wanted and all(dose.is_good for dose in self.doses) and is_composed
 
 
 class Chosen(Event):

@@ -18,6 +18,7 @@ from scuhand_bt.cell_spec import CellSpec, Station
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.kit.cases import SUCCESS, Expectation, Substituted
 from scuhand_bt.lab import TEST_SUFFIX, Lab
+from scuhand_bt.recipe.compose import COMPOSE, ComposeText
 from scuhand_bt.recipe.leftover import POLICIES, TO
 from scuhand_bt.recipe.order import ORDERS
 from scuhand_bt.recipe.recipe import ACTIONS
@@ -287,6 +288,10 @@ def _recipe(lab: Lab) -> Json:
     each = {key: {"anyOf": [value, {"type": "array", "items": value}]} for key, value in values.items()}
     workflows: Json = {"enum": sorted(library.workflows)}
     ids = {"anyOf": [TEXT, {"type": "array", "items": TEXT}]}
+    compose = _model(ComposeText)
+    formula: Json = {"type": "string", "description": "the product's formula, all else as the defaults have it"}
+    composed: Json = {"anyOf": [formula, {**compose, "required": []}]}
+    each |= {COMPOSE: {"anyOf": [composed, {"type": "array", "items": composed}]}}
     own = {"id": ids, "workflow": workflows, "repeat": {"type": "integer", "minimum": 1}, "table": {"type": "string"}}
     actions: Json = {"oneOf": [{"const": key, "description": said} for key, said in ACTIONS.items()]}
     codes = dict.fromkeys(sorted(library.failures()), actions)
@@ -298,7 +303,7 @@ def _recipe(lab: Lab) -> Json:
             "controller": {"enum": sorted(CONTROLLERS)},
             "order": {"enum": list(ORDERS)},
             "sources": {"type": "object", "additionalProperties": source, "minProperties": 1},
-            "defaults": _object(values, []),
+            "defaults": _object({**values, COMPOSE: composed}, []),
             "samples": {"type": "array", "items": _object({**own, **each}, []), "minItems": 1},
             "leftover": {
                 "anyOf": [
@@ -316,7 +321,7 @@ def _recipe(lab: Lab) -> Json:
 def _test(lab: Lab) -> Json:
     library, recipe = lab.library, _recipe(lab)["properties"]
     codes, skills = sorted(library.failures()), sorted(library.skills)
-    inputs = recipe["defaults"]
+    inputs = _object({key: value for key, value in recipe["defaults"]["properties"].items() if key != COMPOSE}, [])
     rule = _model(Substituted)
     rule["properties"] |= {"fails": {"enum": codes}, "gives": {"description": "the result that it ends with"}}
     expect = _model(Expectation)

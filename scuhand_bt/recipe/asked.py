@@ -8,44 +8,59 @@ from collections.abc import Iterator, Sequence
 
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.recipe.flow import Pour
-from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.recipe.sample import Ask, Sample
 from scuhand_bt.tree.check import Library
 
 
 def check_asked(samples: Sequence[Sample], library: Library, problems: Problems) -> None:
     """Note each place at which checked workflows dose otherwise than samples ask, once."""
-    found: dict[tuple[Mark, str], list[str]] = {}
+    found: dict[tuple[Mark, str], dict[str, str]] = {}
     for sample in samples:
         for mark, what, fix in _wrong(sample, library):
-            found.setdefault((mark, fix), []).append(what)
+            found.setdefault((mark, fix), {}).setdefault(sample.id, what)
     for (mark, fix), said in found.items():
         more = f" (and {len(said) - 1} more samples like it)" if len(said) > 1 else ""
-        problems.add(mark, said[0] + more, fix, code="not-asked")
+        problems.add(mark, next(iter(said.values())) + more, fix, code="not-asked")
 
 
 def _wrong(sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
     """Where a sample's workflow doses otherwise than it asks, how, and what to write."""
-    if sample.mass_mg is None:
-        return
-    workflow = library.workflows[sample.workflow]
+    into = [aim for aim in sample.flow.last if aim.container is None or sample.is_dosed_into(aim.container)]
+    for ask in sample.asks:
+        yield from _wrong_of(
+            ask, [aim for aim in into if ask.lot is None or aim.lot in (None, ask.lot)], sample, library
+        )
+    if sample.composition is not None:
+        lots = {powder.lot for powder in sample.composition.powders}
+        for aim in into:
+            if aim.lot is not None and aim.lot not in lots:
+                what = f"'{aim.lot}' comes into the container of sample '{sample.id}', and is not of its composition"
+                yield aim.mass_mark, what, "add it to `from`, or dose it elsewhere"
+
+
+def _wrong_of(ask: Ask, aims: Sequence[Pour], sample: Sample, library: Library) -> Iterator[tuple[Mark, str, str]]:
+    workflow, of_lot = library.workflows[sample.workflow], f" of {ask.lot}" if ask.lot is not None else ""
     asks = f"sample '{sample.id}' asks for"
-    aims = [aim for aim in sample.flow.last if aim.container is None or sample.is_dosed_into(aim.container)]
     if not aims:
-        what = f"{asks} {sample.mass_mg:g} mg, and '{workflow.name}' doses nothing into its container"
-        yield workflow.mark, what, "let it dispense $mass there"
-    asked = [aim for aim in aims if aim.mass_mg is None or sample.is_mass(aim.mass_mg)]
+        what = f"{asks} {ask.mass_mg:g} mg{of_lot}, and '{workflow.name}' doses nothing into its container"
+        yield (
+            workflow.mark,
+            what,
+            "let it dispense $mass there" if ask.lot is None else "dispense each of $masses there",
+        )
+    asked = [aim for aim in aims if aim.mass_mg is None or ask.is_for(aim.mass_mg, aim.lot)]
     for aim in () if asked else aims:
-        what = f"no dose is of the {sample.mass_mg:g} mg that {asks}; this one is of {aim.mass_mg:g} mg"
-        yield aim.mass_mark, what, "write $mass"
-    narrow = {aim.place for aim in asked if not _is_wider(aim, sample)}
+        what = f"no dose is of the {ask.mass_mg:g} mg{of_lot} that {asks}; this one is of {aim.mass_mg:g} mg"
+        yield aim.mass_mark, what, "write $mass" if ask.lot is None else "write each of $masses"
+    narrow = {aim.place for aim in asked if not _is_wider(aim, ask)}
     for aim in asked:
         if aim.place not in narrow:
-            what = f"the dose is within {aim.tolerance_mg:g} mg, and {asks} {sample.tolerance_mg:g} mg"
-            yield aim.tolerance_mark, what, "write $tolerance"
+            what = f"the dose is within {aim.tolerance_mg:g} mg, and {asks} {ask.tolerance_mg:g} mg"
+            yield aim.tolerance_mark, what, "write $tolerance" if ask.lot is None else "write each of $tolerances"
 
 
-def _is_wider(aim: Pour, sample: Sample) -> bool:
+def _is_wider(aim: Pour, ask: Ask) -> bool:
     """Whether a dose of the asked mass is told to be coarser than asked."""
-    if aim.mass_mg is None or aim.tolerance_mg is None or sample.tolerance_mg is None:
+    if aim.mass_mg is None or aim.tolerance_mg is None or ask.tolerance_mg is None:
         return False
-    return aim.tolerance_mg > sample.tolerance_mg * (1.0 + 1e-9)
+    return aim.tolerance_mg > ask.tolerance_mg * (1.0 + 1e-9)

@@ -12,6 +12,7 @@ from scuhand_bt.failures import Code
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.recipe.asked import check_asked
+from scuhand_bt.recipe.compose import COMPOSE, Composer, takes_composed
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
 from scuhand_bt.recipe.flow import Flow, flow_of
 from scuhand_bt.recipe.identity import ALLOWED as ID_ALLOWED
@@ -120,8 +121,8 @@ class _Reader:
     """See `Recipe.marks`."""
     workflows: dict[str, Workflow] = field(default_factory=dict)
     """Those that the recipe names."""
-    named_sources: list[Scalar] = field(default_factory=list)
-    """Where samples name sources."""
+    used_sources: set[str] = field(default_factory=set)
+    """Those that samples name, or are composed of."""
     sound: dict[str, bool] = field(default_factory=dict)
     """By workflow, whether it is."""
 
@@ -199,9 +200,8 @@ class _Reader:
 
     def _check_unused(self, samples: Sequence[Sample]) -> None:
         """Warn of sources that no sample names."""
-        used = {node.text for node in self.named_sources}
         for name, mark in self.source_marks.items():
-            if samples and name not in used:
+            if samples and name not in self.used_sources:
                 what = f"no sample takes from '{name}'"
                 self.problems.warn(mark, what, "take it away, or name it in a sample", code="unused-source")
 
@@ -257,6 +257,8 @@ class _Reader:
             if key in MISPLACED and key not in inputs:
                 what = f"'{key}' is no default: {MISPLACED[key]}"
                 self.problems.add(mark, what, code="misplaced-default")
+            elif key == COMPOSE and any(map(takes_composed, self.workflows.values())):
+                continue
             elif self.workflows and key not in inputs and all(w.is_whole for w in self.workflows.values()):
                 what = f"no workflow of this recipe has an input '{shorten(key)}'"
                 self.problems.add(mark, what, unknown=key, known=inputs, code="unknown-input")
@@ -276,10 +278,14 @@ class _Reader:
         workflow = self._workflow(workflow_node)
         if workflow is None:
             return None
-        merged = {key: value for key, value in defaults.values.items() if key in workflow.inputs}
-        merged.update(entry.without(*RECIPE_WORDS).values)
+        composer = Composer(sources, self.source_marks, self.lab.cell.balance, self.problems)
+        made, composed = composer.of_sample(entry, defaults, workflow)
+        if made:  # where composing fails, nobody knows which
+            self.used_sources |= {source.name for source in composed.sources} if composed else set(self.source_marks)
+        given = {key: value for key, value in defaults.values.items() if key in workflow.inputs and key not in made}
+        given.update(entry.without(*RECIPE_WORDS, *made).values)
         inputs: dict[str, Any] = {}
-        for key, node in merged.items():
+        for key, node in given.items():
             self.marks[f"samples.{sample_id}.{key}"] = node.mark
             declared = workflow.inputs.get(key)
             if declared is None and not workflow.is_whole:
@@ -300,7 +306,7 @@ class _Reader:
             if value is not None:
                 inputs[key] = value
         for declared in workflow.inputs.values():
-            if declared.default is None and declared.name not in merged:
+            if declared.default is None and declared.name not in given and declared.name not in made:
                 what = f"'{declared.name}' is missing"
                 self.problems.add(
                     entry.mark,
@@ -310,10 +316,14 @@ class _Reader:
                 )
         if isinstance(inputs.get("tolerance"), Percent) and "mass" not in workflow.inputs:
             what = f"a tolerance in % is one of the mass, but the workflow '{workflow.name}' has no input 'mass'"
-            self.problems.add(merged["tolerance"].mark, what, code="percent-of-nothing")
+            self.problems.add(given["tolerance"].mark, what, code="percent-of-nothing")
+        if composed is not None:
+            inputs |= {name: value for name, value in composed.inputs.items() if name in made}
+            self.marks[f"samples.{sample_id}.{COMPOSE}"] = (entry.get(COMPOSE) or defaults.values[COMPOSE]).mark
         with suppress(ValueError):  # a wrong default, which is reported where it stands
             inputs = bound_inputs(workflow, inputs, self.lab.library)
-        sample = Sample(entry.mark, sample_id, workflow.name, inputs, self._flow(workflow, inputs))
+        flow = self._flow(workflow, inputs)
+        sample = Sample(entry.mark, sample_id, workflow.name, inputs, flow, composed.composition if composed else None)
         check_sample(sample, entry.values, defaults.values, self.lab.cell.balance, self.problems)
         return sample
 
@@ -374,9 +384,9 @@ class _Reader:
         python = wire.python
         if isinstance(python, type) and python in named:
             known, what = named[python]
-            if python is Source and isinstance(node, Scalar):
-                self.named_sources.append(node)
             name = (node.text or "") if isinstance(node, Scalar) else ""
+            if python is Source:
+                self.used_sources.add(name)
             if name not in known:
                 if library.broken.tell(what, name, self.problems):
                     return None

@@ -16,8 +16,9 @@ from scuhand_bt.cell_spec import BalanceSpec, CellSpec
 from scuhand_bt.motion import ApexPose, Mount, unreachable_reason
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.quantity import format_mass
+from scuhand_bt.recipe.composition import Composition
 from scuhand_bt.recipe.flow import Flow, Pour, each_of, sources_of
-from scuhand_bt.specs import Container, Source
+from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.yaml_source import Node
 
 
@@ -38,6 +39,20 @@ class Take:
 
 
 @dataclass(frozen=True)
+class Ask:
+    """A mass that a sample asks for, of a lot; None for whichever its workflow takes."""
+
+    mass_mg: float
+    tolerance_mg: float | None
+    lot: str | None = None
+
+    def is_for(self, target_mg: float, lot: str | None) -> bool:
+        """Whether it is dispensed towards; a lot of None is one that only the run can tell."""
+        is_lot = self.lot is None or lot in (None, self.lot)
+        return is_lot and math.isclose(target_mg, self.mass_mg, rel_tol=1e-9)
+
+
+@dataclass(frozen=True)
 class Sample:
     """One container to be filled: a workflow and its inputs."""
 
@@ -47,6 +62,15 @@ class Sample:
     inputs: Mapping[str, Any]
     flow: Flow
     """What its workflow doses, in the order in which it does."""
+    composition: Composition | None = None
+    """What it is to be composed of, if its recipe says that."""
+
+    @cached_property
+    def asks(self) -> tuple[Ask, ...]:
+        """What its container is to hold: its mass, or that of each powder of its composition."""
+        if self.composition is not None:
+            return tuple(Ask(one.target_mg, one.tolerance_mg, one.lot) for one in self.composition.powders)
+        return (Ask(self.mass_mg, self.tolerance_mg),) if self.mass_mg is not None else ()
 
     @cached_property
     def takes(self) -> tuple[Take, ...]:
@@ -106,13 +130,26 @@ class Sample:
     def tolerance_mg(self) -> float | None:
         return self._mass("tolerance")
 
+    @property
+    def powder_tolerances(self) -> list[tuple[Powder, float]]:
+        """Within what each of its powders is to be dosed, as far as its recipe says."""
+        of_lot = {ask.lot: ask.tolerance_mg for ask in self.asks}
+        found = [(source.powder, of_lot.get(source.sheet_key, self.tolerance_mg)) for source in self.sources]
+        return [(powder, tolerance_mg) for powder, tolerance_mg in found if tolerance_mg is not None]
+
+    @property
+    def least_tolerance_mg(self) -> float | None:
+        """The narrowest that it asks for."""
+        found = (self.tolerance_mg, *(ask.tolerance_mg for ask in self.asks))
+        return min((one for one in found if one is not None), default=None)
+
     def is_dosed_into(self, container_id: str) -> bool:
         """Whether its mass may be for this container; any may be where it has none of its own."""
         return not self.containers or any(one.id == container_id for one in self.containers)
 
-    def is_mass(self, target_mg: float) -> bool:
-        """Whether it is its mass that is dispensed towards."""
-        return self.mass_mg is not None and math.isclose(target_mg, self.mass_mg, rel_tol=1e-9)
+    def ask_for(self, target_mg: float, lot: str | None) -> Ask | None:
+        """What it asks for that is dispensed towards, if it is."""
+        return next((ask for ask in self.asks if ask.is_for(target_mg, lot)), None)
 
     def _mass(self, name: str) -> float | None:
         value = self.inputs.get(name)

@@ -10,12 +10,12 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.quantity import Milligrams
 from scuhand_bt.recipe.sample import check_source
-from scuhand_bt.specs import Positive, Source, Spec
+from scuhand_bt.specs import Assay, Positive, Source
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Node, Scalar, describe
 
 
-class SourceText(Spec):
+class SourceText(Assay):
     """A source as a recipe writes it."""
 
     station: str
@@ -96,6 +96,7 @@ class SourcesReader:
             powder=lab.library.powders[text.powder],
             amount_mg=text.amount_mg,
             lot=text.lot,
+            **{name: getattr(text, name) for name in Assay.model_fields},
         )
         self.marks |= {f"sources.{name}": self.source_marks[name]}
         self.marks |= {f"sources.{name}.{key}": value.mark for key, value in node.values.items()}

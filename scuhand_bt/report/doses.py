@@ -1,8 +1,8 @@
 """The doses of a run as rows of text: what the terminal's table and the report's say of each, they say alike."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.box import SIMPLE
 from rich.table import Table
@@ -11,16 +11,21 @@ from rich.text import Text
 from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.quantity import format_mass
 
+if TYPE_CHECKING:
+    from scuhand_bt.recipe.sample import Sample
+
 HOLDS = "holds (sim.)"
 """What is in the container, which only a simulation can tell: of several powders all."""
 RECORDED = "recorded"
+COMPOSITION = "composition"
+"""What it came to, in atoms per formula of the product."""
 WIDE_COLUMNS = (
     "id", "container", "target", "dispensed", "error mg", "tol. mg", "pulses", "scoops", "vibr. s", "seconds",
-    "verdict", "controller", HOLDS, RECORDED,
+    "verdict", "controller", HOLDS, RECORDED, COMPOSITION,
 )  # fmt: skip
 NARROW_COLUMNS = ("id", "target", "dispensed", "error mg", "seconds", "verdict")
-TEXT_COLUMNS = ("id", "container", "verdict", "controller", RECORDED)
-FOLDED = ("verdict", RECORDED)
+TEXT_COLUMNS = ("id", "container", "verdict", "controller", RECORDED, COMPOSITION)
+FOLDED = ("verdict", RECORDED, COMPOSITION)
 LEAST_VERDICT = 16
 """Columns that each of these has at least, if it needs them."""
 STYLES = {"good": "green", "open": "yellow", "bad": "red"}
@@ -47,6 +52,7 @@ def columns_for(results: Sequence[SampleResult]) -> list[str]:
     """The columns of a table of these: what a simulation tells, or a workflow records, where there is any."""
     left_out = {HOLDS} if all(result.true_mg is None for result in results) else set()
     left_out |= {RECORDED} if not any(result.recorded for result in results) else set()
+    left_out |= {COMPOSITION} if not any(result.composition for result in results) else set()
     return [name for name in WIDE_COLUMNS if name not in left_out]
 
 
@@ -69,6 +75,7 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
             "verdict": verdict,
             "controller": result.controller or "",
             RECORDED: "; ".join(f"{one.name} {one}" for one in result.recorded),
+            COMPOSITION: str(result.composition) if result.composition is not None else "",
         },
         tone_of(result),
         {
@@ -88,6 +95,26 @@ def dose_rows(result: SampleResult) -> Iterator[DoseRow]:
         )
 
 
+def asked_cells(sample: "Sample") -> tuple[str, str]:
+    """What a sample asks for: masses and tolerances."""
+    masses = " + ".join(format_mass(ask.mass_mg) for ask in sample.asks)
+    tolerances = [ask.tolerance_mg for ask in sample.asks] or [sample.tolerance_mg]
+    known = [f"{one:g}" for one in tolerances if one is not None]
+    return masses, f"{' + '.join(known)} mg" if known else ""
+
+
+def composed_lines(samples: "Iterable[Sample]") -> Iterator[str]:
+    """What each composed sample is made of, in the order in which it is dosed."""
+    for sample in samples:
+        if (made := sample.composition) is not None:
+            parts = (
+                f"{format_mass(one.target_mg)} ± {one.tolerance_mg:g} mg of {one.lot} ({one.formula})"
+                for one in made.powders
+            )
+            asked = " ".join(f"{one.element} {one.asked:.4g}" for one in made.elements)
+            yield f"{sample.id}: {made.product} ({asked}, each within {100.0 * made.tolerance:g} %): {', '.join(parts)}"
+
+
 def tone_of(one: SampleResult | DoseResult) -> Tone:
     """How good it is, for a colour and a sign."""
     return "open" if one.is_open else "good" if one.is_good else "bad"
@@ -96,13 +123,13 @@ def tone_of(one: SampleResult | DoseResult) -> Tone:
 def doses_table(results: Sequence[SampleResult], width: int | None = None) -> Table:
     """The samples as a table for a terminal, each dose of one with several in a row of its own below it.
 
-    Where not all of its columns fit into `width`, it is without what can be looked up elsewhere. The verdict, and
-    what was recorded, are folded and never cut; nothing else is.
+    Where not all of its columns fit into `width`, it is without what can be looked up elsewhere. The verdict, what was
+    recorded and a composition are folded and never cut; nothing else is.
     """
     rows = [row for result in results for row in dose_rows(result)]
     columns = columns_for(results)
     if width is not None and sum(2 + _width(name, rows) for name in columns) > width:
-        columns = [*NARROW_COLUMNS, *(name for name in columns if name == RECORDED)]
+        columns = [*NARROW_COLUMNS, *(name for name in columns if name in (RECORDED, COMPOSITION))]
     table = Table(box=SIMPLE, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for name in columns:
         justify: Literal["left", "right"] = "left" if name in TEXT_COLUMNS else "right"

@@ -166,6 +166,9 @@ def _about(job: Job, attempt: int) -> str:
     """What is under way: a sample with what it asks for, or a job between samples."""
     again = f", attempt {attempt}" if attempt > 1 else ""
     sample = job.sample
+    if sample is not None and sample.composition is not None:
+        parts = " and ".join(f"{format_mass(one.target_mg)} of {one.formula}" for one in sample.composition.powders)
+        return f"{job.name}{again}: {sample.composition.product} of {parts}"
     if sample is None or sample.mass_mg is None:
         return f"{job.name}{again}"
     tolerance = f" ± {format_mass(sample.tolerance_mg)}" if sample.tolerance_mg is not None else ""

@@ -14,6 +14,7 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import CHANGE_POWDER, Plan
 from scuhand_bt.report import viewer
+from scuhand_bt.report.doses import asked_cells
 from scuhand_bt.report.page import rendered
 from scuhand_bt.report.run_scene import run_motions, scene_of
 from scuhand_bt.run.batch import BatchObserver
@@ -71,8 +72,7 @@ def _range(found: Range, words: Callable[[float], str]) -> str:
 def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
     for number, job in enumerate(plan.jobs, start=1):
         sample = job.sample
-        mass_mg = sample.mass_mg if sample is not None else None
-        tolerance_mg = sample.tolerance_mg if sample is not None else None
+        mass, tolerance = asked_cells(sample) if sample is not None else ("", "")
         chance = odds.samples.get(sample.id) if sample is not None else None
         yield {
             "is_swap": job.workflow == CHANGE_POWDER,
@@ -82,8 +82,8 @@ def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
                 job.workflow,
                 ", ".join(source.name for source in sample.sources) if sample is not None else "",
                 sample.container.name if sample is not None and sample.container is not None else "",
-                format_mass(mass_mg) if mass_mg is not None else "",
-                f"± {tolerance_mg:g} mg" if tolerance_mg is not None else "",
+                mass,
+                f"± {tolerance}" if tolerance else "",
                 _range(odds.began_s[job.name], format_duration),
                 f"{chance.probability:.0%} ({chance.low:.0%} to {chance.high:.0%})" if chance is not None else "",
             ],

@@ -6,7 +6,8 @@ a formula, also where it splits at a semicolon, gets an apostrophe in front.
 A net mass is gross less tare less drift. A dose's tare is what the container weighed just before the valve opened,
 less what earlier doses had brought of the same powder. A `result` is what is said of a dose at the end, adjusted to the
 bare pan behind its container where that confirms it (`bracket`). They stand last, one for each dose, and behind
-them what workflows have recorded of their samples, one row for each value.
+them what workflows have recorded of their samples, one row for each value, and what samples are composed of, one row
+for each element: atoms per formula of the product.
 """
 
 import csv
@@ -46,7 +47,8 @@ COLUMNS = (
     "gross_mg", "drift_mg", "earlier_mg", "net_mg", "standard_uncertainty_mg", "stable", "tare_lines", "gross_lines",
     "lines_unit", "target_mg", "tolerance_mg", "tolerance_convention", "verdict", "sample_verdict",
     "bracket", "true_mg", "failure_code", "source", "powder", "lot", "sheet",
-    "sheet_powder", "controller", "software", "recorded_name", "recorded_value", "recorded_unit", "entry", "entry_hash",
+    "sheet_powder", "controller", "software", "recorded_name", "recorded_value", "recorded_unit", "product", "element",
+    "atoms_asked", "atoms_reached", "atoms_standard_uncertainty", "composition_tolerance", "entry", "entry_hash",
 )  # fmt: skip
 _FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
 
@@ -142,7 +144,7 @@ def _result_rows(
     of_run: Mapping[str, object],
     entry: Mapping[str, object],
 ) -> Iterator[dict[str, object]]:
-    """A row for each dose of a sample, by the last that was said of it, and for each value that was recorded."""
+    """A row for each dose of a sample, by the last that was said of it, each value recorded, each element composed."""
     weighed = ("tare_mg", "gross_mg", "drift_mg", "earlier_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
     for dose in result.doses:
         written = of_doses.get((dose.container, dose.lot), {})
@@ -161,18 +163,36 @@ def _result_rows(
             "failure_code": result.code,
             **entry,
         }
+    of_sample = {
+        **of_run,
+        "sample": result.id,
+        "attempt": result.attempt,
+        "sample_verdict": result.verdict,
+        "failure_code": result.code,
+        **entry,
+    }
     for value in result.recorded:
         yield {
-            **of_run,
+            **of_sample,
             "weighing": "recorded",
-            "sample": result.id,
-            "attempt": result.attempt,
-            "sample_verdict": result.verdict,
-            "failure_code": result.code,
             "recorded_name": value.name,
             "recorded_value": value.value,
             "recorded_unit": value.unit,
-            **entry,
+        }
+    if (composition := result.composition) is None:
+        return
+    for element in composition.elements:
+        yield {
+            **of_sample,
+            "weighing": "composition",
+            "container": composition.container,
+            "verdict": composition.verdict,
+            "product": composition.product,
+            "element": element.element,
+            "atoms_asked": element.asked,
+            "atoms_reached": element.reached,
+            "atoms_standard_uncertainty": element.uncertainty,
+            "composition_tolerance": composition.tolerance,
         }
 
 

@@ -49,12 +49,13 @@ def _too_little(plan: Plan, lab: Lab, figures: Figures) -> Iterator[Problem]:
         minimum_mg, source = max((minimum_mg, source), _usp(repeatability_mg))
     yield from _too_light(plan, minimum_mg, source)
     least_mg = least_tolerance_mg(repeatability_mg)
-    narrow = [one for one in plan.recipe.samples if one.tolerance_mg is not None and one.tolerance_mg < least_mg]
+    asked = [(one, one.least_tolerance_mg) for one in plan.recipe.samples]
+    narrow = [
+        (one, tolerance_mg) for one, tolerance_mg in asked if tolerance_mg is not None and tolerance_mg < least_mg
+    ]
     if narrow:
-        first = narrow[0]
-        what = (
-            f"the tolerance {first.tolerance_mg:g} mg cannot be told with a repeatability of {repeatability_mg:.2g} mg"
-        )
+        first, tolerance_mg = narrow[0]
+        what = f"the tolerance {tolerance_mg:g} mg cannot be told with a repeatability of {repeatability_mg:.2g} mg"
         mark = _mark(plan, first.id, "tolerance", first.mark)
         yield Problem(mark, f"{what}: at least {least_mg:.2g} mg" + _more(len(narrow)))
 

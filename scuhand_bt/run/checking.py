@@ -107,16 +107,15 @@ def _check_odds(recipe: Recipe, problems: Problems) -> None:
     """Warn of samples whose powder comes in lumps too large for their tolerance; of those alike, once."""
     told = set[tuple[str, float]]()
     for sample in recipe.samples:
-        for powder in {source.powder.name: source.powder for source in sample.sources}.values():
-            tolerance_mg = sample.tolerance_mg
-            if tolerance_mg is None or (powder.name, tolerance_mg) in told:
+        for powder, tolerance_mg in sample.powder_tolerances:
+            if (powder.name, tolerance_mg) in told:
                 continue
             told.add((powder.name, tolerance_mg))
             if (chance := chance_with_lumps(tolerance_mg, powder.lump_mg)) < LIKELY:
                 lumps = f"{powder.name} comes in lumps of some {powder.lump_mg:g} mg"
                 what = f"about {chance:.0%} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
-                asked = (recipe.marks.get(f"samples.{sample.id}.{key}") for key in ("tolerance", "mass"))
-                mark = next(filter(None, asked), Mark(str(recipe.path), 1))
+                places = (recipe.marks.get(f"samples.{sample.id}.{key}") for key in ("tolerance", "mass", "compose"))
+                mark = next(filter(None, places), Mark(str(recipe.path), 1))
                 problems.warn(mark, what, "ask for a wider tolerance, or see the odds by `plan`", code="unlikely")
 
 

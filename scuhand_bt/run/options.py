@@ -19,7 +19,7 @@ from scuhand_bt.run.operator import Person
 from scuhand_bt.run.resume import lab_files
 from scuhand_bt.sim.fault_rules import parse_faults
 
-LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic")
+LIBRARIES = ("py-trees", "pin", "ruckig", "numpy", "scipy", "pydantic", "molmass")
 
 
 ON_TWINS = "TWINS (simulated matter, real drivers)"

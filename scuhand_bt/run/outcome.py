@@ -11,7 +11,8 @@ from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.events import Dose
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.results import DoseResult, SampleResult, SampleVerdict, SoFar
-from scuhand_bt.recipe.sample import Sample
+from scuhand_bt.recipe.sample import Ask, Sample
+from scuhand_bt.recipe.stoichiometry import reached
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Container, Verdict
 
@@ -77,12 +78,12 @@ def sample_result(
     sample = replace(sample, inputs=inputs_for(sample, attempt))
     last = list({(dose.container, dose.lot): dose for dose in so_far.doses}.values())
     found = tuple(_dose_result(dose, sample, true_mg.get(dose.container)) for dose in last)
-    asked = [number for number, dose in enumerate(found) if _is_asked(dose, sample)]
-    number = asked[-1] if asked else len(found) - 1
+    asked = {number: ask for number, dose in enumerate(found) if (ask := _asked(dose, sample)) is not None}
+    number = max(asked, default=len(found) - 1)
     main, of_main = (found[number], last[number]) if found else (None, None)
-    is_asked = sample.mass_mg is None or bool(asked)
-    target_mg = main.target_mg if main and is_asked else sample.mass_mg
-    return SampleResult(
+    missing = [ask for ask in sample.asks if ask not in asked.values()]
+    target_mg = main.target_mg if main and (asked or not missing) else sample.asks[0].mass_mg if sample.asks else None
+    result = SampleResult(
         id=sample.id,
         container=sample.container.name if sample.container else None,
         target_mg=target_mg,
@@ -95,7 +96,8 @@ def sample_result(
         vibration_s=of_main.vibration_s if of_main else 0.0,
         duration_s=duration_s,
         controller=of_main.controller if of_main else None,
-        verdict=verdict or _verdict(found, is_asked=is_asked, has_recorded=bool(so_far.recorded)),
+        verdict=verdict
+        or _verdict(found, [found[one] for one in asked], is_asked=not missing, has_recorded=bool(so_far.recorded)),
         code=failure.code if failure else None,
         detail=failure.detail if failure else None,
         true_mg=main.true_mg if main else next(iter(true_mg.values()), None),
@@ -103,6 +105,10 @@ def sample_result(
         doses=found,
         recorded=tuple(so_far.recorded.values()),
     )
+    if sample.composition is None or sample.container is None:
+        return result
+    composition = sample.composition.model_copy(update={"container": sample.container.id})
+    return _reckoned(result.model_copy(update={"composition": composition}))
 
 
 def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
@@ -117,13 +123,13 @@ def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
             "uncertainty_mg": main.uncertainty_mg,
         }
     if result.verdict in get_args(Verdict):
-        changes["verdict"] = _verdict(doses, is_asked=True)
+        changes["verdict"] = _verdict(doses, doses, is_asked=True)
     is_open = any(dose.bracket == "does not close" for dose in doses)
     if is_open and result.code in (None, Code.BALANCE_BRACKET_OPEN):
         changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": closed.detail}
     elif result.code == Code.BALANCE_BRACKET_OPEN and all(dose.bracket == "closed" for dose in doses):
         changes |= {"code": None, "detail": None}
-    return result.model_copy(update=changes)
+    return _reckoned(result.model_copy(update=changes))
 
 
 def doubted(result: SampleResult, stepped_mg: float, drift_mg_per_s: float) -> SampleResult:
@@ -135,12 +141,25 @@ def doubted(result: SampleResult, stepped_mg: float, drift_mg_per_s: float) -> S
     if (main := _main(result, doses)) is not None:
         changes["uncertainty_mg"] = main.uncertainty_mg
     if result.verdict in get_args(Verdict):
-        changes["verdict"] = _verdict(doses, is_asked=True)
+        changes["verdict"] = _verdict(doses, doses, is_asked=True)
         if result.code is None and changes["verdict"] != result.verdict:
             seen = f"step by {stepped_mg:.2f} mg" if stepped_mg > 0.0 else f"drift by {drift_mg_per_s:.3f} mg/s"
             detail = f"the balance's zero was seen to {seen} in this run, and may have in this dose"
             changes |= {"code": Code.BALANCE_BRACKET_OPEN, "detail": detail}
-    return result.model_copy(update=changes)
+    return _reckoned(result.model_copy(update=changes))
+
+
+def _reckoned(result: SampleResult) -> SampleResult:
+    """The result with the composition that its doses come to."""
+    composition = result.composition
+    if composition is None:
+        return result
+    doses = [dose for dose in result.doses if dose.container == composition.container]
+    if any(dose.bracket == "does not close" for dose in doses):
+        doses = []
+    masses = {dose.lot: (dose.dispensed_mg, dose.uncertainty_mg) for dose in doses}
+    came = reached(composition, masses, is_closed=all(dose.bracket == "closed" for dose in doses))
+    return result.model_copy(update={"composition": came})
 
 
 def _doubted(dose: DoseResult, zero_mg: float) -> DoseResult:
@@ -156,8 +175,9 @@ def _main(result: SampleResult, doses: Sequence[DoseResult]) -> DoseResult | Non
     return next((dose for dose, had in zip(doses, result.doses, strict=True) if _is_main(had, result)), None)
 
 
-def _is_asked(dose: Dose | DoseResult, sample: Sample) -> bool:
-    return sample.is_mass(dose.target_mg) and sample.is_dosed_into(dose.container)
+def _asked(dose: Dose | DoseResult, sample: Sample) -> Ask | None:
+    """What of what a sample asks for a dose was to be."""
+    return sample.ask_for(dose.target_mg, dose.lot) if sample.is_dosed_into(dose.container) else None
 
 
 def _is_main(dose: DoseResult, result: SampleResult) -> bool:
@@ -166,8 +186,8 @@ def _is_main(dose: DoseResult, result: SampleResult) -> bool:
 
 def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResult:
     tolerance_mg = dose.tolerance_mg
-    if sample.tolerance_mg is not None and _is_asked(dose, sample):
-        tolerance_mg = min(tolerance_mg, sample.tolerance_mg)  # the recipe's word, whatever the workflow made of it
+    if (ask := _asked(dose, sample)) is not None and ask.tolerance_mg is not None:
+        tolerance_mg = min(tolerance_mg, ask.tolerance_mg)  # the recipe's word, whatever the workflow made of it
     return DoseResult(
         container=dose.container,
         lot=dose.lot,
@@ -196,12 +216,13 @@ def _confirmed(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
     )
 
 
-def _verdict(doses: Sequence[DoseResult], *, is_asked: bool, has_recorded: bool = False) -> SampleVerdict:
+def _verdict(
+    doses: Sequence[DoseResult], asked: Sequence[DoseResult], *, is_asked: bool, has_recorded: bool = False
+) -> SampleVerdict:
     """The worst of its doses; a sample that was to be dosed and was dosed otherwise is not as asked."""
     if not doses and has_recorded and is_asked:
         return "recorded"
     if not doses:
         return "no dose"
-    if not is_asked:
-        return "not as asked"
-    return next((dose.verdict for dose in doses if dose.verdict != "in tolerance"), "in tolerance")
+    bad = next((dose.verdict for dose in (doses if is_asked else asked) if dose.verdict != "in tolerance"), None)
+    return bad or ("in tolerance" if is_asked else "not as asked")

@@ -133,4 +133,4 @@ def _good(one: SampleTrial | None) -> bool:
 def _alike(sample: Sample) -> object:
     container = sample.container.name if sample.container is not None else None
     powders = tuple(source.sheet_key for source in sample.sources)
-    return sample.workflow, powders, container, sample.mass_mg, sample.tolerance_mg
+    return sample.workflow, powders, container, sample.asks, sample.tolerance_mg

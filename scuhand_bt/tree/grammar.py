@@ -39,7 +39,7 @@ KEYWORDS = (*COMPOSITES, *DECORATOR_KEYS, *CHOICE_KEYS)
 
 QUANTITY_INPUTS = {"mass": "Mass", "tolerance": "Mass"}
 """Inputs whose name says what they are: recipes and plans reckon with them."""
-RECIPE_WORDS = ("id", "workflow", "repeat", "table")
+RECIPE_WORDS = ("id", "workflow", "repeat", "table", "compose")
 """Keys of a sample that are not its workflow's inputs."""
 
 _READS_A_VALUE = re.compile(r"\$[A-Za-z_]")

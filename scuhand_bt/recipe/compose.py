@@ -1,0 +1,253 @@
+"""`compose`: a sample by the formula of its product. From it come the inputs `sources`, `masses` and `tolerances`.
+
+    compose: {product: LiCoO2, amount: 2 g, tolerance: 1 %, from: [Li2CO3 (excess 5 %), Co3O4]}
+
+A sample's own keys go before those of the `defaults`; a mere formula is the product. The workflow is one that takes
+these three lists and a `container`; where it has an input `first`, that is the first of the sources.
+"""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from scuhand_bt.cell_spec import BalanceSpec
+from scuhand_bt.formula import Formula, FormulaText, is_element, parse_formula
+from scuhand_bt.problems import Mark, Problems, shorten
+from scuhand_bt.quantity import RATIO, Milligrams, Ratio, format_mass, parse
+from scuhand_bt.recipe.composition import Composition
+from scuhand_bt.recipe.stoichiometry import Imbalance, Lot, balanced, composed
+from scuhand_bt.specs import Assay, Positive, Source, Spec
+from scuhand_bt.tree.grammar import Workflow
+from scuhand_bt.validation import validate
+from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
+
+COMPOSE = "compose"
+TAKEN = {"sources": "[Source]", "masses": "[Mass]", "tolerances": "[Mass]"}
+"""The inputs that a composed sample's workflow is given, and their types."""
+CONTAINER, FIRST = "container", "first"
+IGNORED = ("C", "H", "N", "O")
+"""What comes and goes with the atmosphere, unless a recipe says otherwise."""
+MOST_EXCESS, LEAST_EXCESS = 1.0, -0.5
+_EXCESS = re.compile(r"(?P<name>.+?)\s*\(\s*excess\s+(?P<excess>[^()]+?)\s*\)")
+
+
+class ComposeText(Spec):
+    """`compose` as a recipe writes it."""
+
+    product: FormulaText
+    """Its formula: Li6.5La3Zr1.5Ta0.5O12."""
+    amount_mg: Annotated[Milligrams, Positive]
+    """Of the product, as its formula says; an excess comes to that."""
+    powders: Annotated[tuple[str, ...], Field(alias="from", min_length=1)]
+    """Of each powder the formula, its name, or that of a source, and `(excess 10 %)`."""
+    tolerance_ratio: Annotated[Ratio, Field(gt=0, lt=1)]
+    """How far each element may be from what the formula asks, as a share of that."""
+    ignore: tuple[str, ...] = IGNORED
+    """Elements that are not balanced, as they come and go."""
+
+
+@dataclass(frozen=True)
+class Composed:
+    """What `compose` has made: the inputs of the workflow, and what it is to come to."""
+
+    inputs: Mapping[str, Any]
+    composition: Composition
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        return self.inputs["sources"]  # type: ignore[no-any-return]
+
+
+def takes_composed(workflow: Workflow) -> bool:
+    """Whether a workflow takes what is composed."""
+    types = {name: declared.type.name for name, declared in workflow.inputs.items()}
+    return all(types.get(name) == wanted for name, wanted in {**TAKEN, CONTAINER: "Container"}.items())
+
+
+@dataclass(frozen=True)
+class Composer:
+    """Composes samples of a recipe's sources; of those that are wrong only `source_marks` has the names."""
+
+    sources: Mapping[str, Source]
+    source_marks: Mapping[str, Mark]
+    balance: BalanceSpec
+    problems: Problems
+
+    def of_sample(self, entry: Entries, defaults: Entries, workflow: Workflow) -> tuple[set[str], Composed | None]:
+        """The inputs that come from `compose`, if the sample has one, and what it makes; all that is wrong is noted."""
+        own, shared = entry.get(COMPOSE), defaults.get(COMPOSE)
+        if not takes_composed(workflow):
+            if own is not None and workflow.is_whole:
+                inputs = ", ".join(f"{name}: {wanted}" for name, wanted in TAKEN.items())
+                what = f"the workflow '{workflow.name}' takes nothing that is composed"
+                remedy = f"one with the inputs {CONTAINER}: Container, {inputs}"
+                self.problems.add(entry.keys[COMPOSE], what, remedy, code="not-composing")
+            return set(), None
+        if own is None and shared is None:
+            return set(), None
+        has_first = FIRST in workflow.inputs and workflow.inputs[FIRST].type.name == "Source"
+        made = {*TAKEN, FIRST} if has_first else set(TAKEN)
+        for key in made & entry.keys.keys():
+            what = f"'{key}' is given by '{COMPOSE}'"
+            self.problems.add(entry.keys[key], what, "leave it out, or compose nothing", code="composed-input")
+        parts = [self._entries(node) for node in (shared, own) if node is not None]
+        whole = [part for part in parts if part is not None]
+        if len(whole) < len(parts):
+            return made, None
+        keys = {key: mark for part in whole for key, mark in part.keys.items()}
+        values = {key: value for part in whole for key, value in part.values.items()}
+        return made, self._composed(Entries(whole[-1].mark, keys, values))
+
+    def _entries(self, node: Node) -> Entries | None:
+        if isinstance(node, Scalar) and node.text:
+            return Entries(node.mark, {"product": node.mark}, {"product": node})
+        if isinstance(node, Entries):
+            return node
+        what = f"'{COMPOSE}': {describe(node)} is no composition"
+        self.problems.add(node.mark, what, "{product: …, amount: …, tolerance: …, from: […]}", code="wrong-shape")
+        return None
+
+    def _composed(self, node: Entries) -> Composed | None:
+        """What a sample is composed of; None where something is wrong, which is noted."""
+        text = validate(ComposeText, node, self.problems)
+        items = node.get("from")
+        is_sound = text is not None and self._check_ignored(text, node)
+        chosen = [self._chosen(item) for item in items] if isinstance(items, Items) else []
+        if text is None or not is_sound or not isinstance(items, Items) or None in chosen:
+            return None
+        found = [one for one in chosen if one is not None]
+        product, formulas = parse_formula(text.product), [lot.formula for _, lot in found]
+        amounts = balanced(product, formulas, text.ignore)
+        wrong = [one for one in amounts if isinstance(one, Imbalance)]
+        for one in wrong:
+            at = node.values["product"] if one.number is None else items.items[one.number]
+            self.problems.add(at.mark, one.what, one.remedy, code=one.code)
+        if wrong:
+            return None
+        shares = [one for one in amounts if not isinstance(one, Imbalance)]
+        lots = [lot for _, lot in found]
+        try:
+            made = composed(product, text.amount_mg, lots, shares, text.ignore, text.tolerance_ratio)
+        except ValueError as error:
+            remedy = "a wider tolerance, or the uncertainty of a better assay (`purity_uncertainty`) at the source"
+            self.problems.add(node.values["tolerance"].mark, str(error), remedy, code="uncertain-assay")
+            return None
+        if not self._is_told(made, node.values["tolerance"].mark):
+            return None
+        by_lot = {source.sheet_key: source for source, _ in found}
+        sources = tuple(by_lot[powder.lot] for powder in made.powders)
+        masses, tolerances = ([p.target_mg for p in made.powders], [p.tolerance_mg for p in made.powders])
+        values = {"sources": sources, "masses": tuple(masses), "tolerances": tuple(tolerances), FIRST: sources[0]}
+        return Composed(values, made)
+
+    def _check_ignored(self, text: ComposeText, node: Entries) -> bool:
+        unknown = [number for number, symbol in enumerate(text.ignore) if not is_element(symbol)]
+        listed = node.get("ignore")
+        for number in unknown:
+            mark = listed.items[number].mark if isinstance(listed, Items) else node.mark
+            what = f"there is no element '{shorten(text.ignore[number])}'"
+            self.problems.add(mark, what, "symbols, such as [O, C]", code="bad-formula")
+        return not unknown
+
+    def _is_told(self, made: Composition, mark: Mark) -> bool:
+        """Whether the balance can tell the tolerances of all doses."""
+        least_mg = self.balance.least_tolerance_mg
+        narrow = min(made.powders, key=lambda powder: powder.tolerance_mg)
+        if narrow.tolerance_mg >= least_mg:
+            return True
+        needs = f"{format_mass(narrow.target_mg)} of {narrow.formula} within {narrow.tolerance_mg:g} mg"
+        untold = f"which cannot be told with a readability of {self.balance.readability_mg:g} mg"
+        what = f"for {100.0 * made.tolerance:g} % of each element it takes {needs}, {untold}"
+        remedy = f"at least {least_mg:g} mg: a wider tolerance, or a larger amount"
+        self.problems.add(mark, what, remedy, code="fine-tolerance")
+        return False
+
+    def _chosen(self, item: Node) -> tuple[Source, Lot] | None:
+        """The source and lot of one of the powders."""
+        text = item.text if isinstance(item, Scalar) else None
+        if not text:
+            return None  # which was told of already
+        with_excess = _EXCESS.fullmatch(text.strip())
+        name, excess = (with_excess["name"], self._excess(with_excess["excess"], item)) if with_excess else (text, 0.0)
+        if with_excess is None and re.search(r"\bexcess\b", text):
+            what = f"the excess in {describe(item)} is not understood"
+            self.problems.add(item.mark, what, "Li2CO3 (excess 10 %)", code="bad-excess")
+            return None
+        source = self._source(name.strip(), item.mark)
+        if source is None or excess is None:
+            return None
+        powder, place = source.powder, self.source_marks[source.name]
+        if powder.formula is None:
+            what = f"'{powder.name}' has no formula"
+            self.problems.add(item.mark, what, "add `formula: …` to it in robot/powders.yaml", code="no-formula")
+            return None
+        if source.purity_ratio is None:
+            what = f"'purity' of '{source.name}' is missing: a composed sample needs it"
+            self.problems.add(place, what, "as its certificate has it: purity: 99.5 %", code="no-purity")
+            return None
+        share, uncertainty = assay_of(source, source.purity_ratio)
+        return source, Lot(source.sheet_key, parse_formula(powder.formula), share, uncertainty, excess)
+
+    def _excess(self, text: str, item: Node) -> float | None:
+        try:
+            excess = parse(text, RATIO)
+        except ValueError as error:
+            self.problems.add(item.mark, f"the excess of {describe(item)}: {error}", code="bad-excess")
+            return None
+        if LEAST_EXCESS <= excess <= MOST_EXCESS:
+            return excess
+        allowed = f"{100.0 * LEAST_EXCESS:g} % to {100.0 * MOST_EXCESS:g} %"
+        self.problems.add(item.mark, f"an excess of {100.0 * excess:g} %", allowed, code="bad-excess")
+        return None
+
+    def _source(self, name: str, mark: Mark) -> Source | None:
+        """The one source that is meant: by its name, or its powder's, or the formula of that."""
+        if name in self.source_marks:
+            return self.sources.get(name)  # None for one that is wrong itself, and reported
+        found = [source for source in self.sources.values() if source.powder.name == name]
+        if not found:
+            try:
+                formula = parse_formula(name)
+            except ValueError as error:
+                what = f"'{shorten(name)}' is neither a source nor a powder of one, and no formula: {error}"
+                self.problems.add(mark, what, unknown=name, known=self._known(), code="bad-formula")
+                return None
+            found = [source for source in self.sources.values() if _is_of(source, formula)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            what = f"'{name}' is in several sources"
+            names = " or ".join(f"'{source.name}'" for source in found)
+            self.problems.add(mark, what, f"write which: {names}", code="several-sources")
+        elif len(self.sources) == len(self.source_marks):  # else it may be one that is reported
+            silent = sorted({one.powder.name for one in self.sources.values() if one.powder.formula is None})
+            what = f"no source holds {shorten(name)}"
+            what += (
+                f", as far as is known: {', '.join(silent)} in robot/powders.yaml is without a formula"
+                if silent
+                else ""
+            )
+            self.problems.add(mark, what, unknown=name, known=self._known(), code="no-source")
+        return None
+
+    def _known(self) -> Sequence[str]:
+        return [source.powder.formula or name for name, source in self.sources.items()]
+
+
+def assay_of(lot: Assay, purity: float) -> tuple[float, float]:
+    """The share of the formula in a lot, p (1 - w), and its relative standard uncertainty."""
+    u_purity, u_water = lot.purity_uncertainty_ratio, lot.water_uncertainty_ratio
+    u_purity = (1.0 - purity) / math.sqrt(3.0) if u_purity is None else u_purity
+    u_water = lot.water_ratio / math.sqrt(3.0) if u_water is None else u_water
+    dry = 1.0 - lot.water_ratio
+    return purity * dry, math.hypot(u_purity / purity, u_water / dry)
+
+
+def _is_of(source: Source, formula: Formula) -> bool:
+    """Whether it is the same formula, however it is written."""
+    mine = source.powder.formula
+    return mine is not None and dict(parse_formula(mine).counts) == dict(formula.counts)
