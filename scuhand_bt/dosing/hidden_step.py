@@ -31,6 +31,8 @@ CLEARER = 30.0
 """A step that explains so many times the variance that stays is one; tried on the filters of its tests, not derived."""
 LIKE = 3.0
 """Variances of a reading: a curve that is farther from the other than this, whatever stepped, is of another filter."""
+SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
+"""So much of a step shows as it is, so clearly and so often: what shows less is the curve's own shape."""
 LEAST_DIGITS, MOST_MG = 5.0, 50.0
 """Of a step that is looked for."""
 
@@ -58,7 +60,11 @@ def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
     best = np.unravel_index(int(left.argmin()), left.shape)
     stepped_mg, per_reading = abs(float(steps_mg[best])), left[best] / len(times_s)
     is_clear = late - left[best] > CLEARER * per_reading and per_reading < LIKE
-    return stepped_mg if is_clear and stepped_mg > LEAST_DIGITS * readability_mg else 0.0
+    plain = int(misfit.argmin())
+    seen_mg = np.abs(off_mg[plain])
+    shows = (seen_mg > SEEN_SHARE * stepped_mg) & (seen_mg > SEEN_SIGMAS * np.sqrt(variances[plain]))
+    is_seen = shows.sum() >= SEEN_READINGS and stepped_mg > LEAST_DIGITS * readability_mg
+    return stepped_mg if is_clear and is_seen else 0.0
 
 
 def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], came: Step) -> float:
