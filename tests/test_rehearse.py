@@ -199,7 +199,7 @@ def test_a_run_on_twins_of_another_program_says_so_and_nothing_of_it_is_taken_fo
     inventory = Inventory(tmp_path, lab.cell.cell)
     assert inventory.stock(simulated=False) == {}
     assert inventory.stock(simulated=True) != {}
-    assert options_of(history, tmp_path, session.journal.path).simulation is None, "it goes on at the same ports"
+    assert options_of(history, tmp_path).simulation is None, "it goes on at the same ports"
 
 
 def test_a_run_that_was_begun_on_real_devices_does_not_go_on_upon_twins(

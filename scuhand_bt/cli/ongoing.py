@@ -65,7 +65,7 @@ def resume(
         return
     with unwatched(), take_run(journal) as presence:  # before anything is read of it
         history = checked_history(journal)
-        options = options_of(history, journal.parent, journal)
+        options = options_of(history, journal.parent)
         plan, its_lab = the_plan(*its_places(journal, history.run))
         found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes, presence=presence)
         for line in what_is_known(history, len(plan.recipe.samples)):

@@ -39,17 +39,21 @@ class NoCompiler(Exception):  # noqa: N818 - it reads as the sentence it is rais
     """The firmware cannot be built here."""
 
 
+def compiler() -> str:
+    """The compiler that there is. Raises NoCompiler."""
+    if (found := shutil.which("g++") or shutil.which("clang++")) is None:
+        raise NoCompiler("the hand's twin runs the real firmware and needs a C++ compiler: install g++")
+    return found
+
+
 @cache
 def build_brain(firmware: Path) -> ctypes.CDLL:
     """Compile the firmware as a library and load it; NoCompiler says why not."""
-    compiler = shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
-        raise NoCompiler("the hand's twin runs the real firmware and needs a C++ compiler: install g++")
     sources = [*sorted((firmware / "hand_controller").glob("*.cpp")), firmware / "host" / "brain.cpp"]
     with tempfile.TemporaryDirectory(prefix="hand-") as folder:
         library = Path(folder) / "brain.so"
         says = f'-DHAND_FIRMWARE="{TWIN}-2.0"'
-        command = [compiler, "-std=c++11", "-O1", "-shared", "-fPIC", says, "-o", str(library), *map(str, sources)]
+        command = [compiler(), "-std=c++11", "-O1", "-shared", "-fPIC", says, "-o", str(library), *map(str, sources)]
         built = subprocess.run(command, capture_output=True, text=True, check=False)
         if built.returncode != 0:
             raise NoCompiler(built.stderr)

@@ -7,6 +7,8 @@ tables, not from the driver, so that a mistake in one does not hide in the other
 import math
 from dataclasses import dataclass
 
+from scuhand_bt.sim.plain_state import Plain
+
 NO_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 0, 4, 5, 6, 7
 ALERT = 0x80
 
@@ -97,6 +99,17 @@ class Servo:
     @position.setter
     def position(self, count: float) -> None:
         self.shaft = count + self._forgotten
+
+    @property
+    def kept(self) -> list[Plain]:
+        """What outlives the twin's process, in which time stands still: its turns and its registers."""
+        return [self.shaft, self._forgotten, self.table.hex()]
+
+    @kept.setter
+    def kept(self, written: list[Plain]) -> None:
+        self.shaft, self._forgotten, registers = written
+        self.table = bytearray.fromhex(registers)
+        self._stand()
 
     def forget_turns(self) -> None:
         """Know the angle within one turn alone, and stand there."""
