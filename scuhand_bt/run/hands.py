@@ -112,7 +112,8 @@ class Hands:
         holds = ", ".join(f"{where} {format_mass(mass_mg)}" for where, mass_mg in world.masses_mg.items() if mass_mg)
         valve = f"open by {board.opening_mm:.1f} mm" if world.is_open else "shut"
         return Answer(
-            f"{stands}; the valve is {valve}, the rim {bench.rim_mm:.0f} mm wide; powder: {holds}", found=found
+            f"{stands}; the valve is {valve}, the rim {bench.rim_mm:.0f} mm wide; powder: {holds or 'none'}",
+            found=found,
         )
 
     def _container(self, kind: str, name: str) -> Container:

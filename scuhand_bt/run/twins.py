@@ -196,7 +196,7 @@ class Twins:
 
 
 def open_twins(folder: Path, made: Made, command: Sequence[str], tell: Callable[[str], None]) -> Twins:
-    """The twins of a run: those that run in this folder, else a process that goes on from the world in it, or a new one.
+    """The twins of a run: those that run in this folder, else a process that goes on from its world, or makes one.
 
     `command` are the arguments of `scuhand-bt twins` that make them. Raises SourceError for a world that was made of
     something else, and twins that do not begin.
@@ -285,4 +285,4 @@ class _Line:
 
 
 def _problem(path: Path, what: str) -> SourceError:
-    return SourceError([Problem(Mark(str(path)), what)])
+    return SourceError([Problem(Mark(str(path), 0), what)])

@@ -163,4 +163,4 @@ def _held(folder: Path) -> Presence:
         what = f"twins are running here already; `scuhand-bt twins end --at {folder}` ends them"
     except OSError as error:
         what = f"twins cannot be kept here: {error.strerror or error}"
-    raise SourceError([Problem(Mark(str(folder)), what)])
+    raise SourceError([Problem(Mark(str(folder), 0), what)])
