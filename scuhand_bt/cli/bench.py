@@ -107,8 +107,11 @@ def _obey_lines(twins: "TwinsProcess") -> None:
     """Do what comes on the standard input, and say what was done."""
     for line in sys.stdin:
         if line.strip():
-            out.print(Text(twins.obey(line.split()).said), soft_wrap=True)
+            answer = twins.obey(line.split())
+            out.print(Text(answer.said), soft_wrap=True)
             sys.stdout.flush()
+            if answer.is_last:
+                twins.end()
 
 
 @app.command()

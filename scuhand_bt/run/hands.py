@@ -3,6 +3,7 @@
 A run on twins tells them in the same words what its own person has done, and asks what only the world knows.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -26,7 +27,6 @@ WORDS = (
     "end: the twins end; their world stays on disk",
 )
 """A run says two more: which sample and attempt begins, and whether its own operator refuses (`comes`)."""
-END = "end"
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,8 @@ class Answer:
     said: str
     is_done: bool = True
     found: Mapping[str, JsonValue] = field(default_factory=dict)
+    is_last: bool = False
+    """Once it is said, the twins end."""
 
 
 class Hands:
@@ -91,6 +93,8 @@ class Hands:
             case ["comes", fault]:
                 comes = world.faults.comes(fault, world.now_s)
                 return Answer(f"'{fault}' {'comes' if comes else 'does not come'}", found={"comes": comes})
+            case ["end"]:
+                return Answer("the twins end", is_last=True)
         raise ValueError(f"the words are: {'; '.join(WORDS)}")
 
     def _look(self) -> Answer:
@@ -99,6 +103,7 @@ class Hands:
         servos = bench.bus.twin.servos.values()
         found: dict[str, JsonValue] = {
             "now_s": world.now_s,
+            "pid": os.getpid(),
             "pan": on_pan,
             "opening_mm": board.opening_mm,
             "vibration": board.vibration,

@@ -31,7 +31,7 @@ from scuhand_bt.journal.presence import is_held
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.run.control import address_of
-from scuhand_bt.run.hands import END, Answer
+from scuhand_bt.run.hands import Answer
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.sim.world import masses_in
 from scuhand_bt.specs import Container, Source
@@ -186,7 +186,7 @@ class Twins:
     def end(self) -> None:
         """The twins end; what they are stays on disk."""
         with suppress(SkillFailed, PlantError):
-            self.say(END)
+            self.say("end")
         self._line.close()
         until_s = time.monotonic() + ANSWER_S
         while have_their_process(self._folder) and time.monotonic() < until_s:

@@ -16,7 +16,7 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.control import address_of
-from scuhand_bt.run.hands import END, Answer, Hands
+from scuhand_bt.run.hands import Answer, Hands
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.twins import LOCK, WORLD, Made
 from scuhand_bt.sim.fault_rules import FaultFile
@@ -83,10 +83,7 @@ class TwinsProcess:
         self._opened.close()
 
     def obey(self, words: list[str]) -> Answer:
-        """Do what the words say; safe to call from any thread."""
-        if words == [END]:
-            self.end()
-            return Answer("the twins end")
+        """Do what the words say; safe to call from any thread. After the last answer, `end` them."""
         answer = self._hands.obey(words)
         return replace(answer, found={**answer.found, "not_kept": self._not_kept}) if self._not_kept else answer
 
@@ -149,8 +146,10 @@ class _Ear:
     def _serve(self, line: socket.socket) -> None:
         with suppress(OSError, ValueError), line, line.makefile("rb") as lines:
             for said in lines:
-                words = [str(word) for word in json.loads(said)]
-                line.sendall(json.dumps(asdict(self._process.obey(words))).encode() + b"\n")
+                answer = self._process.obey([str(word) for word in json.loads(said)])
+                line.sendall(json.dumps(asdict(answer)).encode() + b"\n")
+                if answer.is_last:
+                    self._process.end()
         self._heard_s = time.monotonic()
         self._callers.discard(line)
 
