@@ -29,7 +29,10 @@ from scuhand_bt.sim.world import masses_in
 from scuhand_bt.specs import Source
 
 TWICE_OPENED = "workflow: twice\ntree: {sequence: [{check_valve: }, {check_valve: }]}\n"
-DOSED = HEAD + "  - {id: a, workflow: scoop_and_dispense, container: xrd_holder, mass: 50 mg, tolerance: 5 mg}\n"
+DOSED = (
+    HEAD
+    + "  - {id: a, workflow: scoop_and_dispense, source: beads, container: xrd_holder, mass: 50 mg, tolerance: 5 mg}\n"
+)
 WHOLE_MG = 6000.0
 
 
