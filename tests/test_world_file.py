@@ -350,7 +350,7 @@ def test_a_plant_that_cannot_be_saved_is_told_once_and_refused_on_resume(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.world"
-    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(UnwritablePlant(), "my_lab:Unwritable"))
+    monkeypatch.setattr(cell_module, "probed_plant", lambda *_: Plant(UnwritablePlant(), "my_lab:Unwritable"))
     bench = Bench.with_powder(path)
     bench.drive(bench.cell.hand.pulse(1.0, 0.5))
     bench.let_pass(1.0)
@@ -401,7 +401,7 @@ class RichPlant:
 
 def test_a_plants_objects_come_back_with_all_their_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.world"
-    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(RichPlant(), "my_lab:Rich"))
+    monkeypatch.setattr(cell_module, "probed_plant", lambda *_: Plant(RichPlant(), "my_lab:Rich"))
     bench = Bench.with_powder(path)
     bench.drive(bench.cell.hand.pulse(1.0, 0.5))
     bench.world.save()
@@ -575,7 +575,7 @@ def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"cannot be read: No such file.*cannot be resumed"):
+    with pytest.raises(SourceError, match=r"cannot be read: No such file.*begin anew"):
         WorldFile.open(tmp_path / "a.world")
 
 

@@ -44,8 +44,9 @@ def masses_in(path: Path) -> dict[str, float]:
     Raises SourceError as of `World.restore`.
     """
     (_, _, masses_mg), containers = look_into(path)
-    of_containers: dict[str, float] = {str(in_container(fields["id"])): held_mg for fields, _, held_mg in containers}
-    return of_containers | masses_mg
+    found: dict[str, float] = {str(in_container(fields["id"])): held_mg for fields, _, held_mg in containers}
+    found.update(masses_mg)
+    return found
 
 
 class World:
