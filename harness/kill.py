@@ -308,7 +308,8 @@ def judge(plan: Plan, name: str, journal: Path, tally: Tally, masses_mg: Mapping
         result = results[sample.id]
         true_mg, said_mg, target_mg = result["true_mg"], result["dispensed_mg"], result["target_mg"]
         if masses_mg is not None:
-            true_mg = masses_mg.get(f"container:{result['container']}", 0.0)
+            container = result["doses"][-1]["container"] if result["doses"] else sample.id
+            true_mg = masses_mg.get(f"container:{container}", 0.0)
         tally.doses += 1
         if said_mg is None or result["verdict"] in ("interrupted", "not run"):
             wrong(f"{sample.id}: {result['verdict']}, {result['code']}, true {true_mg}")
