@@ -25,6 +25,7 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.twins import LOG, WORLD, Made, folder_of_run, have_their_process, open_twins, say
 from scuhand_bt.run.twins_process import TwinsProcess
+from scuhand_bt.sim.fault_rules import parse_faults
 from scuhand_bt.sim.world import masses_in
 from scuhand_bt.specs import Source
 
@@ -90,23 +91,30 @@ def test_what_the_twins_are_is_there_again_where_it_was(tmp_path: Path, lab: Lab
         bench.balance.twin.tare_mg = 12.0
         bench.others["changer"].twin.shaft.shaft += 40.0
         time.sleep(0.3)
-    before = bench
-    with TwinsProcess(tmp_path, lab, sources, seed=3) as twins:
-        bench = twins.bench
-        assert twins.goes_on
-        assert bench.world.now_s >= before.world.now_s > 0.2
-        assert bench.world.masses_mg == before.world.masses_mg
-        assert bench.world.masses_mg["cone"] == 2000.0
-        assert bench.world.pan.container_id == "a"
-        assert bench.bus.twin.servos[4].position == before.bus.twin.servos[4].position
-        assert bench.bus.twin.servos[9].shaft == before.bus.twin.servos[9].shaft
-        assert bench.bus.twin.servos[2].has_torque
-        assert bench.rim_mm == pytest.approx(before.rim_mm)
-        assert bench.rim_mm != pytest.approx(90.0, abs=1.0)
-        assert bench.balance.twin.tare_mg == 12.0
-        assert bench.others["changer"].twin.shaft.position == before.others["changer"].twin.shaft.position
-        assert bench.scene.kept == before.scene.kept
-        assert bench.scene.kept[6]["id"] == "b"
+        bench.hand.twin.valve.servo.position = 2300.0
+    before, again = bench, TwinsProcess(tmp_path, lab, sources, seed=3)
+    bench = again.bench
+    assert again.goes_on
+    assert bench.world.now_s == before.world.now_s > 0.1
+    assert bench.world.masses_mg == before.world.masses_mg
+    assert 1900.0 < bench.world.masses_mg["cone"] <= 2000.0
+    assert bench.world.pan.container_id == "a"
+    assert [servo.position for servo in bench.bus.twin.servos.values()] == [
+        servo.position for servo in before.bus.twin.servos.values()
+    ]
+    assert bench.bus.twin.servos[9].shaft == before.bus.twin.servos[9].shaft > 4000.0
+    assert bench.bus.twin.servos[2].has_torque
+    assert bench.rim_mm == pytest.approx(before.rim_mm, abs=0.1)
+    assert bench.rim_mm != pytest.approx(90.0, abs=1.0)
+    assert bench.balance.twin.tare_mg == 12.0
+    assert bench.others["changer"].twin.shaft.position == before.others["changer"].twin.shaft.position
+    assert bench.scene.kept == before.scene.kept
+    assert bench.scene.kept[6]["id"] == "b"
+    assert before.hand.twin.opening_mm > 0.5
+    assert bench.hand.twin.opening_mm == 0.0, "nobody spoke to it any more"
+    with again:
+        time.sleep(0.3)
+    assert bench.world.masses_mg["cone"] == pytest.approx(before.world.masses_mg["cone"], abs=20.0)
     with TwinsProcess(tmp_path, lab, sources, seed=3, is_new=True) as twins:
         assert not twins.goes_on
         assert twins.bench.world.masses_mg["cone"] == 0.0
@@ -201,6 +209,18 @@ def test_twins_of_a_run_that_is_gone_end_by_themselves(
     with TwinsProcess(tmp_path, lab, {}, of_run=True) as twins:
         twins.go_on()
     assert not have_their_process(tmp_path)
+
+
+def test_only_twins_of_a_run_can_have_faults_of_its_samples_and_its_person(tmp_path: Path, lab: Lab) -> None:
+    faults = parse_faults("faults: [{fault: operator.refuses, sample: a}]", "faults.yaml")
+    with pytest.raises(SourceError, match=r"'operator\.refuses' has no effect here: nobody is asked by twins alone"):
+        TwinsProcess(tmp_path, lab, {}, faults=faults)
+    with TwinsProcess(tmp_path, lab, {}, faults=faults, of_run=True) as twins:
+        for sample, comes in (("b", False), ("a", True), ("a", False)):
+            assert twins.obey(["sample", sample, "1"]).is_done
+            assert twins.obey(["comes", "operator.refuses"]).found["comes"] == comes
+        (account,) = twins.obey(["look"]).found["faults"]  # type: ignore[misc]
+        assert len(account["came_s"]) == 1  # type: ignore[arg-type, call-overload, index]
 
 
 def test_twins_that_do_not_begin_say_why(tmp_path: Path, lab: Lab) -> None:

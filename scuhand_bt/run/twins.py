@@ -192,7 +192,8 @@ class Twins:
         while have_their_process(self._folder) and time.monotonic() < until_s:
             time.sleep(0.01)
         if self._process is not None:
-            self._process.wait()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(ANSWER_S)
 
 
 def open_twins(folder: Path, made: Made, command: Sequence[str], tell: Callable[[str], None]) -> Twins:
@@ -202,9 +203,11 @@ def open_twins(folder: Path, made: Made, command: Sequence[str], tell: Callable[
     something else, and twins that do not begin.
     """
     made.require_same(folder)
-    process = None if have_their_process(folder) else _begun(folder, command)
+    process: subprocess.Popen[bytes] | None = None
     until_s = time.monotonic() + BEGIN_S
     while True:
+        if process is None and not have_their_process(folder):
+            process = _begun(folder, command)
         try:
             return Twins(folder, _connected(folder), process, tell)
         except OSError:

@@ -63,7 +63,7 @@ class TwinsProcess:
             self.goes_on = (folder / WORLD).exists() and not is_new
             """From a world that was there, and not a new one."""
             if self.goes_on:
-                self._clock.go_on_from(self.bench.world.restore(folder / WORLD, self._lose))
+                self._clock.go_on_from(self.bench.take_up(folder / WORLD, self._lose))
             else:
                 made.write(folder)
                 self.bench.world.keep_in(folder / WORLD, self._lose)

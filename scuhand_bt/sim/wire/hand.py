@@ -82,13 +82,19 @@ class Valve:
         points = sorted((point.count, point.opening_mm) for point in true_map)
         self._counts, self._openings_mm = zip(*points, strict=True)
         self._rises = true_map[1].count > true_map[0].count
-        self.servo = Servo(1, XC330, float(true_map[0].count), dead_time_s=dead_time_s)
+        self._shut_count = float(true_map[0].count)
+        self.servo = Servo(1, XC330, self._shut_count, dead_time_s=dead_time_s)
         self.servo.put(8, 1, BAUD_OF_VALVE)
         self.line = DynamixelTwin([self.servo])
 
     @property
     def opening_mm(self) -> float:
         return float(np.interp(self.servo.position, self._counts, self._openings_mm))
+
+    def shut(self) -> None:
+        """Be shut at once, as a controller that nobody could see has left it."""
+        self.servo.position = self._shut_count
+        self.servo.stand()
 
     def lets(self, *, open: bool | None = None, close: bool | None = None) -> None:
         """Whether nothing is in the valve's way, as it opens or closes; None leaves that as it is."""
