@@ -45,7 +45,7 @@ LOST_MG = 1e-6
 WRONG_MG = 1.0
 """What the balance shows may be this far from what is in the container, and no more: noise, drift, rounding."""
 TRIES = 5
-"""So often a rehearsal that nobody kills any more is resumed."""
+"""So often a rehearsal that ended safe by itself is resumed."""
 SOON_S = 0.05
 REHEARSED_S = (1.0, 45.0)
 TWINS_SHARE = 0.3
@@ -157,11 +157,8 @@ def _kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally, orphans:
     begun: Path | None = None
     for kill in kills:
         before = len(read(begun, "entry")) if begun is not None else 0
-        code = run_child(batch, begun, kill)
+        code = _run_on(batch, begun, kill, tally)
         begun = begun or next(iter(journals(batch.folder)), None)
-        if batch.rehearses and code == ExitCode.CELL_FAULT:
-            tally.ended_safe += 1
-            continue
         if code is not None and code not in (0, 1):
             tally.problems.append(f"seed {batch.seed}: a child ended with {code} before it was killed")
             return
@@ -175,18 +172,24 @@ def _kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally, orphans:
                 code = 0
                 break
     else:
-        code = run_child(batch, begun, Kill())
-        for _ in range(TRIES if batch.rehearses else 0):
-            if code != ExitCode.CELL_FAULT:
-                break
-            tally.ended_safe += 1
-            code = run_child(batch, begun, Kill())
+        code = _run_on(batch, begun, Kill(), tally)
     begun = begun or next(journals(batch.folder))
     tally.batches += 1
     if code not in (0, 1):
         tally.problems.append(f"seed {batch.seed}: ended with {code}")
     masses_mg = masses_in(folder_of_run(begun) / WORLD) if batch.rehearses else None
     judge(batch.plan, f"seed {batch.seed}", begun, tally, masses_mg)
+
+
+def _run_on(batch: Batch, begun: Path | None, kill: Kill, tally: Tally) -> int | None:
+    """As `run_child`; a rehearsal that ended safe is resumed."""
+    code = run_child(batch, begun, kill)
+    for _ in range(TRIES if batch.rehearses else 0):
+        if code != ExitCode.CELL_FAULT:
+            break
+        tally.ended_safe += 1
+        code = run_child(batch, begun or next(journals(batch.folder), None), kill)
+    return code
 
 
 class _Orphans:
