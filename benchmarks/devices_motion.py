@@ -260,7 +260,7 @@ class Paths:
 
 
 def rehearsal() -> Figures:
-    """One XRD dose by the shipped workflow, in one process with its twins, beside its dry run."""
+    """One XRD dose by the shipped workflow, beside its dry run; the twins' process is not counted in."""
     lab = load_lab(starter_lab())
     with tempfile.TemporaryDirectory() as name:
         recipe = Path(name) / "recipe.yaml"

@@ -1,6 +1,10 @@
 """Kill a dry run again and again, resume it until it is done, and hold the end against the world's true masses.
 
     python -m benchmarks.kill [--kills 500] [--recipe recipes/synthesis_batch.yaml] [--seed 0] [--json FILE]
+    python -m benchmarks.kill --rehearse --kills 100 --a-batch 10 --recipe recipes/xrd_holders.yaml
+
+With `--rehearse` it is a rehearsal, over the wire and in real time (about half a minute a kill), whose twins' process
+is killed now and then, too; the end is judged by the world's file, and not by the journal.
 
 Some tens of kills are made on one batch before it is let end; then the next seed begins.
 """
@@ -14,7 +18,7 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from harness.kill import Kill, Tally, at_any_time, kill_until_done, make_batch, run_child
+from harness.kill import Kill, Tally, at_any_time, in_rehearsals, kill_until_done, make_batch, run_child
 from scuhand_bt.motion import MotionPlanner
 
 
@@ -24,6 +28,7 @@ def main() -> None:
     parser.add_argument("--a-batch", type=int, default=20, help="kills of one batch before it is let end")
     parser.add_argument("--recipe", type=Path, default=Path("recipes/synthesis_batch.yaml"))
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rehearse", action="store_true")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     rng, tally, seed = random.Random(given.seed), Tally(), given.seed
@@ -33,11 +38,14 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             batch = make_batch(given.recipe, Path(folder) / "runs", seed, motion)
             motion = batch.motion
-            if not whole_s:
+            batch.rehearses = given.rehearse
+            if not (whole_s or given.rehearse):
                 began = time.monotonic()
                 run_child(make_batch(given.recipe, Path(folder) / "whole", seed, motion), None, Kill())
                 whole_s = time.monotonic() - began
-            kill_until_done(batch, at_any_time(rng, whole_s, given.a_batch), tally)
+            count = min(given.a_batch, given.kills - tally.kills)
+            kills = in_rehearsals(rng, count) if given.rehearse else at_any_time(rng, whole_s, given.a_batch)
+            kill_until_done(batch, kills, tally)
         seed += 1
         print(
             f"\r{tally.kills} kills, {tally.batches} batches, {len(tally.problems)} problems",
@@ -48,6 +56,10 @@ def main() -> None:
     print(
         f"{tally.kills} kills of {given.recipe.name}: {tally.while_dosing} in a dose, {tally.while_resuming} resuming"
     )
+    if given.rehearse:
+        print(
+            f"{tally.of_twins} of the twins, too; {tally.ended_safe} rehearsals ended safe by themselves, and went on"
+        )
     print(f"{tally.doses} doses in {tally.batches} batches; worst recorded against true: {tally.worst_error_mg:.2f} mg")
     print(f"worst imbalance of mass: {tally.worst_imbalance_mg:.1e} mg")
     for problem in tally.problems:

@@ -172,8 +172,8 @@ def _child(
     if computer.clock_s:
         set_clock(computer.clock_s)
     if computer.is_another:  # its sockets' names are not ours
-        here = control._address
-        control._address = lambda journal: here(journal) + "@another"
+        here = control.address_of
+        control.address_of = lambda journal: here(journal) + "@another"
     plant()
     sys.argv = ["scuhand-bt", *args]
     code: Any = 0

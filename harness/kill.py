@@ -1,7 +1,8 @@
-"""Kill a dry run again and again, resume it until it is done, and hold the end against the world's true masses.
+"""Kill a run again and again, resume it until it is done, and hold the end against the world's true masses.
 
-A child process runs the batch and is ended with SIGKILL at a random moment, also while it resumes; its simulated
-world lives on in its file, as the powder would (the valve stays open until its dead-man closes it).
+A child process runs the batch and is ended with SIGKILL at a random moment, also while it resumes. The simulated
+world of a dry run lives on in its file, as the powder would (the valve stays open until its dead-man closes it). A
+rehearsal's lives on in the process of its twins, which is killed now and then, too; it is judged by that world's file.
 """
 
 import math
@@ -10,8 +11,8 @@ import random
 import signal
 import time
 import traceback
-from collections.abc import Iterable, Iterator
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from typing import Any
 from py_trees.common import Status
 
 from scuhand_bt.events import Event, Note
+from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal.hash_chain import verify
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
@@ -29,18 +31,25 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun, prepared_motion
+from scuhand_bt.run.make_cell import DryRun, Rehearsal, prepared_motion
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
+from scuhand_bt.run.twins import WORLD, folder_of_run, have_their_process, say
 from scuhand_bt.sim.fault_rules import FaultFile
+from scuhand_bt.sim.world import masses_in
 
 BROKEN = 70
 """Exit code of a child that ended by an exception."""
 LOST_MG = 1e-6
 WRONG_MG = 1.0
 """What the balance shows may be this far from what is in the container, and no more: noise, drift, rounding."""
+TRIES = 5
+"""So often a rehearsal that ended safe by itself is resumed."""
 SOON_S = 0.05
+REHEARSED_S = (1.0, 45.0)
+TWINS_SHARE = 0.3
+"""Share of a rehearsal's kills that the twins' process is killed with."""
 RESUMING_SHARE = 0.3
 """Share of the kills that come soon after the child has begun."""
 
@@ -56,6 +65,8 @@ class Batch:
     seed: int
     faults: FaultFile | None = None
     unattended: bool = False
+    rehearses: bool = False
+    """On twins, with the real drivers and in real time."""
 
 
 @dataclass
@@ -63,6 +74,10 @@ class Tally:
     """What was seen."""
 
     kills: int = 0
+    of_twins: int = 0
+    """Those in which the twins' process was killed, too."""
+    ended_safe: int = 0
+    """Rehearsals that ended by themselves, as a cell does on a computer that cannot keep time, and were resumed."""
     while_resuming: int = 0
     """Kills before the resumed run had begun an action."""
     while_dosing: int = 0
@@ -109,6 +124,8 @@ class Kill:
     """The skill that is at work then."""
     at_event: str = ""
     """Or as soon as an entry of this kind is in the journal."""
+    takes_twins: bool = False
+    """The twins' process, too."""
 
 
 def at_any_time(rng: random.Random, whole_s: float, kills: int) -> Iterator[Kill]:
@@ -116,6 +133,12 @@ def at_any_time(rng: random.Random, whole_s: float, kills: int) -> Iterator[Kill
     for _ in range(kills):
         soon = rng.random() < RESUMING_SHARE
         yield Kill(after_s=rng.uniform(0.0, SOON_S if soon else 2.0 * whole_s / kills))
+
+
+def in_rehearsals(rng: random.Random, kills: int) -> Iterator[Kill]:
+    """Kills after some time each, in seconds of which a resumed rehearsal needs the first few to begin."""
+    for _ in range(kills):
+        yield Kill(after_s=rng.uniform(*REHEARSED_S), takes_twins=rng.random() < TWINS_SHARE)
 
 
 def at_ticks(rng: random.Random, most: int, kills: int) -> Iterator[Kill]:
@@ -126,29 +149,74 @@ def at_ticks(rng: random.Random, most: int, kills: int) -> Iterator[Kill]:
 
 def kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally) -> None:
     """Run a batch, killing it on its way, then let it end, and judge what came of it."""
+    with closing(_Orphans(batch.folder)) as orphans:
+        _kill_until_done(batch, kills, tally, orphans)
+
+
+def _kill_until_done(batch: Batch, kills: Iterable[Kill], tally: Tally, orphans: "_Orphans") -> None:
     begun: Path | None = None
     for kill in kills:
         before = len(read(begun, "entry")) if begun is not None else 0
-        code = run_child(batch, begun, kill)
+        code = _run_on(batch, begun, kill, tally)
+        begun = begun or next(iter(journals(batch.folder)), None)
         if code is not None and code not in (0, 1):
             tally.problems.append(f"seed {batch.seed}: a child ended with {code} before it was killed")
             return
-        begun = begun or next(iter(journals(batch.folder)), None)
         if code is not None:
             break
         tally.kills += 1
+        tally.of_twins += orphans.are_left(begun, are_killed=kill.takes_twins)
         if begun is not None:
             _look(begun, before, tally)
             if read_history(begun).is_complete:  # the kill came after its last word
                 code = 0
                 break
     else:
-        code = run_child(batch, begun, Kill())
+        code = _run_on(batch, begun, Kill(), tally)
     begun = begun or next(journals(batch.folder))
     tally.batches += 1
     if code not in (0, 1):
         tally.problems.append(f"seed {batch.seed}: ended with {code}")
-    judge(batch.plan, f"seed {batch.seed}", begun, tally)
+    masses_mg = masses_in(folder_of_run(begun) / WORLD) if batch.rehearses else None
+    judge(batch.plan, f"seed {batch.seed}", begun, tally, masses_mg)
+
+
+def _run_on(batch: Batch, begun: Path | None, kill: Kill, tally: Tally) -> int | None:
+    """As `run_child`; a rehearsal that ended safe is resumed."""
+    code = run_child(batch, begun, kill)
+    for _ in range(TRIES if batch.rehearses else 0):
+        if code != ExitCode.CELL_FAULT:
+            break
+        tally.ended_safe += 1
+        code = run_child(batch, begun or next(journals(batch.folder), None), kill)
+    return code
+
+
+class _Orphans:
+    """The twins of killed runs, in the folder of their journals."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def are_left(self, of: Path | None, *, are_killed: bool) -> bool:
+        """Only those of this run go on, if they are not killed as well; whether they were."""
+        kept = folder_of_run(of) if of is not None else None
+        for folder in self._running():
+            if folder != kept:
+                say(folder, ["end"])
+        if not (are_killed and kept is not None and have_their_process(kept)):
+            return False
+        with suppress(SourceError):  # it has just begun, and hears nothing yet
+            os.kill(int(str(say(kept, ["look"]).found["pid"])), signal.SIGKILL)
+            return True
+        return False
+
+    def close(self) -> None:
+        for folder in self._running():
+            say(folder, ["end"])
+
+    def _running(self) -> list[Path]:
+        return [folder for folder in self._folder.glob("*.twins") if have_their_process(folder)]
 
 
 def journals(folder: Path) -> Iterator[Path]:
@@ -186,7 +254,10 @@ def run_child(batch: Batch, begun: Path | None, kill: Kill) -> int | None:
 
 
 def _run(batch: Batch, begun: Path | None, kill: Kill) -> int:
-    options = Options(DryRun(batch.seed, faults=batch.faults), folder=batch.folder, unattended=batch.unattended)
+    kind = Rehearsal if batch.rehearses else DryRun
+    options = Options(kind(batch.seed, faults=batch.faults), folder=batch.folder, unattended=batch.unattended)
+    with Path(os.devnull).open() as nobody:  # who starts this at a terminal is not asked
+        os.dup2(nobody.fileno(), 0)
     found = None
     if begun is not None:
         found = resumable(begun, checked_history(begun), batch.plan, batch.lab, accept_changes=False)
@@ -215,8 +286,11 @@ def _look(journal: Path, before: int, tally: Tally) -> None:
         tally.while_dosing += 1
 
 
-def judge(plan: Plan, name: str, journal: Path, tally: Tally) -> None:
-    """Nothing lost, nothing twice, every verdict right, every entry in its place."""
+def judge(plan: Plan, name: str, journal: Path, tally: Tally, masses_mg: Mapping[str, float] | None = None) -> None:
+    """Nothing lost, nothing twice, every verdict right, every entry in its place.
+
+    By `masses_mg` of the world, or what the journal has of them.
+    """
 
     def wrong(what: str) -> None:
         tally.problems.append(f"{name}: {what}")
@@ -227,7 +301,8 @@ def judge(plan: Plan, name: str, journal: Path, tally: Tally) -> None:
     events = read(journal, "event")
     matter = [event["payload"] for event in events if event["kind"] == "matter"]
     there_mg = sum(source.amount_mg for source in plan.recipe.sources.values())
-    imbalance_mg = abs(math.fsum(matter[-1].values()) - there_mg) if matter else 0.0
+    found_mg = masses_mg or (matter[-1] if matter else None)
+    imbalance_mg = abs(math.fsum(found_mg.values()) - there_mg) if found_mg else 0.0
     tally.worst_imbalance_mg = max(tally.worst_imbalance_mg, imbalance_mg)
     if imbalance_mg > LOST_MG:
         wrong(f"{imbalance_mg} mg lost or made")
@@ -235,6 +310,9 @@ def judge(plan: Plan, name: str, journal: Path, tally: Tally) -> None:
     for sample in plan.recipe.samples:
         result = results[sample.id]
         true_mg, said_mg, target_mg = result["true_mg"], result["dispensed_mg"], result["target_mg"]
+        if masses_mg is not None:
+            container = result["doses"][-1]["container"] if result["doses"] else sample.id
+            true_mg = masses_mg.get(f"container:{container}", 0.0)
         tally.doses += 1
         if said_mg is None or result["verdict"] in ("interrupted", "not run"):
             wrong(f"{sample.id}: {result['verdict']}, {result['code']}, true {true_mg}")

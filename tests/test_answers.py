@@ -284,7 +284,7 @@ def test_ten_thousand_callers_who_hang_up_keep_nobody_from_stopping_the_run(tmp_
     said = [b"", b"{", b'{"wish": {}}', b'{"answer": "done", "to": "1", "by": null, "pin": null}', b"[" * 5000, b"\xff"]
     for number in range(10_000):
         with socket.socket(socket.AF_UNIX) as caller:
-            caller.connect(control_module._address(journal))
+            caller.connect(control_module.address_of(journal))
             with suppress(OSError):  # it does not listen to the end
                 caller.sendall(said[number % len(said)])
     began_s = time.monotonic()

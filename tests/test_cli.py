@@ -16,7 +16,7 @@ from conftest import REPOSITORY, Call, LabFolder
 
 import scuhand_bt
 from scuhand_bt import __main__ as entry_point
-from scuhand_bt.sim.wire.hand import NoCompiler
+from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
 
 SMALL = """\
 recipe: small
@@ -391,13 +391,15 @@ def test_a_rehearsal_says_what_it_is_and_is_interrupted_safely(recipe: Path) -> 
 
 
 def test_without_a_compiler_a_rehearsal_is_code_2_in_words(
-    command: Call, recipe: Path, monkeypatch: pytest.MonkeyPatch
+    command: Call, recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def no_compiler(firmware: Path) -> None:
+    def no_compiler() -> str:
         raise NoCompiler("install g++")
 
-    monkeypatch.setattr("scuhand_bt.sim.wire.hand.build_brain", no_compiler)
-    for words in (["run", recipe, "--rehearse"], ["twins"], ["doctor", "--twins"]):
+    build_brain.cache_clear()
+    monkeypatch.setattr("scuhand_bt.sim.wire.hand.compiler", no_compiler)
+    monkeypatch.setattr("scuhand_bt.run.make_cell.compiler", no_compiler)
+    for words in (["run", recipe, "--rehearse"], ["twins", "--at", tmp_path / "twins"], ["doctor", "--twins"]):
         ended = command(*words)
         assert (ended.returncode, ended.stderr) == (2, "install g++\n")
 
@@ -405,6 +407,8 @@ def test_without_a_compiler_a_rehearsal_is_code_2_in_words(
 TOLD_TO_TWINS = {
     "place xrd_holder a": "'a' stands on the pan",
     "place xrd_holder b": "not done: 'a' stands on the pan",
+    "look": "'a' stands on the pan; the valve is shut, the rim 90 mm wide; powder: none",
+    "refill beads 1 g": "not done: there is no source 'beads'",
     "remove": "nothing stands on the pan",
     "place cup c": "not done: there is no container 'cup'; there are: ",
     "weight 20 g": "a weight of 20.0000 g stands on the pan",
@@ -417,12 +421,13 @@ TOLD_TO_TWINS = {
 
 def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "scuhand_bt", "twins", "--cell", str(REPOSITORY / "robot" / "cell.yaml")]
+    command += ["--at", str(tmp_path / "there")]
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     process = subprocess.Popen(command, **pipes, text=True, cwd=tmp_path)  # type: ignore[call-overload]
     try:
         assert process.stdout is not None
         lines: list[str] = []
-        while not any("balance" in line for line in lines):
+        while not any(line.startswith("balance") for line in lines):
             lines.append(process.stdout.readline())
             assert lines[-1], "it ended"
         with serial.Serial(lines[-1].split()[-1], timeout=20) as port:
@@ -440,7 +445,8 @@ def test_twins_are_there_for_any_program_until_ctrl_c(tmp_path: Path) -> None:
         process.kill()
     assert (process.returncode, err) == (0, "")
     assert "SIMULATED" in lines[0]
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [tmp_path / "there"]
+    assert {path.name for path in (tmp_path / "there").iterdir()} == {"world", "made.json"}, "no port is left"
 
 
 def test_the_doctor_is_content_with_the_twins_and_not_with_nothing(command: Call) -> None:

@@ -86,7 +86,7 @@ def test_a_cell_names_a_balance_of_another_package_and_its_twin_is_on_the_bench(
     assert lab.cell.balance.driver == RADWAG
     bench = bench_of(lab)
     assert type(bench.balance.twin).__name__ == "RadwagTwin"
-    for server in bench.servers:
+    for server in bench.servers.values():
         server.port.close()
 
 

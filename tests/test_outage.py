@@ -243,10 +243,12 @@ def test_a_limp_arm_and_a_changer_gone_home_are_no_harm(tmp_path: Path) -> None:
         assert good(run.sample())
 
 
-def test_a_rehearsal_refuses_outages_as_it_cannot_be_resumed(tmp_path: Path) -> None:
+def test_a_rehearsal_refuses_outages_which_its_twins_do_not_have(tmp_path: Path) -> None:
     run = CutRun(tmp_path, "outage.zero_moved")
     options = Options(Rehearsal(faults=run.batch.faults), folder=tmp_path)
-    with pytest.raises(SourceError, match=r"'outage\.zero_moved' has no effect here: a rehearsal cannot be resumed"):
+    with pytest.raises(
+        SourceError, match=r"'outage\.zero_moved' has no effect here: twins that have ended are there again"
+    ):
         Session(run.batch.plan, run.batch.lab, options, run.batch.motion)
 
 

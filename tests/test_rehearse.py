@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,8 +20,8 @@ from scuhand_bt.run.make_cell import DryRun, Rehearsal, bench_of
 from scuhand_bt.run.options import ON_TWINS, Options, options_of
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
-from scuhand_bt.sim.wire.bench import WireBench
-from scuhand_bt.sim.wire.hand import NoCompiler, build_brain
+from scuhand_bt.run.twins import Twins
+from scuhand_bt.sim.wire.hand import NoCompiler
 
 pytestmark = pytest.mark.real_time
 
@@ -78,10 +78,18 @@ def session_of(folder: Path, lab: Lab, simulation: DryRun | Rehearsal | None, re
     return Session(plan, lab, Options(simulation, "adaptive", folder / "runs"), shared_planner(plan, lab))
 
 
+def told(session: Session, *words: str) -> Any:
+    """Say something to the twins of a rehearsal; what was found."""
+    assert isinstance(session.truth, Twins)
+    return session.truth.say(*words)
+
+
 def load_by_hand(session: Session) -> None:
     """Fill the cone as the paper's experiments did: a scoop takes its time."""
-    assert session.world is not None
-    session.world.load_cone("beads", 3000.0)
+    if session.world is not None:
+        session.world.load_cone("beads", 3000.0)
+    else:
+        told(session, "load", "beads", "3 g")
     session.cell.believed.cone_holds(session.cell.sources["beads"], 3000.0)
 
 
@@ -119,44 +127,28 @@ def test_a_rehearsal_that_is_stopped_ends_safe_and_leaves_nobody_watched(tmp_pat
     assert np.allclose(arm.positions, rests)
 
 
-class Bench(WireBench):
-    """The wire bench of the last rehearsal, so that a test can get at its cables."""
-
-    last: ClassVar["Bench"]
-
-    def __init__(self, *arguments: Any, **others: Any) -> None:
-        super().__init__(*arguments, **others)
-        Bench.last = self
-
-    def is_at_work(self, device: str) -> bool:
-        """Something of this device moves, or is waited for."""
-        turning = any(abs(servo.velocity) > 50.0 for servo in self.bus.twin.servos.values())
-        return {"bus": turning, "hand": self.hand.twin.opening_mm > 0.5, "balance": True}[device]
-
-
-@pytest.mark.parametrize("device", ["bus", pytest.param("hand", marks=pytest.mark.slow), "balance"])
+@pytest.mark.parametrize("device", ["arm", pytest.param("hand", marks=pytest.mark.slow), "balance"])
 def test_a_device_that_is_unplugged_at_work_is_named_and_the_cell_ends_safe(
-    tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch, device: str
+    tmp_path: Path, lab: Lab, device: str
 ) -> None:
-    monkeypatch.setattr("scuhand_bt.run.make_cell.WireBench", Bench)
     recipe = ONE_DOSE if device == "balance" else HEAD + "  - {id: a, workflow: open}\n"
     session = session_of(tmp_path, lab, Rehearsal(), recipe)
-    bench = Bench.last
-    server = getattr(bench, device)
 
     def pull(root: Any) -> None:
-        if bench.is_at_work(device):
-            server.unplug()
+        seen = told(session, "look")
+        if {"arm": seen["turns"], "hand": seen["opening_mm"] > 0.5, "balance": True}[device]:
+            told(session, "unplug", device)
 
     try:
         result = session.run(Watching(session, at_tick=pull))
+        seen = told(session, "look")
     finally:
         session.close()
     assert result.exit_code == 3
     assert "device.lost" in result.reason
-    assert bench.hand.twin.opening_mm < 0.04
-    assert bench.hand.twin.vibration == 0.0
-    assert all(servo.has_torque for servo in bench.bus.twin.servos.values()), "the arm has no brakes"
+    assert seen["opening_mm"] < 0.04
+    assert seen["vibration"] == 0.0
+    assert seen["has_torque"], "the arm has no brakes"
 
 
 def test_a_plant_that_fails_in_the_middle_ends_the_rehearsal(tmp_path: Path, lab: Lab) -> None:
@@ -173,7 +165,6 @@ def test_a_plant_that_fails_in_the_middle_ends_the_rehearsal(tmp_path: Path, lab
 
 def test_without_a_compiler_there_is_no_rehearsal(tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr("scuhand_bt.sim.wire.hand.build_brain", build_brain.__wrapped__)
     with pytest.raises(NoCompiler, match=r"install g\+\+"):
         session_of(tmp_path, lab, Rehearsal())
 
@@ -200,7 +191,7 @@ def test_a_run_on_twins_of_another_program_says_so_and_nothing_of_it_is_taken_fo
     inventory = Inventory(tmp_path, lab.cell.cell)
     assert inventory.stock(simulated=False) == {}
     assert inventory.stock(simulated=True) != {}
-    assert options_of(history, tmp_path, session.journal.path).simulation is None, "it goes on at the same ports"
+    assert options_of(history, tmp_path).simulation is None, "it goes on at the same ports"
 
 
 @pytest.mark.slow

@@ -186,7 +186,7 @@ def test_who_calls_and_says_nothing_keeps_nobody_else_from_stopping_the_run(
     journal, control = tmp_path / "r.sqlite", Control()
     listener = WishListener(journal, control)
     with socket.socket(socket.AF_UNIX) as silent:
-        silent.connect(control_module._address(journal))
+        silent.connect(control_module.address_of(journal))
         assert say_wish(journal, "stop_now") == HEARD
     assert control.stops_now
     listener.end()
@@ -203,7 +203,7 @@ def test_nobody_waits_for_callers_who_say_nothing(tmp_path: Path) -> None:
     try:
         for _ in range(3 * control_module.MOST_CALLERS):
             silent.append(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
-            silent[-1].connect(control_module._address(journal))
+            silent[-1].connect(control_module.address_of(journal))
             silent[-1].sendall(b'{"wish": ')
         began_s = time.monotonic()
         assert say_wish(journal, "stop") == HEARD
@@ -220,7 +220,7 @@ def test_who_says_it_in_pieces_is_heard_and_who_stalls_is_hung_up_on(tmp_path: P
     listener = WishListener(journal, control)
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
-            line.connect(control_module._address(journal))
+            line.connect(control_module.address_of(journal))
             for part in (b'{"wish": "pause", ', b'"by": null, "pin": null}'):
                 line.sendall(part)
                 time.sleep(0.05)
@@ -228,7 +228,7 @@ def test_who_says_it_in_pieces_is_heard_and_who_stalls_is_hung_up_on(tmp_path: P
             line.settimeout(2.0)
             assert line.recv(100) == HEARD.encode()
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
-            line.connect(control_module._address(journal))
+            line.connect(control_module.address_of(journal))
             line.settimeout(5 * control_module.SPOKEN_S)
             assert line.recv(100) == b""
         assert control.is_pausing

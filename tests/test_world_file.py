@@ -350,7 +350,7 @@ def test_a_plant_that_cannot_be_saved_is_told_once_and_refused_on_resume(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.world"
-    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(UnwritablePlant(), "my_lab:Unwritable"))
+    monkeypatch.setattr(cell_module, "probed_plant", lambda *_: Plant(UnwritablePlant(), "my_lab:Unwritable"))
     bench = Bench.with_powder(path)
     bench.drive(bench.cell.hand.pulse(1.0, 0.5))
     bench.let_pass(1.0)
@@ -401,7 +401,7 @@ class RichPlant:
 
 def test_a_plants_objects_come_back_with_all_their_data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.world"
-    monkeypatch.setattr(cell_module, "load_plant", lambda name: Plant(RichPlant(), "my_lab:Rich"))
+    monkeypatch.setattr(cell_module, "probed_plant", lambda *_: Plant(RichPlant(), "my_lab:Rich"))
     bench = Bench.with_powder(path)
     bench.drive(bench.cell.hand.pulse(1.0, 0.5))
     bench.world.save()
@@ -438,7 +438,7 @@ def test_a_crafted_file_is_refused_and_runs_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     WorldFile.create(tmp_path / "a.world", state).close()
-    with pytest.raises(SourceError, match="the dry run cannot be resumed"):
+    with pytest.raises(SourceError, match="nothing can go on from it"):
         Bench.taken_up(tmp_path / "a.world")
     assert not (tmp_path / "was_run").exists()
 
@@ -565,7 +565,7 @@ def test_damage_is_an_older_state_or_a_clear_error(tmp_path: Path, data: st.Data
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 2\n", b"scuhand_bt world 1\n" + bytes(9000)]
+    "content", [b"", b"SQLite format 3\0" + bytes(9000), b"scuhand_bt world 3\n", b"scuhand_bt world 2\n" + bytes(9000)]
 )
 def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.world"
@@ -575,7 +575,7 @@ def test_a_foreign_file_is_refused(tmp_path: Path, content: bytes) -> None:
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"cannot be read: No such file.*cannot be resumed"):
+    with pytest.raises(SourceError, match=r"cannot be read: No such file.*begin anew"):
         WorldFile.open(tmp_path / "a.world")
 
 

@@ -247,7 +247,7 @@ def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowM
     for notice in session.notices:
         err.print(Text(notice))
     kept_in, path = session.journal.kept_in, session.journal.path
-    if not result.is_complete and session.can_be_resumed and kept_in is not None:
+    if not result.is_complete and kept_in is not None:
         moved = f"`mv {kept_in} {path}` brings it back, then " if kept_in != path else ""
         out.print(Text(f"{moved}`scuhand-bt resume {session.run_id}` goes on with it."), soft_wrap=True)
     if kept_in == path and shows != "quiet":

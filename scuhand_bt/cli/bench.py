@@ -1,7 +1,6 @@
 """Commands about a cell's devices: twins of them, and a doctor for them."""
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Annotated
@@ -26,56 +25,94 @@ from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
     from scuhand_bt.lab import Lab
-    from scuhand_bt.run.hands import Hands
-    from scuhand_bt.sim.fault_rules import FaultFile
+    from scuhand_bt.run.twins_process import TwinsProcess
     from scuhand_bt.sim.wire.bench import WireBench
-    from scuhand_bt.specs import Source
 
 
 @app.command()
 def twins(
-    recipe: Annotated[
-        Path | None, typer.Argument(help="A recipe: its powders are in the mortars.", show_default=False)
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[RECIPE | WORDS]",
+            help="A recipe, whose powders are in the mortars; or what a person does at twins that run.",
+            show_default=False,
+        ),
     ] = None,
     cell: Annotated[Path | None, typer.Option("--cell", help="A lab's robot/cell.yaml, instead of --lab.")] = None,
     lab: LabOption = None,
     seed: SeedOption = 0,
+    plant: Annotated[str | None, typer.Option(help="Physics to use instead of ours: module:Class.")] = None,
     faults: FaultsOption = None,
+    at: Annotated[
+        Path | None,
+        typer.Option("--at", help="The folder of their world and ports; else the lab's .scuhand/twins."),
+    ] = None,
+    new: Annotated[bool, typer.Option("--new", help="Begin a new world, though one is there.")] = False,
+    of_run: Annotated[bool, typer.Option("--of-run", hidden=True)] = False,
 ) -> None:
-    """Start twins of the cell's devices on ports that any program can open, until Ctrl-C.
+    """Keep twins of the cell's devices, on ports that any program can open, until Ctrl-C; their world is on disk.
 
-    What a person does at the cell is told them in lines: `place xrd_holder a`, `remove`, …
+    From another terminal, or in lines here, they are told what a person does at the cell: `scuhand-bt twins place
+    xrd_holder a`, `… remove`, `… refill beads 5 g`, `… look`, `… end`.
     """
     from scuhand_bt.cli.batch import the_plan
-    from scuhand_bt.clock import Signal, Wake
-    from scuhand_bt.run.clock import WallClock
-    from scuhand_bt.run.hands import Hands
+    from scuhand_bt.lab import find_state, state_folder
+    from scuhand_bt.run.twins import FOLDER, say
+    from scuhand_bt.run.twins_process import TwinsProcess
     from scuhand_bt.sim.fault_rules import read_faults
+    from scuhand_bt.sim.plant import PlantError
+    from scuhand_bt.sim.wire.hand import NoCompiler
 
+    words = words or []
+    if words and not _is_recipe(words):
+        answer = say(at or find_state(lab) / FOLDER, words)
+        (out if answer.is_done else err).print(Text(answer.said), soft_wrap=True)
+        raise typer.Exit(0 if answer.is_done else ExitCode.BAD_INPUT)
     wrong = read_faults(faults) if faults is not None else None
-    made, opened = the_plan(recipe, lab) if recipe is not None else (None, None)
+    made, opened = the_plan(Path(words[0]), lab) if words else (None, None)
     loaded = opened.lab if opened is not None else _lab_of_cell(cell, lab)
-    bench = _bench(loaded, seed, wrong, made.recipe.sources if made is not None else None)
-    stop, clock = Signal(), WallClock(bench.check)
-    stopped = Wake.on(stop)  # seen however early it comes
-    with on_signals(stop.fire), bench:
-        table = Table("device", "driver", "port", show_edge=False)
-        for device in bench.spec.device_names:
-            spec = bench.spec.section(device)
-            table.add_row(device, spec.driver, spec.port or "-")
-        out.print(Text(f"Twins of the cell '{bench.spec.cell}', SIMULATED (seed {seed}); Ctrl-C ends them."))
-        out.print(table)
-        sys.stdout.flush()
-        Thread(target=_obey_lines, args=(Hands(bench, loaded),), daemon=True, name="hands").start()
-        clock.wait([stopped])
+    sources = made.recipe.sources if made is not None else {}
+    try:
+        process = TwinsProcess(
+            at or state_folder(loaded) / FOLDER,
+            loaded,
+            sources,
+            seed=seed,
+            plant=plant,
+            faults=wrong,
+            is_new=new,
+            of_run=of_run,
+        )
+        with on_signals(process.end), process:
+            spec = process.bench.spec
+            again = "; they go on where they were" if process.goes_on else ""
+            out.print(Text(f"Twins of the cell '{spec.cell}', SIMULATED (seed {seed}){again}. Ctrl-C ends them."))
+            for device in spec.device_names:
+                section = spec.section(device)
+                out.print(Text(f"{device:<12} {section.driver:<18} {section.port or '-'}"), soft_wrap=True)
+            sys.stdout.flush()
+            Thread(target=_obey_lines, args=(process,), daemon=True, name="hands").start()
+            process.go_on()
+    except (PlantError, NoCompiler) as error:
+        err.print(Text(f"{error}"))
+        raise typer.Exit(ExitCode.BAD_INPUT) from None
 
 
-def _obey_lines(hands: "Hands") -> None:
+def _is_recipe(words: list[str]) -> bool:
+    """A file is named, and not what a person does."""
+    return len(words) == 1 and Path(words[0]).suffix in (".yaml", ".yml")
+
+
+def _obey_lines(twins: "TwinsProcess") -> None:
     """Do what comes on the standard input, and say what was done."""
     for line in sys.stdin:
         if line.strip():
-            out.print(Text(hands.obey(line)), soft_wrap=True)
+            answer = twins.obey(line.split())
+            out.print(Text(answer.said), soft_wrap=True)
             sys.stdout.flush()
+            if answer.is_last:
+                twins.end()
 
 
 @app.command()
@@ -127,19 +164,14 @@ def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
     return the_lab(folder)
 
 
-def _bench(
-    lab: "Lab",
-    seed: int = 0,
-    faults: "FaultFile | None" = None,
-    sources: "Mapping[str, Source] | None" = None,
-) -> "WireBench":
+def _bench(lab: "Lab") -> "WireBench":
     """The twins of a lab's cell; ends with a message where they cannot be made."""
     from scuhand_bt.run.make_cell import bench_of
     from scuhand_bt.sim.plant import PlantError
     from scuhand_bt.sim.wire.hand import NoCompiler
 
     try:
-        return bench_of(lab, seed, faults, sources)
+        return bench_of(lab)
     except (PlantError, NoCompiler) as error:
         err.print(Text(f"{error}"))
         raise typer.Exit(ExitCode.BAD_INPUT) from None

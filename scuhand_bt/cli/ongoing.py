@@ -77,7 +77,7 @@ def resume(
         return
     with told(events) as tell, unwatched(), take_run(journal) as presence:  # before anything is read of it
         history = checked_history(journal)
-        options = options_of(history, journal.parent, journal)
+        options = options_of(history, journal.parent)
         plan, opened = the_plan(*its_places(journal, history.run))
         its_lab = opened.lab
         found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes, presence=presence)

@@ -149,7 +149,7 @@ class Ended(Event):
 
 
 class NotResumable(Event):
-    """The simulated world could not be kept: the dry run cannot be resumed."""
+    """The simulated world could not be kept: the run cannot be resumed."""
 
     KIND: ClassVar = "not_resumable"
 

@@ -78,8 +78,8 @@ def _all_of(lab: Path, state: Path) -> Iterator[tuple[str, Path]]:
         for path in sorted((lab / part).rglob("*")):
             if path.is_file() and "__pycache__" not in path.parts:
                 yield f"{part}/{path.relative_to(lab / part).as_posix()}", path
-    for pattern in ("lab.db", "runs/*.sqlite", "runs/*.world"):
-        for path in sorted(state.glob(pattern)):
+    for pattern in ("lab.db", "runs/*.sqlite", "runs/*.world", "runs/*.twins/*"):
+        for path in sorted(filter(Path.is_file, state.glob(pattern))):  # a port is none
             yield f"{STATE}/{path.relative_to(state).as_posix()}", path
 
 

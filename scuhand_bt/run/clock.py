@@ -109,6 +109,10 @@ class WallClock:
     def now_s(self) -> float:
         return time.monotonic() - self._began
 
+    def go_on_from(self, now_s: float) -> None:
+        """Take up the time of what was interrupted."""
+        self._began = time.monotonic() - now_s
+
     def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
         """Sleep until the earliest of `wakes` is due or one of their signals has fired."""
         limit_s = min((wake.until_s for wake in wakes), default=math.inf)

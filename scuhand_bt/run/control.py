@@ -111,7 +111,7 @@ class WishListener:
         self._has_ended = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            self._socket.bind(_address(journal))
+            self._socket.bind(address_of(journal))
             self._socket.listen(MOST_CALLERS)
             self._socket.setblocking(False)
         except OSError:
@@ -226,7 +226,7 @@ def may_wish(wish: Wish, user: int, owner: int) -> bool:
 def listens(journal: Path) -> bool:
     """Whether a process has this run and hears wishes, though its lock may have been deleted."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line, suppress(OSError):
-        line.connect(_address(journal))
+        line.connect(address_of(journal))
         return True
     return False
 
@@ -261,7 +261,7 @@ def _say(journal: Path, said: object) -> str | None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
         line.settimeout(ANSWER_S)
         try:
-            _connect(line, _address(journal))
+            _connect(line, address_of(journal))
             line.sendall(json.dumps(said).encode())
             line.shutdown(socket.SHUT_WR)
             return b"".join(iter(lambda: line.recv(LONGEST), b"")).decode(errors="replace") or None
@@ -304,7 +304,7 @@ def _name_of(user: int) -> str:
         return f"user {user}"
 
 
-def _address(journal: Path) -> str:
+def address_of(journal: Path) -> str:
     """A name that belongs to one run; of Linux' own, which are no files and end with their process."""
     return f"\0scuhand-bt/{hashlib.sha256(os.fsencode(os.path.realpath(journal))).hexdigest()[:40]}"
 

@@ -1,8 +1,16 @@
-"""What a person does at the bench of twins, in words: `scuhand-bt twins` reads them, a line each."""
+"""What a person does at the bench of twins, in words: `scuhand-bt twins` hears them from other programs, and in lines.
+
+A run on twins tells them in the same words what its own person has done, and asks what only the world knows.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pydantic import JsonValue
 
 from scuhand_bt.lab import Lab
 from scuhand_bt.quantity import MASS, format_mass, parse
-from scuhand_bt.run.make_cell import check_weight
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.specs import Container
 
@@ -11,8 +19,25 @@ WORDS = (
     "fill SLOT KIND ID: a container into a slot of the changer, from 1",
     "weight 20 g: a check weight on the pan",
     "remove: what stands on the pan",
+    "refill SOURCE 5 g: more powder into its mortar",
+    "load SOURCE 3 g: powder from its mortar into the cone",
     "sheet: a fresh sheet in the hand",
+    "unplug DEVICE, plug DEVICE: its cable",
+    "look: what is there",
+    "end: the twins end; their world stays on disk",
 )
+"""A run says two more: which sample and attempt begins, and whether its own operator refuses (`comes`)."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was done, or why it was not, and what was found."""
+
+    said: str
+    is_done: bool = True
+    found: Mapping[str, JsonValue] = field(default_factory=dict)
+    is_last: bool = False
+    """Once it is said, the twins end."""
 
 
 class Hands:
@@ -22,35 +47,102 @@ class Hands:
         self._bench = bench
         self._kinds = lab.library.containers
 
-    def obey(self, line: str) -> str:
-        """Do what a line says; what was done, or why it was not."""
+    def obey(self, words: Sequence[str]) -> Answer:
+        """Do what the words say; what was done, or why it was not."""
         try:
-            return self._do(line.split())
+            done = self._do(words)
         except (KeyError, ValueError) as error:
-            return f"not done: {error.args[0] if error.args else error}"
+            return Answer(f"not done: {error.args[0] if error.args else error}", is_done=False)
+        return Answer(done) if isinstance(done, str) else done
 
-    def _do(self, words: list[str]) -> str:
-        world = self._bench.world
+    def _do(self, words: Sequence[str]) -> str | Answer:
+        bench, world = self._bench, self._bench.world
         match words:
             case ["place", kind, name]:
-                world.place(self._container(kind, name))
+                if world.pan.container_id != name:
+                    world.place(self._container(kind, name))
                 return f"'{name}' stands on the pan"
             case ["fill", slot, kind, name]:
-                self._bench.scene.stands_in(int(slot) - 1, self._container(kind, name))
+                bench.scene.stands_in(int(slot) - 1, self._container(kind, name))
                 return f"'{name}' stands in slot {slot}"
             case ["weight", *mass]:
-                mass_mg = parse(" ".join(mass), MASS)
+                mass_mg = _mass_mg(mass)
                 world.place(check_weight(mass_mg))
                 return f"a weight of {format_mass(mass_mg)} stands on the pan"
             case ["remove"]:
                 world.remove()
                 return "nothing stands on the pan"
+            case ["refill", source, *mass]:
+                world.refill(source, _mass_mg(mass))
+                return f"the mortar of '{source}' holds {format_mass(world.masses_mg[f'source:{source}'])}"
+            case ["load", source, *mass]:
+                world.load_cone(source, _mass_mg(mass))
+                return f"the cone holds {format_mass(world.masses_mg['cone'])}"
             case ["sheet"]:
                 world.swap_sheet()
                 return "a fresh sheet is in the hand"
+            case ["unplug" | "plug" as what, device] if device in bench.servers:
+                server = bench.servers[device]
+                (server.unplug if what == "unplug" else server.plug)()
+                return f"the cable of '{device}' is {'out' if what == 'unplug' else 'in'}"
+            case ["look"]:
+                return self._look()
+            case ["sample", sample, attempt]:
+                world.begin_sample(sample, int(attempt))
+                return f"attempt {attempt} at '{sample}' begins"
+            case ["comes", fault]:
+                comes = world.faults.comes(fault, world.now_s)
+                return Answer(f"'{fault}' {'comes' if comes else 'does not come'}", found={"comes": comes})
+            case ["end"]:
+                return Answer("the twins end", is_last=True)
         raise ValueError(f"the words are: {'; '.join(WORDS)}")
+
+    def _look(self) -> Answer:
+        bench, world = self._bench, self._bench.world
+        on_pan, board = world.pan.container_id, bench.hand.twin
+        servos = bench.bus.twin.servos.values()
+        found: dict[str, JsonValue] = {
+            "now_s": world.now_s,
+            "pid": os.getpid(),
+            "pan": on_pan,
+            "opening_mm": board.opening_mm,
+            "vibration": board.vibration,
+            "rim_mm": bench.rim_mm,
+            "turns": any(abs(servo.velocity) > TURNS_COUNTS_PER_S for servo in servos),
+            "has_torque": all(servo.has_torque for servo in servos),
+            "masses_mg": dict(world.masses_mg),
+            "faults": [dict(rule) for rule in world.faults.account()],
+        }
+        stands = f"'{on_pan}' stands on the pan" if on_pan is not None else "nothing stands on the pan"
+        holds = ", ".join(f"{where} {format_mass(mass_mg)}" for where, mass_mg in world.masses_mg.items() if mass_mg)
+        valve = f"open by {board.opening_mm:.1f} mm" if world.is_open else "shut"
+        return Answer(
+            f"{stands}; the valve is {valve}, the rim {bench.rim_mm:.0f} mm wide; powder: {holds or 'none'}",
+            found=found,
+        )
 
     def _container(self, kind: str, name: str) -> Container:
         if kind not in self._kinds:
             raise ValueError(f"there is no container '{kind}'; there are: {', '.join(sorted(self._kinds))}")
         return Container.model_validate({**self._kinds[kind].model_dump(), "id": name})
+
+
+TURNS_COUNTS_PER_S = 50.0
+"""A servo that is faster than this turns."""
+
+
+def _mass_mg(words: Sequence[str]) -> float:
+    return parse(" ".join(words), MASS)
+
+
+def check_weight(mass_mg: float) -> Container:
+    """A check weight, as the world knows what stands on the pan: nothing falls into it."""
+    return Container(
+        name="check weight",
+        id=f"check weight of {mass_mg:g} mg",
+        mouth_mm=1e-3,
+        height_mm=1.0,
+        capacity_mm3=1e-3,
+        empty_mass_mg=mass_mg,
+        empty_mass_tolerance_mg=1e-3,
+    )

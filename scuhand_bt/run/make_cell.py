@@ -1,11 +1,11 @@
 """Making the cell that a plan runs on: simulated, simulated behind the real drivers, or the real one."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -28,27 +28,34 @@ from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock, WallClock
+from scuhand_bt.run.hands import check_weight
 from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
 from scuhand_bt.run.outage import rim_in_words
 from scuhand_bt.run.questions import Questions
+from scuhand_bt.run.twins import Made, Twins, folder_of_run, open_twins
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
 from scuhand_bt.sim.faults import Faults
-from scuhand_bt.sim.wire.bench import WireBench
+from scuhand_bt.sim.plant import probed_plant
+from scuhand_bt.sim.wire.bench import WireBench, at_twins
+from scuhand_bt.sim.wire.hand import compiler
 from scuhand_bt.sim.wire.scene import twin_of
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container, ContainerKind, Source
 
+NOT_ON_TWINS = dict.fromkeys(OUTAGES, "twins that have ended are there again as they were")
+NOT_WITHOUT_A_RUN = {**NOT_ON_TWINS, "operator.refuses": "nobody is asked by twins alone"}
 NOT_WITHOUT_A_RECIPE = {
     "powder.clog": "no powder is behind twins alone",
     "cone.leak": "no powder is behind twins alone",
     "scoop.nothing": "no powder is behind twins alone",
     "vibration.dead": "no powder is behind twins alone that would feel it",
     "container.wrong": "nothing is put on the pan of twins alone",
-    "operator.refuses": "nobody is asked by twins alone",
-    **dict.fromkeys(OUTAGES, "twins end with their program"),
+    **NOT_WITHOUT_A_RUN,
 }
-"""Faults that twins without a recipe cannot show, and why."""
+"""Faults that twins cannot show, and why."""
+FAULTS = "faults.yaml"
+"""What goes wrong on a rehearsal's twins, in their folder."""
 REHEARSED_ANSWER_S = 2.0
 """Time that the simulated person of a rehearsal takes to do what is asked."""
 
@@ -91,12 +98,32 @@ Ask = Callable[[Clock], PersonOperator]
 
 @dataclass(frozen=True)
 class Setup:
-    """A cell made ready: what judges its doses (None: nobody knows the true mass), what closes it, its run's pulse."""
+    """A cell made ready: its world if it is here, what judges its doses, what closes it, its run's pulse."""
 
     cell: Cell
     world: World | None
+    truth: "Truth | None"
+    """None where nobody knows the true mass."""
     close: Callable[[], None]
     liveness: Liveness
+
+
+class Truth(Protocol):
+    """A simulated world, here or in its twins' process, for judging and never for skills."""
+
+    @property
+    def masses_mg(self) -> Mapping[str, float]:
+        """What is in every compartment [mg]; empty where nobody knows any more."""
+        ...
+
+    @property
+    def fault_account(self) -> Sequence[Mapping[str, Any]]:
+        """The fault of each rule, and when it came [s]."""
+        ...
+
+    def true_mass(self, container_id: str) -> float:
+        """What is in this container [mg]."""
+        ...
 
 
 def set_up(
@@ -139,7 +166,7 @@ def set_up(
         case DryRun():
             setup = _dry_run(plan, lab, simulation, journal, motion, world_path, resumed_at_s is not None, ask)
         case Rehearsal():
-            setup = _rehearsal(plan, lab, simulation, journal, motion, ask)
+            setup = _rehearsal(plan, lab, simulation, journal, motion, ask, resumed_at_s)
         case None:
             setup = _real(plan, lab, journal, motion, resumed_at_s or 0.0, ask, may_torque=may_torque)
     cell = setup.cell
@@ -201,50 +228,84 @@ def _dry_run(
         clock.go_on_from(world.restore(world_path, tell))
     elif world_path is not None:
         world.keep_in(world_path, tell)
-    return Setup(cell, world, world.close, liveness)
+    journal.before_commit = world.save
+    return Setup(cell, world, world, world.close, liveness)
 
 
-def _rehearsal(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal, motion: MotionPlanner, ask: Ask) -> Setup:
+def _rehearsal(
+    plan: Plan,
+    lab: Lab,
+    rehearsal: Rehearsal,
+    journal: Journal,
+    motion: MotionPlanner,
+    ask: Ask,
+    resumed_at_s: float | None,
+) -> Setup:
     _require_twins(lab)
     _find_plants(lab)
+    _faults(plan, rehearsal)
+    has_person = rehearsal.asks or sys.stdin.isatty()
+    if rehearsal.faults is not None:
+        rehearsal.faults.refuse(NOT_ON_TWINS)
+    if has_person:
+        _refuse_refusals(rehearsal)
+    compiler()
+    probed_plant(rehearsal.plant or lab.cell.plant, plan.recipe.sources.values(), lab.cell.balance)
     liveness = Liveness()
 
     def beat() -> None:
-        bench.check()
+        twins.check()
         liveness.beat()
-
-    clock = WallClock(beat)
-    firmware = lab.folder / "robot" / "firmware"
-    faults = _faults(plan, rehearsal)
-    has_person = rehearsal.asks or sys.stdin.isatty()
-    if rehearsal.faults is not None:
-        rehearsal.faults.refuse(dict.fromkeys(OUTAGES, "a rehearsal cannot be resumed"))
-    if has_person:
-        _refuse_refusals(rehearsal)
-    bench = WireBench(
-        lab.cell, plan.recipe.sources, firmware, motion.home(), clock, rehearsal.seed, rehearsal.plant, faults=faults
-    )
-    world = bench.world
 
     def slot_of(container: Container) -> int:
         slot = believed_slot(cell.believed, container)
-        bench.scene.stands_in(slot, container)  # a person fills the changer in the order in which it is emptied
+        # A person fills the changer in the order in which it is emptied.
+        twins.say("fill", str(slot + 1), container.name, container.id)
         return slot
 
     with ExitStack() as opened:
-        opened.enter_context(bench)
-        devices = connect_cell_devices(bench.spec, clock, liveness, slot_of=slot_of)
+        twins = _twins_of(plan, lab, rehearsal, journal)
+        opened.callback(twins.end)
+        clock = WallClock(beat, max(twins.say("look")["now_s"], resumed_at_s or 0.0))
+        devices = connect_cell_devices(
+            at_twins(lab.cell, twins.port_of),
+            clock,
+            liveness,
+            slot_of=slot_of,
+            roller_file=folder_of_run(journal.path) / ROLLER_FILE,
+        )
         opened.callback(devices.close)
-        devices.hand.rim_is(MOUNTED_DIAMETER_MM)
+        if resumed_at_s is None:
+            devices.hand.rim_is(MOUNTED_DIAMETER_MM)
         opened.callback(liveness.end)
         operator: Operator = ask(clock)
         if not has_person:
-            operator = SimulatedOperator(clock, journal.event, REHEARSED_ANSWER_S, faults)
-        changer = devices.changer or OperatorChanger(operator, world.place, world.remove)
+            operator = simulated = SimulatedOperator(clock, journal.event, REHEARSED_ANSWER_S, twins)
+            simulated.sees = lambda: ("same", rim_in_words(twins.say("look")["rim_mm"]))
+        changer = devices.changer or OperatorChanger(
+            operator, twins.place, twins.remove, may_be_loaded=resumed_at_s is not None
+        )
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=True)
-        cell.begin_sample = world.begin_sample
-        _follow_hands(world, cell)
-        return Setup(cell, world, opened.pop_all().close, liveness)
+        cell.begin_sample = twins.begin_sample
+        cell.sheet_mounted, cell.weight_on_pan = twins.swap_sheet, twins.weigh
+        return Setup(cell, None, twins, opened.pop_all().close, liveness)
+
+
+def _twins_of(plan: Plan, lab: Lab, rehearsal: Rehearsal, journal: Journal) -> Twins:
+    """The process with a rehearsal's twins: the one that goes on, or one that takes up their world, or a new one."""
+    folder = folder_of_run(journal.path)
+    command = [str(plan.recipe.path.absolute()), "--lab", str(lab.folder.absolute()), "--seed", str(rehearsal.seed)]
+    if rehearsal.plant is not None:
+        command += ["--plant", rehearsal.plant]
+    if rehearsal.faults is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / FAULTS).write_text(rehearsal.faults.text, encoding="utf-8")
+        command += ["--faults", str(folder / FAULTS)]
+
+    def tell(why: str) -> None:
+        journal.event(NotResumable(why=why))
+
+    return open_twins(folder, Made.of(lab, plan.recipe.sources, rehearsal.seed, rehearsal.plant), command, tell)
 
 
 def _refuse_refusals(simulation: Simulation) -> None:
@@ -278,7 +339,7 @@ def _real(
         operator = ask(clock)
         changer = devices.changer or OperatorChanger(operator, may_be_loaded=began_s > 0.0)
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=False)
-        return Setup(cell, None, opened.pop_all().close, liveness)
+        return Setup(cell, None, None, opened.pop_all().close, liveness)
 
 
 def _wired_cell(
@@ -322,19 +383,6 @@ def _follow_hands(world: World, cell: Cell) -> None:
     cell.weight_on_pan = weight_on_pan
 
 
-def check_weight(mass_mg: float) -> Container:
-    """A check weight, as the world knows what stands on the pan: nothing falls into it."""
-    return Container(
-        name="check weight",
-        id=f"check weight of {mass_mg:g} mg",
-        mouth_mm=1e-3,
-        height_mm=1.0,
-        capacity_mm3=1e-3,
-        empty_mass_mg=mass_mg,
-        empty_mass_tolerance_mg=1e-3,
-    )
-
-
 def _find_plants(lab: Lab) -> None:
     """A plant may be a module of the lab or of the working folder; they come last, so that they hide nothing."""
     sys.path.extend(folder for folder in (str(lab.folder), str(Path.cwd())) if folder not in sys.path)
@@ -359,19 +407,37 @@ def _require_twins(lab: Lab) -> None:
 
 
 def bench_of(
-    lab: Lab, seed: int = 0, faults: FaultFile | None = None, sources: Mapping[str, Source] | None = None
+    lab: Lab,
+    seed: int = 0,
+    faults: FaultFile | None = None,
+    sources: Mapping[str, Source] | None = None,
+    *,
+    plant: str | None = None,
+    ports: Path | None = None,
+    clock: Clock | None = None,
+    of_run: bool = False,
 ) -> WireBench:
-    """The twins of a lab's cell without a run: the arm parked, nothing on the pan, the powder of `sources` in mortars.
+    """The twins of a lab's cell: the arm parked, nothing on the pan, the powder of `sources` in mortars.
 
-    Raises NoCompiler, and SourceError for faults that cannot come to twins alone.
+    `ports` is the folder of their ports, one of its own if None; `of_run`: a run will tell them of its samples.
+    Raises NoCompiler, PlantError, and SourceError for faults that could have no effect.
     """
     _require_twins(lab)
-    if faults is not None:
-        faults.refuse(NOT_WITHOUT_A_RECIPE, of_samples="twins alone know of no sample")
-    parked = lab.motion_planner({}).home()
-    wrong = Faults(faults.rules if faults is not None else (), seed)
+    _find_plants(lab)
+    if faults is not None and of_run:
+        faults.refuse(NOT_ON_TWINS)
+    elif faults is not None:
+        faults.refuse(NOT_WITHOUT_A_RUN if sources else NOT_WITHOUT_A_RECIPE, "twins alone know of no sample")
     return WireBench(
-        lab.cell, sources or {}, lab.folder / "robot" / "firmware", parked, WallClock(), seed, faults=wrong
+        lab.cell,
+        sources or {},
+        lab.folder / "robot" / "firmware",
+        lab.motion_planner({}).home(),
+        clock or WallClock(),
+        seed,
+        plant,
+        ports,
+        Faults(faults.rules if faults is not None else (), seed),
     )
 
 

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from getpass import getpass
+from typing import Protocol
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
@@ -30,14 +31,22 @@ class Person:
     """Who has a PIN has proven by it who this is, and signs every answer with it."""
 
 
+class Chances(Protocol):
+    """What goes wrong (`sim/faults.py`), of this cell or of twins elsewhere."""
+
+    def comes(self, fault: str, now_s: float) -> bool:
+        """Whether this momentary fault comes now."""
+        ...
+
+
 class SimulatedOperator:
     """Does what is asked, in a minute of run time unless told otherwise; refuses where `faults` has it so."""
 
-    def __init__(self, clock: Clock, tell: Tell, answer_s: float = ANSWER_S, faults: Faults | None = None) -> None:
+    def __init__(self, clock: Clock, tell: Tell, answer_s: float = ANSWER_S, faults: Chances | None = None) -> None:
         self._clock = clock
         self._tell = tell
         self._answer_s = answer_s
-        self._faults = faults or Faults()
+        self._faults: Chances = faults or Faults()
         self.sees: Callable[[], Collection[str]] = tuple
         """What it answers where it is asked about what it can see."""
 

@@ -42,15 +42,15 @@ class Options:
     """Who runs it, and answers; the user of the computer if None."""
 
 
-def options_of(history: History, folder: Path, path: Path) -> Options:
-    """The options that an interrupted run was begun with; SourceError for a rehearsal, whose twins ended with it."""
+def options_of(history: History, folder: Path) -> Options:
+    """The options that an interrupted run was begun with."""
     run, given = history.run, history.run.options
-    if run.mode == Rehearsal.mode:
-        problem = "a rehearsal cannot be resumed: the twins ended with its program; start it anew"
-        raise SourceError([Problem(Mark(str(path)), problem)])
     faults = parse_faults(run.faults_text, given.faults or "") if run.faults_text is not None else None
-    is_dry = run.seed is not None  # twins of another program have one of their own
-    simulation = DryRun(run.seed or 0, given.plant, given.speed, faults, given.asks) if is_dry else None
+    simulation: Simulation | None = None
+    if run.mode == Rehearsal.mode:
+        simulation = Rehearsal(run.seed or 0, given.plant, faults, given.asks)
+    elif run.seed is not None:  # twins of another program have one of their own
+        simulation = DryRun(run.seed, given.plant, given.speed, faults, given.asks)
     return Options(simulation, given.controller, folder, run.unattended)
 
 

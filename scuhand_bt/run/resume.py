@@ -67,7 +67,7 @@ def checked_history(path: Path) -> History:
     if history.is_complete:
         raise _refused(path, "the run is complete: nothing is left to do")
     if history.lost_world:
-        raise _refused(path, f"its simulated world could not be kept: {history.lost_world}; start the dry run anew")
+        raise _refused(path, f"its simulated world could not be kept: {history.lost_world}; start it anew")
     return history
 
 

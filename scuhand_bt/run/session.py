@@ -1,6 +1,7 @@
 """One run from plan to result: the cell, its journal, and the batch between them."""
 
 import secrets
+import shutil
 import sqlite3
 import threading
 from contextlib import ExitStack, suppress
@@ -34,6 +35,7 @@ from scuhand_bt.run.outage import settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
+from scuhand_bt.run.twins import folder_of_run
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.substitutes import Substitutes
 
@@ -71,6 +73,7 @@ class Session:
         self._lab, self._options, self._has_run = lab, options, threading.Lock()
         self._substitutes = substitutes
         self._history = resumes.history if resumes is not None else None
+        self._account: list[RuleAccount] = []
         if resumes is None:
             name = f"{datetime.now():%Y%m%d-%H%M%S}-{plan.recipe.name}-{secrets.token_hex(2)}"
             path = (options.folder or state_folder(lab) / "runs") / f"{name}.sqlite"
@@ -122,6 +125,8 @@ class Session:
     def _make_cell(self, motion: MotionPlanner | None, opened: ExitStack) -> None:
         journal, options, history = self.journal, self._options, self._history
         self._listener = _listen(journal.path, self.control)
+        if history is None and isinstance(options.simulation, Rehearsal):  # of one that never began nothing is left
+            opened.callback(shutil.rmtree, folder_of_run(journal.path), ignore_errors=True)
         opened.callback(self._listener.end)
         setup = set_up(
             self.plan,
@@ -137,8 +142,8 @@ class Session:
             resumed_at_s=None if history is None else history.time_s,
             may_torque=options.may_torque,
         )
-        self.cell, self.world, self._close_cell = setup.cell, setup.world, setup.close
-        self.liveness = setup.liveness
+        self.cell, self.world, self.truth = setup.cell, setup.world, setup.truth
+        self._close_cell, self.liveness = setup.close, setup.liveness
         opened.callback(self._close_cell)
         if options.controller is not None:
             self.cell.controller = options.controller
@@ -151,8 +156,6 @@ class Session:
         journal.is_beside = not isinstance(self.cell.clock, VirtualClock)
         if isinstance(self.cell.clock, VirtualClock):
             self.cell.clock.hurries = lambda: self.control.halts
-        if self.world is not None:
-            journal.before_commit = self.world.save
 
     def _are_twins(self) -> bool:
         """Whether a device says that it is a twin; which one it is, a balance has said by its first reading.
@@ -211,11 +214,6 @@ class Session:
         )
 
     @property
-    def can_be_resumed(self) -> bool:
-        """A rehearsal's twins end with its program."""
-        return not isinstance(self._options.simulation, Rehearsal)
-
-    @property
     def mode(self) -> str:
         """Real devices, TWINS, SIMULATED or REHEARSAL."""
         simulation = self._options.simulation
@@ -239,7 +237,7 @@ class Session:
         """Run the batch to its end; whatever happens, the cell ends safe. RuntimeError the second time."""
         if not self._has_run.acquire(blocking=False):
             raise RuntimeError("a session is run once: make another one")
-        world = self.world
+        truth = self.truth
         has_to_settle = not self.cell.hand.knows_its_roller or self._conflicts or self._is_taken_up
         batch = Batch(
             self.plan,
@@ -248,7 +246,7 @@ class Session:
             self.journal,
             observer,
             self.control,
-            world.true_mass if world is not None else None,
+            truth.true_mass if truth is not None else None,
             self._history,
             first=self._settle() if has_to_settle else None,
             after_job=self._records.after_job,
@@ -258,10 +256,11 @@ class Session:
             result = batch.run()
         finally:
             try:
-                if world is not None:
-                    self.journal.event(Matter(**world.masses_mg))
-                    if world.faults.rules:
-                        self.journal.event(FaultRules(rules=[RuleAccount(**rule) for rule in world.faults.account()]))
+                if truth is not None and (masses_mg := truth.masses_mg):
+                    self.journal.event(Matter(**masses_mg))
+                if truth is not None and (account := truth.fault_account):
+                    self._account = [RuleAccount(**rule) for rule in account]
+                    self.journal.event(FaultRules(rules=self._account))
                 self._records.batch_ended()
             except RecordLost as lost:  # its end was still written
                 self.notices.append(str(lost))
@@ -286,11 +285,11 @@ class Session:
     @property
     def unused_rules(self) -> list[str]:
         """The rules of the fault file whose fault has never come, with their places."""
-        simulation, world = self._options.simulation, self.world
-        if simulation is None or simulation.faults is None or world is None:
+        file = self._options.simulation.faults if self._options.simulation is not None else None
+        if file is None:
             return []
-        file = simulation.faults
-        return [f"{file.marks[i]}: '{file.rules[i].fault}'" for i in world.faults.never_came]
+        account = zip(file.marks, self._account, strict=False)  # nobody knows it of twins that have ended
+        return [f"{mark}: '{rule.fault}'" for mark, rule in account if not rule.came_s]
 
     def close(self) -> None:
         """Close the devices, wait for what is being told of the run, and close the journal."""

@@ -16,7 +16,7 @@ from scuhand_bt.sim.changer import SimulatedChanger
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.instruments import simulated_instrument
-from scuhand_bt.sim.plant import load_plant
+from scuhand_bt.sim.plant import probed_plant
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Source
 
@@ -47,9 +47,7 @@ def simulated_cell(
     stands; `changer` replaces the simulated carousel (the operator's hands), `apex_of` the arm's forward
     kinematics; `faults` are what is to go wrong. PlantError, before anything moves, for a plant that cannot be used.
     """
-    physics = load_plant(plant or spec.plant)
-    for source in sources.values():
-        physics.probe(source.powder, spec.balance, source.mortar)
+    physics = probed_plant(plant or spec.plant, sources.values(), spec.balance)
     hand = SimulatedHand(spec.hand, clock)
     arm = SimulatedArm(clock, hand.mount, joints, apex_of)
     balance = SimulatedBalance(spec.balance, clock, physics)

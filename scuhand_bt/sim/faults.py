@@ -122,11 +122,6 @@ class Faults:
             self._push_mg = JUMP_MG * self._air_rng.standard_normal()
         return self._push_mg
 
-    @property
-    def never_came(self) -> list[int]:
-        """The numbers, counted from 0, of the rules whose fault has never come."""
-        return [number for number, course in enumerate(self._courses) if not course.came_s]
-
     def account(self) -> list[dict[str, Any]]:
         """Each rule's fault, and when it came [s]; for the journal."""
         marked = zip(self.rules, self._courses, strict=True)

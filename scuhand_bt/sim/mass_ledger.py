@@ -57,7 +57,7 @@ def in_container(container_id: str) -> Compartment:
 
 
 class MassLedger:
-    """Masses in compartments that never go negative; only `transfer` changes them."""
+    """Masses in compartments that never go negative; only `transfer` changes them, and whoever refills a mortar."""
 
     def __init__(self, sources: Mapping[str, Source]) -> None:
         self.masses_mg: dict[Compartment, float] = dict.fromkeys(
@@ -69,8 +69,17 @@ class MassLedger:
 
     @property
     def total_mg(self) -> float:
-        """All there is; the same at all times."""
+        """All there is; the same at all times, but for what a mortar is refilled with."""
         return math.fsum(self.masses_mg.values())
+
+    def refill(self, source: str, mass_mg: float) -> None:
+        """More powder comes into the mortar of a source. ValueError for a source that there is none of, or no mass."""
+        place = in_source(source)
+        if place not in self.masses_mg:
+            raise ValueError(f"there is no source '{source}'")
+        if not 0.0 < mass_mg < math.inf:
+            raise ValueError(f"a mortar cannot be refilled with {mass_mg:g} mg")
+        self.masses_mg[place] += mass_mg
 
     def transfer(self, source: Compartment, target: Compartment, mass_mg: float) -> None:
         """Move powder. ValueError for NaN, a negative mass, or more than there is."""

@@ -139,24 +139,17 @@ class Pan:
 
     # --- for the world's file ---
 
-    @property
-    def held_mg(self) -> float:
-        """What is in the container, 0 without one [mg]."""
-        return self._ledger.masses_mg[in_container(self.container_id)] if self.container_id is not None else 0.0
-
     def log_all(self) -> None:
         """Tell of every container again."""
         for container_id in self._containers:
             self.log(self._known(container_id))
 
-    def recall(self, containers: list[Known], held_mg: float) -> None:
-        """Know these containers; the one on the pan by now holds `held_mg`."""
+    def recall(self, containers: list[Known]) -> None:
+        """Know these containers, as they were when they last came or went."""
         for fields, empty_mg, mass_mg in containers:
             container = Container.model_validate(fields)
             self._containers[container.id] = (container, empty_mg)
             self._ledger.masses_mg[in_container(container.id)] = mass_mg
-        if self.container_id is not None:
-            self._ledger.masses_mg[in_container(self.container_id)] = held_mg
         self._put(self.container_id)
 
     def _known(self, container_id: str) -> Known:

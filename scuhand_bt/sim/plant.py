@@ -6,6 +6,7 @@ The class is built without arguments and offers any of `flow(powder)`, `balance(
 
 import importlib
 import math
+from collections.abc import Iterable
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from scuhand_bt.sim.cone_over import Floats
 from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.sim.scoop import OurScoopYield
-from scuhand_bt.specs import Mortar, Powder
+from scuhand_bt.specs import Mortar, Powder, Source
 
 
 class PowderFlow(Protocol):
@@ -160,6 +161,14 @@ class Plant:
     def _check(self, made: object, method: str, call: str) -> None:
         if not callable(getattr(made, method, None)):
             raise PlantError(f"{self.name}: {call} gave {made!r}, which has no method '{method}'")
+
+
+def probed_plant(name: str | None, sources: Iterable[Source], balance: BalanceSpec) -> Plant:
+    """The plant of this name, tried with these. PlantError as of `load_plant` and `Plant.probe`."""
+    plant = load_plant(name)
+    for source in sources:
+        plant.probe(source.powder, balance, source.mortar)
+    return plant
 
 
 def load_plant(name: str | None) -> Plant:

@@ -12,7 +12,8 @@ from typing import Any, ClassVar, Protocol
 
 from pydantic_core import to_json
 
-from scuhand_bt.sim.plain_state import Misplaced, read, written
+from scuhand_bt.problems import SourceError
+from scuhand_bt.sim.plain_state import Misplaced, Plain, read, written
 from scuhand_bt.sim.world_file import WorldFile, broken
 
 
@@ -27,12 +28,15 @@ class Memory:
     """Saves the state of the same objects again and again."""
 
     def __init__(self, objects: Sequence[Stateful], plant: str) -> None:
-        self._getters: list[tuple[Callable[[Any], tuple[Any, ...]], Stateful]] = [
-            (attrgetter(*thing.STATE), thing) for thing in objects
-        ]
+        self._getters: list[tuple[Callable[[Any], Any], Stateful]] = []
+        self.add(objects)
         self._plant = plant
         self._file: WorldFile | None = None
         self._tell: Callable[[str], None] = lambda why: None
+
+    def add(self, objects: Sequence[Stateful]) -> None:
+        """These, too; before there is a file."""
+        self._getters += [(_values_of(thing.STATE), thing) for thing in objects]
 
     @property
     def is_kept(self) -> bool:
@@ -50,22 +54,17 @@ class Memory:
         """
         file, state, log = WorldFile.open(path)
         try:
-            kept = json.loads(state)
-            if not isinstance(kept, str):
-                beside, values = kept
-                for (_, thing), attributes in zip(self._getters, values, strict=True):
-                    for name, plain in zip(thing.STATE, attributes, strict=True):
-                        setattr(thing, name, read(plain, getattr(thing, name)))
-                logged = [read(json.loads(line)) for line in log.splitlines()]
-                self._file, self._tell = file, tell
-                return read(beside), logged
-            why = f"its world could not be saved: {kept}"
-        except Misplaced as misplaced:
-            why = str(misplaced)
-        except Exception as error:  # the file may hold anything, and a plant do anything
-            why = f"it was written by another version of the program or the plant ({type(error).__name__}: {error})"
-        file.close()
-        raise broken(path, why)
+            beside, logged = _read(path, state, log, self._give)
+        except SourceError:
+            file.close()
+            raise
+        self._file, self._tell = file, tell
+        return beside, logged
+
+    def _give(self, values: list[Plain]) -> None:
+        for (_, thing), attributes in zip(self._getters, values, strict=True):
+            for name, plain in zip(thing.STATE, attributes, strict=True):
+                setattr(thing, name, read(plain, getattr(thing, name)))
 
     def save(self, beside: object) -> None:
         """Save the state of all, and this beside it."""
@@ -100,6 +99,33 @@ class Memory:
         if self._file is not None:
             self._file.close()
             self._file = None
+
+
+def look_into(path: Path) -> tuple[Any, list[Any]]:
+    """What was saved beside the objects' state, and what was logged; the file stays whose it is. SourceError."""
+    file, state, log = WorldFile.open(path)
+    file.close()
+    return _read(path, state, log, lambda values: None)
+
+
+def _read(path: Path, state: bytes, log: bytes, give: Callable[[list[Plain]], None]) -> tuple[Any, list[Any]]:
+    try:
+        kept = json.loads(state)
+        if not isinstance(kept, str):
+            beside, values = kept
+            give(values)
+            return read(beside), [read(json.loads(line)) for line in log.splitlines()]
+        why = f"its world could not be saved: {kept}"
+    except Misplaced as misplaced:
+        why = str(misplaced)
+    except Exception as error:  # the file may hold anything, and a plant do anything
+        why = f"it was written by another version of the program or the plant ({type(error).__name__}: {error})"
+    raise broken(path, why)
+
+
+def _values_of(names: Sequence[str]) -> Callable[[Any], Any]:
+    first, *others = names
+    return attrgetter(first, *others) if others else lambda thing: (getattr(thing, first),)
 
 
 def _json(plain: object) -> bytes:

@@ -9,6 +9,7 @@ some seconds after the first one was killed: by then the devices, which nobody s
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from scuhand_bt.sim.outage import PowerCut
 from scuhand_bt.sim.pan import Pan
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.randomness import substream
-from scuhand_bt.sim.snapshot import Memory
+from scuhand_bt.sim.snapshot import Memory, look_into
 from scuhand_bt.sim.under_the_cone import Surroundings
 from scuhand_bt.specs import Container, Source
 
@@ -35,6 +36,17 @@ OUTAGE_S = 2.0
 """Time that passes in the world at least, from the last word of a killed program to the first of the next one."""
 LONGEST_OUTAGE_S = 10.0
 """And at most: a valve that is stuck open stays it."""
+
+
+def masses_in(path: Path) -> dict[str, float]:
+    """What is in every compartment [mg], as `World.masses_mg`, of a world that lives in a file, whoever has it.
+
+    Raises SourceError as of `World.restore`.
+    """
+    (_, _, masses_mg), containers = look_into(path)
+    found: dict[str, float] = {str(in_container(fields["id"])): held_mg for fields, _, held_mg in containers}
+    found.update(masses_mg)
+    return found
 
 
 class World:
@@ -84,6 +96,11 @@ class World:
         """Whether the valve is open, whatever it says itself."""
         return self._hand.gap_mm > 0.0
 
+    @property
+    def fault_account(self) -> list[dict[str, Any]]:
+        """The fault of each rule, and when it came [s]."""
+        return self.faults.account()
+
     # --- hands that act beside the robot ---
 
     def begin_sample(self, sample: str, attempt: int) -> None:
@@ -119,6 +136,10 @@ class World:
         self.load.throw_away()
         self._hand.rim_is(self._hand.spec.options.start_diameter_mm)
 
+    def refill(self, source: str, mass_mg: float) -> None:
+        """Put more powder into the mortar of a source. ValueError as of `MassLedger.refill`."""
+        self.ledger.refill(source, mass_mg)
+
     # --- time ---
 
     def step(self, now_s: float, limit_s: float) -> float:
@@ -153,8 +174,8 @@ class World:
 
         Raises SourceError for a file that is missing, damaged, or of a world that could not be saved.
         """
-        (self.now_s, joints, masses_mg, held_mg), containers = self._memory.take_up(path, tell)
-        self.pan.recall(containers, held_mg)
+        (self.now_s, joints, masses_mg), containers = self._memory.take_up(path, tell)
+        self.pan.recall(containers)
         self.ledger.masses_mg.update({Compartment.of_text(text): mass_mg for text, mass_mg in masses_mg.items()})
         self._arm.hold(joints)
         self._sit_out()
@@ -166,8 +187,12 @@ class World:
         if not self._memory.is_kept:
             return
         joints = self._arm.held_at(self.now_s + SERVO_WATCHDOG_S)
-        masses_mg = {text: self.ledger.masses_mg[compartment] for text, compartment in self._compartments}
-        self._memory.save((self.now_s, joints, masses_mg, self.pan.held_mg))
+        places = [*self._compartments]
+        if self.pan.container_id is not None:  # of the others the log has what they hold
+            place = in_container(self.pan.container_id)
+            places.append((str(place), place))
+        masses_mg = {text: self.ledger.masses_mg[compartment] for text, compartment in places}
+        self._memory.save((self.now_s, joints, masses_mg))
 
     def close(self) -> None:
         """Live in no file any more; what it is now is not saved."""

@@ -21,7 +21,7 @@ from zlib import crc32
 
 from scuhand_bt.problems import Mark, Problem, SourceError
 
-MAGIC = b"scuhand_bt world 2\n"
+MAGIC = b"scuhand_bt world 3\n"
 HEAD = struct.Struct("<19sII")
 SUM = struct.Struct("<I")
 FIELDS = struct.Struct("<QIQI")
@@ -129,7 +129,7 @@ class WorldFile:
 
 def broken(path: Path, what: str) -> SourceError:
     """Why a run cannot go on from this file."""
-    return SourceError([Problem(Mark(str(path)), f"{what}; the dry run cannot be resumed: start it anew")])
+    return SourceError([Problem(Mark(str(path)), f"{what}; nothing can go on from it: begin anew")])
 
 
 def _head_sum(slot_bytes: int) -> int:

@@ -8,7 +8,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from scuhand_bt.drivers import NotPluggable
 from scuhand_bt.sim.wire.scene import twin_of
@@ -44,6 +44,9 @@ class StillPan:
 
 class BalanceTwin(ABC):
     """What the four have in common: lines of commands, a stream of readings, zero, tare and range."""
+
+    STATE: ClassVar[tuple[str, ...]] = ("unit", "period_s", "streaming", "zero_mg", "tare_mg")
+    """What the file of a world keeps of it."""
 
     def __init__(self, pan: PanLoad, readability_mg: float = 0.1, maximum_mg: float = 220_000.0) -> None:
         self.pan = pan

@@ -10,17 +10,17 @@ world's balance reads.
 import math
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from scuhand_bt.cell_spec import DEVICES, MOUNTED_DIAMETER_MM, CellSpec, HandSpec
 from scuhand_bt.clock import Clock
-from scuhand_bt.devices.interfaces import Joints
+from scuhand_bt.devices.interfaces import Joints, Reading
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.motion.kinematics import Mount
 from scuhand_bt.sim.arm import SimulatedArm
@@ -28,7 +28,10 @@ from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.instruments import ROOM
-from scuhand_bt.sim.plant import Plant, load_plant
+from scuhand_bt.sim.mass_ledger import Compartment
+from scuhand_bt.sim.plain_state import Plain
+from scuhand_bt.sim.plant import Plant, probed_plant
+from scuhand_bt.sim.snapshot import Stateful
 from scuhand_bt.sim.wire.balances import balance_twin
 from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.faults import WireFaults
@@ -47,6 +50,8 @@ SWITCH_S = 0.0005
 """How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
 usual 5 ms a servo would be kept waiting."""
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
+UNSAVED_S = 0.5
+"""A world in which no powder moves is saved so often."""
 
 
 class WireArm(SimulatedArm):
@@ -77,6 +82,8 @@ class WireArm(SimulatedArm):
 
 class WireHand(SimulatedHand):
     """The world's hand: its valve is where the twin's is, its cone what the roller's servo has made of it."""
+
+    STATE = (*SimulatedHand.STATE, "_at_zero_deg")
 
     def __init__(self, spec: HandSpec, clock: Clock, board: HandTwin, roller: Servo) -> None:
         super().__init__(spec, clock)
@@ -121,7 +128,11 @@ class WireHand(SimulatedHand):
 
 
 class WireWorld(World):
-    """The world that goes on in a thread of its own, while hands act on it from another."""
+    """The world that goes on in a thread of its own, while hands act on it from another.
+
+    It lives in a file, if it is told to, with the twins that meet it: of a process that ends, however it does, another
+    takes up devices and powder as if time had stood still.
+    """
 
     def __init__(
         self,
@@ -135,7 +146,32 @@ class WireWorld(World):
         faults: Faults | None = None,
     ) -> None:
         self._lock = threading.RLock()
+        self._saved_mg: dict[Compartment, float] = {}
+        self._saved_s = 0.0
         super().__init__(spec, sources, plant, seed, arm, hand, balance, faults)
+
+    @property
+    def masses_mg(self) -> dict[str, float]:
+        with self._lock:
+            return super().masses_mg
+
+    def lives_with(self, twins: Sequence[Stateful]) -> None:
+        """Keep the state of these, too."""
+        self._memory.add(twins)
+
+    def save_changes(self) -> None:
+        """Save it, if powder has moved since, or it was not saved for a while."""
+        with self._lock:
+            if self.ledger.masses_mg != self._saved_mg or self.now_s - self._saved_s >= UNSAVED_S:
+                self.save()
+
+    def save(self) -> None:
+        with self._lock:
+            super().save()
+            self._saved_mg, self._saved_s = dict(self.ledger.masses_mg), self.now_s
+
+    def _sit_out(self) -> None:
+        """Nothing happens to twins between two of their processes."""
 
     def step(self, now_s: float, limit_s: float) -> float:
         with self._lock:
@@ -148,10 +184,12 @@ class WireWorld(World):
     def place(self, container: Container) -> None:
         with self._lock:
             super().place(container)
+            self.save()
 
     def remove(self) -> None:
         with self._lock:
             super().remove()
+            self.save()
 
     def swing(self, until_s: float, container: Container | None) -> None:
         with self._lock:
@@ -160,15 +198,23 @@ class WireWorld(World):
     def load_cone(self, source: str, mass_mg: float) -> None:
         with self._lock:
             super().load_cone(source, mass_mg)
+            self.save()
+
+    def refill(self, source: str, mass_mg: float) -> None:
+        with self._lock:
+            super().refill(source, mass_mg)
+            self.save()
 
     def swap_sheet(self) -> None:
         with self._lock:
             super().swap_sheet()
+            self.save()
 
 
 class BenchScene:
     """What the twins of the further devices meet: the air of a laboratory, and what stands on the world's pan."""
 
+    STATE: ClassVar[tuple[str, ...]] = ("kept",)
     air = ROOM
 
     def __init__(self, world: WireWorld, slots: int) -> None:
@@ -184,6 +230,15 @@ class BenchScene:
         """A person has filled the changer so."""
         self._in_slots[slot % self.slots] = container
 
+    @property
+    def kept(self) -> dict[int, dict[str, Plain]]:
+        """What stands in which slot, for the world's file."""
+        return {slot: container.model_dump() for slot, container in self._in_slots.items()}
+
+    @kept.setter
+    def kept(self, in_slots: dict[int, dict[str, Plain]]) -> None:
+        self._in_slots = {slot: Container.model_validate(fields) for slot, fields in in_slots.items()}
+
     def bring(self, slot: int | None) -> None:
         self._world.remove()
         if (container := self._in_slots.get(slot) if slot is not None else None) is not None:
@@ -191,18 +246,45 @@ class BenchScene:
 
 
 class WirePan:
-    """What the balance's twin weighs: the reading of the world's balance."""
+    """What the balance's twin weighs: the reading of the world's balance, once that world is saved.
+
+    So nobody has seen of a world what another process would not find in its file.
+    """
 
     def __init__(self, balance: SimulatedBalance) -> None:
         self._balance = balance
+        self.latest: Reading | None = None
 
     def gross_mg(self, now_s: float) -> float:
         if "balance.overload" in self._balance.faults.active:
             return 2.0 * self._balance.spec.maximum_mg
-        return self._balance.latest.value_mg if self._balance.latest is not None else 0.0
+        return self.latest.value_mg if self.latest is not None else 0.0
 
     def is_stable(self, now_s: float) -> bool:
-        return self._balance.latest is not None and self._balance.latest.stable
+        return self.latest is not None and self.latest.stable
+
+
+def at_twins(spec: CellSpec, url_of: Callable[[str], str]) -> CellSpec:
+    """The description of a cell whose devices are twins, each at this port."""
+    there = _with_twins(spec)
+
+    def section(name: str) -> Any:
+        said = spec.section(name)
+        changes: dict[str, Any] = {"port": url_of(name)} if name in there else {}
+        if "options" in type(said).model_fields:
+            changes["options"] = at_a_twin(said.options)  # type: ignore[union-attr]
+        return said.model_copy(update=changes)
+
+    own_options = {name: at_a_twin(options) for name, options in spec.own_options.items()}
+    devices = {name: section(name) for name in spec.devices}
+    return spec.model_copy(
+        update={name: section(name) for name in DEVICES} | {"devices": devices, "own_options": own_options}
+    )
+
+
+def _with_twins(spec: CellSpec) -> list[str]:
+    """The devices of a cell that are devices: a changer may be a person's hands."""
+    return [name for name in spec.device_names if spec.section(name).driver != "operator"]
 
 
 class WireBench:
@@ -225,9 +307,7 @@ class WireBench:
         ports: Path | None = None,
         faults: Faults | None = None,
     ) -> None:
-        physics = load_plant(plant or spec.plant)
-        for source in sources.values():
-            physics.probe(source.powder, spec.balance, source.mortar)
+        physics = probed_plant(plant or spec.plant, sources.values(), spec.balance)
         board = HandTwin(firmware, spec.hand.valve_dead_time_s, spec.hand.options.valve_map)
         *arm_servos, roller = servos = crane_x7()
         self.bus = TwinServer(DynamixelTwin(servos), PtyPort(ports and ports / "arm"))
@@ -237,7 +317,8 @@ class WireBench:
         balance = SimulatedBalance(spec.balance, clock, physics)
         self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance, faults)
         kind = balance_twin(spec.balance.driver)
-        twin = kind(WirePan(balance), spec.balance.readability_mg, spec.balance.maximum_mg)
+        self._balance, self._hand, self._pan = balance, hand, WirePan(balance)
+        twin = kind(self._pan, spec.balance.readability_mg, spec.balance.maximum_mg)
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
         self.scene = BenchScene(self.world, spec.changer.slots)
@@ -246,24 +327,19 @@ class WireBench:
                 twin_of(spec.kind_of(name), spec.section(name).driver)(spec.options_of(name), self.scene),
                 PtyPort(ports and ports / name),
             )
-            for name in spec.device_names[3:]
-            if spec.section(name).driver != "operator"
+            for name in _with_twins(spec)[3:]
         }
         """The changer's, where it is none of the operator's hands, and the further devices', by name."""
-        twins: dict[str, TwinServer[Any]] = {"arm": self.bus, "hand": self.hand, "balance": self.balance, **self.others}
-
-        def section(name: str) -> Any:
-            """What is said of a device, with its twin's port."""
-            said = spec.section(name)
-            changes: dict[str, Any] = {"port": twins[name].url} if name in twins else {}
-            if "options" in type(said).model_fields:
-                changes["options"] = at_a_twin(said.options)  # type: ignore[union-attr]
-            return said.model_copy(update=changes)
-
-        own_options = {name: at_a_twin(options) for name, options in spec.own_options.items()}
-        devices = {name: section(name) for name in spec.devices}
-        update = {name: section(name) for name in DEVICES} | {"devices": devices, "own_options": own_options}
-        self.spec = spec.model_copy(update=update)
+        others = [server.twin for server in self.others.values() if hasattr(server.twin, "STATE")]
+        self.world.lives_with([self.bus.twin, board.valve.line, twin, self.scene, *others])
+        self.servers: dict[str, TwinServer[Any]] = {
+            "arm": self.bus,
+            "hand": self.hand,
+            "balance": self.balance,
+            **self.others,
+        }
+        """All twins at their ports, by the names of their devices."""
+        self.spec = at_twins(spec, lambda name: self.servers[name].url)
         """The cell's description with the twins' ports in it."""
         self._clock = clock
         self._running = ExitStack()
@@ -274,7 +350,7 @@ class WireBench:
     def __enter__(self) -> "WireBench":
         self._running.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_S)
-        for server in self.servers:
+        for server in self.servers.values():
             self._running.enter_context(server)
         self._thread.start()
         return self
@@ -286,10 +362,20 @@ class WireBench:
         self._thread.join()
         self._running.close()
 
+    def take_up(self, path: Path, tell: Callable[[str], None]) -> float:
+        """Be what the world of this file was, with all its twins; as `World.restore`.
+
+        But for the valve: the board, which begins anew, would have shut it when nobody spoke to it any more.
+        """
+        now_s = self.world.restore(path, tell)
+        if "valve.stuck_open" not in self.world.faults.active:
+            self.hand.twin.valve.shut()
+        return now_s
+
     @property
-    def servers(self) -> tuple[TwinServer[Any], ...]:
-        """All twins at their ports."""
-        return (self.bus, self.hand, self.balance, *self.others.values())
+    def rim_mm(self) -> float:
+        """How wide the cone's rim is."""
+        return self._hand.cone_diameter_mm
 
     def check(self) -> None:
         """Raise, once, what has ended the world's thread: a plant may fail in the middle of a run."""
@@ -298,12 +384,16 @@ class WireBench:
             raise failure
 
     def _go_on(self) -> None:
-        now_s = 0.0  # the balance's periods count from there
+        world = self.world
         try:
             while not self._closing.wait(STEP_S):
                 end_s = self._clock.now_s
-                while now_s < end_s and not self._closing.is_set():
-                    now_s = self.world.step(now_s, end_s)
+                while world.now_s < end_s and not self._closing.is_set():
+                    world.step(world.now_s, end_s)
+                reading = self._balance.latest
+                world.save_changes()
+                self._pan.latest = reading
                 self._faults.apply()
+            world.save()
         except Exception as error:
             self._failure = error

@@ -12,6 +12,8 @@ STANDS = 0.15
 class CarouselTwin(DynamixelTwin):
     """It is delivered with the pan bare, before the first slot."""
 
+    STATE = (*DynamixelTwin.STATE, "slot")
+
     def __init__(self, options: CarouselOptions, scene: Scene) -> None:
         self.pitch = 4096 / scene.slots * options.direction
         self._first, self._slots = options.first_slot_count, scene.slots

@@ -4,7 +4,9 @@ Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0".
 """
 
 from collections.abc import Iterable, Iterator
+from typing import ClassVar
 
+from scuhand_bt.sim.plain_state import Plain
 from scuhand_bt.sim.wire.servo import NO_ERROR, XM430, XM540, Servo
 
 HEADER = b"\xff\xff\xfd\x00"
@@ -80,12 +82,24 @@ class PacketReader:
 class DynamixelTwin:
     """A line with servos on it."""
 
+    STATE: ClassVar[tuple[str, ...]] = ("kept",)
+
     def __init__(self, servos: Iterable[Servo]) -> None:
         self.servos = {servo.id: servo for servo in servos}
         self.missing: set[int] = set()
         """Servos whose cable has come off."""
         self._reader = PacketReader()
         self._due: list[tuple[float, bytes]] = []
+
+    @property
+    def kept(self) -> dict[int, list[Plain]]:
+        """The state of its servos, by their ids."""
+        return {servo_id: servo.kept for servo_id, servo in self.servos.items()}
+
+    @kept.setter
+    def kept(self, by_id: dict[int, list[Plain]]) -> None:
+        for servo_id, kept in by_id.items():
+            self.servos[servo_id].kept = kept
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
         """Obey what came in; every status packet is sent after its servo's return delay."""

@@ -39,17 +39,21 @@ class NoCompiler(Exception):  # noqa: N818 - it reads as the sentence it is rais
     """The firmware cannot be built here."""
 
 
+def compiler() -> str:
+    """The compiler that there is. Raises NoCompiler."""
+    if (found := shutil.which("g++") or shutil.which("clang++")) is None:
+        raise NoCompiler("the hand's twin runs the real firmware and needs a C++ compiler: install g++")
+    return found
+
+
 @cache
 def build_brain(firmware: Path) -> ctypes.CDLL:
     """Compile the firmware as a library and load it; NoCompiler says why not."""
-    compiler = shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
-        raise NoCompiler("the hand's twin runs the real firmware and needs a C++ compiler: install g++")
     sources = [*sorted((firmware / "hand_controller").glob("*.cpp")), firmware / "host" / "brain.cpp"]
     with tempfile.TemporaryDirectory(prefix="hand-") as folder:
         library = Path(folder) / "brain.so"
         says = f'-DHAND_FIRMWARE="{TWIN}-2.0"'
-        command = [compiler, "-std=c++11", "-O1", "-shared", "-fPIC", says, "-o", str(library), *map(str, sources)]
+        command = [compiler(), "-std=c++11", "-O1", "-shared", "-fPIC", says, "-o", str(library), *map(str, sources)]
         built = subprocess.run(command, capture_output=True, text=True, check=False)
         if built.returncode != 0:
             raise NoCompiler(built.stderr)
@@ -78,13 +82,19 @@ class Valve:
         points = sorted((point.count, point.opening_mm) for point in true_map)
         self._counts, self._openings_mm = zip(*points, strict=True)
         self._rises = true_map[1].count > true_map[0].count
-        self.servo = Servo(1, XC330, float(true_map[0].count), dead_time_s=dead_time_s)
+        self._shut_count = float(true_map[0].count)
+        self.servo = Servo(1, XC330, self._shut_count, dead_time_s=dead_time_s)
         self.servo.put(8, 1, BAUD_OF_VALVE)
         self.line = DynamixelTwin([self.servo])
 
     @property
     def opening_mm(self) -> float:
         return float(np.interp(self.servo.position, self._counts, self._openings_mm))
+
+    def shut(self) -> None:
+        """Be shut at once, as a controller that nobody could see has left it."""
+        self.servo.position = self._shut_count
+        self.servo.stand()
 
     def lets(self, *, open: bool | None = None, close: bool | None = None) -> None:
         """Whether nothing is in the valve's way, as it opens or closes; None leaves that as it is."""

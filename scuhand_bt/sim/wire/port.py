@@ -60,6 +60,7 @@ class PtyPort:
         os.set_blocking(master, False)
         self._ends = (master, slave)
         fresh = self._link.with_name(self._link.name + ".new")
+        fresh.unlink(missing_ok=True)  # of a process that was killed just there
         fresh.symlink_to(os.ttyname(slave))
         fresh.replace(self._link)
 

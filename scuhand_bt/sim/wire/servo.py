@@ -7,6 +7,8 @@ tables, not from the driver, so that a mistake in one does not hide in the other
 import math
 from dataclasses import dataclass
 
+from scuhand_bt.sim.plain_state import Plain
+
 NO_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = 0, 4, 5, 6, 7
 ALERT = 0x80
 
@@ -98,10 +100,21 @@ class Servo:
     def position(self, count: float) -> None:
         self.shaft = count + self._forgotten
 
+    @property
+    def kept(self) -> list[Plain]:
+        """What outlives the twin's process, in which time stands still: its turns and its registers."""
+        return [self.shaft, self._forgotten, self.table.hex()]
+
+    @kept.setter
+    def kept(self, written: list[Plain]) -> None:
+        self.shaft, self._forgotten, registers = written
+        self.table = bytearray.fromhex(registers)
+        self.stand()
+
     def forget_turns(self) -> None:
         """Know the angle within one turn alone, and stand there."""
         self._forgotten += 4096 * math.floor(self.position / 4096)
-        self._stand()
+        self.stand()
 
     def _factory_settings(self, window: tuple[int, int]) -> None:
         kind = self.kind
@@ -120,9 +133,9 @@ class Servo:
         self.put(84, 2, 800)
         self.put(100, 2, self.get(36, 2))
         self.put(116, 4, round(self.position))
-        self._stand()
+        self.stand()
 
-    def _stand(self) -> None:
+    def stand(self) -> None:
         """Be where it is, whatever it was told."""
         self._goals, self._goal = [], self.position
         self._reference, self._reference_velocity = self.position, 0.0
@@ -264,7 +277,7 @@ class Servo:
         units = self.get(98, 1, signed=True)
         if units > 0 and self.has_torque and now_s - self._spoken_to_s > units * 0.02:
             self.put(98, 1, -1)
-            self._stand()
+            self.stand()
             self.put(116, 4, round(self.position))
 
     def _follow(self, now_s: float, dt_s: float) -> None:
