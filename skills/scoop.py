@@ -126,9 +126,11 @@ class Scoop(Skill[Milligrams]):
 
     def _chosen(self, cell: Cell, bed: Bed, in_mortar_mg: float) -> Stroke:
         source = self.source
-        wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg
-        if self.wanted_mg is not None:  # of a source that yields little, more; but never more than the cone may carry
-            wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / cell.believed.yields.get(source.name, 1.0)
+        yielded = cell.believed.yields.get(source.name, 1.0)
+        # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
+        wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg / max(1.0, yielded)
+        if self.wanted_mg is not None:
+            wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / yielded
         stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
         if stroke.gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
             most_mm = LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand)

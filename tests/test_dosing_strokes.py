@@ -50,6 +50,14 @@ def test_of_a_layer_nothing_is_above_the_lip_that_has_left_it() -> None:
     assert Bed(MORTAR, left_mg, 1.5).above_mg(stroke.gap_mm) > 0.1 * left_mg, "a level bed of as much would be higher"
 
 
+def test_a_layer_of_which_less_is_left_than_a_stroke_should_leave_is_thinner() -> None:
+    layer = Layer(5.0, 12_000.0)
+    whole, thinner = (Bed(MORTAR, mass_mg, 1.5, layer) for mass_mg in (12_000.0, 9000.0))
+    assert whole.above_mg(3.0) > 1000.0
+    assert thinner.above_mg(3.75) == pytest.approx(0.75 * whole.above_mg(5.0), abs=1.0)
+    assert thinner.above_mg(0.75 * 3.0) == pytest.approx(0.75 * whole.above_mg(3.0), rel=1e-3)
+
+
 def test_what_is_poured_back_lies_on_the_layer() -> None:
     layer = Layer(5.0, 12_000.0)
     without, more = (Bed(MORTAR, mass_mg, 1.5, layer) for mass_mg in (12_000.0, 14_000.0))

@@ -59,7 +59,8 @@ class Bed:
 
         self._thick_mm: Floats = np.zeros(RINGS)
         if layer is not None:
-            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), min(mass_mg, layer.mass_mg))
+            self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), layer.mass_mg)
+            self._thick_mm *= min(1.0, mass_mg / max(layer.mass_mg, THIN_MM))
         left_mm = self._thick_mm
         self._fill(lambda at_mm: np.maximum(level_mm(at_mm), left_mm), mass_mg)
 
