@@ -13,7 +13,7 @@ from pydantic import Field
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
-from scuhand_bt.dosing.strokes import Bed, Layer, chosen, expected_mg
+from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.motion import ApexPose
@@ -160,8 +160,8 @@ class Scoop(Skill[Milligrams]):
     def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, bed: Bed) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""
         source, believed = self.source, cell.believed
-        lifted_mg = expected_mg(stroke, bed)
-        layer = Layer(stroke.gap_mm, bed.mass_mg - lifted_mg) if stroke.gap_mm > LIP_GAP_MM else None
+        sheet_radius_mm = cell.spec.hand.sheet_radius_mm
+        lifted_mg, layer = (rule(stroke, bed, sheet_radius_mm) for rule in (expected_mg, layer_left))
         believed.scooped(source, lifted_mg, layer)
         cell.record.event(
             Scooped(
