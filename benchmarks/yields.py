@@ -154,51 +154,44 @@ def one(
     }, motion
 
 
-def weighted(table: dict[str, Any], ending: str) -> float | None:
-    """The mean of all later scoops of the cases whose names end so."""
-    rows = [row for name, row in table.items() if name.endswith(ending) and row["later_scoops"]]
-    counts = [row["later_scoops"] for row in rows]
-    return round(float(np.average([row["later_scoops_off"] for row in rows], weights=counts)), 3) if rows else None
+def row_of(runs: list[dict[str, Any]], took_s: float) -> dict[str, Any]:
+    """The runs of one case, their scoops together."""
+    scoops, doses = ([share for run in runs for share in run[key]] for key in ("later_scoops_off", "later_doses_off"))
+    return {
+        "seeds": len(runs),
+        "took_s": round(took_s),
+        "first_scoop_off": round(float(np.mean([run["first_scoop_off"] for run in runs])), 3),
+        "later_scoops": len(scoops),
+        "later_scoops_off": round(float(np.mean(scoops)), 3) if scoops else None,
+        "later_doses_off": round(float(np.mean(doses)), 3) if doses else None,
+        "heaviest_mg": round(max(run["heaviest_mg"] for run in runs)),
+        "scoops": sum(run["scoops"] for run in runs),
+        "lost": sorted(str(code) for run in runs for code in run["lost"]),
+        "left_mg": [round(run["left_mg"]) for run in runs],
+        "spilled_mg": round(max(run["spilled_mg"] for run in runs), 1),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--only", default="", help="cases whose names have this in them")
+    parser.add_argument("--only", default="", help="cases whose names have this in them, beside those the file has")
     parser.add_argument("--json", type=Path, default=RESULTS)
     given = parser.parse_args()
     lab, motions = load_lab(starter_lab()), dict[str, MotionPlanner]()
-    table, began_s = dict[str, Any](), time.monotonic()
+    table: dict[str, Any] = json.loads(given.json.read_text()) if given.only and given.json.exists() else {}
     for mortar, powder, plant in itertools.product(MORTARS, POWDERS, PLANTS):
         name = f"{mortar}, {powder}, {plant.share:g}"
         if given.only not in name:
             continue
-        runs = []
+        runs, began_s = [], time.monotonic()
         for seed in range(given.seeds):
             found, motions[mortar] = one(lab, plant, powder, mortar, seed, motions.get(mortar))
             runs.append(found)
-        scoops, doses = ([x for run in runs for x in run[key]] for key in ("later_scoops_off", "later_doses_off"))
-        row = {
-            "first_scoop_off": round(float(np.mean([run["first_scoop_off"] for run in runs])), 3),
-            "later_scoops": len(scoops),
-            "later_scoops_off": round(float(np.mean(scoops)), 3) if scoops else None,
-            "later_doses_off": round(float(np.mean(doses)), 3) if doses else None,
-            "heaviest_mg": round(max(run["heaviest_mg"] for run in runs)),
-            "scoops": sum(run["scoops"] for run in runs),
-            "lost": sorted(str(code) for run in runs for code in run["lost"]),
-            "left_mg": [round(run["left_mg"]) for run in runs],
-            "spilled_mg": round(max(run["spilled_mg"] for run in runs), 1),
-        }
-        table[name] = row
-        print(name, row, flush=True)
-    shares = {f"{plant.share:g}": weighted(table, f" {plant.share:g}") for plant in PLANTS}
-    print(shares)
-    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(row)}" for name, row in table.items())
-    took_s = round(time.monotonic() - began_s)
-    given.json.write_text(
-        f'{{"doses": {DOSES}, "seeds": {given.seeds}, "took_s": {took_s},\n'
-        f'"later_scoops_off": {json.dumps(shares)},\n"cases": {{\n{lines}\n}}}}\n'
-    )
+        table[name] = row_of(runs, time.monotonic() - began_s)
+        print(name, table[name], flush=True)
+        lines = ",\n".join(f"{json.dumps(case)}: {json.dumps(row)}" for case, row in table.items())
+        given.json.write_text(f"{{\n{lines}\n}}\n")
 
 
 if __name__ == "__main__":

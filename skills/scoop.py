@@ -71,7 +71,7 @@ class Scoop(Skill[Milligrams]):
         if believed.is_load_doubted and believed.cone_source is not None:
             yield from put_away(cell)
         self._require_clean(cell)
-        if believed.cone_mg > 0.0:  # it would fall out of a cone that swings
+        if believed.cone_source is not None:  # not seen to be empty: what is in it would fall out of a cone that swings
             yield from put_away(cell)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:

@@ -81,3 +81,5 @@ def test_what_a_scoop_brings_is_believed_within_a_tenth_after_three_doses(tmp_pa
     assert np.mean(later) < 0.1
     limit_mg = ran.session.cell.sources["beads"].powder.load_limit_mg
     assert max(brought_mg for doses, _, brought_mg in scoops(ran) if doses >= DOSES) < limit_mg
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["spilled"] < 10.0, "no cone that was believed to be empty, and was not, has swung"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
-from scuhand_bt.dosing.swing import Ladle, Stroke, stroke_path
+from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, Mount, apex
@@ -69,6 +69,13 @@ class Case:
     strokes: tuple[Way, ...]
     picture_times_s: tuple[float, ...] = ()
     grain_mm: float = GRAIN_MM
+    gap_mm: float = LIP_GAP_MM
+    """At which the lip of its first stroke follows the wall."""
+
+    @property
+    def jams(self) -> bool:
+        """Whether a layer is to be left that is too thin for these grains to pass under the lip."""
+        return LIP_GAP_MM < self.gap_mm <= 2 * self.grain_mm
 
     def written(self) -> dict[str, Any]:
         return {
@@ -88,36 +95,39 @@ def cases() -> Iterator[Case]:
     agate, small = MORTARS
     beads = FRICTIONS_DEG[0]
     yield Case("upright control", agate, 12_000.0, *beads, (upright(agate),), (0.05, 1.0, 2.0, 3.0))
-    (everything,) = lip_led(agate, 12_000.0, math.inf)
+    _, (everything,) = lip_led(agate, 12_000.0, math.inf)
     yield Case("all at once", agate, 12_000.0, *beads, (everything,), moments(everything))
-    yield Case("four strokes", agate, 12_000.0, *beads, lip_led(agate, 12_000.0, LOAD_MG, HEADINGS_DEG))
+    gap_mm, strokes = lip_led(agate, 12_000.0, LOAD_MG, HEADINGS_DEG)
+    yield Case("four strokes", agate, 12_000.0, *beads, strokes, gap_mm=gap_mm)
     for friction in FRICTIONS_DEG:
         for mortar in MORTARS:
             for fill_mg in FILLS_MG[mortar.name]:
-                strokes = lip_led(mortar, fill_mg, LOAD_MG)
+                gap_mm, strokes = lip_led(mortar, fill_mg, LOAD_MG)
                 name = f"{mortar.name}, {fill_mg / 1000:g} g, {friction[0]:g} deg"
                 is_shown = friction == beads and fill_mg == max(FILLS_MG[mortar.name])
-                yield Case(name, mortar, fill_mg, *friction, strokes, moments(strokes[0]) if is_shown else ())
-    strokes = lip_led(small, 8000.0, LITTLE_MG)
+                shown_s = moments(strokes[0]) if is_shown else ()
+                yield Case(name, mortar, fill_mg, *friction, strokes, shown_s, gap_mm=gap_mm)
+    gap_mm, strokes = lip_led(small, 8000.0, LITTLE_MG)
     name = f"small_agate_mortar, 8 g, {LITTLE_MG / 1000:g} g wanted"
-    yield Case(name, small, 8000.0, *beads, strokes, grain_mm=FINE_GRAIN_MM)
+    yield Case(name, small, 8000.0, *beads, strokes, grain_mm=FINE_GRAIN_MM, gap_mm=gap_mm)
 
 
 def lip_led(
     mortar: Mortar, fill_mg: float, wanted_mg: float, headings_deg: Sequence[float] = HEADINGS_DEG[:1]
-) -> tuple[Way, ...]:
-    """Strokes one after another, as the skill chooses them where each brings what it is expected to.
+) -> tuple[float, tuple[Way, ...]]:
+    """Strokes one after another, as the skill chooses them where each brings what it is expected to; the first's gap.
 
     Turned about the vertical so that the first goes along x.
     """
-    layer, left_mg, ways = None, fill_mg, []
+    layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
     for heading_deg in headings_deg:
         bed = Bed(mortar, left_mg, BULK_DENSITY, layer)
         stroke = chosen(bed, SLANT_MM, wanted_mg)
+        gaps_mm.append(stroke.gap_mm)
         ways.append(_planned(mortar, stroke, heading_deg, heading_deg - headings_deg[0]))
         left_mg -= expected_mg(stroke, bed, SLANT_MM)
         layer = layer_left(stroke, bed, SLANT_MM)
-    return tuple(ways)
+    return gaps_mm[0], tuple(ways)
 
 
 @cache
