@@ -15,7 +15,7 @@ from scuhand_bt.specs import Powder
 RECIPE = """
 recipe: r
 workflow: fill_xrd_holder
-defaults: {container: alumina_crucible, source: beads, tolerance: 5 mg, mass: 2 g}
+defaults: {container: alumina_crucible, source: beads, tolerance: 5 mg, mass: MASS}
 samples:
   - {id: a}
   - {id: b}
@@ -70,9 +70,11 @@ def scoops(ran: Ran) -> list[tuple[int, float, float]]:
     return [(doses, mass_mg, came_mg) for (doses, mass_mg), came_mg in zip(expected, brought_mg, strict=True)]
 
 
-@pytest.mark.parametrize("plant", ["Half", "Double"])
-def test_what_a_scoop_brings_is_believed_within_a_tenth_after_three_doses(tmp_path: Path, plant: str) -> None:
-    ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:{plant}", controller="adaptive")
+@pytest.mark.parametrize(("plant", "mass"), [("Half", "2400 mg"), ("Double", "2 g")])
+def test_what_a_scoop_brings_is_believed_within_a_tenth_after_three_doses(
+    tmp_path: Path, plant: str, mass: str
+) -> None:
+    ran = dry_run(tmp_path, RECIPE.replace("MASS", mass), plant=f"{__name__}:{plant}", controller="adaptive")
     assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
     off = [(doses, abs(expected_mg / brought_mg - 1.0)) for doses, expected_mg, brought_mg in scoops(ran)]
     assert off[0][1] > 0.2, "the world is not as the skill expects it"
@@ -82,4 +84,6 @@ def test_what_a_scoop_brings_is_believed_within_a_tenth_after_three_doses(tmp_pa
     limit_mg = ran.session.cell.sources["beads"].powder.load_limit_mg
     assert max(brought_mg for doses, _, brought_mg in scoops(ran) if doses >= DOSES) < limit_mg
     assert ran.session.world is not None
-    assert ran.session.world.masses_mg["spilled"] < 10.0, "no cone that was believed to be empty, and was not, has swung"
+    assert ran.session.world.masses_mg["spilled"] < 10.0, (
+        "no cone that was believed to be empty, and was not, has swung"
+    )
