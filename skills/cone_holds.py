@@ -15,7 +15,10 @@ class ConeHolds(Condition):
     powder: Powder
     at_least_mg: Milligrams = 1.0
     wanted_mg: Milligrams = 0.0
-    """What is to be dosed of it, without the last of its load; a dose that needs several loads begins with this one."""
+    """What is to be dosed of it, without the last of its load; a dose that needs several loads begins with this one.
+
+    The first load of a source is used to its end by doses that are large enough to tell what its scoops bring.
+    """
 
     def check(self, cell: Cell) -> None:
         believed = cell.believed
@@ -25,6 +28,8 @@ class ConeHolds(Condition):
             last_mg = LAST_SHARE * believed.load.scooped_mg
             is_one_load = self.wanted_mg + last_mg <= source.powder.load_limit_mg
             enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
+            if self.wanted_mg > believed.used_up_from_mg:
+                enough_mg = 0.0  # and more than is believed may be there
         if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
-from scuhand_bt.dosing.strokes import Bed, Layer, chosen, expected_mg
+from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.motion import ApexPose
@@ -71,7 +71,7 @@ class Scoop(Skill[Milligrams]):
         if believed.is_load_doubted and believed.cone_source is not None:
             yield from put_away(cell)
         self._require_clean(cell)
-        if believed.cone_mg > 0.0:  # it would fall out of a cone that swings
+        if believed.cone_source is not None:  # not seen to be empty: what is in it would fall out of a cone that swings
             yield from put_away(cell)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
@@ -126,9 +126,11 @@ class Scoop(Skill[Milligrams]):
 
     def _chosen(self, cell: Cell, bed: Bed, in_mortar_mg: float) -> Stroke:
         source = self.source
-        wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg
-        if self.wanted_mg is not None:  # of a source that yields little, more; but never more than the cone may carry
-            wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / cell.believed.yields.get(source.name, 1.0)
+        yielded = cell.believed.yields.get(source.name, 1.0)
+        # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
+        wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg / max(1.0, yielded)
+        if self.wanted_mg is not None:
+            wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / yielded
         stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
         if stroke.gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
             most_mm = LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand)
@@ -158,8 +160,8 @@ class Scoop(Skill[Milligrams]):
     def _believe(self, cell: Cell, stroke: Stroke, duration_s: float, bed: Bed) -> float:
         """What the stroke should have collected, kept as what the cone and the mortar are believed to hold."""
         source, believed = self.source, cell.believed
-        lifted_mg = expected_mg(stroke, bed)
-        layer = Layer(stroke.gap_mm, bed.mass_mg - lifted_mg) if stroke.gap_mm > LIP_GAP_MM else None
+        sheet_radius_mm = cell.spec.hand.sheet_radius_mm
+        lifted_mg, layer = (rule(stroke, bed, sheet_radius_mm) for rule in (expected_mg, layer_left))
         believed.scooped(source, lifted_mg, layer)
         cell.record.event(
             Scooped(

@@ -1,5 +1,6 @@
 """What a cell is believed to hold: no sequence of verbs breaks its invariants, and nothing else changes it."""
 
+import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import FrozenInstanceError, fields, replace
@@ -185,7 +186,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
     assert written == {
         "cone_mg": 3000.0,
         "cone_source": "beads",
-        "load": {"scooped_mg": 3000.0, "came_mg": 0.0},
+        "load": {"scooped_mg": 3000.0, "came_mg": 0.0, "is_larger": False},
         "is_load_doubted": False,
         "yields": {},
         "barren_loads": {},
@@ -327,6 +328,19 @@ def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_no
     believed.dosing_ended(31.0, 0.0)
     believed.gave_out(is_short=True)
     assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
+
+
+def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_until_the_end_of_one_was_seen() -> None:
+    believed = Believed()
+    assert believed.used_up_from_mg == math.inf, "there is none"
+    believed.scooped(BEADS, 4000.0)
+    assert believed.used_up_from_mg == 400.0, "as much may be missing by chance"
+    believed.dosing_ended(4500.0, 0.0)
+    assert believed.yields == {"beads": pytest.approx(1.25 * 4500.0 / 4000.0)}
+    assert believed.used_up_from_mg == 400.0, "more has come than was in it: its end is still to be seen"
+    believed.gave_out(is_short=False)
+    believed.scooped(BEADS, 4000.0)
+    assert (believed.yields, believed.used_up_from_mg) == ({"beads": 4500.0 / 4000.0}, math.inf)
 
 
 def test_a_loaded_cone_goes_into_no_other_powder_and_an_emptied_one_may_have() -> None:

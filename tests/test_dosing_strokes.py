@@ -8,13 +8,14 @@ from dose_bench import shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.dosing.strokes import Bed, Layer, chosen, expected_mg
+from scuhand_bt.dosing.strokes import Bed, Layer, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.specs import Mortar
 
 MORTAR = Mortar(name="agate", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0)
+SMALL = Mortar(name="small", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0)
 SHEET_MM = 50.0
 POWDERS = shipped_powders()
 ACROSS_DEG = (90.0, 270.0, 120.0, 240.0)
@@ -27,12 +28,12 @@ masses_mg = st.floats(200.0, 30_000.0)
 def test_no_more_is_expected_than_is_wanted_or_there(in_mortar_mg: float, wanted_mg: float) -> None:
     bed = Bed(MORTAR, in_mortar_mg, 1.5)
     stroke = chosen(bed, SHEET_MM, wanted_mg)
-    assert expected_mg(stroke, bed) <= min(wanted_mg, in_mortar_mg) + 1e-6
+    assert expected_mg(stroke, bed, SHEET_MM) <= min(wanted_mg, in_mortar_mg) + 1e-6
     if stroke.gap_mm > LIP_GAP_MM:
         deeper = replace(stroke, gap_mm=max(LIP_GAP_MM, stroke.gap_mm - 0.25))
-        assert expected_mg(deeper, bed) > wanted_mg, "a deeper one would have brought too much"
+        assert expected_mg(deeper, bed, SHEET_MM) > wanted_mg, "a deeper one would have brought too much"
     else:
-        assert expected_mg(stroke, bed) > 0.8 * in_mortar_mg or stroke.gap_mm == LIP_GAP_MM
+        assert expected_mg(stroke, bed, SHEET_MM) > 0.8 * in_mortar_mg or stroke.gap_mm == LIP_GAP_MM
 
 
 @given(masses_mg, st.floats(0.5, 10.0), st.floats(0.1, 1.0))
@@ -45,9 +46,17 @@ def test_all_that_is_in_a_mortar_is_in_its_bed(in_mortar_mg: float, gap_mm: floa
 def test_of_a_layer_nothing_is_above_the_lip_that_has_left_it() -> None:
     first = Bed(MORTAR, 20_000.0, 1.5)
     stroke = chosen(first, SHEET_MM, 4000.0)
-    left_mg = 20_000.0 - expected_mg(stroke, first)
+    left_mg = 20_000.0 - expected_mg(stroke, first, SHEET_MM)
     assert Bed(MORTAR, left_mg, 1.5, Layer(stroke.gap_mm, left_mg)).above_mg(stroke.gap_mm) < 0.02 * left_mg
     assert Bed(MORTAR, left_mg, 1.5).above_mg(stroke.gap_mm) > 0.1 * left_mg, "a level bed of as much would be higher"
+
+
+def test_a_layer_of_which_less_is_left_than_a_stroke_should_leave_is_thinner() -> None:
+    layer = Layer(5.0, 12_000.0)
+    whole, thinner = (Bed(MORTAR, mass_mg, 1.5, layer) for mass_mg in (12_000.0, 9000.0))
+    assert whole.above_mg(3.0) > 1000.0
+    assert thinner.above_mg(3.75) == pytest.approx(0.75 * whole.above_mg(5.0), abs=1.0)
+    assert thinner.above_mg(0.75 * 3.0) == pytest.approx(0.75 * whole.above_mg(3.0), rel=1e-3)
 
 
 def test_what_is_poured_back_lies_on_the_layer() -> None:
@@ -60,24 +69,47 @@ def test_a_rim_narrower_than_the_bed_brings_its_strip() -> None:
     bed = Bed(MORTAR, 20_000.0, 1.5)
     wide = chosen(bed, SHEET_MM, math.inf)
     narrow = replace(wide, open_mm=bed.radius_mm)
-    assert expected_mg(narrow, bed) == pytest.approx(0.609 * expected_mg(wide, bed), rel=1e-3)
+    assert expected_mg(narrow, bed, SHEET_MM) == pytest.approx(0.609 * expected_mg(wide, bed, SHEET_MM), rel=1e-3)
 
 
+@pytest.mark.parametrize(("sheet_mm", "slip_mm"), [(SHEET_MM, 0.033 * 15.0), (35.0, 0.0)])
+def test_of_a_bowl_that_the_sheet_is_too_large_for_less_is_expected_and_a_thicker_layer_left(
+    sheet_mm: float, slip_mm: float
+) -> None:
+    bed = Bed(SMALL, 4000.0, 1.5)
+    stroke = chosen(bed, sheet_mm, 1500.0)
+    brought_mg, above_mg = expected_mg(stroke, bed, sheet_mm), bed.above_mg(stroke.gap_mm)
+    assert 2 / 3 * above_mg < brought_mg <= above_mg
+    assert (brought_mg < 0.9 * above_mg) == (slip_mm > 0.0)
+    layer = layer_left(stroke, bed, sheet_mm)
+    assert layer is not None
+    assert layer.gap_mm == pytest.approx(stroke.gap_mm + slip_mm, abs=0.01)
+    assert layer.mass_mg == pytest.approx(4000.0 - brought_mg)
+    assert layer_left(replace(stroke, gap_mm=LIP_GAP_MM), bed, sheet_mm) is None
+
+
+@pytest.mark.parametrize(
+    ("mortar", "fill_mg", "wanted_mg", "least", "most"),
+    [(MORTAR, 20_000.0, 3500.0, 0.85, 1.2), (SMALL, 8000.0, 1500.0, 0.7, 1.15)],
+    ids=["shipped", "small"],
+)
 @pytest.mark.parametrize("name", ["glass_beads", "monosodium_glutamate", "titanium_dioxide"])
-def test_strokes_one_after_another_bring_what_is_expected_of_the_layers(name: str) -> None:
+def test_strokes_one_after_another_bring_what_is_expected_of_the_layers(
+    name: str, mortar: Mortar, fill_mg: float, wanted_mg: float, least: float, most: float
+) -> None:
     powder = POWDERS[name]
-    field, layer, in_mortar_mg = HeightField(MORTAR, powder), None, 20_000.0
+    field, layer, in_mortar_mg = HeightField(mortar, powder), None, fill_mg
     ratios = []
     for heading_deg in ACROSS_DEG:
-        bed = Bed(MORTAR, in_mortar_mg, powder.bulk_density_mg_per_mm3, layer)
-        stroke = replace(chosen(bed, SHEET_MM, 3500.0), heading_deg=heading_deg)
-        path = stroke_path(Vessel.of(MORTAR), stroke, Ladle())
+        bed = Bed(mortar, in_mortar_mg, powder.bulk_density_mg_per_mm3, layer)
+        stroke = replace(chosen(bed, SHEET_MM, wanted_mg), heading_deg=heading_deg)
+        path = stroke_path(Vessel.of(mortar), stroke, Ladle())
         in_cone_mg = 0.0
         for apex_mm, axis, rim_mm in zip(path.apex_mm, path.axis, path.rim_mm, strict=True):
             gained_mg, lost_mg = field.move(apex_mm, axis, float(rim_mm), in_mortar_mg, in_cone_mg)
             in_cone_mg += gained_mg
             in_mortar_mg -= gained_mg + lost_mg
         field.leave()
-        ratios.append(in_cone_mg / expected_mg(stroke, bed))
-        layer = Layer(stroke.gap_mm, bed.mass_mg - expected_mg(stroke, bed))
-    assert all(0.85 < ratio < 1.2 for ratio in ratios), ratios
+        ratios.append(in_cone_mg / expected_mg(stroke, bed, SHEET_MM))
+        layer = layer_left(stroke, bed, SHEET_MM)
+    assert all(least < ratio < most for ratio in ratios), ratios

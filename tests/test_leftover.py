@@ -89,25 +89,28 @@ def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_reco
 
 
 @pytest.mark.parametrize(
-    ("wanted_mg", "held_mg", "begins"),
+    ("yields", "wanted_mg", "held_mg", "begins"),
     [
-        (1000.0, 2600.0, True),
-        (1000.0, 2500.0, False),
-        (4200.0, 2600.0, True),
-        (4200.0, 1500.0, False),
-        (20.0, 1700.0, True),
-        (20.0, 1550.0, False),
+        ({"beads": 1.0}, 1000.0, 2600.0, True),
+        ({"beads": 1.0}, 1000.0, 2500.0, False),
+        ({"beads": 1.0}, 4200.0, 2600.0, True),
+        ({"beads": 1.0}, 4200.0, 1500.0, False),
+        ({"beads": 1.0}, 20.0, 1700.0, True),
+        ({"beads": 1.0}, 20.0, 1550.0, False),
+        ({}, 1000.0, 0.0, True),
+        ({}, 20.0, 1550.0, False),
     ],
 )
-def test_a_dose_begins_with_what_is_in_the_cone_but_not_with_the_last_of_a_load(
-    wanted_mg: float, held_mg: float, begins: bool
+def test_a_dose_begins_with_what_is_in_the_cone_but_not_with_the_last_of_a_load_unless_its_end_is_to_be_seen(
+    yields: dict[str, float], wanted_mg: float, held_mg: float, begins: bool
 ) -> None:
     library = load_lab(starter_lab()).library
     powder = library.powders["glass_beads"]
     mortar = library.mortars["agate_mortar"]
     beads = Source(name="beads", station="mortar_bay", mortar=mortar, powder=powder, amount_mg=20_000.0)
+    load = Load(scooped_mg=4750.0)
     believed = replace(
-        Believed(), cone_mg=held_mg, cone_source="beads", sheet=beads.sheet_key, load=Load(scooped_mg=4750.0)
+        Believed(), cone_mg=held_mg, cone_source="beads", sheet=beads.sheet_key, load=load, yields=yields
     )
     cell = SimpleNamespace(believed=believed, sources={"beads": beads})
     condition = library.skills["cone_holds"](powder=powder, wanted_mg=wanted_mg)

@@ -43,6 +43,12 @@ workflow: open
 tree:
   check_valve:
 """
+SCOOP = """\
+workflow: scoop_once
+inputs: {source: Source}
+tree:
+  scoop: {source: $source}
+"""
 HEAD = """\
 recipe: rehearsed
 sources:
@@ -68,7 +74,9 @@ class BreaksSoon:
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
-    return load_lab(make_lab(tmp_path_factory.mktemp("lab") / "lab", trees__dose=DOSE, trees__open=OPEN))
+    return load_lab(
+        make_lab(tmp_path_factory.mktemp("lab") / "lab", trees__dose=DOSE, trees__open=OPEN, trees__scoop_once=SCOOP)
+    )
 
 
 def session_of(folder: Path, lab: Lab, simulation: DryRun | Rehearsal | None, recipe: str = ONE_DOSE) -> Session:
@@ -112,6 +120,25 @@ def test_a_rehearsed_dose_has_the_verdict_of_the_dry_run_and_says_what_it_is(tmp
     run = {row["key"]: row["value"] for row in read(session.journal.path, "run")}
     assert run["simulated"] == "true"
     assert run["mode"] == "REHEARSAL (simulated matter, real drivers)"
+
+
+@pytest.mark.slow
+def test_a_rehearsed_scoop_spills_less_than_a_hundredth(tmp_path: Path, lab: Lab) -> None:
+    recipe = HEAD + "  - {id: a, workflow: scoop_once, source: beads}\n"
+    session = session_of(tmp_path, lab, Rehearsal(seed=1), recipe)
+    assert session.world is not None
+    masses_mg, most_mg = session.world.masses_mg, [0.0]
+
+    def look(root: Any) -> None:
+        most_mg.append(masses_mg["cone"])
+
+    try:
+        result = session.run(Watching(session, at_tick=look))
+        assert (result.exit_code, result.reason) == (0, "")
+        assert max(most_mg) > 3000.0
+        assert masses_mg["spilled"] < 0.01 * max(most_mg)
+    finally:
+        session.close()
 
 
 def test_a_rehearsal_that_is_stopped_ends_safe_and_leaves_nobody_watched(tmp_path: Path, lab: Lab) -> None:

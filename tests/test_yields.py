@@ -1,9 +1,10 @@
-"""A world whose scoops bring half of what the bed's geometry lifts: believed by weighing."""
+"""Worlds whose scoops bring half, or twice, of what the bed's geometry lifts: believed by weighing."""
 
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import pytest
 from conftest import read
 from numpy.random import Generator
 from running import Ran, dry_run
@@ -14,7 +15,7 @@ from scuhand_bt.specs import Powder
 RECIPE = """
 recipe: r
 workflow: fill_xrd_holder
-defaults: {container: alumina_crucible, source: beads, tolerance: 5 mg, mass: 2400 mg}
+defaults: {container: alumina_crucible, source: beads, tolerance: 5 mg, mass: MASS}
 samples:
   - {id: a}
   - {id: b}
@@ -53,6 +54,10 @@ class Half(Other):
     share = 0.5
 
 
+class Double(Other):
+    share = 2.0
+
+
 def scoops(ran: Ran) -> list[tuple[int, float, float]]:
     """The doses that were before it, and what it was expected to bring [mg], and did; of each."""
     events = [event for event in read(ran.journal, "event") if event["kind"] in ("scoop", "dose_weighed")]
@@ -65,11 +70,20 @@ def scoops(ran: Ran) -> list[tuple[int, float, float]]:
     return [(doses, mass_mg, came_mg) for (doses, mass_mg), came_mg in zip(expected, brought_mg, strict=True)]
 
 
-def test_what_a_scoop_brings_is_believed_within_a_tenth_after_three_doses(tmp_path: Path) -> None:
-    ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:Half", controller="adaptive")
+@pytest.mark.parametrize(("plant", "mass"), [("Half", "2400 mg"), ("Double", "2 g")])
+def test_what_a_scoop_brings_is_believed_within_a_tenth_after_three_doses(
+    tmp_path: Path, plant: str, mass: str
+) -> None:
+    ran = dry_run(tmp_path, RECIPE.replace("MASS", mass), plant=f"{__name__}:{plant}", controller="adaptive")
     assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
     off = [(doses, abs(expected_mg / brought_mg - 1.0)) for doses, expected_mg, brought_mg in scoops(ran)]
     assert off[0][1] > 0.2, "the world is not as the skill expects it"
     later = [share for doses, share in off if doses >= DOSES]
     assert later, "a scoop was made after the third dose"
     assert np.mean(later) < 0.1
+    limit_mg = ran.session.cell.sources["beads"].powder.load_limit_mg
+    assert max(brought_mg for doses, _, brought_mg in scoops(ran) if doses >= DOSES) < limit_mg
+    assert ran.session.world is not None
+    assert ran.session.world.masses_mg["spilled"] < 10.0, (
+        "no cone that was believed to be empty, and was not, has swung"
+    )

@@ -1,6 +1,7 @@
 """What planned strokes collect, by discrete elements and by the height field: `python -m benchmarks.dem`.
 
     --folder DIR    keeps every case and its result there, and runs only those that have none yet
+    --only NAME ... these cases alone, beside the rows that the file has
     --json FILE     the figures, `benchmarks/dem_results.json` unless named
     --pictures DIR  `docs` unless named
 
@@ -48,6 +49,9 @@ def figures(case: Case, found: dict[str, Any]) -> dict[str, Any]:
     field = collected_mg(case, found["fill_mg"])
     return {
         "mortar": case.mortar.name,
+        "grain_mm": case.grain_mm,
+        "gap_mm": case.gap_mm,
+        "jams": case.jams,
         "friction_deg": [case.friction_deg, case.wall_friction_deg],
         "fill_mg": found["fill_mg"],
         "collected_mg": collected,
@@ -69,6 +73,7 @@ def in_lines(results: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--only", nargs="*")
     parser.add_argument("--json", type=Path, default=RESULTS)
     parser.add_argument("--pictures", type=Path, default=DOCS)
     asked = parser.parse_args()
@@ -78,7 +83,12 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         table: dict[str, Any] = {}
         ways: list[Way] = []
+        if asked.only is not None:
+            kept = json.loads(asked.json.read_text())
+            table, ways = kept["cases"], kept["ways"]
         for case in cases():
+            if asked.only is not None and case.name not in asked.only:
+                continue
             found = by_discrete_elements(case, folder)
             ways += [way for way in case.strokes if way not in ways]
             table[case.name] = figures(case, found) | {"ways": [ways.index(way) for way in case.strokes]}

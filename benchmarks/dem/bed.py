@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.dem.cases import BULK_DENSITY, GRAIN_MM, SLANT_MM, Case
+from benchmarks.dem.cases import BULK_DENSITY, SLANT_MM, Case
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.specs import Powder, PowderFlowSpec
 
@@ -28,7 +28,7 @@ def material(case: Case) -> Powder:
         repose_deg=REPOSE_DEG[case.friction_deg],
         wall_friction_deg=case.wall_friction_deg,
         load_limit_mg=50_000.0,
-        simulation=PowderFlowSpec(grain_mm=GRAIN_MM, film_mm=0.0),
+        simulation=PowderFlowSpec(grain_mm=case.grain_mm, film_mm=0.0),
     )
 
 

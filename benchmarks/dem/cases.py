@@ -1,45 +1,52 @@
-"""The strokes that are judged: in two mortars with three fills each, through two kinds of beads; and the old one."""
+"""The strokes that are judged, as the skill chooses them and arm and roller make them: poses over time.
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+In two mortars with three fills each, through two kinds of beads; one after another; one that leaves a thick layer; and
+the stroke of the first version, which lifts nothing.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scuhand_bt.dosing.swing import Ladle, Stroke, headings_deg, stroke_path
+from scuhand_bt.cell.scooping import planned_stroke
+from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
+from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.lab import Lab, load_lab, starter_lab
+from scuhand_bt.motion import MotionPlanner, Mount, apex
 from scuhand_bt.specs import Mortar
 
 SLANT_MM = 50.0
 GRAIN_MM = 3.0
+FINE_GRAIN_MM = 2.0
+"""Where a layer of some millimetres is left: larger ones jam under the lip."""
 GRAIN_DENSITY = 2.5
 """Of glass, in mg/mm^3."""
 FRICTIONS_DEG = ((25.0, 18.0), (37.0, 24.0))
 """Grain on grain, grain on wall."""
-RAMP_S = 0.2
-"""A stroke begins, and ends, within so much from rest."""
-FREE_PACE = 2.0
-"""Times as fast where the lip is not on the wall: the way in, and out."""
 MORTARS = (
     Mortar(name="agate_mortar", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer_diameter_mm=115.0),
     Mortar(name="small_agate_mortar", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0),
 )
+STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"}
 FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (2000.0, 4000.0, 8000.0)}
 BULK_DENSITY = 1.48
 """Of these grains as they lie, in mg/mm^3."""
-STROKES_MM = {
-    ("agate_mortar", 4000.0): (82.0, 70.0, -24.0),
-    ("agate_mortar", 8000.0): (82.0, 70.0, -2.0),
-    ("agate_mortar", 12_000.0): (82.0, 70.0, 4.0),
-    ("small_agate_mortar", 2000.0): (60.0, 48.0, -20.0),
-    ("small_agate_mortar", 4000.0): (60.0, 48.0, -24.0),
-    ("small_agate_mortar", 8000.0): (60.0, 48.0, -2.0),
-}
-"""Rims at the beginning and the end, and where the lip comes to the wall: for the 4.75 g that the skill aims at."""
-ALL_MM = (82.0, 70.0, -32.0)
-IN_TURN_MM = ((82.0, 70.0, 4.0), (82.0, 70.0, -2.0), (82.0, 70.0, -24.0), (82.0, 70.0, -16.0))
-"""For 12 g of which each stroke is expected to leave less."""
+LOAD_MG = 4750.0
+"""What the skill aims at with beads, unless less is wanted."""
+LITTLE_MG = 1500.0
+HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0)
+"""From straight out from the arm's base, as the skill goes through them."""
+LOOKED_S = 0.03
+"""Between two poses that are kept of a motion."""
+ON_WALL_MM = 0.3
+"""Nearer to its gap than that the lip is along the wall."""
 DECIMALS = 4
 """Of poses, as they are run and as they are kept beside what they came to."""
 
@@ -61,12 +68,20 @@ class Case:
     wall_friction_deg: float
     strokes: tuple[Way, ...]
     picture_times_s: tuple[float, ...] = ()
+    grain_mm: float = GRAIN_MM
+    gap_mm: float = LIP_GAP_MM
+    """At which the lip of its first stroke follows the wall."""
+
+    @property
+    def jams(self) -> bool:
+        """Whether a layer is to be left that is too thin for these grains to pass under the lip."""
+        return LIP_GAP_MM < self.gap_mm <= 2 * self.grain_mm
 
     def written(self) -> dict[str, Any]:
         return {
             "mortar": {"bore_mm": self.mortar.bore_mm, "depth_mm": self.mortar.depth_mm},
             "fill_mg": self.fill_mg,
-            "grain": {"radius_mm": GRAIN_MM / 2, "density_mg_per_mm3": GRAIN_DENSITY},
+            "grain": {"radius_mm": self.grain_mm / 2, "density_mg_per_mm3": GRAIN_DENSITY},
             "friction_deg": self.friction_deg,
             "wall_friction_deg": self.wall_friction_deg,
             "sheet_radius_mm": SLANT_MM,
@@ -76,32 +91,75 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The control, all at once, what four strokes do, and the twelve of the height field."""
-    agate = MORTARS[0]
+    """The control, all at once, four strokes, the twelve of the height field, and one that leaves a layer."""
+    agate, small = MORTARS
     beads = FRICTIONS_DEG[0]
     yield Case("upright control", agate, 12_000.0, *beads, (upright(agate),), (0.05, 1.0, 2.0, 3.0))
-    everything = lip_led(agate, *ALL_MM)
+    _, (everything,) = lip_led(agate, 12_000.0, math.inf)
     yield Case("all at once", agate, 12_000.0, *beads, (everything,), moments(everything))
-    turned = tuple(
-        lip_led(agate, *rims, heading_deg) for rims, heading_deg in zip(IN_TURN_MM, headings_deg(4), strict=True)
-    )
-    yield Case("four strokes", agate, 12_000.0, *beads, turned)
+    gap_mm, strokes = lip_led(agate, 12_000.0, LOAD_MG, HEADINGS_DEG)
+    yield Case("four strokes", agate, 12_000.0, *beads, strokes, gap_mm=gap_mm)
     for friction in FRICTIONS_DEG:
         for mortar in MORTARS:
             for fill_mg in FILLS_MG[mortar.name]:
-                stroke = lip_led(mortar, *STROKES_MM[mortar.name, fill_mg])
+                gap_mm, strokes = lip_led(mortar, fill_mg, LOAD_MG)
                 name = f"{mortar.name}, {fill_mg / 1000:g} g, {friction[0]:g} deg"
-                pictures = moments(stroke) if (fill_mg, friction) == (12_000.0, beads) else ()
-                yield Case(name, mortar, fill_mg, *friction, (stroke,), pictures)
+                is_shown = friction == beads and fill_mg == max(FILLS_MG[mortar.name])
+                shown_s = moments(strokes[0]) if is_shown else ()
+                yield Case(name, mortar, fill_mg, *friction, strokes, shown_s, gap_mm=gap_mm)
+    gap_mm, strokes = lip_led(small, 8000.0, LITTLE_MG)
+    name = f"small_agate_mortar, 8 g, {LITTLE_MG / 1000:g} g wanted"
+    yield Case(name, small, 8000.0, *beads, strokes, grain_mm=FINE_GRAIN_MM, gap_mm=gap_mm)
 
 
-def lip_led(mortar: Mortar, open_mm: float, closed_mm: float, begin_mm: float, heading_deg: float = 0.0) -> Way:
-    """A planned stroke."""
-    stroke = Stroke(open_mm, closed_mm, begin_mm, heading_deg=heading_deg)
-    path = stroke_path(Vessel.of(mortar), stroke, Ladle())
-    paces = np.where(path.on_wall[1:] | path.on_wall[:-1], 1.0, FREE_PACE)
-    times_s = np.concatenate([[0.0], np.cumsum(np.diff(path.times_s) / paces)])
-    return _written(_from_rest(times_s), path.apex_mm, path.axis, path.rim_mm, path.on_wall)
+def lip_led(
+    mortar: Mortar, fill_mg: float, wanted_mg: float, headings_deg: Sequence[float] = HEADINGS_DEG[:1]
+) -> tuple[float, tuple[Way, ...]]:
+    """Strokes one after another, as the skill chooses them where each brings what it is expected to; the first's gap.
+
+    Turned about the vertical so that the first goes along x.
+    """
+    layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
+    for heading_deg in headings_deg:
+        bed = Bed(mortar, left_mg, BULK_DENSITY, layer)
+        stroke = chosen(bed, SLANT_MM, wanted_mg)
+        gaps_mm.append(stroke.gap_mm)
+        ways.append(_planned(mortar, stroke, heading_deg, heading_deg - headings_deg[0]))
+        left_mg -= expected_mg(stroke, bed, SLANT_MM)
+        layer = layer_left(stroke, bed, SLANT_MM)
+    return gaps_mm[0], tuple(ways)
+
+
+@cache
+def _lab() -> Lab:
+    return load_lab(starter_lab())
+
+
+@cache
+def _planner(mortar: Mortar) -> MotionPlanner:
+    return _lab().motion_planner({STATIONS[mortar.name]: mortar})
+
+
+def _planned(mortar: Mortar, stroke: Stroke, outward_deg: float, shown_deg: float) -> Way:
+    """What arm and roller make of a stroke, by their own kinematics, turned to a heading of `shown_deg`."""
+    cell, planner, station = _lab().cell, _planner(mortar), STATIONS[mortar.name]
+    x_mm, y_mm, z_mm = cell.stations[station].position_mm
+    at_mm = np.array([x_mm, y_mm, z_mm + mortar.height_mm - mortar.depth_mm])
+    heading_deg = math.degrees(math.atan2(y_mm, x_mm)) + outward_deg
+    path = stroke_path(Vessel.of(mortar), replace(stroke, heading_deg=heading_deg), Ladle.of(cell.hand))
+    motion = planned_stroke(planner, planner.home(), path, cell, station, mortar)
+    times_s = np.linspace(0.0, motion.duration_s, math.ceil(motion.duration_s / LOOKED_S) + 1)
+    q = motion.at(times_s)
+    rim_mm = np.array([Cone.from_roller(math.degrees(turned), cell.hand).diameter_mm for turned in q[:, 7]])
+    poses = [apex(row[:7], Mount.of(cell.hand, rim)) for row, rim in zip(q, rim_mm, strict=True)]
+    turn = math.radians(shown_deg - heading_deg)
+    about_z = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
+    apex_mm = np.array([1e3 * pose.position_m - at_mm for pose in poses]) @ about_z.T
+    axis, seam = (np.array([getattr(pose, name) for pose in poses]) @ about_z.T for name in ("axis", "seam"))
+    height_mm = np.sqrt(SLANT_MM**2 - (rim_mm / 2) ** 2)
+    lip_mm = apex_mm + 2 * height_mm[:, None] * axis - SLANT_MM * seam
+    off_mm = Vessel.of(mortar).clearance_mm(lip_mm) - stroke.gap_mm
+    return _written(times_s, apex_mm, axis, rim_mm, np.abs(off_mm) < ON_WALL_MM)
 
 
 def upright(mortar: Mortar, open_mm: float = 66.0, closed_mm: float = 42.0) -> Way:
@@ -122,18 +180,6 @@ def moments(stroke: Way) -> tuple[float, ...]:
     times_s = np.array(stroke["times_s"])[stroke["on_wall"]]
     along = times_s[0] + (times_s[-1] - times_s[0]) * np.array([0.1, 0.35, 0.6, 0.9])
     return (*along.tolist(), stroke["times_s"][-1])
-
-
-def _from_rest(times_s: Floats) -> Floats:
-    """The same way, whose pace grows evenly from rest, and falls to it."""
-    end_s = times_s[-1] - times_s
-
-    def late(since_s: Floats) -> Floats:
-        near = np.minimum(since_s, RAMP_S / 2)
-        lag: Floats = np.sqrt(2 * RAMP_S * near) - near
-        return lag
-
-    return times_s + late(times_s) + float(late(end_s)[0]) - late(end_s)
 
 
 def _written(times_s: Floats, apex_mm: Floats, axis: Floats, rim_mm: Floats, on_wall: Any) -> Way:

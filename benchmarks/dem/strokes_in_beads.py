@@ -12,7 +12,8 @@ It runs in the system's Python, under Debian's `yade`, and knows nothing of this
 Lengths are mm in files and m in here; the mortar's frame has its origin at the bowl's lowest point, z up.
 
 The sheet is rigid: flat triangles that meet at the apex, each of which turns about it as the rim changes, and overlaps
-its neighbours the more, as the sheet does. Grains are soft (Young's modulus 0.3 MPa), so that a step may be 80 us.
+its neighbours the more, as the sheet does. Grains are soft (Young's modulus 0.3 MPa), so that a step may be 80 us for
+grains of 3 mm.
 """
 
 import json
@@ -27,7 +28,6 @@ import numpy as np
 from yade import Matrix3, O, Quaternion, Vector3, utils
 from yade.wrapper import *  # noqa: F403 - yade's own way to its engines
 
-STEP_S = 8e-5
 EVERY = 20
 """Steps between two poses of the sheet."""
 PANELS = 36
@@ -39,6 +39,7 @@ PARK_MM = 200.0
 
 case = json.loads(Path(sys.argv[1]).read_text())
 began = time.process_time()
+STEP_S = 5.3e-5 * case["grain"]["radius_mm"]
 
 
 def mortar_profile():

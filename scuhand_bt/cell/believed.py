@@ -11,6 +11,7 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -103,6 +104,15 @@ class Believed:
     def weighed_container(self) -> Container | None:
         """The container on the pan, if its weight has shown that it is the right one."""
         return self.pan if self.pan_gross_mg is not None else None
+
+    @property
+    def used_up_from_mg(self) -> float:
+        """Doses of more than this go on with the load until it gives out: nothing else tells what its source's scoops
+        bring, and they are large enough to show it. Infinite where that is known, unless this load was larger.
+        """
+        load = self.load
+        is_known = self.cone_source in self.yields and not load.is_larger
+        return math.inf if is_known or load.scooped_mg == 0.0 else SURPLUS * load.scooped_mg
 
     @property
     def barren_sources(self) -> frozenset[str]:
@@ -385,6 +395,7 @@ class Believed:
             left_mg = max(0.0, self.sources_mg.get(name, 0.0) - more_mg - hidden_mg)
             self._set(
                 cone_mg=hidden_mg,
+                load=replace(load, is_larger=True),
                 yields={**self.yields, name: (1.0 + HIDDEN) * load.scoops_share},
                 sources_mg={**self.sources_mg, name: left_mg},
             )

@@ -19,6 +19,8 @@ class Load:
     """What its scoops should have brought, by their geometry; 0 for one that is known otherwise."""
     came_mg: float = 0.0
     """What has arrived on the balance."""
+    is_larger: bool = False
+    """More has come than was thought to be in it: how much there is, only its end tells."""
 
     @property
     def is_barren(self) -> bool:
