@@ -1,4 +1,4 @@
-"""scuhand_bt from Python: a lab is opened, recipes are checked, planned and run dry, and results come as records.
+"""scuhand_bt from Python: a lab is opened, recipes are checked, planned and run, and results come as records.
 
     from scuhand_bt import api
 
@@ -8,31 +8,113 @@
         print(dose.sample, dose.dispensed_mg, dose.verdict)
 
 A recipe is the path of a file, or a dict of what would stand in one ("50 mg" as there). Masses are in mg, times in s.
-Everything is done in the thread that calls; two threads may each run their own recipe of one `OpenLab`.
+The command line is made of this (`docs/python.md`).
+
+Everything is done in the thread that calls, and what is made in one thread may be used in another. Threads may each
+run their own recipe of one `OpenLab`; a session is run once.
 """
 
-import json
-import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from scuhand_bt.journal.results import DoseResult, SampleResult
-from scuhand_bt.lab import Lab, find_lab, load_lab
-from scuhand_bt.problems import Problem, Problems, SourceError
+from scuhand_bt.journal.telling import RunEvent, Telling
+from scuhand_bt.lab import Lab, find_lab, read_lab, state_folder, with_cell
+from scuhand_bt.problems import Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
-from scuhand_bt.recipe.recipe import Recipe, load_recipe, recipe_of
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
-from scuhand_bt.run.options import Options
-from scuhand_bt.run.session import Session
-from scuhand_bt.sim.fault_rules import read_faults
-from scuhand_bt.yaml_source import from_plain
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.checking import Checked, check, on_the_cell
+from scuhand_bt.skill import SkillFailed
 
-__all__ = ["DoseRecord", "OpenLab", "Plan", "Problem", "Result", "SourceError", "open_lab"]
+if TYPE_CHECKING:
+    from scuhand_bt.journal.export import canonical
+    from scuhand_bt.run.batch import BatchObserver, Observers
+    from scuhand_bt.run.control import Control
+    from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
+    from scuhand_bt.run.operator import Person
+    from scuhand_bt.run.outcome import BatchResult
+    from scuhand_bt.run.questions import UNKNOWN
+    from scuhand_bt.run.session import Session
+    from scuhand_bt.sim.fault_rules import read_faults
+    from scuhand_bt.sim.plant import PlantError
+    from scuhand_bt.sim.wire.hand import NoCompiler
 
-RecipeGiven = str | Path | Mapping[str, Any]
+__all__ = [
+    "UNKNOWN",
+    "BatchObserver",
+    "BatchResult",
+    "Checked",
+    "Control",
+    "DoseRecord",
+    "DryRun",
+    "NoCompiler",
+    "Observers",
+    "OpenLab",
+    "Person",
+    "Plan",
+    "PlantError",
+    "Problem",
+    "Rehearsal",
+    "Result",
+    "RunEvent",
+    "SampleResult",
+    "Session",
+    "SkillFailed",
+    "SourceError",
+    "canonical",
+    "closing",
+    "open_lab",
+    "read_faults",
+]
+
+_WITH_A_RUN = {
+    "journal.export": ("canonical",),
+    "run.batch": ("BatchObserver", "Observers"),
+    "run.control": ("Control",),
+    "run.make_cell": ("DryRun", "Rehearsal"),
+    "run.operator": ("Person",),
+    "run.outcome": ("BatchResult",),
+    "run.questions": ("UNKNOWN",),
+    "run.session": ("Session",),
+    "sim.fault_rules": ("read_faults",),
+    "sim.plant": ("PlantError",),
+    "sim.wire.hand": ("NoCompiler",),
+}
+"""Imported when they are asked for: who only checks a recipe does not wait for the arm's kinematics."""
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _WITH_A_RUN.items():
+        if name in names:
+            return getattr(import_module(f"scuhand_bt.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+Given = str | Path | Mapping[str, Any]
+"""A recipe: its file, or a dict of what would stand there."""
+OnSample = Callable[[SampleResult], object]
+"""Is told of each sample as it gets its result, and again when the bare pan has confirmed it; in the run's own thread,
+which it is not to hold up."""
+OnEvent = Callable[[RunEvent], object]
+"""Is told of everything that happens, in order, on one thread beside the run; `Result.notices` says if it broke."""
+
+
+class How(TypedDict, total=False):
+    """How a recipe is run, on whatever."""
+
+    controller: str | None
+    """The dosing controller, in place of the recipe's and the lab's."""
+    journals: str | Path
+    """The folder for the journal; without it the lab's, and of a `dry_run` none is kept."""
+    unattended: bool
+    """Nobody is there: a plan that needs a person is refused, and nobody is waited for."""
+    control: "Control"
+    """Pauses and stops it, from any thread."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +144,17 @@ class DoseRecord:
 class Result:
     """What a run came to."""
 
+    run: str
+    """Its id."""
     samples: tuple[SampleResult, ...]
     exit_code: int
-    """As the command's: 0 every dose in tolerance, 1 with flagged doses, 3 a fault of the cell."""
+    """As the command's: 0 every dose in tolerance, 1 with flagged doses, 3 a fault of the cell, 130 interrupted."""
     reason: str
+    """Why it ended early; empty where it did not."""
     duration_s: float
     """Time of the run."""
+    notices: tuple[str, ...]
+    """What went wrong beside the batch: a notification that failed, a callback that broke."""
 
     @property
     def doses(self) -> list[DoseRecord]:
@@ -91,67 +178,163 @@ class OpenLab:
         """What is wrong in its files, and breaks only what uses them."""
         return self.lab.problems
 
-    def check(self, recipe: RecipeGiven) -> list[Problem]:
-        """The errors of a recipe, each with its place; none for one that can be run."""
-        try:
-            self.plan(recipe)
-        except SourceError as error:
-            return error.problems
-        return []
+    @property
+    def state(self) -> Path:
+        """The folder of its journals, its inventory, and what it has learnt."""
+        return state_folder(self.lab)
 
-    def plan(self, recipe: RecipeGiven) -> Plan:
+    def check(self, recipe: Given | None = None, *, fast: bool = False) -> Checked:
+        """All that `run` would refuse, and what is most likely not meant, each with its place; nothing moves.
+
+        Without a recipe the lab itself. `fast` leaves out the planning of the arm's ways.
+        """
+        return check(self.lab, _given(recipe) if recipe is not None else None, fast=fast)
+
+    def plan(self, recipe: Given) -> Plan:
         """The recipe's jobs in their order. SourceError with all that is wrong."""
-        return make_plan(self._recipe(recipe), self.lab)
+        lab = with_cell(self.lab)
+        return make_plan(load_recipe(_given(recipe), lab), lab)
+
+    def notes(self, plan: Plan) -> list[Problem]:
+        """What a run of a plan on the real cell would be refused for, or ask, by what the lab knows of it now."""
+        return on_the_cell(plan, self.lab)
+
+    def prepare(
+        self,
+        recipe: Given | Plan,
+        simulation: "Simulation | None" = None,
+        *,
+        person: "Person | None" = None,
+        **how: Unpack[How],
+    ) -> "Session":
+        """A run made ready, to be `run` once in a `with closing(session)`; what `dry_run`, `rehearse` and `run` do.
+
+        Without a `simulation` (`DryRun`, `Rehearsal`) it is on the devices of `robot/cell.yaml`. Raises as `Session`.
+        """
+        from scuhand_bt.run.options import Options
+        from scuhand_bt.run.session import Session
+
+        plan = recipe if isinstance(recipe, Plan) else self.plan(recipe)
+        folder = Path(how["journals"]) if "journals" in how else None
+        unattended = how.get("unattended", False)
+        options = Options(simulation, how.get("controller"), folder, unattended=unattended, person=person)
+        return Session(plan, self.lab, options, control=how.get("control"))
 
     def dry_run(
         self,
-        recipe: RecipeGiven,
+        recipe: Given | Plan,
         *,
         seed: int = 0,
+        plant: str | None = None,
         faults: str | Path | None = None,
-        controller: str | None = None,
-        journals: str | Path | None = None,
-        on_sample: Callable[[SampleResult], None] = lambda result: None,
+        on_sample: OnSample | None = None,
+        on_event: OnEvent | None = None,
+        **how: Unpack[How],
     ) -> Result:
-        """Run a recipe on simulated devices, and tell `on_sample` of each sample as it ends.
+        """Run a recipe on simulated devices, at once. `faults` is a fault file, `plant` physics of your own.
 
-        `faults` is a fault file; the journal is kept below `journals`, if that is given.
         SourceError for what is wrong, SkillFailed for places without a way between them.
         """
+        from scuhand_bt.run.make_cell import DryRun
+        from scuhand_bt.sim.fault_rules import read_faults
+
         wrong = read_faults(Path(faults)) if faults is not None else None
-        plan = self.plan(recipe)
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = Path(journals) if journals is not None else Path(scratch) / "runs"
-            session = Session(plan, self.lab, Options(DryRun(seed, faults=wrong), controller, folder))
-            try:
-                ran = session.run(_Telling(on_sample))
-            finally:
-                session.close()
-        return Result(ran.samples, int(ran.exit_code), ran.reason, ran.duration_s)
+        with TemporaryDirectory() as scratch:
+            how.setdefault("journals", Path(scratch) / "runs")
+            return _ran(self.prepare(recipe, DryRun(seed, plant, faults=wrong), **how), on_sample, on_event)
 
-    def _recipe(self, given: RecipeGiven) -> Recipe:
-        if not isinstance(given, Mapping):
-            return load_recipe(Path(given), self.lab)
-        problems = Problems()
-        path = self.lab.folder / "recipes" / "given.yaml"
-        text = json.dumps(given, default=str)
-        recipe = recipe_of(from_plain(given, "recipe"), path, text, self.lab, problems)
-        problems.raise_any()
-        assert recipe is not None
-        return recipe
+    def rehearse(
+        self,
+        recipe: Given | Plan,
+        *,
+        seed: int = 0,
+        plant: str | None = None,
+        faults: str | Path | None = None,
+        on_sample: OnSample | None = None,
+        on_event: OnEvent | None = None,
+        **how: Unpack[How],
+    ) -> Result:
+        """The same in real time, by the real drivers, against twins of the devices."""
+        from scuhand_bt.run.make_cell import Rehearsal
+        from scuhand_bt.sim.fault_rules import read_faults
+
+        wrong = read_faults(Path(faults)) if faults is not None else None
+        return _ran(self.prepare(recipe, Rehearsal(seed, plant, wrong), **how), on_sample, on_event)
+
+    def run(
+        self,
+        recipe: Given | Plan,
+        *,
+        operator: str,
+        pin: str | None = None,
+        on_sample: OnSample | None = None,
+        on_event: OnEvent | None = None,
+        **how: Unpack[How],
+    ) -> Result:
+        """Run a recipe on the devices of `robot/cell.yaml`: real ones, or twins that another program has put there.
+
+        `operator` is who is at the cell. What this person is asked waits for an answer in this terminal, on the
+        dashboard or by `scuhand-bt answer`. Ctrl-C ends the run safe; a skill that hangs is not ended here, as the
+        command's supervisor does. Also raises ValueError for a name that is none, and without the PIN of who has one.
+        """
+        return _ran(self.prepare(recipe, person=self._person(operator, pin), **how), on_sample, on_event)
+
+    def _person(self, operator: str, pin: str | None) -> "Person":
+        from scuhand_bt.lab_state.persons import Persons, person_name
+        from scuhand_bt.run.operator import Person
+
+        name, persons = person_name(operator), Persons(self.state)
+        if name not in persons.names():
+            return Person(name)
+        if pin is None or not persons.is_pin(name, pin):
+            raise ValueError(f"{name} signs with a PIN: " + ("give it" if pin is None else "this is not it"))
+        return Person(name, lambda given: persons.is_pin(name, given))
 
 
-def open_lab(folder: str | Path | None = None) -> OpenLab:
-    """A lab's folder; without one the nearest upward from here, else the starter lab. SourceError for what is none."""
-    return OpenLab(load_lab(find_lab(None, Path(folder) if folder is not None else None)))
+def open_lab(folder: str | Path | None = None, *, recipe: str | Path | None = None) -> OpenLab:
+    """A lab's folder; without one the nearest upward from the recipe's file, or from here, else the starter lab.
+
+    What is wrong in its files are its `problems`. SourceError for a folder that is no lab.
+    """
+    of = Path(recipe) if recipe is not None else None
+    return OpenLab(read_lab(find_lab(of, Path(folder) if folder is not None else None)))
 
 
-class _Telling(BatchObserver):
-    def __init__(self, on_sample: Callable[[SampleResult], None]) -> None:
-        self._on_sample = on_sample
+@contextmanager
+def closing(session: "Session", on_event: OnEvent | None = None) -> Iterator["Session"]:
+    """Tell `on_event` of all that happens in a session, from its first entry to its last, and close it."""
+    if on_event is None:
+        try:
+            yield session
+        finally:
+            session.close()
+        return
+    telling = Telling(lambda: session.journal.kept_in or session.journal.path, on_event)
+    try:
+        yield session
+    finally:
+        with telling.paused():
+            session.close()
+        telling.end()
+        if telling.problem is not None:
+            session.notices.append(telling.problem)
 
-    def sample_ended(self, result: SampleResult) -> None:
-        self._on_sample(result)
+
+def _given(recipe: Given) -> Path | Mapping[str, Any]:
+    return recipe if isinstance(recipe, Mapping) else Path(recipe)
+
+
+def _ran(session: "Session", on_sample: OnSample | None, on_event: OnEvent | None) -> Result:
+    from scuhand_bt.run.batch import BatchObserver
+
+    class Samples(BatchObserver):
+        def sample_ended(self, result: SampleResult) -> None:
+            if on_sample is not None:
+                on_sample(result)
+
+    with closing(session, on_event):
+        ran = session.run(Samples())
+    return Result(session.run_id, ran.samples, int(ran.exit_code), ran.reason, ran.duration_s, tuple(session.notices))
 
 
 def _records(sample: SampleResult) -> list[DoseRecord]:

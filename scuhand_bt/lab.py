@@ -135,7 +135,7 @@ def load_lab(folder: Path) -> Lab:
     What is wrong in a file breaks only what uses it, and stands in the lab's `problems`. Raises SourceError with
     everything that is wrong where the cell's own file is, as nothing can do without it.
     """
-    return _with_cell(read_lab(folder))
+    return with_cell(read_lab(folder))
 
 
 def read_lab(folder: Path) -> Lab:
@@ -157,10 +157,11 @@ def load_bench(folder: Path) -> Lab:
     """
     problems = Problems()
     cell, library, has_cell = _read_bench(folder, problems, Broken())
-    return _with_cell(Lab(folder, cell, library, tuple(problems.found), has_cell))
+    return with_cell(Lab(folder, cell, library, tuple(problems.found), has_cell))
 
 
-def _with_cell(lab: Lab) -> Lab:
+def with_cell(lab: Lab) -> Lab:
+    """The lab, where its cell's own file is sound. SourceError with all that is wrong where it is not."""
     if not lab.has_cell:
         raise SourceError([problem for problem in lab.problems if not problem.is_warning])
     return lab

@@ -27,6 +27,7 @@ from scuhand_bt.run.control import Control
 from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.skill import Skill, SkillFailed
+from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library, check_workflows
 from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.replay import Replay
@@ -249,6 +250,9 @@ class Bench:
             return runner.run(Job("main", "main", {}), {}, replay)
         finally:
             journal.close()
+
+    def tree_made(self, tree: Tree) -> None:
+        pass
 
     def ticked(self, root: Any) -> None:
         self.trees.append(root)

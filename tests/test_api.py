@@ -1,18 +1,19 @@
-"""scuhand_bt from Python: recipes as dicts and files, results as records."""
+"""scuhand_bt from Python: recipes as dicts and files, results as records, and everything that happens as events."""
 
+import json
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import pytest
-from conftest import REPOSITORY
-from running import shared_planner
+from conftest import REPOSITORY, Call, LabFolder
 
 from scuhand_bt import api
-from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun
-from scuhand_bt.run.options import Options
-from scuhand_bt.run.session import Session
+from scuhand_bt.journal import telling
+from scuhand_bt.journal.reader import read
 
 SOURCE = {"station": "mortar_bay", "container": "agate_mortar", "powder": "glass_beads", "amount": "5 g"}
 RECIPE: dict[str, Any] = {
@@ -39,10 +40,12 @@ def test_the_lines_of_the_readme_print_a_table_of_doses(capsys: pytest.CaptureFi
 
 
 def test_a_recipe_in_a_dict_is_checked_as_one_in_a_file_each_problem_by_its_keys(lab: api.OpenLab) -> None:
-    assert lab.check(RECIPE) == []
+    assert lab.check(RECIPE, fast=True).problems == ()
     wrong = {**RECIPE, "samples": [{**RECIPE["samples"][0], "mass": "50 s"}], "ordr": "as_written"}
-    said = [str(problem) for problem in lab.check(wrong)]
+    found = lab.check(wrong, fast=True)
+    said = [str(problem) for problem in found.errors]
     assert len(said) == 2
+    assert found.plan is None
     assert any(one.startswith("recipe.samples[0].mass: 'mass': 's' is a unit of duration") for one in said), said
     assert any("unknown key 'ordr'" in one and "did you mean 'order'?" in one for one in said)
 
@@ -83,19 +86,153 @@ def test_two_threads_run_their_own_recipes_of_one_lab(lab: api.OpenLab) -> None:
     assert found == [alone, alone]
 
 
-def test_a_session_that_is_run_in_another_thread_is_refused_clearly(lab: api.OpenLab, tmp_path: Path) -> None:
-    plan = lab.plan(RECIPE)
-    session = Session(plan, lab.lab, Options(DryRun(), None, tmp_path), shared_planner(plan, lab.lab))
-    said: list[str] = []
+def test_warnings_are_found_beside_errors(lab: api.OpenLab) -> None:
+    unused = {**RECIPE, "sources": {"beads": SOURCE, "more": {**SOURCE, "station": "mortar_bay_2"}}}
+    found = lab.check(unused, fast=True)
+    assert [(problem.code, problem.is_warning) for problem in found.problems] == [("unused-source", True)]
+    assert found.plan is not None
+    assert not found.errors
+
+
+def test_a_check_plans_the_ways_unless_it_is_to_be_fast(lab_folder: LabFolder) -> None:
+    opened = api.open_lab(lab_folder.folder)
+    assert not (opened.state / "planned.json").exists()
+    assert opened.check(RECIPE, fast=True).problems == ()
+    assert not (opened.state / "planned.json").exists()
+    assert opened.check(RECIPE).problems == ()
+    assert (opened.state / "planned.json").exists()
+
+
+def test_a_session_may_be_run_in_another_thread_than_it_was_made_in(lab: api.OpenLab, tmp_path: Path) -> None:
+    session = lab.prepare(RECIPE, api.DryRun(), journals=tmp_path)
+    came: list[Any] = []
 
     def run() -> None:
-        try:
-            session.run(BatchObserver())
-        except RuntimeError as error:
-            said.append(str(error))
+        with api.closing(session):
+            came.append(session.run(api.BatchObserver()))
 
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    session.close()
-    assert said == ["a session is run in the thread in which it was made: make it there"]
+    (result,) = came
+    assert [sample.verdict for sample in result.samples] == ["in tolerance"]
+    assert read(session.journal.path, "event")[-1]["kind"] == "matter"
+
+
+def test_a_session_is_run_once(lab: api.OpenLab, tmp_path: Path) -> None:
+    with api.closing(lab.prepare(RECIPE, api.DryRun(), journals=tmp_path)) as session:
+        session.run(api.BatchObserver())
+        with pytest.raises(RuntimeError, match="a session is run once: make another one"):
+            session.run(api.BatchObserver())
+
+
+def test_another_thread_stops_a_run_by_its_control(lab: api.OpenLab, tmp_path: Path) -> None:
+    control = api.Control()
+
+    def stop(event: api.RunEvent) -> None:
+        if event.kind == "job_started":
+            control.wish("stop_now")
+
+    two = {**RECIPE, "samples": [{**RECIPE["samples"][0], "id": f"s{n}"} for n in range(40)]}
+    result = lab.dry_run(two, journals=tmp_path, control=control, on_event=stop)
+    assert result.exit_code == 130
+    assert result.samples[-1].verdict == "not run"
+
+
+def test_on_the_cell_a_name_is_asked_for_and_a_pin_of_who_has_one(lab_folder: LabFolder) -> None:
+    from scuhand_bt.lab_state.persons import Persons
+
+    lab = api.open_lab(lab_folder.folder)
+    Persons(lab.state).enrol("Ada", "123456")
+    for operator, pin, said in (("", None, "a person's name"), ("Ada", None, "give it"), ("Ada", "654321", "not it")):
+        with pytest.raises(ValueError, match=said):
+            lab.run(RECIPE, operator=operator, pin=pin)
+
+
+# --- events
+
+
+def test_every_entry_of_the_journal_is_told_in_order_and_fits_the_schema(lab: api.OpenLab, tmp_path: Path) -> None:
+    told: list[api.RunEvent] = []
+    result = lab.dry_run(RECIPE, seed=1, journals=tmp_path, on_event=told.append)
+    (journal,) = tmp_path.glob("*.sqlite")
+    rows = read(journal, "entry")
+    assert [(event.seq, event.kind, event.time_s, event.job, event.action) for event in told] == [
+        (row["seq"], row["kind"], row["time_s"], row["job"], row["action"]) for row in rows
+    ]
+    for event, row in zip(told, rows, strict=True):
+        assert {key: value for key, value in event.values.items() if key != "lines"} == row["payload"]
+    assert {"run", "job_started", "action_started", "pulse", "frames", "dose", "sample", "ended"} <= {
+        event.kind for event in told
+    }
+    lines = [line for event in told if event.kind == "frames" for line in event.values["lines"]]  # type: ignore[union-attr]
+    assert len(lines) == sum(event.values["readings"] for event in told if event.kind == "frames")  # type: ignore[misc]
+    assert all(len(line) == 5 and isinstance(line[1], str) for line in lines)  # type: ignore[arg-type,index]
+    schema = json.loads((REPOSITORY / "docs" / "events.schema.json").read_text(encoding="utf-8"))
+    judge = jsonschema.Draft202012Validator(schema)
+    for event in told:
+        judge.validate(json.loads(event.line()))
+    assert result.notices == ()
+    for wrong in ({"kind": "pulsed"}, {"seq": 0}, {"values": {"net_mg": "much"}}, {"version": 2}, {"more": 1}):
+        pulse = next(event for event in told if event.kind == "pulse")
+        assert not judge.is_valid({**json.loads(pulse.line()), **wrong}), wrong
+
+
+def test_what_a_listener_breaks_or_never_hears_is_a_notice_and_the_run_ends_as_without(
+    lab: api.OpenLab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(telling, "PATIENCE_S", 0.2)
+    released = threading.Event()
+
+    def breaks(event: api.RunEvent) -> None:
+        if event.seq == 3:
+            raise ValueError("of mine")
+
+    def hangs(event: api.RunEvent) -> None:
+        if event.seq == 3:
+            released.wait(60)
+
+    listeners: list[tuple[Callable[[api.RunEvent], None], str]] = [
+        (breaks, "entry 2: ValueError: of mine"),
+        (hangs, "entry 2: nobody hears any more"),
+    ]
+    for listener, said in listeners:
+        result = lab.dry_run(RECIPE, seed=1, on_event=listener)
+        assert result.doses[0].verdict == "in tolerance"
+        assert [notice.removeprefix("what happened was told up to ") for notice in result.notices] == [said]
+    released.set()
+
+
+def test_a_slow_listener_hears_all_and_the_run_does_not_wait_for_it(lab: api.OpenLab) -> None:
+    told: list[tuple[int, float]] = []
+    ended: list[float] = []
+
+    def slow(event: api.RunEvent) -> None:
+        if event.kind == "run":
+            time.sleep(0.5)
+        told.append((event.seq, time.monotonic()))
+
+    lab.dry_run(RECIPE, seed=1, on_event=slow, on_sample=lambda sample: ended.append(time.monotonic()))
+    assert [seq for seq, _ in told] == list(range(1, len(told) + 1))
+    assert told[-1][1] > ended[-1]
+
+
+def test_events_go_to_a_file_or_alone_to_the_standard_output(command: Call, lab_folder: LabFolder) -> None:
+    recipe = lab_folder.write("recipes/one.yaml", json.dumps({"recipe": "one", **RECIPE}))
+    into = lab_folder.folder / "events.jsonl"
+    ended = command("run", recipe, "--dry-run", "--events", into)
+    assert ended.returncode == 0
+    lines = [json.loads(line) for line in into.read_text(encoding="utf-8").splitlines()]
+    assert [line["seq"] for line in lines] == list(range(1, len(lines) + 1))
+    assert lines[-1]["kind"] == "matter"
+    assert "in tolerance" in ended.stdout
+    ended = command("run", recipe, "--dry-run", "--events", "-")
+    alone = [json.loads(line) for line in ended.stdout.splitlines()]
+    beside = ("frames", "dose_curve")  # written in parts as large as the wall's time makes them
+    assert [line["kind"] for line in alone if line["kind"] not in beside] == [
+        line["kind"] for line in lines if line["kind"] not in beside
+    ]
+    assert "in tolerance" in ended.stderr
+    refused = command("run", recipe, "--dry-run", "--events", into / "none" / "x")
+    assert refused.returncode == 2
+    assert "cannot be written" in refused.stderr.replace("\n", " ")

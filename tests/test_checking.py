@@ -8,6 +8,7 @@ from conftest import Call, Desk, LabFolder
 from running import dry_run
 
 from scuhand_bt.findings import FINDINGS
+from scuhand_bt.lab import read_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.checking import check
@@ -127,13 +128,13 @@ def test_ways_that_were_found_are_not_looked_for_again_until_the_cell_changes(
     lab: LabFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recipe = lab.folder / "recipes" / "one.yaml"
-    assert check(lab.folder, recipe).problems == ()
+    assert check(read_lab(lab.folder), recipe).problems == ()
     looked: list[object] = []
     monkeypatch.setattr("scuhand_bt.run.make_cell.prepared_motion", lambda *a, **k: looked.append(a))
-    check(lab.folder, recipe)
+    check(read_lab(lab.folder), recipe)
     assert looked == []
     lab.replace("robot/cell.yaml", "[180 mm, 0 mm, 180 mm]", "[181 mm, 0 mm, 180 mm]")
-    check(lab.folder, recipe)
+    check(read_lab(lab.folder), recipe)
     assert len(looked) == 1
 
 
@@ -195,12 +196,12 @@ def test_two_containers_are_each_reckoned_by_what_goes_into_them(lab: LabFolder)
     source = RECIPE.split("samples:")[0].replace("mine", "split")
     sample = "samples:\n  - {id: a, from: beads, one: xrd_holder, other: alumina_crucible, little: 50 mg, much: 2 g}\n"
     path = lab.write("recipes/one.yaml", source + sample)
-    assert check(lab.folder, path, fast=True).problems == ()
+    assert check(read_lab(lab.folder), path, fast=True).problems == ()
     lab.write(
         "recipes/one.yaml",
         source + sample.replace("one: xrd_holder, other: alumina", "other: xrd_holder, one: alumina"),
     )
-    (problem,) = check(lab.folder, path, fast=True).problems
+    (problem,) = check(read_lab(lab.folder), path, fast=True).problems
     assert problem.code == "container-overfull"
     assert "2.0000 g of glass_beads" in problem.message
 

@@ -9,6 +9,7 @@ import yaml
 from conftest import REPOSITORY
 
 from scuhand_bt.findings import FINDINGS
+from scuhand_bt.lab import read_lab
 from scuhand_bt.run.checking import check
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -90,7 +91,7 @@ class CorpusLab:
         """Code, place and text of all that is found with these files changed."""
         before = self.put(files)
         try:
-            problems = check(self.folder, self.folder / "recipes" / "one.yaml", fast=True).problems
+            problems = check(read_lab(self.folder), self.folder / "recipes" / "one.yaml", fast=True).problems
         finally:
             self.take_back(before)
         return [

@@ -18,6 +18,7 @@ from scuhand_bt import cli
 from scuhand_bt.cli.check import line_of
 from scuhand_bt.findings import page as page_of_findings
 from scuhand_bt.kit.cases import read_test_file
+from scuhand_bt.lab import read_lab
 from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.checking import check
@@ -150,7 +151,7 @@ def test_the_mistakes_that_recipes_md_shows_are_told_in_those_words(lab_folder: 
     rows = "".join(f"xrd-{7 if number == 12 else number - 1:02d},xrd_holder,30\n" for number in range(2, 13))
     lab_folder.write("recipes/holders.csv", "id,container,mass [mg]\n" + rows.replace("xrd-01", "xrd-99"))
     path = lab_folder.write("recipes/my.yaml", recipe)
-    found = check(lab_folder.folder, path, fast=True).problems
+    found = check(read_lab(lab_folder.folder), path, fast=True).problems
     told = [line_of(problem).removeprefix(f"{path.parent}/") for problem in found]
     told.append(f"{len(told)} problems; nothing was moved.")
     for line, expected in zip(told, shown, strict=True):

@@ -3,8 +3,8 @@
 import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -30,19 +30,15 @@ from scuhand_bt.cli.shared import (
     out,
     print_json,
 )
-from scuhand_bt.cli.streams import unwatched
+from scuhand_bt.cli.streams import lines_into, unwatched
 from scuhand_bt.cli.study import WorkersOption, tell_odds
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.problems import SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
-    from scuhand_bt.cli.supervisor import Supervisor
+    from scuhand_bt.api import BatchObserver, BatchResult, Control, OnEvent, OpenLab, Plan, Session
+    from scuhand_bt.groot import Publisher
     from scuhand_bt.lab import Lab
-    from scuhand_bt.recipe.plan import Plan
-    from scuhand_bt.run.control import Control
-    from scuhand_bt.run.outcome import BatchResult
-    from scuhand_bt.run.session import Session
     from scuhand_bt.study.night import Night
     from scuhand_bt.study.odds import Odds
 
@@ -51,6 +47,16 @@ HowMuch = Literal["quiet", "lines", "verbose", "picture"]
 """What is told of a run while it goes on: nothing, a line for each sample, for each action, or a picture that stays."""
 DashboardFlag = Annotated[
     bool, typer.Option("--dashboard", help="Show the run on a page, too, as long as it goes on (extra `serve`).")
+]
+GrootOption = Annotated[
+    int | None,
+    typer.Option(
+        "--groot", metavar="PORT", min=1, max=65535, help="Show the tree in Groot2 or btview, too (extra `groot`)."
+    ),
+]
+EventsOption = Annotated[
+    str | None,
+    typer.Option("--events", metavar="FILE", help="Write all that happens as lines of JSON; - is the standard output."),
 ]
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Tell only what it came to.")]
 VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Tell every action, line by line.")]
@@ -74,18 +80,16 @@ def run(
     ] = False,
     operator: OperatorOption = None,
     dashboard: DashboardFlag = False,
+    groot: GrootOption = None,
+    events: EventsOption = None,
     quiet: QuietFlag = False,
     verbose: VerboseFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
     lab: LabOption = None,
 ) -> None:
     """Run a recipe on the cell; with --dry-run on simulated devices, with --rehearse on twins of the real ones."""
+    from scuhand_bt import api
     from scuhand_bt.cli.persons import the_person
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
-    from scuhand_bt.run.options import Options
-    from scuhand_bt.run.session import Session
-    from scuhand_bt.sim.fault_rules import read_faults
 
     if speed is not None and not 0 < speed < float("inf"):
         raise typer.BadParameter("must be more than 0", param_hint="--speed")
@@ -105,21 +109,34 @@ def run(
         of_kind(json_file, ".json", option="--json")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
         raise typer.BadParameter(f"'{json_file}' cannot be written", param_hint="--json")
-    wrong = read_faults(faults) if faults is not None else None
-    simulation: Simulation | None = None
+    wrong = api.read_faults(faults) if faults is not None else None
+    simulation: api.DryRun | api.Rehearsal | None = None
     if dry_run:
-        simulation = DryRun(seed, plant, speed, wrong, asks)
+        simulation = api.DryRun(seed, plant, speed, wrong, asks)
     elif rehearse:
-        simulation = Rehearsal(seed, plant, wrong, asks)
+        simulation = api.Rehearsal(seed, plant, wrong, asks)
 
     def make(control: "Control") -> "Session":
-        made, loaded = the_plan(recipe, lab)
-        person = the_person(operator, state_folder(loaded), is_asked=simulation is None)
-        options = Options(simulation, controller, unattended=unattended, person=person)
-        return Session(made, loaded, options, control=control)
+        made, opened = the_plan(recipe, lab)
+        person = the_person(operator, opened.state, is_asked=simulation is None)
+        how: api.How = {"controller": controller, "unattended": unattended, "control": control}
+        return opened.prepare(made, simulation, person=person, **how)
 
-    with unwatched():
-        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose), dashboard=dashboard)
+    with told(events) as tell, unwatched():
+        shows = how_much(quiet=quiet, verbose=verbose)
+        run_to_its_end(make, json_file, shows, dashboard=dashboard, groot=groot, tell=tell)
+
+
+@contextmanager
+def told(events: str | None) -> "Iterator[OnEvent | None]":
+    """Who is told of all that happens, by `--events`."""
+    with ExitStack() as opened:
+        try:
+            put = opened.enter_context(lines_into(events))
+        except OSError as error:
+            problem = f"'{events}' cannot be written: {error.strerror}"
+            raise typer.BadParameter(problem, param_hint="--events") from None
+        yield None if put is None else lambda event: put(event.line())
 
 
 def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
@@ -130,23 +147,26 @@ def how_much(*, quiet: bool, verbose: bool) -> HowMuch:
 
 
 def run_to_its_end(
-    make: "Callable[[Control], Session]", json_file: Path | None, shows: HowMuch, *, dashboard: bool = False
+    make: "Callable[[Control], Session]",
+    json_file: Path | None,
+    shows: HowMuch,
+    *,
+    dashboard: bool = False,
+    groot: int | None = None,
+    tell: "OnEvent | None" = None,
 ) -> None:
     """Run a session, and tell as much of it as wished; ends the command with its exit code.
 
     Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample; a closed terminal does not.
     """
+    from scuhand_bt import api
     from scuhand_bt.cli.serve import dashboard_beside, require_dashboard
     from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.report.live_terminal import LiveTerminal
-    from scuhand_bt.run.control import Control
-    from scuhand_bt.run.questions import UNKNOWN
-    from scuhand_bt.sim.plant import PlantError
-    from scuhand_bt.sim.wire.hand import NoCompiler
 
     if dashboard:
         require_dashboard()
-    began, control = time.monotonic(), Control()
+    began, control = time.monotonic(), api.Control()
     if shows == "picture" and sys.stdin.isatty():
         control.terminal = LiveTerminal()
     supervisor = Supervisor(control)
@@ -154,22 +174,28 @@ def run_to_its_end(
         signal.SIGTSTP: control.toggle_pause,
         signal.SIGQUIT: lambda: control.wish("stop"),
         signal.SIGHUP: lambda: None,
-        signal.SIGTERM: lambda: supervisor.stop(UNKNOWN),
+        signal.SIGTERM: lambda: supervisor.stop(api.UNKNOWN),
     }
-    with on_signals(supervisor.stop, others):  # to the last line: what the run came to is not to be changed any more
+    with ExitStack() as opened:
+        # To the last line: what the run came to is not to be changed any more.
+        opened.enter_context(on_signals(supervisor.stop, others))
+        observers: list[BatchObserver] = [] if groot is None else [opened.enter_context(_groot_at(groot))]
         try:
             session = make(control)
             if shows != "quiet":
                 out.print(Text(session.title))
             for warning in session.warnings:
                 err.print(Text(f"Note: {warning}"))
-            with ExitStack() as opened:
+            with ExitStack() as shown:
                 if dashboard:
-                    page = opened.enter_context(dashboard_beside(session.journal.path))
+                    page = shown.enter_context(dashboard_beside(session.journal.path))
                     out.print(Text(f"Dashboard: {page}"), soft_wrap=True)
                     out.file.flush()
-                result = _watched(session, supervisor, shows)
-        except (PlantError, NoCompiler) as error:
+                shown.enter_context(api.closing(session, tell))
+                observers.append(_view(session, shows, shown))
+                shown.enter_context(supervisor.watching(session))
+                result = session.run(api.Observers(*observers))
+        except (api.PlantError, api.NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(ExitCode.BAD_INPUT) from None
         _tell(session, result, time.monotonic() - began, shows)
@@ -178,26 +204,32 @@ def run_to_its_end(
     raise typer.Exit(result.exit_code)
 
 
-def _watched(session: "Session", supervisor: "Supervisor", shows: HowMuch) -> "BatchResult":
-    """Run, and show as much of it as wished."""
+def _groot_at(port: int) -> "Publisher":
+    try:
+        from scuhand_bt.groot import Publisher
+
+        return Publisher(port)
+    except ModuleNotFoundError as error:
+        problem = f"it needs {error.name}: pip install 'scuhand-bt[groot]'"
+    except OSError as error:
+        problem = f"cannot listen at port {port}: {error.strerror}"
+    raise typer.BadParameter(problem, param_hint="--groot")
+
+
+def _view(session: "Session", shows: HowMuch, shown: ExitStack) -> "BatchObserver":
+    """What shows as much of the run as wished."""
+    from scuhand_bt import api
     from scuhand_bt.report.live import LiveView, PlainLines
     from scuhand_bt.report.live_terminal import LiveTerminal
-    from scuhand_bt.run.batch import BatchObserver
 
-    try:
-        with ExitStack() as opened:
-            view = BatchObserver()
-            if shows == "picture":
-                if isinstance(terminal := session.control.terminal, LiveTerminal):
-                    opened.enter_context(terminal.typing())
-                view = opened.enter_context(LiveView(out, session.cell, session.plan, session.control, session.mode))
-            elif shows != "quiet":
-                count, is_verbose = len(session.plan.recipe.samples), shows == "verbose"
-                view = PlainLines(lambda line: out.print(Text(line)), count, each_action=is_verbose)
-            opened.enter_context(supervisor.watching(session))
-            return session.run(view)
-    finally:
-        session.close()
+    if shows == "quiet":
+        return api.BatchObserver()
+    if shows == "picture":
+        if isinstance(terminal := session.control.terminal, LiveTerminal):
+            shown.enter_context(terminal.typing())
+        return shown.enter_context(LiveView(out, session.cell, session.plan, session.control, session.mode))
+    count, is_verbose = len(session.plan.recipe.samples), shows == "verbose"
+    return PlainLines(lambda line: out.print(Text(line)), count, each_action=is_verbose)
 
 
 def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowMuch) -> None:
@@ -228,7 +260,7 @@ def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowM
 
 def _export(session: "Session", result: "BatchResult", json_file: Path) -> None:
     """The canonical export, of the journal or of what was rescued of it."""
-    from scuhand_bt.journal.export import canonical
+    from scuhand_bt.api import canonical
 
     try:
         json_file.write_text(canonical(session.journal.kept_in or session.journal.path), encoding="utf-8")
@@ -256,9 +288,10 @@ def plan(
         of_kind(html, *PAGES, option="--html")
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
-    made, loaded = the_plan(recipe, lab)
+    made, opened = the_plan(recipe, lab)
+    loaded = opened.lab
     hours = _night(night, trials) if night is not None else None
-    notes = notes_of(made, loaded, quiet=as_json)
+    notes = notes_of(made, opened, quiet=as_json)
     odds = _odds(made, loaded, trials, workers) if trials else None
     if html is not None and odds is not None:
         _preview(made, loaded, odds, html)
@@ -372,39 +405,19 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
     }
 
 
-def notes_of(made: "Plan", lab: "Lab", *, quiet: bool) -> list[str]:
+def notes_of(made: "Plan", opened: "OpenLab", *, quiet: bool) -> list[str]:
     """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
-    from datetime import datetime
-
-    from scuhand_bt.lab import state_folder, without_driver
-    from scuhand_bt.lab_state.beliefs import LabState
-    from scuhand_bt.lab_state.inventory import Inventory
-    from scuhand_bt.run.balance_limits import below_usp, beyond_limits
-    from scuhand_bt.run.inventory_conflicts import conflicts
-
-    problems = without_driver(lab)
-    try:
-        stock = Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
-        problems += [conflict.problem for conflict in conflicts(made, lab.cell, stock)]
-        last = list(LabState(state_folder(lab)).figures(simulated=False).values())[-1:]  # which it is, only a run knows
-        figures = last[0] if last else {}
-        problems += beyond_limits(made, lab, figures, datetime.now().astimezone())
-        problems += below_usp(made, lab, figures)
-    except SourceError as error:
-        problems += error.problems
-    notes = [str(problem) for problem in problems]
+    notes = [str(problem) for problem in opened.notes(made)]
     for note in () if quiet else notes:
         err.print(Text(f"Note: {note}"))
     return notes
 
 
-def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, Lab]":
+def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, OpenLab]":
     """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
-    from scuhand_bt.lab import find_lab, load_lab
-    from scuhand_bt.recipe.plan import make_plan
-    from scuhand_bt.recipe.recipe import load_recipe
+    from scuhand_bt.api import open_lab
 
-    lab = load_lab(find_lab(recipe, folder))
-    made = make_plan(load_recipe(recipe, lab), lab)
-    note_problems(lab)
-    return made, lab
+    opened = open_lab(folder, recipe=recipe)
+    made = opened.plan(recipe)
+    note_problems(opened.lab)
+    return made, opened

@@ -53,7 +53,8 @@ def twins(
     from scuhand_bt.sim.fault_rules import read_faults
 
     wrong = read_faults(faults) if faults is not None else None
-    made, loaded = the_plan(recipe, lab) if recipe is not None else (None, _lab_of_cell(cell, lab))
+    made, opened = the_plan(recipe, lab) if recipe is not None else (None, None)
+    loaded = opened.lab if opened is not None else _lab_of_cell(cell, lab)
     bench = _bench(loaded, seed, wrong, made.recipe.sources if made is not None else None)
     stop, clock = Signal(), WallClock(bench.check)
     stopped = Wake.on(stop)  # seen however early it comes

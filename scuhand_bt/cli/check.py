@@ -23,12 +23,12 @@ def check(
     as_json: JsonFlag = False,
 ) -> None:
     """Check a recipe, its tables, its workflows and the lab, without running anything."""
-    from scuhand_bt.lab import find_lab
-    from scuhand_bt.run.checking import check as checked
+    from scuhand_bt.api import open_lab
 
-    found = checked(find_lab(recipe, lab), recipe, fast=fast)
+    opened = open_lab(lab, recipe=recipe)
+    found = opened.check(recipe, fast=fast)
     is_bad = bool(found.errors) or (strict and bool(found.problems))
-    notes = notes_of(found.plan, found.lab, quiet=as_json) if found.plan is not None else []
+    notes = notes_of(found.plan, opened, quiet=as_json) if found.plan is not None else []
     samples = len(found.plan.recipe.samples) if found.plan is not None else 0
     if as_json:
         problems = [_values(problem) for problem in found.problems]

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.batch import DashboardFlag, QuietFlag, VerboseFlag, how_much, run_to_its_end, the_plan
+from scuhand_bt.cli.batch import (
+    DashboardFlag,
+    EventsOption,
+    GrootOption,
+    QuietFlag,
+    VerboseFlag,
+    how_much,
+    run_to_its_end,
+    the_plan,
+    told,
+)
 from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, unknown
 from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.exit_codes import ExitCode
@@ -46,6 +56,8 @@ def resume(
     yes: Annotated[bool, typer.Option("--yes", help="Go on without asking.")] = False,
     operator: OperatorOption = None,
     dashboard: DashboardFlag = False,
+    groot: GrootOption = None,
+    events: EventsOption = None,
     quiet: QuietFlag = False,
     verbose: VerboseFlag = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the canonical export here.")] = None,
@@ -63,10 +75,11 @@ def resume(
     if _is_held(journal) or listens(journal):
         _wish(journal, "continue", "continues", operator)
         return
-    with unwatched(), take_run(journal) as presence:  # before anything is read of it
+    with told(events) as tell, unwatched(), take_run(journal) as presence:  # before anything is read of it
         history = checked_history(journal)
         options = options_of(history, journal.parent, journal)
-        plan, its_lab = the_plan(*its_places(journal, history.run))
+        plan, opened = the_plan(*its_places(journal, history.run))
+        its_lab = opened.lab
         found = resumable(journal, history, plan, its_lab, accept_changes=accept_changes, presence=presence)
         for line in what_is_known(history, len(plan.recipe.samples)):
             out.print(Text(line))
@@ -81,7 +94,8 @@ def resume(
         def make(control: "Control") -> "Session":
             return Session(plan, its_lab, options, control=control, resumes=found)
 
-        run_to_its_end(make, json_file, how_much(quiet=quiet, verbose=verbose), dashboard=dashboard)
+        shows = how_much(quiet=quiet, verbose=verbose)
+        run_to_its_end(make, json_file, shows, dashboard=dashboard, groot=groot, tell=tell)
 
 
 @app.command()

@@ -6,7 +6,8 @@ import queue
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from pathlib import Path
 from typing import Any, TextIO
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -64,7 +65,7 @@ class Beside(io.TextIOBase):
             self._thread.join(LONGEST_READING_S)
 
     def _write(self) -> None:
-        put = self._putting()
+        put = putting(self._stream) if self._stream is not None else len
         while (part := self._parts.get()) is not None:
             if not self.is_gone:
                 try:
@@ -72,24 +73,40 @@ class Beside(io.TextIOBase):
                 except (OSError, ValueError):
                     self.is_gone = True
 
-    def _putting(self) -> Callable[[str], object]:
-        """How a part is written: past the stream's own buffer, whose lock the program's end would wait for."""
-        if self._stream is None:
-            return lambda part: None
-        stream = self._stream
-        try:
-            stream.flush()
-            file = stream.fileno()
-        except (OSError, ValueError):
-            return lambda part: (stream.write(part), stream.flush())
-        errors = stream.errors or "strict"
 
-        def put(part: str) -> None:
-            left = memoryview(part.encode(self.encoding, errors))
-            while left:
-                left = left[os.write(file, left) :]
+def putting(stream: TextIO) -> Callable[[str], object]:
+    """How a part is written at once: past the stream's own buffer, whose lock the program's end would wait for."""
+    try:
+        stream.flush()
+        file = stream.fileno()
+    except (OSError, ValueError):
+        return lambda part: (stream.write(part), stream.flush())
+    encoding, errors = stream.encoding or "utf-8", stream.errors or "strict"
 
-        return put
+    def put(part: str) -> None:
+        left = memoryview(part.encode(encoding, errors))
+        while left:
+            left = left[os.write(file, left) :]
+
+    return put
+
+
+@contextmanager
+def lines_into(file: str | None) -> Iterator[Callable[[str], object] | None]:
+    """How a line is written into a file, or for `-` to the standard output, which then has nothing else; None for none.
+
+    Raises OSError for a file that cannot be written.
+    """
+    if file is None:
+        yield None
+        return
+    with ExitStack() as opened:
+        if file == "-":
+            put = putting(sys.stdout)
+            opened.enter_context(redirect_stdout(sys.stderr))
+        else:
+            put = putting(opened.enter_context(Path(file).open("w", encoding="utf-8")))
+        yield lambda line: put(f"{line}\n")
 
 
 @contextmanager

@@ -58,7 +58,8 @@ def study(
     if output is not None:
         of_kind(output, *KINDS)
     check_controller(controller)
-    made, loaded = the_plan(recipe, lab)
+    made, opened = the_plan(recipe, lab)
+    loaded = opened.lab
     varied = read_vary(vary) if vary is not None else None
     setup = Setup(recipe.absolute(), loaded.folder.absolute(), controller, plant)
     path = store or state_folder(loaded) / "studies.sqlite"

@@ -1,6 +1,7 @@
 """Recipes: what a chemist writes, read, expanded to samples, and checked before anything moves."""
 
 import hashlib
+import json
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -25,7 +26,7 @@ from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import Percent, check_workflows, literal
 from scuhand_bt.tree.grammar import RECIPE_WORDS, Workflow
 from scuhand_bt.tree.wires import WireType
-from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, parse, read_text
+from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, from_plain, parse, read_text
 
 Action = Literal["flag", "skip_sample", "redo", "ask", "stop"]
 ACTIONS: Mapping[str, str] = {
@@ -53,6 +54,10 @@ RECIPE_KEYS = (
     *("recipe", "summary", "workflow", "controller", "order", "sources", "defaults", "samples"),
     *("leftover", "on_failure", "overshoot_limit"),
 )
+
+
+RecipeGiven = Path | Mapping[str, Any]
+"""The file of a recipe, or a dict of what would stand in one."""
 
 
 @dataclass(frozen=True)
@@ -86,22 +91,25 @@ class Recipe:
         return self.on_failure.get(code, self.on_failure["otherwise"])
 
 
-def load_recipe(path: Path, lab: Lab) -> Recipe:
+def load_recipe(given: RecipeGiven, lab: Lab) -> Recipe:
     """Read and check a recipe against a lab.
 
     Raises SourceError with every problem found, in the recipe, its tables and the workflows it uses.
     """
     problems = Problems()
-    recipe = read_recipe(path, lab, problems)
+    recipe = read_recipe(given, lab, problems)
     problems.raise_any()
     assert recipe is not None
     return recipe
 
 
-def read_recipe(path: Path, lab: Lab, problems: Problems) -> Recipe | None:
+def read_recipe(given: RecipeGiven, lab: Lab, problems: Problems) -> Recipe | None:
     """As `load_recipe`; what is wrong is noted, and what could be read is given. SourceError for what is no YAML."""
-    text = read_text(path, "a recipe")
-    return recipe_of(parse(text, str(path), "a recipe"), path, text, lab, problems)
+    if isinstance(given, Mapping):
+        path, text = lab.folder / "recipes" / "given.yaml", json.dumps(given, default=str)
+        return recipe_of(from_plain(given, "recipe"), path, text, lab, problems)
+    text = read_text(given, "a recipe")
+    return recipe_of(parse(text, str(given), "a recipe"), given, text, lab, problems)
 
 
 def recipe_of(root: Node, path: Path, text: str, lab: Lab, problems: Problems) -> Recipe | None:

@@ -26,6 +26,7 @@ from scuhand_bt.run.outcome import BatchResult, Outcome, confirmed, doubted, inp
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
+from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import SkillBug
 from scuhand_bt.tree.replay import Replay
@@ -37,6 +38,9 @@ ANSWERS = ("flag", "redo", "skip_sample", "stop")
 
 class BatchObserver:
     """Is told how the batch goes on, and shows nothing of it; the live view and plain lines do."""
+
+    def tree_made(self, tree: Tree) -> None:
+        """The tree of an attempt at a job, before its first tick."""
 
     def ticked(self, root: Behaviour) -> None:
         """The tree after a tick; must be quick."""
@@ -53,6 +57,37 @@ class BatchObserver:
     def sample_known(self, result: SampleResult) -> None:
         """A sample has had its result since before the run was resumed: as if it came now, unless told otherwise."""
         self.sample_ended(result)
+
+
+class Observers(BatchObserver):
+    """Several, each told in its turn."""
+
+    def __init__(self, *observers: BatchObserver) -> None:
+        self._each = observers
+
+    def tree_made(self, tree: Tree) -> None:
+        for one in self._each:
+            one.tree_made(tree)
+
+    def ticked(self, root: Behaviour) -> None:
+        for one in self._each:
+            one.ticked(root)
+
+    def job_started(self, job: Job, number: int) -> None:
+        for one in self._each:
+            one.job_started(job, number)
+
+    def attempt_started(self, job: Job, attempt: int) -> None:
+        for one in self._each:
+            one.attempt_started(job, attempt)
+
+    def sample_ended(self, result: SampleResult) -> None:
+        for one in self._each:
+            one.sample_ended(result)
+
+    def sample_known(self, result: SampleResult) -> None:
+        for one in self._each:
+            one.sample_known(result)
 
 
 class Batch:

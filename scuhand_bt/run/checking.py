@@ -9,14 +9,19 @@ import json
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 import scuhand_bt
 from scuhand_bt.dosing.verdict import LIKELY, chance_with_lumps
-from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, read_lab, state_folder
+from scuhand_bt.lab import CELL_FILE, Lab, cell_mark, files_of, state_folder, without_driver
+from scuhand_bt.lab_state.beliefs import LabState
+from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
-from scuhand_bt.recipe.recipe import Recipe, read_recipe
+from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
+from scuhand_bt.run.balance_limits import below_usp, beyond_limits
+from scuhand_bt.run.inventory_conflicts import conflicts
 from scuhand_bt.silencers import without_silenced
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.check import check_workflows
@@ -43,12 +48,8 @@ class Checked:
         return tuple(problem for problem in self.problems if not problem.is_warning)
 
 
-def check(folder: Path, recipe: Path | None, *, fast: bool = False) -> Checked:
-    """Check a lab, and a recipe of it; `fast` leaves out the planning of the arm's ways.
-
-    SourceError for a folder that is no lab.
-    """
-    lab = read_lab(folder)
+def check(lab: Lab, recipe: RecipeGiven | None, *, fast: bool = False) -> Checked:
+    """Check a lab as `read_lab` gives it, and a recipe of it; `fast` leaves out the planning of the arm's ways."""
     of_lab = Problems(list(lab.problems))
     check_workflows(lab.library, lab.library.workflows, of_lab)
     of_recipe = Problems()
@@ -66,10 +67,25 @@ def check(folder: Path, recipe: Path | None, *, fast: bool = False) -> Checked:
             plan = _plan(read, lab, of_recipe, fast=fast)
     problems = _merged(lab, of_lab.found, of_recipe.found, has_recipe=recipe is not None)
     files = [*files_of(lab.folder / "trees", "*.yaml"), *files_of(lab.folder / "skills", "*.py")]
-    files += [*files_of(lab.folder / "robot", "*.yaml"), *([recipe] if recipe is not None else [])]
+    files += [*files_of(lab.folder / "robot", "*.yaml"), *([recipe] if isinstance(recipe, Path) else [])]
     unsure = OF_ROOTS if recipe is None else ()
     found = SourceError(without_silenced(problems, files, unsure)).problems
     return Checked(tuple(found), lab, plan)
+
+
+def on_the_cell(plan: Plan, lab: Lab) -> list[Problem]:
+    """What a run of a sound plan on the real cell would be refused for, or ask; a dry run does not mind."""
+    problems = without_driver(lab)
+    try:
+        stock = Inventory(state_folder(lab), lab.cell.cell).stock(simulated=False)
+        problems += [conflict.problem for conflict in conflicts(plan, lab.cell, stock)]
+        last = list(LabState(state_folder(lab)).figures(simulated=False).values())[-1:]  # which it is, only a run knows
+        figures = last[0] if last else {}
+        problems += beyond_limits(plan, lab, figures, datetime.now().astimezone())
+        problems += below_usp(plan, lab, figures)
+    except SourceError as error:
+        problems += error.problems
+    return problems
 
 
 def _merged(lab: Lab, of_lab: list[Problem], of_recipe: list[Problem], *, has_recipe: bool) -> Iterator[Problem]:
@@ -83,9 +99,9 @@ def _merged(lab: Lab, of_lab: list[Problem], of_recipe: list[Problem], *, has_re
             yield problem if is_error else replace(problem, is_warning=True)
 
 
-def _read(path: Path, lab: Lab, problems: Problems) -> Recipe | None:
+def _read(given: RecipeGiven, lab: Lab, problems: Problems) -> Recipe | None:
     try:
-        return read_recipe(path, lab, problems)
+        return read_recipe(given, lab, problems)
     except SourceError as error:
         problems.found += error.problems
         return None

@@ -44,7 +44,9 @@ T = TypeVar("T")
 
 
 class TickObserver(Protocol):
-    """Is shown the tree after every tick; must be quick."""
+    """Is shown each job's tree, and its root after every tick; must be quick."""
+
+    def tree_made(self, tree: Tree) -> None: ...
 
     def ticked(self, root: Behaviour) -> None: ...
 
@@ -84,6 +86,7 @@ class Runner:
         if job.workflow not in self._drawn:
             self._drawn.add(job.workflow)
             self._journal.event(WorkflowTree(workflow=job.workflow, nodes=tuple(_drawn(tree.root))))
+        self._observer.tree_made(tree)
         interrupted: Outcome | None = Outcome(interrupted="stopped")
         try:
             interrupted = self._tick_to_end(tree.root, shared)

@@ -39,7 +39,7 @@ from scuhand_bt.tree.substitutes import Substitutes
 
 
 class Session:
-    """A cell made ready for a plan, new or to be resumed. `run` once, then `close`.
+    """A cell made ready for a plan, new or to be resumed. `run` once, then `close`; in whichever thread.
 
     `motion` is a planner that `prepared_motion` made for the same places, when dry runs share one; `resumes` is the
     interrupted run (`run/resume.py` finds and checks it); `substitutes` stand in for skills, in a test.
@@ -68,7 +68,7 @@ class Session:
         """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
-        self._lab, self._options, self._thread = lab, options, threading.get_ident()
+        self._lab, self._options, self._has_run = lab, options, threading.Lock()
         self._substitutes = substitutes
         self._history = resumes.history if resumes is not None else None
         if resumes is None:
@@ -236,12 +236,9 @@ class Session:
         return f"{self.plan.recipe.name}: {again}{count} samples on the cell '{self._lab.cell.cell}', {mode}"
 
     def run(self, observer: BatchObserver) -> BatchResult:
-        """Run the batch to its end; whatever happens, the cell ends safe.
-
-        RuntimeError in another thread than it was made in, to which its journal belongs.
-        """
-        if threading.get_ident() != self._thread:
-            raise RuntimeError("a session is run in the thread in which it was made: make it there")
+        """Run the batch to its end; whatever happens, the cell ends safe. RuntimeError the second time."""
+        if not self._has_run.acquire(blocking=False):
+            raise RuntimeError("a session is run once: make another one")
         world = self.world
         has_to_settle = not self.cell.hand.knows_its_roller or self._conflicts or self._is_taken_up
         batch = Batch(

@@ -83,13 +83,16 @@ class Tree:
     """A job's tree: its root, and the result of its workflow once the root has succeeded."""
 
     def __init__(self, workflow: Workflow, inputs: Mapping[str, Any], library: Library, shared: Ticking) -> None:
-        self._workflow = workflow
-        self._scope = Scope(bound_inputs(workflow, inputs, library))
-        self.root = _Builder(library, shared).build(workflow.tree, self._scope, workflow.name)
+        self.workflow, self.library = workflow, library
+        builder = _Builder(library, shared)
+        self.scopes = builder.scopes
+        """The values of the workflow and of all those that it calls, in the order of the tree."""
+        self.scopes.append(Scope(bound_inputs(workflow, inputs, library)))
+        self.root = builder.build(workflow.tree, self.scopes[0], workflow.name)
 
     def result(self) -> Any:
-        reference = self._workflow.result
-        return None if reference is None else self._scope.read(reference)
+        reference = self.workflow.result
+        return None if reference is None else self.scopes[0].read(reference)
 
 
 def bound_inputs(
@@ -117,6 +120,7 @@ def chosen_case(node: Choice, scope: Scope, library: Library) -> int | None:
 
 class _Builder:
     def __init__(self, library: Library, shared: Ticking) -> None:
+        self.scopes: list[Scope] = []
         self._library = library
         self._shared = shared
 
@@ -182,6 +186,7 @@ class _Builder:
             return SkillLeaf(node.name, path, self._library.skills[node.name], arguments, keep, self._shared)
         workflow = self._library.workflows[node.name]
         inner = Scope({}, rounds=scope.rounds)
+        self.scopes.append(inner)
 
         def bind() -> None:
             inner.values = bound_inputs(workflow, arguments(), self._library)
