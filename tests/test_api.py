@@ -39,6 +39,18 @@ def test_the_lines_of_the_readme_print_a_table_of_doses(capsys: pytest.CaptureFi
     assert printed.count("in tolerance") == 3
 
 
+def test_the_example_of_events_tells_of_its_pulses(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (REPOSITORY / "docs" / "python.md").read_text(encoding="utf-8")
+    (text,) = (block.split("```")[0] for block in page.split("```python\n")[1:] if "on_event" in block.split("```")[0])
+    monkeypatch.chdir(REPOSITORY)
+    exec(compile(text, "python.md", "exec"), {})
+    masses_mg = [float(line.split()[-1]) for line in capsys.readouterr().out.splitlines()]
+    assert masses_mg[-1] == pytest.approx(50.0, abs=2.0)
+    assert max(masses_mg) - min(masses_mg) > 1.0
+
+
 def test_a_recipe_in_a_dict_is_checked_as_one_in_a_file_each_problem_by_its_keys(lab: api.OpenLab) -> None:
     assert lab.check(RECIPE, fast=True).problems == ()
     wrong = {**RECIPE, "samples": [{**RECIPE["samples"][0], "mass": "50 s"}], "ordr": "as_written"}
@@ -236,3 +248,18 @@ def test_events_go_to_a_file_or_alone_to_the_standard_output(command: Call, lab_
     refused = command("run", recipe, "--dry-run", "--events", into / "none" / "x")
     assert refused.returncode == 2
     assert "cannot be written" in refused.stderr.replace("\n", " ")
+
+
+def test_a_resumed_run_tells_on_from_where_it_was(command: Call, lab_folder: LabFolder) -> None:
+    two = {**RECIPE, "recipe": "two", "samples": [{**RECIPE["samples"][0], "id": name} for name in ("a", "b")]}
+    recipe = lab_folder.write("recipes/two.yaml", json.dumps(two))
+    lab = api.open_lab(lab_folder.folder)
+    control, before = api.Control(), list[api.RunEvent]()
+    stop = {"on_sample": lambda sample: control.wish("stop"), "control": control, "journals": lab.state / "runs"}
+    assert lab.dry_run(recipe, on_event=before.append, **stop).exit_code == 130  # type: ignore[arg-type]
+    ended = command("resume", "last", "--lab", lab_folder.folder, "--events", "-")
+    after = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert ended.returncode == 0
+    assert after[0]["kind"] == "resumed"
+    assert [one["seq"] for one in after] == list(range(before[-1].seq + 1, before[-1].seq + 1 + len(after)))
+    assert [one["values"]["id"] for one in after if one["kind"] == "sample"][-1] == "b"

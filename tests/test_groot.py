@@ -215,6 +215,26 @@ def test_whatever_is_asked_is_answered_as_behaviortree_cpp_answers_it(
     assert len(compared) == len(asked)
 
 
+def test_a_workflow_that_the_format_has_no_word_for_runs_and_is_not_shown(
+    lab_folder: LabFolder, tmp_path: Path, publisher: Publisher
+) -> None:
+    lab_folder.write(
+        "trees/one_case.yaml",
+        "workflow: one_case\ninputs: {times: Integer}\n"
+        'tree: {switch: {value: $times, cases: {"1": {wait: {duration: 1 s}}}, otherwise: {wait: {duration: 2 s}}}}\n',
+    )
+    said: list[bytes] = []
+    recipe = {"workflow": "one_case", "samples": [{"id": "a", "times": 1}]}
+
+    def look(session: Any, root: Any) -> None:
+        said.extend(part for kind in "TS" for part in ask(publisher.port, header(kind)))
+
+    result = run(api.open_lab(lab_folder.folder), tmp_path, publisher, look, recipe)
+    assert (result.exit_code, result.reason) == (0, "")
+    assert said[0] == said[2] == b"error"
+    assert b"a 'switch' of 1 cases cannot stand in a file of BehaviorTree.CPP" in said[1]
+
+
 def test_transitions_are_recorded_when_asked_for(lab: api.OpenLab, tmp_path: Path, publisher: Publisher) -> None:
     found: list[tuple[int, int]] = []
 

@@ -36,9 +36,8 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
-    from scuhand_bt.api import BatchObserver, BatchResult, Control, OnEvent, OpenLab, Plan, Session
+    from scuhand_bt.api import BatchObserver, BatchResult, Control, Lab, OnEvent, OpenLab, Plan, Session
     from scuhand_bt.groot import Publisher
-    from scuhand_bt.lab import Lab
     from scuhand_bt.study.night import Night
     from scuhand_bt.study.odds import Odds
 
