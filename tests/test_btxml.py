@@ -12,7 +12,9 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.tree.btxml import from_xml, to_xml
 from scuhand_bt.tree.check import check_workflows
-from scuhand_bt.tree.grammar import Argument, Branch, Choice, Decorator, TreeNode, Workflow, read_workflow
+from scuhand_bt.tree.drawing import drawn
+from scuhand_bt.tree.grammar import Argument, Branch, Choice, Decorator, TreeNode, Workflow, read_workflow, walk
+from scuhand_bt.tree.grammar import Call as GrammarCall
 from scuhand_bt.yaml_source import Node, parse, plain
 
 SHIPPED = sorted(path.stem for path in (REPOSITORY / "trees").glob("*.yaml") if ".test" not in path.name)
@@ -179,3 +181,13 @@ def test_the_command_writes_and_reads_the_file_and_draws_the_tree(command: Call,
     assert said[0] == "fill_crucible"
     assert "return_leftover source: $source, keep: unless_told" in said
     assert any(line.startswith("fill source: $source, container: $container") and "→ dose" in line for line in said)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_picture_of_a_workflow_has_a_line_for_every_node(starter: Lab, name: str) -> None:
+    workflow = starter.library.workflows[name]
+    drawing = ElementTree.fromstring(drawn(workflow).encode())
+    said = ["".join(text.itertext()) for text in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    words = [re.sub(r"^\W+ ", "", line).split(" ")[0] for line in said[1:] if not line.rstrip().endswith(":")]
+    nodes = [node.name if isinstance(node, GrammarCall) else node.kind for node in walk(workflow.tree)]
+    assert words == nodes

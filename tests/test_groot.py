@@ -140,6 +140,31 @@ def test_a_node_that_is_idle_again_says_what_it_was(
     assert seen == [(1, 0, 0), (2, 1, 0), (2, 2, 0), (1, 12, 0), (2, 1, 0), (2, 2, 1), (2, 2, 11)]
 
 
+def test_what_only_the_format_has_says_which_way_was_gone(
+    lab_folder: LabFolder, tmp_path: Path, publisher: Publisher, viewer: Any
+) -> None:
+    lab_folder.write(
+        "trees/ways.yaml",
+        "workflow: ways\ninputs: {times: Integer}\ntree:\n  sequence:\n"
+        "    - if: {when: $times > 1, then: {wait: {duration: 1 s}}}\n    - wait: {duration: 1 s}\n"
+        '    - switch: {value: $times, cases: {"1": {wait: {duration: 1 s}}, "2": {wait: {duration: 2 s}}}}\n',
+    )
+    seen: dict[str, list[str]] = {}
+
+    def look(session: Any, root: Any) -> None:
+        tree, states = viewer.fetch_tree(), viewer.poll().statuses
+        job = viewer.tree_uuid
+        if tree.name == "ways":
+            ours = [node for node in tree.walk() if node.registration in OF_THE_FORMAT]
+            assert [node.registration for node in ours] == ["ScriptCondition", "AlwaysSuccess", "AlwaysFailure"]
+            seen[job] = [states[node.uid].status.name for node in ours]
+
+    samples = [{"id": f"n{times}", "times": times} for times in (2, 1)]
+    recipe = {"workflow": "ways", "samples": samples, "on_failure": {"otherwise": "flag"}}
+    assert run(api.open_lab(lab_folder.folder), tmp_path, publisher, look, recipe).reason == ""
+    assert list(seen.values()) == [["SUCCESS", "IDLE", "IDLE"], ["FAILURE", "SUCCESS", "IDLE"]]
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_btview_reads_every_shipped_workflow_as_it_is_built(starter: Lab, name: str) -> None:
     from btview.parser import parse_bt_xml
