@@ -167,6 +167,7 @@ def test_every_entry_of_the_journal_is_told_in_order_and_fits_the_schema(lab: ap
     told: list[api.RunEvent] = []
     result = lab.dry_run(RECIPE, seed=1, journals=tmp_path, on_event=told.append)
     (journal,) = tmp_path.glob("*.sqlite")
+    assert not list(tmp_path.glob("*-wal")), "it is one file"
     rows = read(journal, "entry")
     assert [(event.seq, event.kind, event.time_s, event.job, event.action) for event in told] == [
         (row["seq"], row["kind"], row["time_s"], row["job"], row["action"]) for row in rows

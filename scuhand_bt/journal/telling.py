@@ -116,7 +116,10 @@ class Telling:
             if self._seq is None:
                 self._seq = database.execute(_BEGAN).fetchone()[0]
             rows = database.execute(_NEW, (self._seq,)).fetchall()
-        return [RunEvent(*row[:-2], _values(*row[-2:])) for row in rows]
+        return [
+            RunEvent(seq, kind, time_s, at, job, action, _values(payload, frames))
+            for seq, kind, time_s, at, job, action, payload, frames in rows
+        ]
 
 
 def _values(payload: str, frames: bytes | None) -> dict[str, JsonValue]:
