@@ -28,6 +28,7 @@ from scuhand_bt.lab import Lab, find_lab, read_lab, state_folder, with_cell
 from scuhand_bt.problems import Problem, SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.checking import Checked, check, on_the_cell
 from scuhand_bt.skill import SkillFailed
 
@@ -65,6 +66,7 @@ __all__ = [
     "Rehearsal",
     "Result",
     "RunEvent",
+    "Sample",
     "SampleResult",
     "Session",
     "SkillFailed",
