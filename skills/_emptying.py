@@ -8,6 +8,8 @@ SPARE = 2.0
 DOUBT = 0.2
 """The cone may hold more than believed, by this share of the load limit: scoops vary."""
 LONGEST_S = 300.0
+PULSE_S = 3.0
+"""The motor shakes no longer at a time: a weighing beside it waits for its end."""
 
 
 def empty_cone(cell: Cell) -> Steps[None]:
@@ -19,7 +21,8 @@ def empty_cone(cell: Cell) -> Steps[None]:
     most_mg = cell.believed.cone_mg + DOUBT * source.powder.load_limit_mg
     duration_s = min(LONGEST_S, SHAKE_S + SPARE * most_mg / flow_mg_per_s)
     while duration_s > 0.0:
-        dwell_s = min(duration_s, cell.hand.longest_dwell_s)
+        dwell_s = min(duration_s, cell.hand.longest_dwell_s, PULSE_S)
+        yield from cell.right_of_way.go()
         yield from cell.hand.pulse(opening_mm, dwell_s, vibration=1.0)
         duration_s -= dwell_s
     cell.believed.emptied()
