@@ -84,10 +84,11 @@ class Cell:
     """How the balance has shown the container that came last, in this process."""
     readings: deque[Reading] = field(default_factory=lambda: deque(maxlen=RECENT))
     """The balance's last ones, filled from where they arrive."""
+    right_of_way: RightOfWay = field(init=False)
+    """Who has which zone of it, and who needs stillness."""
 
     def __post_init__(self) -> None:
         self.right_of_way = RightOfWay(self)
-        """Who has which zone of the cell, and who needs stillness."""
 
     @property
     def balance_name(self) -> str:
