@@ -1,6 +1,10 @@
-"""What `return_leftover`, `discard` and `scoop` share: letting everything out of the cone."""
+"""What `return_leftover`, `discard`, `scoop` and `withdraw` share: letting everything out of the cone."""
 
-from scuhand_bt.skill import Cell, Discarded, Returned, Source, Steps
+import math
+
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
+from scuhand_bt.motion import ApexPose
+from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Source, Steps
 
 SHAKE_S = 3.0
 SPARE = 2.0
@@ -8,7 +12,8 @@ SPARE = 2.0
 DOUBT = 0.2
 """The cone may hold more than believed, by this share of the load limit: scoops vary."""
 LONGEST_S = 300.0
-PULSE_S = 3.0
+LEAVING_MM_PER_S = 60.0
+PULSE_S = 8.0
 """The motor shakes no longer at a time: a weighing beside it waits for its end."""
 
 
@@ -42,6 +47,37 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
     held_mg, source = cell.believed.cone_mg, cell.believed.cone_source
     yield from empty_cone(cell)
     cell.record.event(Discarded(expected_mg=held_mg, source=source, to=station))
+
+
+def is_over(cell: Cell, source: Source) -> bool:
+    """Whether the cone is in this source's mortar, or above it."""
+    above_mm = cell.places_mm[source.station]
+    return math.dist(cell.apex_mm()[:2], above_mm[:2]) <= source.mortar.bore_mm
+
+
+def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
+    """Out of a mortar in which a scoop was halted, straight up; what the cone may hold goes back into it.
+
+    So nothing is unknown.
+    """
+    believed, now = cell.believed, cell.apex()
+    believed.touched(source)
+    top_m = now.position_m.copy()
+    top_m[2] = max(top_m[2], cell.places_mm[source.station][2] / 1000)
+    up = [ApexPose(top_m, now.axis, now.seam), ApexPose(top_m), cell.place(source.station)]
+    try:
+        yield from cell.touch(up, LEAVING_MM_PER_S, source.station)
+    except SkillFailed as failure:
+        if failure.code != Code.ARM_NO_PATH:
+            raise
+        yield from cell.move_to(source.station)  # it was above the mortar, on the way to its stroke
+    yield from cell.right_of_way.go()
+    yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
+    held_mg = believed.cone_mg
+    believed.cone_holds(source, source.powder.load_limit_mg)
+    yield from empty_cone(cell)
+    believed.returned(source.name, held_mg)
+    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
 
 def put_away(cell: Cell) -> Steps[None]:
