@@ -1,6 +1,6 @@
 """Two things at once in one cell: the arm keeps out of what another moves in, and still while something is weighed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from running import make_lab, shared_planner
 
-from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S
 from scuhand_bt.clock import Steps, Wake
@@ -51,11 +50,11 @@ def motion(starter: Lab) -> MotionPlanner:
 class Bench:
     """A simulated cell on which several go on at once."""
 
-    def __init__(self, lab: Lab, motion: MotionPlanner) -> None:
+    def __init__(self, lab: Lab, motion: MotionPlanner, sources: Mapping[str, Source] = {}) -> None:
         self.clock = VirtualClock()
-        self.cell, world = simulated_cell(
+        self.cell, self.world = simulated_cell(
             lab.cell,
-            {},
+            sources,
             clock=self.clock,
             record=Record(),
             motion=motion,
@@ -63,7 +62,7 @@ class Bench:
             seed=1,
             joints=motion.home(),
         )
-        self.clock.process = world
+        self.clock.process = self.world
         self.way = self.cell.right_of_way
         self.way.commands["arm"] = ARM
         self.over = over_balance(lab.cell, lab.library.containers["xrd_holder"])[0]
@@ -168,6 +167,40 @@ def test_what_is_moved_all_the_same_in_a_weighing_lets_it_begin_again(bench: Ben
 
     mean, _ = bench.do(bench.way.stable_mean(), shake())
     assert min(reading.time_s for reading in mean.readings) > shaken_s + 5.0
+
+
+@pytest.mark.parametrize("after_s", [3.5, 4.5, 5.5])
+def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
+    """On its way into the powder, along the wall, and as it turns upright."""
+    library = starter.library
+    source = Source.model_construct(
+        name="beads",
+        station="mortar_bay",
+        container="agate_mortar",
+        mortar=library.mortars["agate_mortar"],
+        powder=library.powders["glass_beads"],
+        amount_mg=20_000.0,
+        lot="1",
+    )
+    bench = Bench(starter, motion, {"beads": source})
+    cell = bench.cell
+    cell.believed.source_holds("beads", 20_000.0)
+    cell.places_mm = all_places(starter.cell, cell.sources, [])
+    scoop, withdraw, park = (library.skills[name] for name in ("scoop", "withdraw", "park"))
+    scooping = scoop(source=source).run(cell)
+    while bench.clock.now_s < after_s:
+        next(scooping)
+        bench.clock.wait([Wake(bench.clock.now_s + 0.1)])
+    scooping.close()
+    cell.hand.stop()
+    bench.do(bench.later(2.0, lambda: None))
+    with pytest.raises(SkillFailed, match=r"arm.start_in_collision"):
+        bench.do(park().run(cell))
+    bench.do(withdraw().run(cell))
+    bench.do(park().run(cell))
+    assert cell.believed.cone_mg == 0.0
+    left_mg = bench.world.masses_mg["source:beads"] + bench.world.masses_mg["sheet"]
+    assert left_mg == pytest.approx(20_000.0, abs=10.0)
 
 
 # --- in a run

@@ -146,7 +146,9 @@ class Cell:
         down = yield from self._planned(
             lambda planner: planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
         )
-        yield from self._follow(self._planner().move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg))
+        yield from self._follow(
+            self._planner().move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg)
+        )
         yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
