@@ -27,7 +27,7 @@ def empty_cone(cell: Cell) -> Steps[None]:
     duration_s = min(LONGEST_S, SHAKE_S + SPARE * most_mg / flow_mg_per_s)
     while duration_s > 0.0:
         dwell_s = min(duration_s, cell.hand.longest_dwell_s, PULSE_S)
-        yield from cell.right_of_way.go()
+        yield from cell.right_of_way.go(shaking=True)
         yield from cell.hand.pulse(opening_mm, dwell_s, vibration=1.0)
         duration_s -= dwell_s
     cell.believed.emptied()

@@ -50,7 +50,7 @@ class RightOfWay:
         self._has_zone: dict[str, object] = {}
         self._cell = cell
         self._crossed: frozenset[str] = frozenset()
-        self._hushes = 0
+        self._hushes = self._watches = 0
 
     # --- zones
 
@@ -107,9 +107,19 @@ class RightOfWay:
             self._hushes -= 1
             self.news.fire()
 
-    def go(self) -> Steps[None]:
-        """Wait until a motion may begin."""
-        while self._hushes:
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Meanwhile the pan is looked at: the arm may move, and the motor does not begin to shake."""
+        self._watches += 1
+        try:
+            yield
+        finally:
+            self._watches -= 1
+            self.news.fire()
+
+    def go(self, *, shaking: bool = False) -> Steps[None]:
+        """Wait until a motion may begin, or one with which the motor shakes."""
+        while self._hushes or (shaking and self._watches):
             yield Wake.on(self.news)
 
     def undisturbed(self, steps: Steps[T]) -> Steps[T]:

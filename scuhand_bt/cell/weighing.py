@@ -88,13 +88,14 @@ def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
 def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
     """Let the changer change the load, and see whether the pan goes on showing what it has shown until that comes.
 
-    Nothing falls then: it is the zero that moves. A person who changes containers leans on what they may.
+    Nothing falls then, and no motor begins to shake: it is the zero that moves. A person who changes containers leans
+    on what they may.
     """
     if cell.changer.needs_person:
         yield from changing
         return
     period_s, stable = cell.spec.balance.period_s, list[Reading]()
-    with closing(changing):
+    with closing(changing), cell.right_of_way.watched():
         for wake in changing:
             while cell.clock.now_s < wake.until_s and not wake.has_fired:
                 yield Wake(min(wake.until_s, cell.clock.now_s + period_s))
