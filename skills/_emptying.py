@@ -2,9 +2,11 @@
 
 import math
 
+import numpy as np
+
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.motion import ApexPose
-from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Source, Steps
+from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Source, Steps, pause
 
 SHAKE_S = 3.0
 SPARE = 2.0
@@ -13,6 +15,13 @@ DOUBT = 0.2
 """The cone may hold more than believed, by this share of the load limit: scoops vary."""
 LONGEST_S = 300.0
 LEAVING_MM_PER_S = 60.0
+POURED_FROM_MM = 30.0
+"""The lip above the mortar's edge while the cone is poured out."""
+POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
+"""The axis' tilts on the way: between two of them the lip strays by some millimetres."""
+POURING_MM_PER_S = 100.0
+POURED_S = 1.0
+"""Tilted so far, all has slid out within this time."""
 PULSE_S = 8.0
 """The motor shakes no longer at a time: a weighing beside it waits for its end."""
 
@@ -78,6 +87,31 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
     believed.cone_holds(source, source.powder.load_limit_mg)
     yield from empty_cone(cell)
     believed.returned(source.name, held_mg)
+    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+
+
+def pour_back(cell: Cell, source: Source) -> Steps[None]:
+    """Pour what is in the cone over its lip into the mortar that it came from, as a ladle does.
+
+    The lip stands still above the middle of the bowl, and the cone is turned about it, away from the arm: whenever
+    powder begins to slide, it falls into the mortar. What clings is of the same powder. SkillFailed as `touch`.
+    """
+    x_mm, y_mm, z_mm = cell.spec.stations[source.station].position_mm
+    out = np.array([x_mm, y_mm, 0.0]) / math.hypot(x_mm, y_mm)
+    up = np.array([0.0, 0.0, 1.0])
+    lip_mm = np.array([x_mm, y_mm, z_mm + source.mortar.height_mm + POURED_FROM_MM])
+    slant_mm = cell.spec.hand.sheet_radius_mm
+    half_rad = math.asin(cell.hand.cone_diameter_mm / 2.0 / slant_mm)
+    poses = []
+    for tilt_rad in map(math.radians, POURING_DEG):
+        generator = math.sin(tilt_rad + half_rad) * out + math.cos(tilt_rad + half_rad) * up
+        axis = math.sin(tilt_rad) * out + math.cos(tilt_rad) * up
+        poses.append(ApexPose((lip_mm - slant_mm * generator) / 1000, axis))
+    yield from cell.touch(poses, POURING_MM_PER_S, source.station)
+    yield from pause(cell, POURED_S)
+    held_mg = cell.believed.cone_mg
+    cell.believed.emptied()
+    cell.believed.returned(source.name, held_mg)
     cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
 

@@ -38,7 +38,7 @@ class PlaceContainer(Skill[None]):
         return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
 
     def run(self, cell: Cell) -> Steps[None]:
-        changing = self._change(cell)
+        changing = cell.right_of_way.unshaken(self._change(cell))
         is_by_hand = cell.changer.needs_person or cell.believed.slots_used >= cell.spec.changer.slots
         yield from cell.right_of_way.undisturbed(changing) if is_by_hand else changing
 

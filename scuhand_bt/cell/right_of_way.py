@@ -107,15 +107,18 @@ class RightOfWay:
             self._hushes -= 1
             self.news.fire()
 
-    @contextmanager
-    def watched(self) -> Iterator[None]:
-        """Meanwhile the pan is looked at: the arm may move, and the motor does not begin to shake."""
+    def unshaken(self, steps: Steps[T]) -> Steps[T]:
+        """Carry out steps while the motor does not begin to shake: how the pan comes to rest tells steps of its zero.
+
+        The arm may move.
+        """
         self._watches += 1
         try:
-            yield
+            result = yield from steps
         finally:
             self._watches -= 1
             self.news.fire()
+        return result
 
     def go(self, *, shaking: bool = False) -> Steps[None]:
         """Wait until a motion may begin, or one with which the motor shakes."""

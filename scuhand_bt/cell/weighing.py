@@ -88,14 +88,13 @@ def note_moved(cell: Cell, before: Gross, now: Gross) -> float:
 def watched(cell: Cell, changing: Steps[None], shown: Gross) -> Steps[None]:
     """Let the changer change the load, and see whether the pan goes on showing what it has shown until that comes.
 
-    Nothing falls then, and no motor begins to shake: it is the zero that moves. A person who changes containers leans
-    on what they may.
+    Nothing falls then: it is the zero that moves. A person who changes containers leans on what they may.
     """
     if cell.changer.needs_person:
         yield from changing
         return
     period_s, stable = cell.spec.balance.period_s, list[Reading]()
-    with closing(changing), cell.right_of_way.watched():
+    with closing(changing):
         for wake in changing:
             while cell.clock.now_s < wake.until_s and not wake.has_fired:
                 yield Wake(min(wake.until_s, cell.clock.now_s + period_s))
@@ -189,7 +188,7 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
     """
     if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
         raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")
-    taking = _taken_away(cell)
+    taking = cell.right_of_way.unshaken(_taken_away(cell))
     bare = yield from cell.right_of_way.undisturbed(taking) if cell.changer.needs_person else taking
     return bare
 
