@@ -178,9 +178,8 @@ def test_what_is_moved_all_the_same_in_a_weighing_lets_it_begin_again(bench: Ben
     assert min(reading.time_s for reading in mean.readings) > shaken_s + 5.0
 
 
-@pytest.mark.parametrize("after_s", [3.5, 4.5, 5.5])
-def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
-    """On its way into the powder, along the wall, and as it turns upright."""
+def scooping_bench(starter: Lab, motion: MotionPlanner) -> tuple[Bench, Source]:
+    """A cell with beads in a mortar."""
     library = starter.library
     source = Source.model_construct(
         name="beads",
@@ -192,10 +191,17 @@ def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion:
         lot="1",
     )
     bench = Bench(starter, motion, {"beads": source})
+    bench.cell.believed.source_holds("beads", 20_000.0)
+    bench.cell.places_mm = all_places(starter.cell, bench.cell.sources, [])
+    return bench, source
+
+
+@pytest.mark.parametrize("after_s", [3.5, 4.5, 5.5])
+def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
+    """On its way into the powder, along the wall, and as it turns upright."""
+    bench, source = scooping_bench(starter, motion)
     cell = bench.cell
-    cell.believed.source_holds("beads", 20_000.0)
-    cell.places_mm = all_places(starter.cell, cell.sources, [])
-    scoop, withdraw, park = (library.skills[name] for name in ("scoop", "withdraw", "park"))
+    scoop, withdraw, park = (starter.library.skills[name] for name in ("scoop", "withdraw", "park"))
     scooping = scoop(source=source).run(cell)
     while bench.clock.now_s < after_s:
         next(scooping)
@@ -210,6 +216,21 @@ def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion:
     assert cell.believed.cone_mg == 0.0
     left_mg = bench.world.masses_mg["source:beads"] + bench.world.masses_mg["sheet"]
     assert left_mg == pytest.approx(20_000.0, abs=10.0)
+
+
+def test_a_scoop_pours_what_its_mortar_gave_before_back_over_the_lip(starter: Lab, motion: MotionPlanner) -> None:
+    """And no motor shakes meanwhile, so that it may be done while a container changes."""
+    bench, source = scooping_bench(starter, motion)
+    scoop, masses_mg = starter.library.skills["scoop"](source=source), bench.world.masses_mg
+    bench.do(scoop.run(bench.cell))
+    held_mg, began_s = masses_mg["cone"], bench.clock.now_s
+    assert held_mg > 1000.0
+    bench.do(bench.way.unshaken(scoop.run(bench.cell)))
+    assert bench.clock.now_s - began_s < 25.0
+    believed, masses_mg = bench.cell.believed, bench.world.masses_mg
+    assert masses_mg["spilled"] == 0.0
+    assert masses_mg["cone"] == pytest.approx(believed.cone_mg, rel=0.2), "of one scoop, not of two"
+    assert believed.cone_mg + believed.sources_mg["beads"] == pytest.approx(20_000.0)
 
 
 # --- in a run
