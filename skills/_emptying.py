@@ -22,8 +22,6 @@ POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
 POURING_MM_PER_S = 100.0
 POURED_S = 1.0
 """Tilted so far, all has slid out within this time."""
-PULSE_S = 8.0
-"""The motor shakes no longer at a time: a weighing beside it waits for its end."""
 
 
 def empty_cone(cell: Cell) -> Steps[None]:
@@ -35,7 +33,7 @@ def empty_cone(cell: Cell) -> Steps[None]:
     most_mg = cell.believed.cone_mg + DOUBT * source.powder.load_limit_mg
     duration_s = min(LONGEST_S, SHAKE_S + SPARE * most_mg / flow_mg_per_s)
     while duration_s > 0.0:
-        dwell_s = min(duration_s, cell.hand.longest_dwell_s, PULSE_S)
+        dwell_s = min(duration_s, cell.hand.longest_dwell_s)
         yield from cell.right_of_way.go(shaking=True)
         yield from cell.hand.pulse(opening_mm, dwell_s, vibration=1.0)
         duration_s -= dwell_s
