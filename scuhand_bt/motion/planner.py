@@ -63,7 +63,7 @@ def _seed(request: Request) -> int:
     """A seed that belongs to the request, so that its answer is the same on every run."""
     start, goals, geometry, spill_limit_deg = request
     kind = geometry.container.name if geometry.container is not None else ""
-    words = f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}"
+    words = " ".join([f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}", *sorted(geometry.closed)])
     digest = hashlib.blake2b(start + goals + words.encode(), digest_size=16).digest()
     return int.from_bytes(digest, "big")
 
@@ -95,10 +95,23 @@ class MotionPlanner:
 
     # What the cell looks like now -------------------------------------------------------------------
 
-    def set_geometry(self, cone_diameter_m: float = CONE_DIAMETER_M, container: ContainerKind | None = None) -> None:
-        """How wide the rim is, and which kind of container stands on the pan, in all that is asked from now on."""
+    def set_geometry(
+        self,
+        cone_diameter_m: float = CONE_DIAMETER_M,
+        container: ContainerKind | None = None,
+        closed: frozenset[str] = frozenset(),
+    ) -> None:
+        """How wide the rim is, which kind of container stands on the pan, and which zones of the cell are closed.
+
+        In all that is asked from now on.
+        """
         is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
-        self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container)
+        self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container, closed)
+
+    def entered(self, q: Floats) -> frozenset[str]:
+        """The zones of the cell that the arm is in, at a configuration."""
+        one = (frozenset({zone}) for zone in self._cell.zone_names)
+        return frozenset[str]().union(*(z for z in one if self._scenes.of_zones(self._geometry, z).hits(q[None, :])[0]))
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -119,7 +132,8 @@ class MotionPlanner:
         return self._posture(name).copy()
 
     def prepare(self, containers: Iterable[ContainerKind] = (), carries: Iterable[tuple[str, str, float]] = ()) -> None:
-        """Plan all pairs of places, with a bare pan and with each container on it, and polish them.
+        """Plan all pairs of places, with a bare pan and with each container on it, and polish them; so, too, around the
+        zones of the cell, between those that are in none.
 
         So 'no path' is found before anything moves. `carries`: places from and to, and spill limits [deg] of
         loaded motions that are to be polished too; others are planned when they are asked for.
@@ -131,6 +145,12 @@ class MotionPlanner:
                 self.move(self._posture(first), second)
             for first, second, limit_deg in carried:
                 self.move(self._posture(first), second, spill_limit_deg=limit_deg, effort=POLISHED)
+        if zones := frozenset(self._cell.zone_names):
+            self._geometry = Geometry(present.cone_diameter_m)
+            outside = [name for name in names if not self.entered(self._posture(name))]
+            self._geometry = Geometry(present.cone_diameter_m, None, zones)
+            for first, second in itertools.combinations(outside, 2):
+                self.move(self._posture(first), second)
         self._geometry = present
 
     def move(
@@ -189,12 +209,12 @@ class MotionPlanner:
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> JointTrajectory:
-        """Planned anew, but for what was planned over the bare pan and is free of a container there too."""
+        """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
         if self._places.is_posture(begin) and len(goals) == 1 and self._places.is_posture(goals[0]):
             if spill_limit_deg is None:
                 effort = POLISHED
-            if self._geometry.container is not None:
-                with self._as_if(Geometry(self._geometry.cone_diameter_m)):
+            if self._geometry != (bare := Geometry(self._geometry.cone_diameter_m)):
+                with self._as_if(bare):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
                 if self.scene().proves(over_bare_pan):
                     return over_bare_pan
