@@ -393,7 +393,8 @@ def nearest_configuration(q: Floats, pose: ApexPose, mount: Mount) -> Floats:
     if found is None:
         return np.empty((0, JOINTS))
     four = found[0, 0][within_limits(found[0, 0])]
-    return four[np.argsort(np.abs(four - q).max(axis=1), kind="stable")[:1]]
+    nearest: Floats = four[np.argsort(np.abs(four - q).max(axis=1), kind="stable")[:1]]
+    return nearest
 
 
 def within_limits(q: Floats) -> NDArray[np.bool_]:
