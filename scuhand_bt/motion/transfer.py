@@ -153,7 +153,7 @@ def plan(
             return best
     searches = [search for search in searches if len(search.ends)]
     for attempt in range(attempts):
-        rng = np.random.default_rng([seed, attempt])
+        rng = np.random.default_rng([seed, attempt] if attempt else seed)
         for search in searches:
             quicker = search.quicker_than(best, rng, good_s)
             if quicker is not best:
