@@ -40,13 +40,15 @@ Size = Annotated[Millimetres, Field(gt=0)]
 
 
 class Obstacle(Spec):
-    """A box or a cylinder (axis along z) the arm must not touch, by the centre of its shape."""
+    """A box or an upright cylinder that the arm must not touch, by the centre of its shape."""
 
     name: str
     at_mm: Point
     box_mm: tuple[Size, Size, Size] | None = None
     cylinder_mm: tuple[Size, Size] | None = None
     """Diameter and length."""
+    yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
+    """By how much a box is turned about its upright axis, against the clock seen from above."""
 
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:

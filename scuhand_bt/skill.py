@@ -127,6 +127,8 @@ class Forecast:
     duration_s: float
     person: str | None = None
     """What a person has to do, if one is needed."""
+    descent: tuple[str, float] | None = None
+    """A place that the cone comes straight down to, and from how many mm above it: found possible before a run."""
 
 
 class Skill(BaseModel, Generic[R]):

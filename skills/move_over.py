@@ -1,12 +1,14 @@
 """The cone's apex over a container's mouth."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import require_unchanged
-from scuhand_bt.skill import Cell, Code, Container, Millimetres, Skill, SkillFailed, Steps
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.skill import Cell, Code, Container, Forecast, Millimetres, Skill, SkillFailed, Steps
 
 LOWERING_MM_PER_S = 60.0
 
@@ -25,6 +27,13 @@ class MoveOver(Skill[None]):
 
     container: Container
     from_above_mm: Annotated[Millimetres, Field(ge=0, le=100)] = 0.0
+
+    @classmethod
+    def forecast(cls, inputs: Mapping[str, Any], cell: CellSpec) -> Forecast:
+        container, from_above_mm = inputs.get("container"), inputs.get("from_above", 0.0)
+        if container is None or not from_above_mm:
+            return Forecast(cls.typical_s)
+        return Forecast(cls.typical_s, descent=(over_balance(cell, container)[0], from_above_mm))
 
     def run(self, cell: Cell) -> Steps[None]:
         require_unchanged(cell)

@@ -5,8 +5,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.cell_spec import HandSpec, Obstacle
 from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import SMALLEST_MARGIN_M, Arm, Scene, Solid
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount, apex
 
@@ -163,19 +164,69 @@ def test_what_may_be_touched_is_not_a_hit(arm):
     ("broken", "message"),
     [
         (URDF.replace('version="1.1"', ""), "collision shapes|capsule"),
-        (re.sub(r"<collision>.*?</collision>", "", URDF, count=1, flags=re.DOTALL), "of the URDF's 9 collision shapes"),
+        (
+            re.sub(r"(?s)(<link name=\"fore\">.*?)<collision>.*?</collision>", r"\1", URDF, count=1),
+            "fore has no collision",
+        ),
         (URDF.replace('xyz="0 0 0.185"', 'xyz="0 0 0.195"'), "closed form does not fit"),
         (URDF.replace('acceleration="4.4" jerk="44"', "", 1), "j1 needs a limit"),
         (URDF.replace('jerk="44"', 'jerk="0"', 1), "above zero"),
-        (URDF.replace('lower="-1.57', 'lower="-1.27', 1), "limits of joint 2"),
+        (
+            URDF.replace('lower="-1.57', 'lower="-1.67', 1),
+            "limits of joint 2 are not within its servo's, -90 to 90 deg",
+        ),
+        (URDF.replace('lower="-1.57', 'lower="1.67', 1), "limits of joint 2"),
         (URDF.replace('radius="0.0395"', 'radius="-0.0395"'), "fore_0 has no size"),
         ("<robot", "not XML"),
     ],
-    ids=["old version", "missing shape", "longer arm", "no acceleration", "no jerk", "other limits", "flat", "no XML"],
+    ids=[
+        "old version",
+        "missing shape",
+        "longer arm",
+        "no acceleration",
+        "no jerk",
+        "wider window",
+        "no window",
+        "flat",
+        "no XML",
+    ],
 )
 def test_a_urdf_that_is_not_this_arm_is_refused_with_its_reason(broken, message):
     with pytest.raises(ValueError, match=message):
         Arm(broken)
+
+
+def test_a_camera_on_the_arm_is_one_shape_more_and_is_kept_clear_like_the_others():
+    camera = (
+        '<collision><origin xyz="0 0 0.02" rpy="0 0 0"/><geometry><box size="0.2 0.02 0.02"/></geometry></collision>'
+    )
+    seeing = Arm(URDF.replace('<link name="flange">', f'<link name="flange">{camera}'))
+    q = np.array([[0.0, 0.2, 0.0, -1.9, 0.0, -0.9, 0.0]])
+    plain, held = Arm(URDF), seeing.with_sheet(HandSpec(), [90.0])
+    assert len(held.geometryObjects) == len(plain.with_sheet(HandSpec(), [90.0]).geometryObjects) + 1
+    frame = plain.model.createData()
+    pin.forwardKinematics(plain.model, frame, q[0])
+    tip = frame.oMi[7].act(np.array([0.09, 0.0, 0.02]))
+    post = Solid("post", tuple(tip), box_m=(0.01, 0.01, 0.01))
+    assert Scene(seeing, held, [post], 0.001).hits(q).all()
+    assert not Scene(plain, plain.with_sheet(HandSpec(), [90.0]), [post], 0.001).hits(q).any()
+
+
+def test_a_joint_with_a_narrower_window_is_free_only_within_it():
+    narrowed = Arm(URDF.replace('lower="-1.570796326794897" upper="1.570796326794897"', 'lower="-0.3" upper="0.3"', 1))
+    scene = Scene(narrowed, narrowed.with_sheet(HandSpec(), [90.0]), [], 0.001)
+    inside, outside = (np.array([[0.0, q2, 0.0, -1.9, 0.0, -0.9, 0.0]]) for q2 in (-0.2, -0.4))
+    assert not scene.hits(inside).any()
+    assert scene.hits(outside).all()
+    assert not Scene(Arm(URDF), Arm(URDF).with_sheet(HandSpec(), [90.0]), [], 0.001).hits(outside).any()
+
+
+def test_a_box_stands_as_it_is_turned():
+    lab = load_lab(starter_lab())
+    long = Obstacle(name="rail", at_mm=(300, 0, 300), box_mm=(400, 10, 10), yaw_deg=90)
+    (solid,) = cell_solids.bench(lab.cell.model_copy(update={"geometry": (long,)}))
+    corner = solid.placement().act(np.array([0.2, 0.005, 0.005]))
+    assert corner == pytest.approx([0.295, 0.2, 0.305])
 
 
 def test_why_the_security_margin_is_never_zero():

@@ -7,6 +7,8 @@ import pytest
 
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.failures import SkillFailed
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.inverse import finest, solutions, unreachable_reason
 from scuhand_bt.motion.kinematics import (
     COUNT_RAD,
@@ -21,6 +23,9 @@ from scuhand_bt.motion.kinematics import (
 )
 from scuhand_bt.motion.nearest import nearest_reachable
 
+ARM = Arm(load_lab(starter_lab()).urdf)
+ALONE = Scene(ARM, ARM.with_sheet(HandSpec(), [90.0]), [], 0.001)
+"""The arm with nothing around it."""
 MOUNT = Mount(0.12, math.radians(64.2), 0.3)
 HEIGHTS_M = (0.041, 0.064, 0.065, 0.185, 0.121, 0.129, 0.019)
 
@@ -134,7 +139,7 @@ def test_no_solution_comes_with_a_reason_and_a_solution_with_none():
 def test_a_pose_too_far_says_by_how_much_and_a_reachable_one_near_is_found():
     pose = ApexPose(np.array([0.7, 0.0, 0.1]))
     assert "farther than the stretched arm's 500 mm" in unreachable_reason(pose, MOUNT)
-    near = nearest_reachable(pose, MOUNT)
+    near = nearest_reachable(pose, MOUNT, ALONE)
     assert unreachable_reason(near, MOUNT) is None
     assert np.linalg.norm(near.position_m - pose.position_m) < 0.3
 
@@ -143,10 +148,20 @@ def test_no_reachable_pose_is_much_nearer_than_the_one_that_is_told():
     rng = np.random.default_rng(3)
     for position_m in ([0.9, 0.0, 0.1], [0.0, 0.0, 0.45], [0.05, 0.0, 0.5]):
         pose = ApexPose(np.array(position_m))
-        told_m = np.linalg.norm(nearest_reachable(pose, MOUNT).position_m - pose.position_m)
-        around = rng.normal(size=(150, 3))
-        around *= (told_m - 0.01) * rng.uniform(size=(150, 1)) ** (1 / 3) / np.linalg.norm(around, axis=1)[:, None]
-        assert all(unreachable_reason(ApexPose(pose.position_m + off), MOUNT) for off in around)
+        told_m = np.linalg.norm(nearest_reachable(pose, MOUNT, ALONE).position_m - pose.position_m)
+        around = rng.normal(size=(40, 3))
+        around *= (told_m - 0.01) * rng.uniform(size=(40, 1)) ** (1 / 3) / np.linalg.norm(around, axis=1)[:, None]
+        assert not any(can_stand(ApexPose(pose.position_m + off)) for off in around)
+
+
+def can_stand(pose):
+    """Whether some of a pose's configurations is free of the arm itself."""
+    q = solutions(pose, MOUNT)
+    return len(q) > 0 and not ALONE.hits(q[:: max(1, len(q) // 16)]).all()
+
+
+def test_the_pose_that_is_told_for_one_within_the_arms_base_is_none_of_those():
+    assert can_stand(nearest_reachable(ApexPose(np.array([0.03, 0.02, 0.1])), MOUNT, ALONE))
 
 
 def test_a_pose_beyond_a_joints_limit_names_the_joint():

@@ -1,3 +1,4 @@
+import gc
 import itertools
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, Mount, apex, solutions
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import LIMITS_RAD
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import rest_to_rest_s
@@ -156,9 +158,18 @@ def test_a_pose_out_of_reach_is_refused_with_the_nearest_one(planner):
 def test_a_start_inside_something_is_refused_by_name(planner, turn_rad):
     start = posture(planner, "balance").copy()
     start[:2] += turn_rad, -0.35
-    with pytest.raises(SkillFailed, match="overlap by") as failed:
+    with pytest.raises(SkillFailed, match=r"the arm stands where it touches something.* overlap by") as failed:
         planner.move(start, "park")
     assert failed.value.code == "arm.start_in_collision"
+
+
+def test_a_goal_inside_something_is_the_goal_in_whatever_direction_the_way_is_looked_for(planner):
+    goal = posture(planner, "balance").copy()
+    goal[1] -= 0.35
+    for place in ABOVE_MM:
+        start = planner.standing_at(place)
+        with pytest.raises(SkillFailed, match=r"cannot stand at .* overlap by"):
+            planner.move(start, goal)
 
 
 def test_a_station_inside_an_obstacle_is_refused_by_name(planner):
@@ -174,6 +185,26 @@ def test_a_start_beyond_a_joints_limit_and_one_that_is_no_number_are_refused(pla
         planner.move(start, "park")
     with pytest.raises(ValueError, match="finite"):
         planner.move(np.full(7, np.nan), "park")
+
+
+@pytest.mark.parametrize("diameter_m", [float("nan"), 0.0, 0.1])
+def test_a_cone_that_the_sheet_does_not_make_is_refused(planner, diameter_m):
+    with pytest.raises(ValueError, match="less than 100 mm"):
+        planner.set_geometry(diameter_m)
+
+
+@pytest.mark.parametrize("lift_mm", [0.001, 1.0])
+def test_the_cone_is_lifted_a_little_as_quickly_as_a_little_takes(planner, lift_mm):
+    begin = planner.standing_at("mortar_bay")
+    motion = planner.move(begin, above("mortar_bay", 90 + lift_mm))
+    least_s = rest_to_rest_s(motion.end - begin, planner.rates)
+    assert motion.duration_s <= 1.01 * least_s
+    assert motion.duration_s < (0.05 if lift_mm < 0.01 else 0.2)
+
+
+def test_a_contact_path_that_would_creep_is_refused(planner):
+    with pytest.raises(ValueError, match=r"at least 0.1 mm/s"):
+        planner.contact(planner.home(), [above("park", 10)], 1e-6)
 
 
 @pytest.mark.parametrize("limit_deg", [float("nan"), 0.0, -3.0])
@@ -288,3 +319,19 @@ def test_straight_down_to_a_place_every_height_over_the_pan_lets_the_arm(planner
         assert max(np.linalg.norm(way.position_m[:2] - place.position_m[:2]) for way in ways) < 5e-4
         assert ways[0].position_m[2] - ways[-1].position_m[2] == pytest.approx(0.06, abs=1e-4)
         assert max(way.tilt_deg for way in ways) < 0.5
+
+
+def test_what_is_kept_for_cones_of_many_sizes_does_not_grow(planner):
+    """Every scoop forms another; a planner that kept what it made for each would fill the memory."""
+    counts = []
+    for sizes in (40, 120):
+        several = new_planner()
+        for k in range(sizes):
+            several.set_geometry(0.080 + 1e-4 * k)
+            several.move(several.standing_at("park"), several.standing_at("park"))
+        gc.collect()
+        counts.append(len(gc.get_objects()))
+        kept = [one for one in gc.get_objects() if isinstance(one, Scene)]
+        assert len([one for one in kept if one.arm_shapes]) < 60
+        del several, kept
+    assert counts[1] < 1.02 * counts[0]

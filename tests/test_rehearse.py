@@ -236,21 +236,6 @@ def test_the_api_runs_on_what_is_at_the_ports_of_the_cell(tmp_path: Path, lab: L
     assert result.notices == ()
 
 
-@pytest.mark.slow
-def test_the_api_runs_on_what_is_at_the_ports_of_the_cell(tmp_path: Path, lab: Lab) -> None:
-    recipe = tmp_path / "one.yaml"
-    recipe.write_text(HEAD + "  - {id: a, workflow: open}\n", encoding="utf-8")
-    told: list[api.RunEvent] = []
-    with bench_of(lab) as bench:
-        at_twins = api.OpenLab(replace(lab, cell=bench.spec))
-        result = at_twins.run(recipe, operator="Ada", journals=tmp_path / "runs", on_event=told.append)
-    assert told[0].values["mode"] == ON_TWINS
-    assert told[0].values["operator"] == "Ada"
-    assert told[-1].kind in ("ended", "trouble")
-    assert [event.seq for event in told] == list(range(1, len(told) + 1))
-    assert result.notices == ()
-
-
 def test_a_run_that_was_begun_on_real_devices_does_not_go_on_upon_twins(
     tmp_path: Path, lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:

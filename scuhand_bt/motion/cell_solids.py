@@ -29,7 +29,8 @@ def solids_of(obstacles: Iterable[Obstacle]) -> list[Solid]:
         centre_m = (x / 1e3, y / 1e3, z / 1e3)
         if obstacle.box_mm is not None:
             a, b, c = obstacle.box_mm
-            solids.append(Solid(obstacle.name, centre_m, box_m=(a / 1e3, b / 1e3, c / 1e3)))
+            yaw_rad = math.radians(obstacle.yaw_deg)
+            solids.append(Solid(obstacle.name, centre_m, box_m=(a / 1e3, b / 1e3, c / 1e3), yaw_rad=yaw_rad))
         elif obstacle.cylinder_mm is not None:
             diameter, length = obstacle.cylinder_mm
             solids.append(Solid(obstacle.name, centre_m, cylinder_m=(diameter / 1e3, length / 1e3)))

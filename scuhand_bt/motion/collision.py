@@ -32,8 +32,6 @@ from scuhand_bt.motion.swept_bound import SweptBound
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
-SHAPES = 10
-"""Collision shapes in our URDF, without the clamp and the sheet."""
 CONE = "cone"
 """What the sheet's shapes are named after."""
 CLAMP_M = 0.02
@@ -96,17 +94,23 @@ class Arm:
         self.model = pin.buildModelFromXML(urdf)
         if self.model.nq != JOINTS or self.model.nv != JOINTS:
             raise ValueError(f"the URDF has {self.model.nq} coordinates, this arm has {JOINTS} revolute joints")
-        limits = np.stack([self.model.lowerPositionLimit, self.model.upperPositionLimit])
-        if np.abs(limits - LIMITS_RAD).max() > 1e-9:
-            joint = int(np.argmax(np.abs(limits - LIMITS_RAD).max(axis=0)))
-            raise ValueError(f"the URDF's limits of joint {joint + 1} are not this arm's")
+        self.limits_rad = np.stack([self.model.lowerPositionLimit, self.model.upperPositionLimit])
+        beyond = np.maximum(LIMITS_RAD[0] - self.limits_rad[0], self.limits_rad[1] - LIMITS_RAD[1])
+        if beyond.max() > 1e-9 or (self.limits_rad[0] >= self.limits_rad[1]).any():
+            joint = int(np.argmax(np.where(self.limits_rad[0] >= self.limits_rad[1], np.inf, beyond)))
+            low, high = np.degrees(LIMITS_RAD[:, joint])
+            window = f"{low:g} to {high:g} deg"
+            raise ValueError(f"the URDF's limits of joint {joint + 1} are not within its servo's, {window}")
         self.shapes = pin.buildGeomFromUrdfString(self.model, urdf, pin.GeometryType.COLLISION)
         written = len(root.findall("link/collision"))
-        if self.shapes.ngeoms != written or written != SHAPES:
+        if self.shapes.ngeoms != written:
             raise ValueError(
-                f"Pinocchio loaded {self.shapes.ngeoms} of the URDF's {written} collision shapes; this arm has "
-                f"{SHAPES} (a <capsule> needs version 1.1)"
+                f"Pinocchio loaded {self.shapes.ngeoms} of the URDF's {written} collision shapes "
+                "(a <capsule> needs version 1.1)"
             )
+        bare = [link.get("name") for link in root.findall("link") if link.find("collision") is None]
+        if bare:
+            raise ValueError(f"the URDF's link {bare[0]} has no collision shape")
         for thing in self.shapes.geometryObjects:
             thing.geometry.computeLocalAABB()
             if not (thing.geometry.aabb_local.max_ - thing.geometry.aabb_local.min_ > 0).all():
@@ -188,6 +192,9 @@ class Scene:
         if margin_m < SMALLEST_MARGIN_M:
             raise ValueError("coal misses penetrations when its security margin is zero")
         self.margin_m = margin_m
+        self.limits_rad = arm.limits_rad
+        self.arm_shapes = arm.shapes.ngeoms
+        """How many of `shapes` are the URDF's: the first."""
         self.model = arm.model
         self.bound = SweptBound(shapes, arm.model)
         self.shapes = pin.GeometryModel(shapes)
@@ -224,11 +231,15 @@ class Scene:
     def hits(self, q: Floats) -> NDArray[np.bool_]:
         """Which of the configurations (n, 7) come nearer than the margin to anything: (n,) bool."""
         # Beyond the joints' limits nothing is free.
-        hit = _outside(q)
+        hit = self._outside(q)
         left = ~hit
         if left.any():
             hit[left] = self._nearer(self._pool, q[left])
         return hit
+
+    def _outside(self, q: Floats) -> NDArray[np.bool_]:
+        outside: NDArray[np.bool_] = ((q < self.limits_rad[0] - 1e-9) | (q > self.limits_rad[1] + 1e-9)).any(axis=1)
+        return outside
 
     def first_hits(self, q: Floats) -> NDArray[np.bool_]:
         """Of the configurations (n, 7) that are hit, most: cone and fore arm against the tallest solids, (n,) bool.
@@ -239,7 +250,7 @@ class Scene:
 
     def any_hit(self, q: Floats) -> bool:
         """Whether any configuration of a path (n, 7) is hit."""
-        return bool(_outside(q).any() or self._nearer(self._pool, q, until_first=True).any())
+        return bool(self._outside(q).any() or self._nearer(self._pool, q, until_first=True).any())
 
     def _nearer(self, pool: Pool, q: Floats, until_first: bool = False) -> NDArray[np.bool_]:
         columns = np.ascontiguousarray(q.T)
@@ -280,7 +291,7 @@ class Scene:
 
     def proves(self, motion: JointTrajectory) -> bool:
         """Whether a motion is proven to touch nothing, and keeps the joints' limits everywhere."""
-        if _outside(np.stack(motion.span())).any():
+        if self._outside(np.stack(motion.span())).any():
             return False
         return self.curve_free(motion.at, motion.duration_s, motion.extremes()[1])
 
@@ -311,11 +322,6 @@ class Scene:
             times_s, allowed_m = np.append(starts + within * widths, times_s[-1]), np.repeat(allowed_m, cuts)
             q = positions_at(times_s)
         raise ValueError("the curve jumps: no sampling proves it")
-
-
-def _outside(q: Floats) -> NDArray[np.bool_]:
-    outside: NDArray[np.bool_] = ((q < LIMITS_RAD[0] - 1e-9) | (q > LIMITS_RAD[1] + 1e-9)).any(axis=1)
-    return outside
 
 
 def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:

@@ -28,6 +28,8 @@ from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
 STEP_S = 0.005
 KEPT = 4
 AVERAGED_S = 0.08
+LEAST_M_PER_S = 1e-4
+"""A motion is as many cubics as it is long: what creeps more slowly would be planned for minutes."""
 TURN_RAD_PER_S = 0.6
 """How fast the cone's axis may tilt on the way."""
 TURNS_OF_SWIVEL_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8, 1.2, -1.2)
@@ -74,7 +76,7 @@ def contact_motion(
         if hits.any():
             why = closest_pair(scene, samples[int(np.argmax(hits))])
     for pose in waypoints:
-        require_reachable(pose, "a waypoint", mount)
+        require_reachable(pose, "a waypoint", mount, scene)
     raise SkillFailed(Code.ARM_NO_PATH, f"no way through the waypoints: {why}")
 
 
@@ -99,10 +101,12 @@ def _turned_along(v: Floats, first: Floats, second: Floats) -> Floats:
 def apex_path(waypoints: Sequence[ApexPose], speed_m_per_s: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Times (n,), and positions, axes and seams (n, 3) of the apex through the waypoints, rest to rest.
 
-    ValueError for a speed that is not above zero.
+    ValueError for a speed below `LEAST_M_PER_S`.
     """
-    if not (math.isfinite(speed_m_per_s) and speed_m_per_s > 0):
-        raise ValueError(f"a speed above zero is needed, not {speed_m_per_s!r} m/s")
+    if not (math.isfinite(speed_m_per_s) and speed_m_per_s >= LEAST_M_PER_S):
+        raise ValueError(
+            f"a speed of at least {1e3 * LEAST_M_PER_S:g} mm/s is needed, not {1e3 * speed_m_per_s:g} mm/s"
+        )
     positions_m = np.array([pose.position_m for pose in waypoints])
     axes = np.array([pose.axis for pose in waypoints])
     seams = np.array([pose.seam for pose in waypoints])

@@ -3,6 +3,10 @@
 Configurations [rad] (7,) or (n, 7), lengths in metres.
 """
 
+from collections import Counter
+
+import numpy as np
+
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.inverse import unreachable_reason
@@ -10,15 +14,17 @@ from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount
 from scuhand_bt.motion.nearest import nearest_reachable
 
 _LOOKED_AT = 12
-"""Of a goal's configurations, about how many are looked at for the one with the most room."""
+"""Of a goal's configurations, about how many are looked at for the one with the most room; and of a straight way."""
+_WAYS, _NAMED = 8, 3
+"""Straight ways that are looked at, and pairs that are named, where no way is found."""
 
 
-def require_reachable(pose: ApexPose, name: str, mount: Mount) -> None:
-    """SkillFailed arm.unreachable for a pose that no configuration reaches, with the nearest that one does."""
-    reason = unreachable_reason(pose, mount)
+def require_reachable(pose: ApexPose, name: str, mount: Mount, scene: Scene) -> None:
+    """SkillFailed arm.unreachable for a pose that no configuration reaches, with the nearest that a free one does."""
+    reason = unreachable_reason(pose, mount, scene.limits_rad)
     if reason is None:
         return
-    near = nearest_reachable(pose, mount)
+    near = nearest_reachable(pose, mount, scene)
     instead = "nothing near can be reached"
     if near is not None:
         x, y, z = near.position_m * 1e3
@@ -28,7 +34,8 @@ def require_reachable(pose: ApexPose, name: str, mount: Mount) -> None:
 
 def start_in_collision(scene: Scene, q: Floats) -> SkillFailed:
     """The failure of a motion that begins where the arm touches something, or nearly does."""
-    return SkillFailed(Code.ARM_START_IN_COLLISION, closest_pair(scene, q))
+    words = f"the arm stands where it touches something, or nearly does: {closest_pair(scene, q)}"
+    return SkillFailed(Code.ARM_START_IN_COLLISION, words)
 
 
 def goal_blocked(scene: Scene, name: str, q: Floats) -> SkillFailed:
@@ -36,6 +43,19 @@ def goal_blocked(scene: Scene, name: str, q: Floats) -> SkillFailed:
     distance_m, names = max(scene.clearance_m(one) for one in q[:: max(1, len(q) // _LOOKED_AT)])
     words = f"the arm cannot stand at {name} in any of its {len(q)} configurations: at best "
     return SkillFailed(Code.ARM_NO_PATH, words + _apart(distance_m, names))
+
+
+def no_way(scene: Scene, name: str, start: Floats, goals: Floats) -> SkillFailed:
+    """The failure of a search from a start (7,) to goals (n, 7), with the bodies that straight ways there run into."""
+    nearest = goals[np.argsort(np.abs(goals - start).max(axis=1), kind="stable")[:_WAYS]]
+    met: Counter[str] = Counter()
+    for goal in nearest:
+        way = start + np.linspace(0.0, 1.0, _LOOKED_AT)[:, None] * (goal - start)
+        met.update({scene.clearance_m(q)[1] for q in way[scene.hits(way)]})
+    words = f"no way to {name} was found that is free and keeps its limits"
+    if met:
+        words += f"; in the way: {', '.join(names for names, _ in met.most_common(_NAMED))}"
+    return SkillFailed(Code.ARM_NO_PATH, words)
 
 
 def closest_pair(scene: Scene, q: Floats) -> str:

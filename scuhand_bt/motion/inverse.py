@@ -382,6 +382,21 @@ def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Float
     return with_wrist_turned(branches, np.repeat(axes, 4 * m, axis=0), mount).reshape(n, m, 4, JOINTS)
 
 
+def nearest_configuration(q: Floats, pose: ApexPose, mount: Mount) -> Floats:
+    """The configuration of a pose with a seam nearest to q (7,), with q's own swivel: (1, 7), or (0, 7) if it has none.
+
+    For a pose that is hardly another no configuration on a grid of swivels is so near.
+    """
+    assert pose.seam is not None
+    swivel = np.array([swivel_of(q, mount)])
+    found = branches_of(pose.position_m[None], pose.axis[None], pose.seam[None], swivel, mount)
+    if found is None:
+        return np.empty((0, JOINTS))
+    four = found[0, 0][within_limits(found[0, 0])]
+    nearest: Floats = four[np.argsort(np.abs(four - q).max(axis=1), kind="stable")[:1]]
+    return nearest
+
+
 def within_limits(q: Floats) -> NDArray[np.bool_]:
     """Which configurations (..., 7) keep the joints' limits."""
     return _within(q, LIMITS_RAD)

@@ -5,19 +5,24 @@ from collections.abc import Callable
 
 import numpy as np
 
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.inverse import seams_of, solutions
 from scuhand_bt.motion.kinematics import LINK_M, SHOULDER_Z_M, ApexPose, Floats, Mount
 
+_LOOKED_AT = 16
+"""Of a pose's configurations, about how many are looked at for one that is free."""
 
-def nearest_reachable(pose: ApexPose, mount: Mount) -> ApexPose | None:
-    """The reachable pose of the same axis nearest to an unreachable one, to some mm; None if none is within 0.6 m.
+
+def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | None:
+    """The pose of the same axis nearest to an unreachable one in which the arm can stand; None if none within 0.6 m.
 
     Shells of growing radius around the position (around where the arm, stretched towards it, ends, if that is
     nearer) until one is met; from there steps that come nearer, ever smaller, until none of 0.2 mm does.
     """
 
     def reached(position_m: Floats) -> bool:
-        return len(solutions(ApexPose(position_m, pose.axis, pose.seam), mount)) > 0
+        q = solutions(ApexPose(position_m, pose.axis, pose.seam), mount, scene.limits_rad)
+        return len(q) > 0 and not scene.hits(q[:: max(1, len(q) // _LOOKED_AT)]).all()
 
     wanted_m = pose.position_m
     to_wrists_m = wanted_m + mount.length_m * seams_of(pose, mount) - (0.0, 0.0, SHOULDER_Z_M)

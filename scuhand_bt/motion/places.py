@@ -11,6 +11,7 @@ from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.motion.explain import goal_blocked, require_reachable
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount, apex
+from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.scenes import Geometry, Scenes
 from scuhand_bt.motion.timelaw import RateLimits
 
@@ -18,6 +19,7 @@ RELAXED_RAD = (0.0, -0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
 """What postures are chosen near to, j1 from where the place is."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
+POSTURES_KEPT = 128
 BESIDE_M = 0.02
 """Its apex is then no farther from the place than this."""
 
@@ -28,7 +30,7 @@ class Places:
     def __init__(self, scenes: Scenes, rates: RateLimits, hand: HandSpec) -> None:
         self._scenes, self._rates, self._hand = scenes, rates, hand
         self._poses: dict[str, ApexPose] = {}
-        self._postures: dict[tuple[str, Geometry], Floats] = {}
+        self._postures: Recent[tuple[str, Geometry], Floats] = Recent(POSTURES_KEPT)
 
     @property
     def names(self) -> list[str]:
@@ -36,9 +38,9 @@ class Places:
 
     def add(self, name: str, pose: ApexPose) -> None:
         """Name a pose, or another from now on; SkillFailed arm.unreachable if the arm cannot reach it."""
-        require_reachable(pose, name, Mount.of(self._hand))
+        require_reachable(pose, name, Mount.of(self._hand), self._scenes.of(Geometry()))
         self._poses[name] = pose
-        self._postures = {key: q for key, q in self._postures.items() if key[0] != name}
+        self._postures = Recent(POSTURES_KEPT)
 
     def posture(self, name: str, geometry: Geometry) -> Floats:
         """The one configuration in which the arm stands at a place; another where geometry does not let it.
@@ -47,16 +49,19 @@ class Places:
         """
         if name not in self._poses:
             raise KeyError(f"there is no place {name!r}; there are: {', '.join(self._poses) or 'none'}")
-        key = (name, geometry)
-        if key not in self._postures:
-            usual = self._postures.get((name, Geometry(geometry.cone_diameter_m)))
-            fits = usual is not None and not self._scenes.of(geometry).hits(usual[None, :])[0]
-            self._postures[key] = usual if usual is not None and fits else self._canonical(name, geometry)
-        return self._postures[key]
+
+        def made() -> Floats:
+            if geometry.container is not None:
+                usual = self.posture(name, Geometry(geometry.cone_diameter_m))
+                if not self._scenes.of(geometry).hits(usual[None, :])[0]:
+                    return usual
+            return self._canonical(name, geometry)
+
+        return self._postures.of((name, geometry), made)
 
     def is_posture(self, q: Floats) -> bool:
         """Whether a configuration is one that the arm takes at a place."""
-        return any(np.array_equal(posture, q) for posture in self._postures.values())
+        return any(np.array_equal(posture, q) for posture in self._postures.answers)
 
     def settled(self, q: Floats, geometry: Geometry) -> Floats:
         """The posture that the arm was sent to, where it reports to be within its own error of one."""
@@ -73,7 +78,7 @@ class Places:
         pose, scene = self._poses[name], self._scenes.of(geometry)
         mount = Mount.of(self._hand, 1e3 * geometry.cone_diameter_m)
         for looked_at in (reaching_out(pose, mount), pose):
-            q = solutions(looked_at, mount)
+            q = solutions(looked_at, mount, scene.limits_rad)
             free = q[~scene.hits(q)]
             if len(free):
                 break

@@ -1,11 +1,15 @@
 """The planning service: the one object that skills ask for a motion, through the cell.
 
-A request is (start, goal, geometry, constraint); its answer is planned once, and the last ones are kept. Geometry is
-the cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
+A request is (start, goal, geometry, constraint, effort); its answer is planned once, and the last ones are kept.
+Geometry is the cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
 built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
 request gets the same motion on every run, on every machine of the same versions. Between two places,
 where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan, the
 motion over the bare pan is taken where it is proven free there too.
+
+A load is planned for by a ladder of limits, the strictest first, each beginning with what is known from the one before;
+of all their motions, and the empty cone's, each as quick as the load's own limit lets it be, the quickest is taken. So
+a load that may lean more is never slower, whatever was asked before.
 
 Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillFailed` with the codes
 arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
@@ -13,12 +17,11 @@ arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothin
 
 import hashlib
 import itertools
-import math
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -26,8 +29,8 @@ from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import explain, transfer
 from scuhand_bt.motion.collision import Arm, Scene
-from scuhand_bt.motion.contact import contact_motion
-from scuhand_bt.motion.inverse import solutions
+from scuhand_bt.motion.contact import contact_motion, with_seams
+from scuhand_bt.motion.inverse import nearest_configuration, solutions
 from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.recent import Recent
@@ -41,31 +44,29 @@ from scuhand_bt.motion.trajectory import JointTrajectory, beside, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
-EMPTY_WILL_DO = 1.35
-"""The empty cone's motion is taken for a load too where it need not be slowed by more than this."""
 SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
-LIMIT_STEP_DEG = 5.0
-"""Limits of loads are rounded down to whole steps for planning: loads that differ a little share their plans."""
+UNSLOWED = 1.001
+"""A polished motion that a load need not slow by more is not improved on for it."""
+RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
+"""The spill limits that loads are planned for, those up to a load's own; loads that differ a little share them."""
 
 PLANS_KEPT = 256
 STROKES_KEPT = 64
 
-Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None]
-"""Start and goals as their bytes, geometry, spill limit: what a plan is kept by."""
+Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None, Effort]
+"""Start and goals as their bytes, geometry, spill limit, effort: what a plan is kept by."""
 
 
-def _request(start: Floats, goals: Floats, geometry: Geometry, spill_limit_deg: float | None) -> Request:
-    return start.tobytes(), goals.tobytes(), geometry, spill_limit_deg
-
-
-def _seed(request: Request) -> int:
+def _seed(start: Floats, goals: Floats, geometry: Geometry, spill_limit_deg: float | None) -> int:
     """A seed that belongs to the request, so that its answer is the same on every run."""
-    start, goals, geometry, spill_limit_deg = request
     kind = geometry.container.name if geometry.container is not None else ""
     words = " ".join([f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}", *sorted(geometry.closed)])
-    digest = hashlib.blake2b(start + goals + words.encode(), digest_size=16).digest()
+    digest = hashlib.blake2b(start.tobytes() + goals.tobytes() + words.encode(), digest_size=16).digest()
     return int.from_bytes(digest, "big")
+
+
+Found = TypeVar("Found", bound=JointTrajectory)
 
 
 def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
@@ -83,12 +84,12 @@ class MotionPlanner:
     def __init__(self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None) -> None:
         self.urdf = urdf
         arm = Arm(urdf)
-        self._cell = cell
+        self._cell, self._limits_rad = cell, arm.limits_rad
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, self.rates, cell.hand)
-        self._plans: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
+        self._plans: Recent[Request, StoppableTrajectory | None] = Recent(PLANS_KEPT)
         self._carries: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
         self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
@@ -103,8 +104,11 @@ class MotionPlanner:
     ) -> None:
         """How wide the rim is, which kind of container stands on the pan, and which zones of the cell are closed.
 
-        In all that is asked from now on.
+        In all that is asked from now on. ValueError for a rim that the sheet cannot make.
         """
+        rim_mm, widest_mm = 1e3 * cone_diameter_m, 2 * self._cell.hand.sheet_radius_mm
+        if not 0 < rim_mm < widest_mm:
+            raise ValueError(f"this sheet makes cones of less than {widest_mm:g} mm, not of {rim_mm:g} mm")
         is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
         self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container, closed)
 
@@ -131,27 +135,41 @@ class MotionPlanner:
             self.add_place(name, ApexPose(np.array([x, y, z]) / 1e3))
         return self._posture(name).copy()
 
-    def prepare(self, containers: Iterable[ContainerKind] = (), carries: Iterable[tuple[str, str, float]] = ()) -> None:
+    @property
+    def places(self) -> list[str]:
+        """The names of all places."""
+        return self._places.names
+
+    def standing_at(self, place: str) -> Floats:
+        """The configuration in which the arm stands at a place: shape (7,). SkillFailed arm.no_path where it cannot."""
+        return self._posture(place).copy()
+
+    def prepare(
+        self, pans: Iterable[tuple[ContainerKind, str]] = (), carries: Iterable[tuple[str, str, float]] = ()
+    ) -> None:
         """Plan all pairs of places, with a bare pan and with each container on it, and polish them; so, too, around the
         zones of the cell, between those that are in none.
 
+        `pans` are those containers with the places over them, which are left out while another one stands there.
+
         So 'no path' is found before anything moves. `carries`: places from and to, and spill limits [deg] of
-        loaded motions that are to be polished too; others are planned when they are asked for.
+        loaded motions that are to be planned too; others are planned when they are asked for.
         """
-        names, present, carried = self._places.names, self._geometry, list(carries)
-        for kind in (None, *containers):
-            self._geometry = Geometry(present.cone_diameter_m, kind)
-            for first, second in itertools.combinations(names, 2):
-                self.move(self._posture(first), second)
-            for first, second, limit_deg in carried:
-                self.move(self._posture(first), second, spill_limit_deg=limit_deg, effort=POLISHED)
+        over, carried = dict(pans), list(carries)
+        for kind, place in ((None, None), *over.items()):
+            names = [one for one in self._places.names if place in (None, one) or one not in over.values()]
+            with self._as_if(Geometry(self._geometry.cone_diameter_m, kind)):
+                for first, second in itertools.combinations(names, 2):
+                    self.move(self._posture(first), second)
+                for first, second, limit_deg in carried:
+                    if first in names and second in names:
+                        self.move(self._posture(first), second, spill_limit_deg=limit_deg)
         if zones := frozenset(self._cell.zone_names):
-            self._geometry = Geometry(present.cone_diameter_m)
-            outside = [name for name in names if not self.entered(self._posture(name))]
-            self._geometry = Geometry(present.cone_diameter_m, None, zones)
-            for first, second in itertools.combinations(outside, 2):
-                self.move(self._posture(first), second)
-        self._geometry = present
+            with self._as_if(Geometry(self._geometry.cone_diameter_m)):
+                outside = [name for name in self._places.names if not self.entered(self._posture(name))]
+            with self._as_if(Geometry(self._geometry.cone_diameter_m, None, zones)):
+                for first, second in itertools.combinations(outside, 2):
+                    self.move(self._posture(first), second)
 
     def move(
         self,
@@ -164,61 +182,87 @@ class MotionPlanner:
         """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
         if spill_limit_deg is None:
-            return self._kept(begin, goals, name, None, effort)
+            return self._found(self._kept(begin, goals, name, None, effort), begin, goals, name)
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
-        key = _request(begin, goals, self._geometry, spill_limit_deg)
+        key = begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg, effort
         return self._carries.of(
             key, lambda: self._stoppable(self._carried(begin, goals, name, spill_limit_deg, effort))
         )
 
+    def _found(self, motion: Found | None, begin: Floats, goals: Floats, name: str) -> Found:
+        if motion is None:
+            raise explain.no_way(self.scene(CLOSE_MARGIN_M), name, begin, goals)
+        return motion
+
     def _carried(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
     ) -> JointTrajectory:
-        """The empty cone's motion, slowed until it keeps the load; or one of the load's own, if that is quicker."""
+        """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest."""
+        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= spill_limit_deg]
         empty = self._kept(begin, goals, name, None, effort)
-        factor = spill_stretch(empty, self._mount, spill_limit_deg) or math.inf
-        if factor > EMPTY_WILL_DO:
-            steps_deg = LIMIT_STEP_DEG * math.floor(spill_limit_deg / LIMIT_STEP_DEG)
-            try:
-                loaded = self._kept(begin, goals, name, steps_deg or spill_limit_deg, effort)
-            except SkillFailed:
-                if factor == math.inf:
-                    raise
-            else:
-                if loaded.duration_s <= factor * empty.duration_s:
-                    return loaded
-        return empty.stretched(factor).keeping(spill_limit_deg)
+        best = self._timed(empty, spill_limit_deg)
+        unslowed_s = UNSLOWED * empty.duration_s if empty is not None else 0.0
+        if best is not None and best.duration_s <= unslowed_s and self._between_places(begin, goals):
+            return best
+        for rung_deg in rungs_deg or (RUNGS_DEG[0], spill_limit_deg):
+            motion = self._timed(self._kept(begin, goals, name, rung_deg, effort), spill_limit_deg)
+            if best is None or (motion is not None and motion.duration_s < best.duration_s):
+                best = motion
+        return self._found(best, begin, goals, name)
+
+    def _timed(self, motion: JointTrajectory | None, spill_limit_deg: float) -> JointTrajectory | None:
+        """A motion as quick as the joints and a load on it allow; its path, and so its proof, is the same."""
+        if motion is None:
+            return None
+        quick = motion.stretched(self.rates.stretch_for(motion))
+        factor = spill_stretch(quick, self._mount, spill_limit_deg)
+        return None if factor is None else quick.stretched(factor).keeping(spill_limit_deg)
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
-    ) -> StoppableTrajectory:
-        """The plan of a request, made once. Between two configurations it is made in one direction only."""
-        key = _request(begin, goals, self._geometry, spill_limit_deg)
+    ) -> StoppableTrajectory | None:
+        """The plan of a request, made once; None where no way is found. SkillFailed where an end of it is not free.
 
-        def made() -> StoppableTrajectory:
-            if len(goals) == 1 and key[1] < key[0]:
-                self._require_free(begin)
+        Between two configurations it is made in one direction only.
+        """
+        key = begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg, effort
+
+        def made() -> StoppableTrajectory | None:
+            is_reversed = len(goals) == 1 and key[1] < key[0]
+            if is_reversed:
+                self._require_free_ends(begin, goals, name)
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
-                there = self._kept(goals[0], begin[None, :], "its start", spill_limit_deg, effort)
-                return self._stoppable(there.reversed())
-            return self._stoppable(self._planned(begin, goals, name, spill_limit_deg, effort))
+                there = self._kept(goals[0], begin[None, :], name, spill_limit_deg, effort)
+                return None if there is None else self._stoppable(there.reversed())
+            found = self._planned(begin, goals, name, spill_limit_deg, effort)
+            return None if found is None else self._stoppable(found)
 
         return self._plans.of(key, made)
 
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
-    ) -> JointTrajectory:
+    ) -> JointTrajectory | None:
         """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
-        if self._places.is_posture(begin) and len(goals) == 1 and self._places.is_posture(goals[0]):
+        wanted, known, attempts = effort, None, transfer.ATTEMPTS
+        if self._between_places(begin, goals):
             if spill_limit_deg is None:
-                effort = POLISHED
+                wanted = POLISHED
             if self._geometry != (bare := Geometry(self._geometry.cone_diameter_m)):
                 with self._as_if(bare):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
-                if self.scene().proves(over_bare_pan):
+                if over_bare_pan is not None and self.scene().proves(over_bare_pan):
                     return over_bare_pan
-        return self._searched(begin, goals, name, spill_limit_deg, effort)
+        if spill_limit_deg is not None:
+            empty = self._kept(begin, goals, name, None, effort)
+            attempts = transfer.ATTEMPTS if self._timed(empty, spill_limit_deg) is None else 1
+        if spill_limit_deg in RUNGS_DEG[1:]:
+            stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
+            known = self._timed(self._kept(begin, goals, name, stricter_deg, effort), spill_limit_deg)
+        return self._searched(begin, goals, name, spill_limit_deg, wanted, known, attempts)
+
+    def _between_places(self, begin: Floats, goals: Floats) -> bool:
+        return self._places.is_posture(begin) and len(goals) == 1 and self._places.is_posture(goals[0])
 
     @contextmanager
     def _as_if(self, geometry: Geometry) -> Iterator[None]:
@@ -241,7 +285,7 @@ class MotionPlanner:
         The sheet may touch the mortar at the station `touching`; nothing else may.
         A load is kept within `spill_limit_deg`.
         """
-        begin = checked_joints(start)
+        begin = checked_joints(start, self._limits_rad)
         scene = self.scene(CLOSE_MARGIN_M, touching)
         if not waypoints:
             return self._stoppable(standing(begin))
@@ -292,7 +336,7 @@ class MotionPlanner:
         Eight columns: the joints, and the roller. `rims_mm` are the first, some in between, and the last. SkillFailed
         arm.unreachable, arm.no_path.
         """
-        begin, hand = checked_joints(near), self._cell.hand
+        begin, hand = checked_joints(near, self._limits_rad), self._cell.hand
 
         def made() -> StoppableTrajectory | SkillFailed:
             scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
@@ -313,7 +357,7 @@ class MotionPlanner:
         The cone stays upright: apex, handle, elbow and rim go evenly to where they are in the place's posture.
         SkillFailed arm.no_path.
         """
-        hand, begin = self._cell.hand, checked_joints(start)
+        hand, begin = self._cell.hand, checked_joints(start, self._limits_rad)
         end = self._places.posture(place, replace(self._geometry, cone_diameter_m=diameter_mm / 1e3))
         rims_mm = (1e3 * self._geometry.cone_diameter_m, diameter_mm)
         rates = with_roller(self.rates, hand)
@@ -338,22 +382,31 @@ class MotionPlanner:
 
     def _resolved(self, start: Floats, goal: str | ApexPose | Floats) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
-        begin = self._places.settled(checked_joints(start), self._geometry)
+        begin = self._places.settled(checked_joints(start, self._limits_rad), self._geometry)
         if isinstance(goal, np.ndarray):
-            return begin, checked_joints(goal)[None, :], "where the way begins"
+            return begin, checked_joints(goal, self._limits_rad)[None, :], "where the way begins"
         if isinstance(goal, str):
             return begin, self._posture(goal)[None, :], goal
-        goals = solutions(goal, self._mount)
+        goals = solutions(goal, self._mount, self._limits_rad)
         if not len(goals):
-            explain.require_reachable(goal, "the pose", self._mount)
+            explain.require_reachable(goal, "the pose", self._mount, self.scene())
+        _, with_seam = with_seams(apex(begin, self._mount), [goal])
+        goals = np.vstack([nearest_configuration(begin, with_seam, self._mount), goals])
         return begin, goals, f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
 
     def _posture(self, place: str) -> Floats:
         return self._places.posture(place, self._geometry)
 
     def _searched(
-        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
-    ) -> JointTrajectory:
+        self,
+        begin: Floats,
+        goals: Floats,
+        name: str,
+        spill_limit_deg: float | None,
+        effort: Effort,
+        known: JointTrajectory | None,
+        attempts: int,
+    ) -> JointTrajectory | None:
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
             scene = self.scene(margin_m)
             start_free = not scene.hits(begin[None, :])[0]
@@ -367,13 +420,13 @@ class MotionPlanner:
         if np.abs(ranked.free[0] - begin).max() < 1e-9:
             return standing(begin)
         task = transfer.Task(begin, ranked, scene, self.rates, self._mount, spill_limit_deg)
-        motion = transfer.plan(task, effort, _seed(_request(begin, goals, self._geometry, spill_limit_deg)))
-        if motion is None:
-            raise SkillFailed(Code.ARM_NO_PATH, f"no way to {name} was found that is free and keeps its limits")
-        return motion
+        return transfer.plan(task, effort, _seed(begin, goals, self._geometry, spill_limit_deg), known, attempts)
 
-    def _require_free(self, begin: Floats) -> None:
-        if self.scene().hits(begin[None, :])[0]:
-            close = self.scene(CLOSE_MARGIN_M)
-            if close.hits(begin[None, :])[0]:
-                raise explain.start_in_collision(close, begin)
+    def _require_free_ends(self, begin: Floats, goals: Floats, name: str) -> None:
+        if not self.scene().hits(np.vstack([begin, goals])).any():
+            return
+        close = self.scene(CLOSE_MARGIN_M)
+        if close.hits(begin[None, :])[0]:
+            raise explain.start_in_collision(close, begin)
+        if close.hits(goals).all():
+            raise explain.goal_blocked(close, name, goals)

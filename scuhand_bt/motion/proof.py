@@ -17,6 +17,8 @@ from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
 from scuhand_bt.motion.trajectory import JointTrajectory, through
 
 _GRID_S = 0.01
+_SLOWER = 8.0
+"""A course that the joints must be so many times slower for turns the wrist past its singularity: it is not used."""
 
 
 class Prover:
@@ -38,7 +40,12 @@ class Prover:
         if not isinstance(self.space.coordinates, JointCoordinates):
             times_s = np.linspace(0.0, course.duration_s, int(course.duration_s / _GRID_S) + 2)
             motion = through(times_s, self.space.coordinates.joints(course.at(times_s)))
-            motion = motion.stretched(max(1.0, self._rates.stretch_for(motion)))
+            slower = max(1.0, self._rates.stretch_for(motion))
+            if slower > _SLOWER:
+                return None
+            motion = motion.stretched(slower)
+        if motion.duration_s >= quicker_than_s:
+            return None
         if self._spill_deg is not None:
             factor = spill_stretch(motion, self._mount, self._spill_deg)
             if factor is None:

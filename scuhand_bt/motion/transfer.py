@@ -6,8 +6,9 @@
 3. Where none is found: along a free polyline (`rrt_connect`), through via points that may then move (`via_points`).
 
 An empty cone is planned in the joints alone. For a load all of it is done in the joints, where tilting
-is allowed up to the spill limit, and, where that finds nothing, with via points instead of 2, in the
-level coordinates, where it does not happen. How long the search goes on is an `Effort`, counted in iterations.
+is allowed up to the spill limit, and, where nothing is known and that finds nothing, with via points instead of 2, in
+the level coordinates, where it does not happen. How long the search goes on is an `Effort`, counted in iterations;
+where all of it finds nothing it is begun again from other seeds, with twice the budget.
 
 Joints [rad] (7,), goals (n, 7), durations [s].
 """
@@ -33,6 +34,10 @@ _LOADED_ROUNDS = 2
 _ITERATIONS = 4000
 _LOADED_ITERATIONS = 120
 """In each of the two coordinates, where an iteration costs several times as much."""
+ATTEMPTS = 3
+"""Times that a search which finds nothing is made, each from another seed; after the first with twice the budget."""
+_LOADED_DIRECTS = 4
+"""Of the goals that are looked at together, to so many a direct motion is proven: a load's costs as much as an edge."""
 _SHORTCUTS = 20
 _DETOURS = 20
 """Batches of random via points that are looked at before a start is given up."""
@@ -46,7 +51,7 @@ _ROOTS = 32
 """So many of the nearest goals are looked for by via points and trees."""
 _NEAREST = 24
 """And so many by schedules."""
-_LEAST_LEAN_DEG = 20.0
+_LEAST_LEAN_DEG = 12.0
 """Below this much tilt, planning in the joints finds nothing that the level coordinates do not."""
 _TILT_SHARE = 0.8
 """Of the spill limit, what a polyline may use for tilt; the rest is for acceleration."""
@@ -129,26 +134,35 @@ class Task:
         return spaces
 
 
-def plan(task: Task, effort: Effort, seed: int) -> JointTrajectory | None:
-    """The quickest proven motion found within the effort, or None; the seed decides the search."""
+def plan(
+    task: Task, effort: Effort, seed: int, known: JointTrajectory | None = None, attempts: int = ATTEMPTS
+) -> JointTrajectory | None:
+    """The quickest proven motion found within the effort, or None; the seed decides the search.
+
+    `known` is a motion that keeps the task's limits: what comes is never slower. Where another will do if nothing is
+    found, one of the `attempts` is enough.
+    """
     searches = [_Search(task, space, effort) for space in task.spaces()]
     bound_s = float(task.bounds_s(task.goals.free[:1])[0])
     near_s, good_s = effort.near_optimum * bound_s, effort.good_enough * bound_s
-    best: JointTrajectory | None = None
+    best = known
     # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
     for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
         best = _quickest([best, *(search.direct(goals, near_s) for search in searches)])
         if best is not None and best.duration_s <= near_s:
             return best
-    rng = np.random.default_rng(seed)
     searches = [search for search in searches if len(search.ends)]
-    for search in searches:
-        quicker = search.quicker_than(best, rng, good_s)
-        if quicker is not best:
-            return quicker
-    if best is None:
-        ways = (search.by_rrt_connect(rng) for search in reversed(searches))
-        best = next((way for way in ways if way is not None), None)
+    for attempt in range(attempts):
+        rng = np.random.default_rng([seed, attempt] if attempt else seed)
+        for search in searches:
+            quicker = search.quicker_than(best, rng, good_s)
+            if quicker is not best:
+                return quicker
+        if best is None:
+            ways = (search.by_rrt_connect(rng, min(2, 1 + attempt)) for search in reversed(searches))
+            best = next((way for way in ways if way is not None), None)
+        if best is not None:
+            break
     return best
 
 
@@ -179,7 +193,8 @@ class _Search:
         self.ends, self._bounds_s = np.concatenate([self.ends, ends])[order], self._bounds_s[order]
         worthwhile = ends[bounds_s <= upto_s]
         looks_free = self._space.glance(np.broadcast_to(self._start, worthwhile.shape), worthwhile)
-        directs = (self._prover.direct(self._start, end) for end in worthwhile[looks_free])
+        tried = worthwhile[looks_free][: _LOADED_DIRECTS if self._loaded else None]
+        directs = (self._prover.direct(self._start, end) for end in tried)
         return next((direct for direct in directs if direct is not None), None)
 
     def quicker_than(
@@ -203,9 +218,9 @@ class _Search:
             found.append(self._improved(begun, rng))
         return _quickest(found)
 
-    def by_rrt_connect(self, rng: np.random.Generator) -> JointTrajectory | None:
-        """The motion along a free polyline, for ways that nothing else opens."""
-        iterations = _LOADED_ITERATIONS if self._loaded else _ITERATIONS
+    def by_rrt_connect(self, rng: np.random.Generator, budget: int) -> JointTrajectory | None:
+        """The motion along a free polyline, for ways that nothing else opens, in `budget` times the iterations."""
+        iterations = budget * (_LOADED_ITERATIONS if self._loaded else _ITERATIONS)
         path = connect(self._space, self._start, self.ends[:_ROOTS], rng, iterations)
         if path is None:
             return None

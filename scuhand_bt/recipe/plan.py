@@ -62,6 +62,8 @@ class Plan:
     persons: tuple[PersonNeeded, ...]
     done_s: Mapping[str, float]
     """When each job is to be done, by its name, from the beginning of the run."""
+    descents: frozenset[tuple[str, float]] = frozenset()
+    """Places that the cone comes straight down to, and from how many mm above them."""
 
     @property
     def duration_s(self) -> float:
@@ -79,12 +81,13 @@ class _Expected:
     duration_s: float
     person: str | None
     mark: Mark
+    descent: tuple[str, float] | None = None
 
     def repeated(self, count: int) -> "_Expected":
         if count == 1:
             return self
         person = f"{self.person} ({count} times)" if self.person else None
-        return _Expected(self.duration_s * count, person, self.mark)
+        return replace(self, duration_s=self.duration_s * count, person=person)
 
 
 def make_plan(recipe: Recipe, lab: Lab) -> Plan:
@@ -103,7 +106,8 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
     done_s = accumulate(sum(one.duration_s for one in found) for found in forecasts)
-    return Plan(recipe, jobs, demands, persons, dict(zip((job.name for job in jobs), done_s, strict=True)))
+    descents = frozenset(one.descent for found in forecasts for one in found if one.descent is not None)
+    return Plan(recipe, jobs, demands, persons, dict(zip((job.name for job in jobs), done_s, strict=True)), descents)
 
 
 def recoveries(sample: Sample) -> list[Job]:
@@ -228,8 +232,8 @@ class _Forecaster:
             if node.kind == "sequence":
                 return [expected for child in found for expected in child]
             longest = max(found, key=lambda child: sum(expected.duration_s for expected in child))
-            others = [expected for child in found if child is not longest for expected in child if expected.person]
-            return [*longest, *(replace(expected, duration_s=0.0) for expected in others)]
+            others = [expected for child in found if child is not longest for expected in child]
+            return [*longest, *(replace(one, duration_s=0.0) for one in others if one.person or one.descent)]
         if isinstance(node, Decorator) and node.kind == "for_each":
             return self._of_for_each(node, scope)
         if isinstance(node, Decorator):
@@ -252,7 +256,7 @@ class _Forecaster:
     def _of_skill(self, node: Call, inputs: dict[str, Any]) -> _Expected:
         try:
             forecast = self._library.skills[node.name].forecast(inputs, self._lab.cell)
-            return _Expected(forecast.duration_s, forecast.person, node.mark)
+            return _Expected(forecast.duration_s, forecast.person, node.mark, forecast.descent)
         except (Exception, SystemExit) as error:  # the lab's own code
             what = f"the forecast of '{node.name}' broke: {type(error).__name__}: {error}"
             raise SourceError([Problem(node.mark, shorten(what, 200), "skill-forecast")]) from error

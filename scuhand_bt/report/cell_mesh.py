@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from scuhand_bt.motion.collision import SHAPES, Scene
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats
 
 Indices: TypeAlias = NDArray[np.intp]
@@ -44,7 +44,7 @@ class CellMeshes:
         things = list(scene.shapes.geometryObjects)
         meshes = [shape_mesh(thing) for thing in things]
         # The arm's own shapes come first; the sheet's two follow them, on the last joint.
-        is_arm = [k < SHAPES or thing.parentJoint > 0 for k, thing in enumerate(things)]
+        is_arm = [k < scene.arm_shapes or thing.parentJoint > 0 for k, thing in enumerate(things)]
         self._arm = [(k, mesh) for k, (mesh, arm) in enumerate(zip(meshes, is_arm, strict=True)) if arm]
         self.standing = [
             Mesh(mesh.name, _placed(thing.placement, mesh.points_m), mesh.triangles, mesh.edges)

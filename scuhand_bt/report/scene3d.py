@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.motion.collision import SHAPES, Scene
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.report.cell_mesh import shape_mesh
 from scuhand_bt.specs import ContainerKind
@@ -60,11 +60,11 @@ def _joint(model: pin.Model, k: int) -> dict[str, Any]:
 def _solids(scene: Scene, *, is_sheet: bool) -> Iterable[dict[str, Any]]:
     """Of the sheet alone, or of all but the sheet and the table. The arm's own shapes come first, then the sheet's."""
     for k, thing in enumerate(scene.shapes.geometryObjects):
-        of_sheet = k >= SHAPES and thing.parentJoint > 0
+        of_sheet = k >= scene.arm_shapes and thing.parentJoint > 0
         if of_sheet != is_sheet or thing.name == "table":
             continue
         mesh = shape_mesh(thing)
-        kind = "standing" if thing.parentJoint == 0 and k >= SHAPES else "arm"
+        kind = "standing" if thing.parentJoint == 0 and k >= scene.arm_shapes else "arm"
         yield {
             "name": thing.name,
             "kind": ("cone" if thing.name.startswith("cone") else "hand") if of_sheet else kind,

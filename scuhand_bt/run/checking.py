@@ -215,17 +215,8 @@ def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
 def _key(plan: Plan, lab: Lab) -> str:
     """What the ways depend on, as a hash."""
     kinds = sorted({repr(kind.kind) for sample in plan.recipe.samples for kind in sample.all_containers})
-    sources = [
-        (
-            source.station,
-            source.mortar,
-            source.powder.load_limit_mg,
-            source.powder.repose_deg,
-            source.powder.wall_friction_deg,
-        )
-        for source in plan.recipe.sources.values()
-    ]
-    depends = (scuhand_bt.__version__, lab.urdf, lab.cell, sorted(map(repr, sources)), kinds)
+    demands = sorted(f"{demand.source!r} {demand.needed_mg}" for demand in plan.demands)
+    depends = (scuhand_bt.__version__, lab.urdf, lab.cell, demands, kinds, sorted(plan.descents))
     return hashlib.sha256(repr(depends).encode()).hexdigest()
 
 

@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from scuhand_bt.cell.believed import slot_of as believed_slot
-from scuhand_bt.cell.cell import Cell, carrying_limit_deg
-from scuhand_bt.cell.places import Position, all_places, over_balance
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.places import Position, all_places
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
@@ -23,7 +23,6 @@ from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, cell_mark, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
-from scuhand_bt.motion.scenes import CONE_DIAMETER_M
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
@@ -33,6 +32,7 @@ from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOpera
 from scuhand_bt.run.outage import rim_in_words
 from scuhand_bt.run.questions import Questions
 from scuhand_bt.run.twins import Made, Twins, folder_of_run, open_twins
+from scuhand_bt.run.ways import prepare_ways
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
 from scuhand_bt.sim.faults import Faults
@@ -444,18 +444,14 @@ def bench_of(
 def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:
     """The motion planner with all ways between the plan's places planned and polished.
 
-    `for_real`: also those past each container, and from the mortars to the balance with a full cone. A dry run
+    `for_real`: also those past each container, and all others that the plan will take (`run/ways.py`). A dry run
     plans them when they are needed.
     """
     motion = motion_of(plan, lab)
-    kinds = _container_kinds(plan) if for_real else []
-    balance = sorted({over_balance(lab.cell, kind)[0] for kind in kinds})
-    carries = []
-    for source in plan.recipe.sources.values():
-        powder = source.powder
-        limit_deg = carrying_limit_deg(lab.cell, powder, powder.load_limit_mg, 1000 * CONE_DIAMETER_M)
-        carries += [(source.station, place, limit_deg) for place in balance]
-    motion.prepare(kinds, carries)
+    if for_real:
+        prepare_ways(motion, plan, lab.cell, container_kinds(plan))
+    else:
+        motion.prepare()
     return motion
 
 
@@ -470,10 +466,10 @@ def motion_of(plan: Plan, lab: Lab) -> MotionPlanner:
 
 def places_of(plan: Plan, lab: Lab) -> dict[str, Position]:
     """Every named place of the plan."""
-    return all_places(lab.cell, plan.recipe.sources, _container_kinds(plan))
+    return all_places(lab.cell, plan.recipe.sources, container_kinds(plan))
 
 
-def _container_kinds(plan: Plan) -> list[ContainerKind]:
+def container_kinds(plan: Plan) -> list[ContainerKind]:
     """Every kind of container that the plan doses into."""
     kinds = [kind for sample in plan.recipe.samples for kind in sample.all_containers]
     return list({kind.name: kind for kind in kinds}.values())

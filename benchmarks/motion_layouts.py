@@ -1,0 +1,115 @@
+"""Cells that nobody drew: `python -m benchmarks.motion_layouts [--layouts N] [--first SEED] [--tasks N] [--json FILE]`.
+
+Each seed is a bench (`harness/motion_layouts.py`). In each the arm goes between its places and to poses near them,
+empty and with loads that may lean by 10, 15, 20 and 31.8 degrees, every load over the same ways. Each motion is judged
+by `harness/motion_audit.py`, which shares nothing with the planner. A load that may lean more should never be slower:
+how often it is, and by how much, is told as `not monotone`.
+"""
+
+import argparse
+import json
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.figures import spread
+from harness.motion_audit import Audit
+from harness.motion_layouts import CONTAINER, LAB, LIMITS_DEG, Layout, carries, layouts, tasks
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion import MotionPlanner
+
+SLOWER = 1.01
+"""A motion is not monotone where it takes more than this over one with a stricter limit."""
+
+
+class Measured:
+    """What came of all layouts."""
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.plan_ms: dict[str, list[float]] = {}
+        self.durations_s: dict[str, list[float]] = {}
+        self.clearances_mm: list[float] = []
+        self.slower: list[float] = []
+        self.failures: list[str] = []
+
+    def moved(
+        self, layout: Layout, planner: MotionPlanner, audit: Audit, task: tuple[Any, ...], limit_deg: float | None
+    ) -> float | None:
+        """Plan one task and judge it: its duration [s], None if there is none."""
+        first, second, near = task
+        start = planner.standing_at(first)
+        kind = "empty" if limit_deg is None else f"{limit_deg:g} deg"
+        self.counts[f"tasks, {kind}"] += 1
+        begin_s = time.process_time()
+        try:
+            motion = planner.move(start, near or second, spill_limit_deg=limit_deg)
+        except SkillFailed as failure:
+            self.counts[f"failures, {kind}"] += 1
+            self.failures.append(f"seed {layout.seed}, {first} to {second}, {kind}: {failure.detail}")
+            return None
+        finally:
+            self.plan_ms.setdefault(kind, []).append(1e3 * (time.process_time() - begin_s))
+        verdict = audit.of(motion)
+        self.counts["touching"] += verdict.clearance_m < 0
+        self.counts["over a limit"] += verdict.over_limit > 1e-3
+        self.counts["spilled"] += limit_deg is not None and verdict.spill_deg > limit_deg
+        self.clearances_mm.append(1e3 * verdict.clearance_m)
+        self.durations_s.setdefault(kind, []).append(motion.duration_s)
+        return motion.duration_s
+
+    def carried(self, layout: Layout, planner: MotionPlanner, audit: Audit, task: tuple[Any, ...]) -> None:
+        """One way with every load, the loosest first: what is known for stricter limits must not be needed."""
+        taken_s = [self.moved(layout, planner, audit, task, limit) for limit in reversed(LIMITS_DEG)][::-1]
+        for k, loose_s in enumerate(taken_s[1:], 1):
+            known = [one for one in taken_s[:k] if one is not None]
+            if known:
+                self.counts["pairs of limits"] += 1
+                ratio = np.inf if loose_s is None else loose_s / min(known)
+                self.counts["not monotone"] += ratio > SLOWER
+                self.slower.append(ratio)
+
+    def figures(self) -> dict[str, Any]:
+        """All of it by name."""
+        found: dict[str, Any] = {
+            key: self.counts[key] for key in sorted({*self.counts, "touching", "over a limit", "spilled"})
+        }
+        found["least clearance"] = f"{min(self.clearances_mm):.2f} mm"
+        found["looser / best stricter, worst"] = round(max(self.slower, default=0.0), 3)
+        for kind, plan_ms in self.plan_ms.items():
+            found[f"CPU, {kind}"] = spread(plan_ms, "ms")
+        for kind, durations_s in self.durations_s.items():
+            found[f"duration, {kind}"] = spread(durations_s, "s")
+        found["failed"] = self.failures
+        return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.motion_layouts", description=__doc__)
+    parser.add_argument("--layouts", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1, help="the first seed")
+    parser.add_argument("--tasks", type=int, default=40, help="empty transfers per layout")
+    parser.add_argument("--carries", type=int, default=15, help="loaded ways per layout, each at every limit")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    measured = Measured()
+    for layout in layouts(given.layouts, given.first):
+        planner = layout.planner()
+        audit = Audit(LAB.urdf, layout.cell, layout.mortars, CONTAINER)
+        for task in tasks(layout, given.tasks):
+            measured.moved(layout, planner, audit, task, None)
+        for task in carries(layout, given.carries):
+            measured.carried(layout, planner, audit, task)
+        print(f"seed {layout.seed}: {dict(measured.counts)}", flush=True)
+    figures = measured.figures()
+    for key, value in figures.items():
+        print(f"{key:34} {value}")
+    if given.json:
+        given.json.write_text(json.dumps({"arguments": vars(given) | {"json": None}, **figures}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""Loads in a cell that nobody drew, judged by an audit that shares nothing with the planner."""
+
+import pytest
+
+from harness.motion_audit import Audit
+from harness.motion_layouts import CONTAINER, LAB, LIMITS_DEG, drawn
+from scuhand_bt.cell_spec import Obstacle
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion import Mount, apex
+
+LAYOUT = drawn(2)
+
+
+def carried(planner, limit_deg, first="mortar_bay", second="mortar_bay_2"):
+    return planner.move(planner.standing_at(first), second, spill_limit_deg=limit_deg)
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return LAYOUT.planner()
+
+
+def test_a_load_that_may_lean_more_is_never_carried_more_slowly(planner):
+    # The loosest first: what is known for stricter limits must not be needed.
+    for first, second in (("mortar_bay", "mortar_bay_2"), ("mortar_bay_2", "balance")):
+        taken_s = [carried(planner, limit, first, second).duration_s for limit in reversed(LIMITS_DEG)]
+        assert taken_s == sorted(taken_s)
+
+
+def test_a_load_is_carried_alike_whatever_was_asked_before(planner):
+    other = LAYOUT.planner()
+    one, two = carried(other, 15.0), carried(planner, 15.0)
+    assert one.coefficients.tobytes() == two.coefficients.tobytes()
+
+
+def test_what_carries_a_load_touches_nothing_spills_nothing_and_keeps_every_limit(planner):
+    audit = Audit(LAB.urdf, LAYOUT.cell, LAYOUT.mortars, CONTAINER)
+    for limit_deg in LIMITS_DEG:
+        verdict = audit.of(carried(planner, limit_deg))
+        assert verdict.clearance_m > 0.003
+        assert verdict.spill_deg <= limit_deg
+        assert verdict.over_limit < 1e-6
+
+
+def test_the_audit_sees_what_touches_what_is_too_quick_and_what_spills(planner):
+    audit = Audit(LAB.urdf, LAYOUT.cell, LAYOUT.mortars, CONTAINER)
+    motion = carried(planner, 10.0)
+    hurried = audit.of(motion.stretched(0.6))
+    assert hurried.over_limit > 0.3
+    assert hurried.spill_deg > 10.0
+    walled = LAYOUT.cell.model_copy(update={"geometry": (*LAYOUT.cell.geometry, wall_through(motion))})
+    verdict = Audit(LAB.urdf, walled, LAYOUT.mortars, CONTAINER).of(motion)
+    assert verdict.clearance_m < -0.001
+    assert "wall" in verdict.pair
+
+
+def wall_through(motion):
+    x_mm, y_mm, z_mm = 1e3 * apex(motion.sample(motion.duration_s / 2), Mount.of(LAB.cell.hand)).position_m
+    return Obstacle(name="wall", box_mm=(6, 200, 200), at_mm=(x_mm, y_mm, z_mm))
+
+
+def test_a_way_that_is_not_found_tells_what_is_in_it():
+    planner = LAYOUT.planner()
+    start = planner.standing_at("mortar_bay")
+    with pytest.raises(SkillFailed) as failed:
+        planner.move(start, planner.standing_at("mortar_bay_2"), spill_limit_deg=0.01)
+    assert failed.value.code == "arm.no_path"
+    assert "in the way: " in failed.value.detail
+    assert "shield" in failed.value.detail

@@ -1,0 +1,70 @@
+"""What `check` finds before a run would: ways that no pair of places tells of."""
+
+import pytest
+from conftest import LabFolder
+
+from scuhand_bt.run.checking import check
+
+RECIPE = """\
+recipe: one
+workflow: mine
+sources:
+  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
+samples:
+  - {id: a, source: beads, container: xrd_holder, mass: 50 mg}
+"""
+TREE = """\
+workflow: mine
+inputs: {source: Source, container: Container, mass: Mass}
+tree:
+  sequence:
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $source, container: $container, mass: $mass}
+    - park:
+"""
+ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
+"""So low that the cone comes under it from the side alone."""
+LID = "  - {name: lid, box: [30 mm, 30 mm, 6 mm], at: [200 mm, 240 mm, 125 mm]}\n"
+"""Over the middle of the mortar, above the cone as it hovers there: the handle of a cone that swings comes up to it."""
+
+
+@pytest.fixture
+def lab(lab_folder: LabFolder) -> LabFolder:
+    lab_folder.write("trees/mine.yaml", TREE)
+    lab_folder.write("recipes/one.yaml", RECIPE)
+    return lab_folder
+
+
+def stands(lab: LabFolder, what: str) -> None:
+    cell = lab.folder / "robot" / "cell.yaml"
+    lab.write("robot/cell.yaml", cell.read_text(encoding="utf-8") + what)
+
+
+def blocked(lab: LabFolder) -> list[str]:
+    found = check(lab.folder, lab.folder / "recipes" / "one.yaml").problems
+    return [problem.message for problem in found if problem.code == "no-path"]
+
+
+def test_a_way_straight_down_that_something_is_in_is_found_where_a_workflow_asks_for_one(lab: LabFolder) -> None:
+    stands(lab, ROOF)
+    assert blocked(lab) == [], "the place itself can be reached"
+    lab.write("trees/mine.yaml", TREE.replace("mass: $mass}", "mass: $mass, from_above: 30 mm}"))
+    (message,) = blocked(lab)
+    assert "roof" in message
+
+
+def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_stroke_is_found(lab: LabFolder) -> None:
+    stands(lab, LID)
+    (message,) = blocked(lab)
+    assert message.startswith("at 'mortar_bay' no stroke of")
+    assert "lid" in message
+
+
+def test_a_fresh_sheets_cone_that_is_wider_than_the_usual_one_must_come_everywhere_too(lab: LabFolder) -> None:
+    """Between the mortar and a wall there is room for the usual cone, not for this one."""
+    stands(lab, "  - {name: wall, box: [6 mm, 120 mm, 110 mm], at: [259 mm, 240 mm, 55 mm]}\n")
+    assert blocked(lab) == []
+    wide = "hand: {driver: hand_controller, port: /dev/ttyACM0, sheet_radius: 60 mm, options: {start_diameter: 112 mm}}"
+    lab.replace("robot/cell.yaml", "hand: {driver: hand_controller, port: /dev/ttyACM0}", wide)
+    assert any("wall" in message for message in blocked(lab))
