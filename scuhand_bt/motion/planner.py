@@ -215,7 +215,8 @@ class MotionPlanner:
         """A motion as quick as the joints and a load on it allow; its path, and so its proof, is the same."""
         if motion is None:
             return None
-        quick = motion.stretched(self.rates.stretch_for(motion))
+        stretch = self.rates.stretch_for(motion)
+        quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
         factor = spill_stretch(quick, self._mount, spill_limit_deg)
         return None if factor is None else quick.stretched(factor).keeping(spill_limit_deg)
 
