@@ -126,17 +126,17 @@ def test_a_rehearsed_dose_has_the_verdict_of_the_dry_run_and_says_what_it_is(tmp
 def test_a_rehearsed_scoop_spills_less_than_a_hundredth(tmp_path: Path, lab: Lab) -> None:
     recipe = HEAD + "  - {id: a, workflow: scoop_once, source: beads}\n"
     session = session_of(tmp_path, lab, Rehearsal(seed=1), recipe)
-    assert session.world is not None
-    masses_mg, most_mg = session.world.masses_mg, [0.0]
+    world, most_mg = session.world, [0.0]
+    assert world is not None
 
     def look(root: Any) -> None:
-        most_mg.append(masses_mg["cone"])
+        most_mg.append(world.masses_mg["cone"])
 
     try:
         result = session.run(Watching(session, at_tick=look))
         assert (result.exit_code, result.reason) == (0, "")
         assert max(most_mg) > 3000.0
-        assert masses_mg["spilled"] < 0.01 * max(most_mg)
+        assert world.masses_mg["spilled"] < 0.01 * max(most_mg)
     finally:
         session.close()
 
