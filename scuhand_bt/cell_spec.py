@@ -344,8 +344,6 @@ class CellSpec(Spec):
     notify: NotifySpec | None = None
     stations: dict[str, Station]
     geometry: list[Obstacle] = Field(default_factory=list)
-    zones: list[Obstacle] = Field(default_factory=list)
-    """Spaces that only one may move in at a time, as what the container changer sweeps; skills lease them by name."""
 
     @field_validator("devices")
     @classmethod
@@ -354,11 +352,6 @@ class CellSpec(Spec):
             if name in DEVICES or not name.isidentifier():
                 raise ValueError(f"'{name}' names none: letters, digits and _, and not {', '.join(DEVICES)}")
         return devices
-
-    @property
-    def zone_names(self) -> tuple[str, ...]:
-        """The zones that skills can lease."""
-        return tuple(zone.name for zone in self.zones)
 
     @property
     def device_names(self) -> tuple[str, ...]:

@@ -21,7 +21,6 @@ class MoveOver(Skill[None]):
 
     raises = (Code.CONTAINER_MISSING,)
     devices = ("arm",)
-    zones = ("pan",)
     typical_s = 4.0
     interrupted = "repeat"
 
