@@ -453,7 +453,7 @@ def test_a_mixture_doses_the_second_powder_by_what_was_measured_of_the_first_and
 ) -> None:
     samples = "samples:\n  - {id: x, first: beads, second: msg, container: alumina_crucible, mass: 400 mg, ratio: 50 %,"
     samples += " tolerance: 20 mg}\n"
-    ran = dry_run(tmp_path, "workflow: mix_at_ratio\n" + samples, seed=2, controller=None)
+    ran = dry_run(tmp_path, "workflow: mix_at_ratio\n" + samples, seed=3, controller=None)
     result = ran.sample("x")
     first, second = result.doses
     assert second.target_mg == pytest.approx(0.5 * first.dispensed_mg, abs=0.1)

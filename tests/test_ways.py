@@ -3,6 +3,7 @@
 import pytest
 from conftest import LabFolder
 
+from scuhand_bt.lab import read_lab
 from scuhand_bt.run.checking import check
 
 RECIPE = """\
@@ -42,7 +43,7 @@ def stands(lab: LabFolder, what: str) -> None:
 
 
 def blocked(lab: LabFolder) -> list[str]:
-    found = check(lab.folder, lab.folder / "recipes" / "one.yaml").problems
+    found = check(read_lab(lab.folder), lab.folder / "recipes" / "one.yaml").problems
     return [problem.message for problem in found if problem.code == "no-path"]
 
 

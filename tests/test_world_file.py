@@ -261,7 +261,7 @@ def test_the_file_names_its_compartments_in_the_text_that_they_always_had(tmp_pa
     bench.world.save()
     _, state, _ = WorldFile.open(path)
     beside, (_, load, *_) = json.loads(state)
-    _, _, masses_mg, _ = read(beside)
+    _, _, masses_mg = read(beside)
     places = {"cone", "sheet", "flight", "pan", "returned", "waste", "spilled", "source:store"}
     assert {type(name) for name in masses_mg} == {str}
     assert masses_mg.keys() == places
@@ -357,7 +357,7 @@ def test_a_plant_that_cannot_be_saved_is_told_once_and_refused_on_resume(
     assert bench.world.true_mass(DISH.id) > 1.0
     assert len(bench.told) == 1
     assert "my_lab:Unwritable cannot be written down" in bench.told[0]
-    with pytest.raises(SourceError, match=r"cannot be read: No such file.*start it anew"):
+    with pytest.raises(SourceError, match=r"cannot be read: No such file.*begin"):
         Bench.taken_up(path)
 
 

@@ -12,6 +12,7 @@ m_j >= 0. What falls beside the fit is the zero's.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ LIKE = 3.0
 """Variances of a reading: a curve that is farther from the other than this, whatever stepped, is of another filter."""
 SEEN_SHARE, SEEN_SIGMAS, SEEN_READINGS = 0.25, 2.0, 3
 """So much of a step shows as it is, so clearly and so often: what shows less is the curve's own shape."""
+GAP_S = 0.2
+"""Powder may come so often where readings were left out."""
 LEAST_DIGITS, MOST_MG = 5.0, 50.0
 """Of a step that is looked for."""
 
@@ -72,7 +75,9 @@ def fallen_beside_mg(times_s: Sequence[float], readings_mg: Sequence[float], cam
     from scipy.optimize import nnls  # which not every command has to load
 
     shown_mg, at_s = np.asarray(readings_mg), np.asarray(times_s)
-    comes = 1.0 - _missing(came, at_s[:, None] - at_s)  # (N, N): what came with each of them
+    # With each of them, and between them where some were left out.
+    arrives_s = np.concatenate([np.arange(*between, GAP_S) for between in pairwise(at_s)])
+    comes = 1.0 - _missing(came, at_s[:, None] - arrives_s)  # (N, M)
     design = np.column_stack((comes, np.ones(len(at_s)), -np.ones(len(at_s))))
     masses_mg, _ = nnls(design, shown_mg)
     return fallen_mg(list(shown_mg - design @ masses_mg))
