@@ -177,6 +177,7 @@ def test_the_docs_describe_every_kind_as_the_models_have_it() -> None:
     text = (DOCS / "journal.md").read_text(encoding="utf-8")
     assert describe.with_tables(text) == text, "run `python -m scuhand_bt.journal.describe docs`"
     assert (DOCS / "journal.schema.json").read_text(encoding="utf-8") == describe.schema()
+    assert (DOCS / "events.schema.json").read_text(encoding="utf-8") == describe.schema_of_lines()
 
 
 def test_the_description_has_a_sentence_for_every_kind_and_names_every_field() -> None:
