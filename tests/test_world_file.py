@@ -262,7 +262,7 @@ def test_the_file_names_its_compartments_in_the_text_that_they_always_had(tmp_pa
     _, state, _ = WorldFile.open(path)
     beside, (_, load, *_) = json.loads(state)
     _, _, masses_mg = read(beside)
-    places = {"cone", "sheet", "flight", "pan", "returned", "waste", "spilled", "source:store"}
+    places = {"cone", "sheet", "flight", "pan", "returned", "waste", "spilled", "source:store", "container:dish"}
     assert {type(name) for name in masses_mg} == {str}
     assert masses_mg.keys() == places
     flying = read(load[ConeLoad.STATE.index("flying")])
