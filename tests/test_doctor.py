@@ -97,6 +97,7 @@ def test_a_pressed_emergency_stop_and_a_dead_valve_are_found(healthy: WireBench)
     finally:
         board.emergency_stop = False
         board.reboot()
+    assert found[0][:2] == ("hand", "faults")
     assert found[0][2].startswith("the emergency stop is (or was) pressed")
     assert [check for _, check, _ in found] == ["faults", "self-test"]
 
