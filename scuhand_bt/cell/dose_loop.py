@@ -77,7 +77,7 @@ and an arch stands for 40 s at the most before it is shaken."""
 GAIN_MG, AVERAGED = 1.0, 10
 """A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
 WATCHES = 3
-"""What chance would hardly make is watched on, so as to be known better, or until a filter has crept after the powder."""
+"""What chance would hardly make is watched on: to be known better, or until a filter has crept after the powder."""
 LONGEST_S = 1800.0
 """No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
 
