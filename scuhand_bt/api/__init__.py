@@ -24,7 +24,7 @@ from scuhand_bt.fronts import front
 
 if TYPE_CHECKING:
     from scuhand_bt.api.interrupted import Interrupted, resume, take_up
-    from scuhand_bt.api.labs import How, HowRun, OnEvent, OnSample, OpenLab, closing, open_lab
+    from scuhand_bt.api.labs import How, HowRun, HowSimulated, OnEvent, OnSample, OpenLab, closing, open_lab
     from scuhand_bt.api.past import NotHeard, PastRun, find_run, runs
     from scuhand_bt.api.results import DoseRecord, Result
     from scuhand_bt.devices.liveness import Hung
@@ -54,7 +54,7 @@ else:
         __name__,
         {
             "api.interrupted": "Interrupted resume take_up",
-            "api.labs": "How HowRun OnEvent OnSample OpenLab closing open_lab",
+            "api.labs": "How HowRun HowSimulated OnEvent OnSample OpenLab closing open_lab",
             "api.past": "NotHeard PastRun find_run runs",
             "api.results": "DoseRecord Result",
             "devices.liveness": "Hung",
@@ -93,6 +93,7 @@ __all__ = [
     "DryRun",
     "How",
     "HowRun",
+    "HowSimulated",
     "Hung",
     "Interrupted",
     "Lab",

@@ -12,6 +12,7 @@ from scuhand_bt.api.results import Result
 from scuhand_bt.journal.history import History
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.recipe.recipe import given_again
 from scuhand_bt.run.holds import take_run
 from scuhand_bt.run.options import Options, options_of
 from scuhand_bt.run.resume import Resumable, checked_history, its_places, resumable
@@ -68,7 +69,7 @@ def take_up(run: PastRun, *, accept_changes: bool = False) -> Iterator[Interrupt
         options = options_of(history, run.path.parent)
         recipe, folder = its_places(run.path, history.run)
         lab = open_lab(folder, recipe=recipe)
-        plan = lab.plan(recipe)
+        plan = lab.plan(given_again(recipe, history.run.recipe_text))
         found = resumable(run.path, history, plan, lab.lab, accept_changes=accept_changes, presence=presence)
         known = what_is_known(history, len(plan.recipe.samples))
         yield Interrupted(lab, plan, tuple(known), options, found)

@@ -18,10 +18,9 @@ from scuhand_bt.run.checking import Checked, check, on_the_cell
 
 if TYPE_CHECKING:  # who only checks a recipe does not wait for the arm's kinematics
     from scuhand_bt.run.control import Control
-    from scuhand_bt.run.make_cell import Simulation
+    from scuhand_bt.run.make_cell import DryRun, Rehearsal, Simulation
     from scuhand_bt.run.operator import Person
     from scuhand_bt.run.session import Session
-    from scuhand_bt.sim.fault_rules import FaultFile
 
 Given = str | Path | Mapping[str, Any]
 """A recipe: its file, or a dict of what would stand there."""
@@ -50,6 +49,17 @@ class HowRun(How, total=False):
 
     on_sample: OnSample | None
     on_event: OnEvent | None
+
+
+class HowSimulated(HowRun, total=False):
+    """How a recipe is run on simulated or twin devices."""
+
+    seed: int
+    """Of all randomness; 0 without."""
+    plant: str | None
+    """Physics of your own, `module:Class`."""
+    faults: str | Path | None
+    """A fault file: what goes wrong (`docs/faults.md`)."""
 
 
 @dataclass(frozen=True)
@@ -109,16 +119,8 @@ class OpenLab:
         options = Options(simulation, how.get("controller"), folder, unattended=unattended, person=person)
         return Session(plan, self.lab, options, control=how.get("control"))
 
-    def dry_run(
-        self,
-        recipe: Given | Plan,
-        *,
-        seed: int = 0,
-        plant: str | None = None,
-        faults: str | Path | None = None,
-        **how: Unpack[HowRun],
-    ) -> Result:
-        """Run a recipe on simulated devices, at once. `faults` is a fault file, `plant` physics of your own.
+    def dry_run(self, recipe: Given | Plan, **how: Unpack[HowSimulated]) -> Result:
+        """Run a recipe on simulated devices, at once.
 
         SourceError for what is wrong, SkillFailed for places without a way between them, PlantError for physics that
         cannot be used.
@@ -127,21 +129,13 @@ class OpenLab:
 
         with TemporaryDirectory() as scratch:
             how.setdefault("journals", Path(scratch) / "runs")
-            return self._ran(recipe, DryRun(seed, plant, faults=_faults(faults)), how)
+            return self._simulated(recipe, DryRun, how)
 
-    def rehearse(
-        self,
-        recipe: Given | Plan,
-        *,
-        seed: int = 0,
-        plant: str | None = None,
-        faults: str | Path | None = None,
-        **how: Unpack[HowRun],
-    ) -> Result:
+    def rehearse(self, recipe: Given | Plan, **how: Unpack[HowSimulated]) -> Result:
         """The same in real time, by the real drivers, against twins of the devices. Also NoCompiler without one."""
         from scuhand_bt.run.make_cell import Rehearsal
 
-        return self._ran(recipe, Rehearsal(seed, plant, _faults(faults)), how)
+        return self._simulated(recipe, Rehearsal, how)
 
     def run(self, recipe: Given | Plan, *, operator: str, pin: str | None = None, **how: Unpack[HowRun]) -> Result:
         """Run a recipe on the devices of `robot/cell.yaml`: real ones, or twins that another program has put there.
@@ -151,6 +145,13 @@ class OpenLab:
         command's supervisor does. Also raises ValueError for a name that is none, and without the PIN of who has one.
         """
         return self._ran(recipe, None, how, person_of(self.state, operator, pin))
+
+    def _simulated(self, recipe: Given | Plan, kind: "type[DryRun] | type[Rehearsal]", how: HowSimulated) -> Result:
+        from scuhand_bt.sim.fault_rules import read_faults
+
+        seed, plant, file = how.pop("seed", 0), how.pop("plant", None), how.pop("faults", None)
+        faults = read_faults(Path(file)) if file is not None else None
+        return self._ran(recipe, kind(seed, plant, faults=faults), cast(HowRun, how))
 
     def _ran(
         self, recipe: Given | Plan, simulation: "Simulation | None", how: HowRun, person: "Person | None" = None
@@ -218,9 +219,3 @@ def person_of(state: Path, operator: str, pin: str | None) -> "Person":
 
 def _given(recipe: Given) -> Path | Mapping[str, Any]:
     return recipe if isinstance(recipe, Mapping) else Path(recipe)
-
-
-def _faults(file: str | Path | None) -> "FaultFile | None":
-    from scuhand_bt.sim.fault_rules import read_faults
-
-    return read_faults(Path(file)) if file is not None else None
