@@ -282,7 +282,8 @@ class _FunctionCheck:
         own: tuple[None, ...] = ()
         if function is None and isinstance(called, ast.Attribute):
             owner = self._type_of(called.value)
-            function, own = inspect.getattr_static(owner, called.attr, None) if owner is not None else None, (None,)
+            is_method = owner is not None and called.attr not in _fields(owner)
+            function, own = inspect.getattr_static(owner, called.attr, None) if is_method else None, (None,)
         is_ours = isinstance(function, types.FunctionType) and function.__module__.startswith("scuhand_bt.")
         return (function, own) if is_ours else (None, ())
 
