@@ -15,7 +15,7 @@ from scuhand_bt.journal.reader import Contents, open_contents
 from scuhand_bt.journal.store import SCHEMA, SCHEMA_VERSION
 from scuhand_bt.problems import SourceError
 from scuhand_bt.report.run_story import chain_line, header_lines, told
-from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.report.weighing_record import weighing_csv
 from scuhand_bt.run.resume import checked_history
 
 
@@ -100,7 +100,7 @@ class Judge:
 
     @staticmethod
     def _exported(contents: Contents) -> tuple[str, str]:
-        return canonical_of(contents), weighing_record(contents)
+        return canonical_of(contents), weighing_csv(contents)
 
     @staticmethod
     def _told(contents: Contents) -> Iterator[str]:

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from scuhand_bt import cli, clock
-from scuhand_bt.cli import ongoing
+from scuhand_bt.api import interrupted
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.report import live
 from scuhand_bt.run import control, make_cell, session, wall_clock
@@ -196,7 +196,7 @@ class _Gates:
         self._session: session.Session | None = None
 
     def put_up(self) -> None:
-        known, made, ran = ongoing.what_is_known, session.Session.__init__, session.Session.run
+        known, made, ran = interrupted.what_is_known, session.Session.__init__, session.Session.run
 
         def what_is_known(*given: Any) -> list[str]:
             self._wait("prompt")
@@ -216,7 +216,7 @@ class _Gates:
             if self._left <= 0:
                 self._wait("tick")
 
-        ongoing.what_is_known = what_is_known
+        interrupted.what_is_known = what_is_known
         session.Session.__init__ = make  # type: ignore[assignment]
         session.Session.run = run  # type: ignore[method-assign]
         live.PlainLines.ticked = ticked  # type: ignore[method-assign]

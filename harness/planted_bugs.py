@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from scuhand_bt.api import interrupted, past
 from scuhand_bt.cell import weighing
-from scuhand_bt.cli import batch as cli_batch
-from scuhand_bt.cli import ongoing
+from scuhand_bt.cli import run as cli_run
 from scuhand_bt.cli.shared import the_lab
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.journal import store
 from scuhand_bt.record import Record, RecordLost
 from scuhand_bt.report import proof
-from scuhand_bt.run import batch, holds, outcome, session
+from scuhand_bt.run import batch, outcome, session
 from scuhand_bt.sim.world import World
 from scuhand_bt.specs import Container
 from scuhand_bt.tree import leaf
@@ -45,7 +45,7 @@ class Bug:
 
 
 def _reads_before_locking() -> None:
-    holds.take_run = lambda journal: nullcontext(None)  # type: ignore[assignment,return-value]
+    interrupted.take_run = lambda journal: nullcontext(None)  # type: ignore[assignment,return-value]
     made = session.Session.__init__
 
     def make(one: Any, *given: Any, resumes: Any = None, **options: Any) -> None:
@@ -111,8 +111,8 @@ def _redo_collides() -> None:
 
 
 def _says_all_is_well() -> None:
-    watched = cli_batch._watched
-    cli_batch._watched = lambda *given: replace(watched(*given), exit_code=ExitCode.OK)
+    watched = cli_run._watched
+    cli_run._watched = lambda *given, **more: replace(watched(*given, **more), exit_code=ExitCode.OK)
 
 
 def _ends_with_the_valve_open() -> None:
@@ -147,13 +147,13 @@ def _knows_no_ledger() -> None:
 
 
 def _needs_the_lab() -> None:
-    folder = ongoing.runs_folder
+    find = past.find_state
 
-    def runs_folder(lab: Path | None) -> Path:
+    def find_state(lab: Path | None = None) -> Path:
         the_lab(lab)
-        return folder(lab)
+        return find(lab)
 
-    ongoing.runs_folder = runs_folder
+    past.find_state = find_state
 
 
 def _saves_the_world_no_more() -> None:

@@ -223,10 +223,21 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "skill-clock": Finding(
             "A skill uses the computer's clock, which is not the run's.", "`pause`, `cell.clock.now_s`"
         ),
+        "skill-endless": Finding(
+            "A loop of a skill never ends, and never waits.", "`yield from pause(cell, …)` in it."
+        ),
+        "skill-halt": Finding("A skill catches what halts it, and goes on.", "`finally:`, or `except SkillFailed:`"),
         "skill-interrupted": Finding("`interrupted` is no way to take an action up.", '"repeat", "reweigh" or "ask"'),
-        "skill-unknown-member": Finding("A device, or the cell, has no such method or value.", "See its interface."),
+        "skill-unknown-member": Finding(
+            "A device, the cell, or the skill itself, has no such method or value.", "See its interface, or its fields."
+        ),
+        "skill-arguments": Finding("A method is called with other values than it takes.", "See its interface."),
         "skill-lease": Finding("A skill uses a device that it does not lease.", "Add it to `devices`."),
-        "skill-forecast": Finding("A skill's `forecast` breaks.", "It may be given none, or some, of the inputs."),
+        "skill-forecast": Finding(
+            "A skill's `forecast` breaks, or its `typical_s` is no number.",
+            "`forecast` may be given none, or some, of the inputs.",
+        ),
+        "skill-default": Finding("A parameter's default is not of its type.", "A value as the type has it."),
         "skill-raises": _warning("A skill fails with a code that its `raises` does not name.", "Add it to `raises`."),
         "skill-unit": _warning("A number without a unit is a parameter.", "Milligrams, Seconds, …, or Ratio."),
     },

@@ -234,21 +234,38 @@ def _load_vessels(path: Path, problems: Problems, broken: Broken) -> tuple[dict[
     found = {} if containers is None else _load_file(ContainerKind, path, problems, broken, "container", containers)
     for name, container in found.items():
         _check_size(container, containers, name, problems)
-    return found, {} if mortars is None else _load_file(Mortar, path, problems, broken, "mortar", mortars)
+    bowls = {} if mortars is None else _load_file(Mortar, path, problems, broken, "mortar", mortars)
+    for name, mortar in bowls.items():
+        if mortar.bore_mm >= mortar.outer_diameter_mm:
+            what = (
+                f"the bore of '{name}', {mortar.bore_mm:g} mm, is as wide as all of it, {mortar.outer_diameter_mm:g} mm"
+            )
+            problems.warn(
+                _mark_in(mortars, name, "bore"), what, "correct the bore or the outer diameter", code="implausible-size"
+            )
+    return found, bowls
 
 
 ROOMY = 20.0
-"""No vessel holds so many times what a tube of its mouth and height would: a slip of units does."""
+"""No vessel holds so many times what a tube of its mouth and height would, nor a tube so many times what it holds that
+this is `NARROW` of it: a slip of units does."""
+NARROW = 0.01
 
 
 def _check_size(container: ContainerKind, node: Node | None, name: str, problems: Problems) -> None:
     tube_mm3 = math.pi / 4 * container.mouth_mm**2 * container.height_mm
-    if container.capacity_mm3 > ROOMY * tube_mm3 and isinstance(node, Entries):
-        entry = node.values[name]
-        mark = entry.values["capacity"].mark if isinstance(entry, Entries) and "capacity" in entry.values else node.mark
+    if not NARROW * tube_mm3 <= container.capacity_mm3 <= ROOMY * tube_mm3:
+        mark = _mark_in(node, name, "capacity")
         what = f"'{name}' holds {container.capacity_mm3 / 1000:g} cm³, with a mouth of {container.mouth_mm:g} mm and "
         what += f"a height of {container.height_mm:g} mm: a tube of that size holds {tube_mm3 / 1000:.2f} cm³"
         problems.warn(mark, what, "correct the capacity, the mouth or the height", code="implausible-size")
+
+
+def _mark_in(node: Node | None, name: str, key: str) -> Mark:
+    """Where a value of a named entry stands, else the entry's own place."""
+    assert isinstance(node, Entries)
+    entry = node.values[name]
+    return entry.values[key].mark if isinstance(entry, Entries) and key in entry.values else entry.mark
 
 
 def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:

@@ -1,9 +1,12 @@
 """scuhand_bt from Python: recipes as dicts and files, results as records, and everything that happens as events."""
 
 import json
+import sqlite3
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +46,9 @@ def test_the_example_of_events_tells_of_every_action(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = (REPOSITORY / "docs" / "python.md").read_text(encoding="utf-8")
-    (text,) = (block.split("```")[0] for block in page.split("```python\n")[1:] if "on_event" in block.split("```")[0])
+    (text,) = (
+        block.split("```")[0] for block in page.split("```python\n")[1:] if "on_event=tell" in block.split("```")[0]
+    )
     monkeypatch.chdir(REPOSITORY)
     exec(compile(text, "python.md", "exec"), {})
     skills = [line.split()[1] for line in capsys.readouterr().out.splitlines()]
@@ -249,16 +254,116 @@ def test_events_go_to_a_file_or_alone_to_the_standard_output(command: Call, lab_
     assert "cannot be written" in refused.stderr.replace("\n", " ")
 
 
-def test_a_resumed_run_tells_on_from_where_it_was(command: Call, lab_folder: LabFolder) -> None:
-    two = {**RECIPE, "recipe": "two", "samples": [{**RECIPE["samples"][0], "id": name} for name in ("a", "b")]}
-    recipe = lab_folder.write("recipes/two.yaml", json.dumps(two))
-    lab = api.open_lab(lab_folder.folder)
-    control, before = api.Control(), list[api.RunEvent]()
-    stop = {"on_sample": lambda sample: control.wish("stop"), "control": control, "journals": lab.state / "runs"}
-    assert lab.dry_run(recipe, on_event=before.append, **stop).exit_code == 130  # type: ignore[arg-type]
+def two_samples() -> dict[str, Any]:
+    return {**RECIPE, "samples": [{**RECIPE["samples"][0], "id": name} for name in ("a", "b")]}
+
+
+def stopped_after_the_first(lab: api.OpenLab, recipe: Any, told: list[api.RunEvent]) -> api.Result:
+    """Of two samples, in the lab's own journals."""
+    control = api.Control()
+    return lab.dry_run(
+        recipe,
+        seed=1,
+        journals=lab.state / "runs",
+        control=control,
+        on_sample=lambda sample: control.wish("stop"),
+        on_event=told.append,
+    )
+
+
+def test_the_command_resumes_from_the_entry_where_a_run_was(command: Call, lab_folder: LabFolder) -> None:
+    recipe = lab_folder.write("recipes/two.yaml", json.dumps({"recipe": "two", **two_samples()}))
+    before = list[api.RunEvent]()
+    assert stopped_after_the_first(api.open_lab(lab_folder.folder), recipe, before).exit_code == 130
     ended = command("resume", "last", "--lab", lab_folder.folder, "--events", "-")
     after = [json.loads(line) for line in ended.stdout.splitlines()]
     assert ended.returncode == 0
     assert after[0]["kind"] == "resumed"
     assert [one["seq"] for one in after] == list(range(before[-1].seq + 1, before[-1].seq + 1 + len(after)))
     assert [one["values"]["id"] for one in after if one["kind"] == "sample"][-1] == "b"
+
+
+def test_any_thread_resumes_a_run_and_what_it_came_to_is_read_back_as_it_was_given(lab_folder: LabFolder) -> None:
+    lab, before, after = api.open_lab(lab_folder.folder), list[api.RunEvent](), list[api.RunEvent]()
+    stopped = stopped_after_the_first(lab, two_samples(), before)  # a dict has no file to be read anew
+    (one,) = api.runs(lab_folder.folder)
+    assert (stopped.exit_code, one.id, one.state, one.total) == (130, stopped.run, "stopped", 2)
+    past = api.find_run("last", lab_folder.folder)
+    assert replace(past.result(), notices=()) == stopped
+    came: list[api.Result] = []
+    resume = threading.Thread(target=lambda: came.append(api.resume(past, on_event=after.append)))
+    resume.start()
+    resume.join()
+    (result,) = came
+    assert (result.run, result.exit_code, result.reason) == (stopped.run, 0, "")
+    assert [(dose.sample, dose.verdict) for dose in result.doses] == [("a", "in tolerance"), ("b", "in tolerance")]
+    assert result.doses[0].true_mg == stopped.doses[0].true_mg, "nothing is done twice"
+    assert after[0].kind == "resumed"
+    assert list(past.events()) == [*before, *after]
+    assert replace(result, duration_s=0.0) == replace(past.result(), duration_s=0.0)
+    assert past.result().rows() == result.rows()
+    assert json.loads(past.export())["end"]["exit_code"] == 0
+    with pytest.raises(api.SourceError, match="the run is complete"):
+        api.resume(past)
+
+
+def test_what_has_changed_since_is_refused_or_accepted_by_name(lab_folder: LabFolder) -> None:
+    recipe = lab_folder.write("recipes/two.yaml", json.dumps({"recipe": "two", **two_samples()}))
+    stopped_after_the_first(api.open_lab(lab_folder.folder), recipe, [])
+    lab_folder.write("recipes/two.yaml", json.dumps({"recipe": "two", "summary": "other", **two_samples()}))
+    with pytest.raises(api.SourceError, match="has changed"):
+        api.resume(lab=lab_folder.folder)
+    with api.take_up(api.find_run("last", lab_folder.folder), accept_changes=True) as found:
+        (change,) = found.changes
+        assert "two.yaml or one of its tables has changed" in change
+        assert "1 of 2 samples are finished." in found.known
+        assert not found.is_on_the_cell
+        with pytest.raises(api.SourceError, match="another process"):
+            api.resume(lab=lab_folder.folder, accept_changes=True)
+    assert api.resume(lab=lab_folder.folder, accept_changes=True).exit_code == 0
+
+
+def test_of_an_altered_journal_nothing_is_a_result(lab_folder: LabFolder) -> None:
+    lab = api.open_lab(lab_folder.folder)
+    lab.dry_run(RECIPE, journals=lab.state / "runs")
+    past = api.find_run("last", lab_folder.folder)
+    assert past.problem() is None
+    with closing(sqlite3.connect(past.path)) as database, database:
+        for (trigger,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
+            database.execute(f"DROP TRIGGER {trigger}")
+        database.execute("UPDATE entry SET payload = replace(payload, '50.0', '51.0') WHERE kind = 'sample'")
+    assert past.problem() is not None
+    for read_it in (past.result, past.export, lambda: list(past.events())):
+        with pytest.raises(api.SourceError, match="not as it was written"):
+            read_it()
+
+
+def test_the_example_of_runs_of_before_goes_on_with_the_last(
+    lab_folder: LabFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped_after_the_first(api.open_lab(lab_folder.folder), two_samples(), [])
+    page = (REPOSITORY / "docs" / "python.md").read_text(encoding="utf-8")
+    (text,) = (block.split("```")[0] for block in page.split("```python\n")[1:] if "resume" in block.split("```")[0])
+    exec(compile(text.replace("my-lab", str(lab_folder.folder)), "python.md", "exec"), {})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("stopped 0 of 2"), "the first is open until the bare pan confirms it"
+    assert lines[1].endswith(" resumed")
+    assert lines[-1] == "True"
+
+
+def test_a_run_in_another_process_hears_and_says_why_it_does_not(lab_folder: LabFolder) -> None:
+    lab = api.open_lab(lab_folder.folder)
+    session = lab.prepare(RECIPE, api.DryRun(), journals=lab.state / "runs")
+    past = api.find_run(session.run_id[:20], lab_folder.folder)
+    with api.closing(session):
+        assert past.is_going_on
+        assert past.question() is None
+        past.wish("pause")
+        assert session.control.is_pausing
+        past.wish("continue")
+        asked = api.Question(7, "?", ("done",), "")
+        with pytest.raises(api.NotHeard, match=r"not the question that waits now|answered already"):
+            past.answer(asked, "done")
+    assert not past.is_going_on
+    with pytest.raises(api.NotHeard, match="it is not running"):
+        past.wish("stop")

@@ -19,7 +19,7 @@ from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.report.weighing_record import COLUMNS, weighing_record
+from scuhand_bt.report.weighing_record import COLUMNS, weighing_csv
 from tests.running import Ran, dry_run, make_lab
 from tests.test_journal import HEADER, tamper, write_run, write_version_1
 
@@ -48,7 +48,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
 
 def record(path: Path) -> list[dict[str, str]]:
     with open_contents(path) as contents:
-        return list(csv.DictReader(io.StringIO(weighing_record(contents))))
+        return list(csv.DictReader(io.StringIO(weighing_csv(contents))))
 
 
 def test_runs_are_listed_newest_first_with_their_states(tmp_path: Path, command: Call) -> None:

@@ -93,6 +93,17 @@ def test_a_service_workflow_that_is_wrong_stops_the_plans_that_need_it(
     assert "is missing; this plan needs it" not in ended.stderr
 
 
+def test_a_skill_that_only_a_service_workflow_calls_stops_no_check_that_does_not_need_it(
+    command: Call, lab_folder: LabFolder, recipe: Path
+) -> None:
+    lab_folder.write("recipes/one.yaml", RECIPE + "on_failure: {hand.cone_empty: flag}\n")
+    lab_folder.replace("skills/swap_sheet.py", "class SwapSheet", "clas SwapSheet")
+    ended = command("check", recipe, "--fast")
+    assert ended.returncode == 0, ended.stderr
+    assert "skills/swap_sheet.py" in ended.stdout
+    assert "warning: the skill cannot be loaded: SyntaxError" in ended.stdout
+
+
 def test_without_its_cell_no_lab_is_loaded(command: Call, lab_folder: LabFolder, recipe: Path) -> None:
     lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: many")
     ended = command("plan", recipe, "--trials", 0)

@@ -7,36 +7,17 @@ import pytest
 from conftest import Call, Desk, LabFolder
 from running import dry_run
 
+from harness.own_workflow import RECIPE, TREE, write_own
 from scuhand_bt.findings import FINDINGS
 from scuhand_bt.lab import read_lab
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.checking import check
 
-RECIPE = """\
-recipe: one
-workflow: mine
-sources:
-  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
-samples:
-  - {id: a, source: beads, container: xrd_holder, mass: 50 mg}
-"""
-TREE = """\
-workflow: mine
-inputs: {source: Source, container: Container, mass: Mass}
-tree:
-  sequence:
-    - place_container: {container: $container}
-    - tare:
-    - fill: {source: $source, container: $container, mass: $mass}
-    - park:
-"""
-
 
 @pytest.fixture
 def lab(lab_folder: LabFolder) -> LabFolder:
-    lab_folder.write("trees/mine.yaml", TREE)
-    lab_folder.write("recipes/one.yaml", RECIPE)
+    write_own(lab_folder.folder)
     return lab_folder
 
 

@@ -16,9 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from running import Watching, make_lab, shared_planner
 
+from scuhand_bt.dashboard.page_state import Page
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.formula import parse_formula
+from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.recipe.composition import ComposedPowder, Composition, ElementShare
@@ -102,6 +104,10 @@ def masses(sample: Sample) -> dict[str, float]:
     }
 
 
+def weighed_in(lab: Desk, *powders: str, product: str, chosen: str) -> dict[str, float]:
+    return masses(lab.load(recipe_of(*powders, product=product, chosen=chosen)).samples[0])
+
+
 # --- by hand: what literature's stoichiometries weigh
 
 
@@ -126,8 +132,8 @@ def test_llzo_with_ten_percent_of_lithium_more_is_weighed_in_as_by_hand(lab: Des
 
 
 def test_ybco_is_weighed_in_as_by_hand(lab: Desk) -> None:
-    text = recipe_of(
-        "yttria, purity: 99.9 %", "barium_carbonate, purity: 99.5 %", "copper_oxide, purity: 99.7 %",
+    found = weighed_in(
+        lab, "yttria, purity: 99.9 %", "barium_carbonate, purity: 99.5 %", "copper_oxide, purity: 99.7 %",
         product="YBa2Cu3O6.9", chosen="CuO, BaCO3, Y2O3",
     )  # fmt: skip
     n = 2000.0 / (Y + 2 * BA + 3 * CU + 6.9 * O)
@@ -136,13 +142,13 @@ def test_ybco_is_weighed_in_as_by_hand(lab: Desk) -> None:
         "barium_carbonate": n * 2 * (BA + C + 3 * O) / 0.995,
         "copper_oxide": n * 3 * (CU + O) / 0.997,
     }
-    assert masses(lab.load(text).samples[0]) == pytest.approx(by_hand, rel=1e-4)
+    assert found == pytest.approx(by_hand, rel=1e-4)
 
 
 def test_lithium_iron_phosphate_from_wet_powders_is_weighed_in_as_by_hand(lab: Desk) -> None:
     dry = "purity: 99.9 %"
-    text = recipe_of(
-        f"lithium_carbonate, {dry}, water: 0.5 %", f"iron_oxalate, {dry}", f"phosphate, {dry}, water: 1.2 %",
+    found = weighed_in(
+        lab, f"lithium_carbonate, {dry}, water: 0.5 %", f"iron_oxalate, {dry}", f"phosphate, {dry}, water: 1.2 %",
         product="LiFePO4", chosen="Li2CO3, FeC2O4·2H2O, NH4H2PO4",
     )  # fmt: skip
     n = 2000.0 / (LI + FE + P + 4 * O)
@@ -151,7 +157,7 @@ def test_lithium_iron_phosphate_from_wet_powders_is_weighed_in_as_by_hand(lab: D
         "iron_oxalate": n * (FE + 2 * C + 6 * O + 4 * H) / 0.999,
         "phosphate": n * (N + 6 * H + P + 4 * O) / (0.999 * 0.988),
     }
-    assert masses(lab.load(text).samples[0]) == pytest.approx(by_hand, rel=1e-4)
+    assert found == pytest.approx(by_hand, rel=1e-4)
 
 
 # --- what a recipe may say
@@ -524,6 +530,15 @@ def test_every_face_of_a_run_tells_the_same_composition(ran: Path, command: Call
     }
     story = command("show", ran).stdout
     assert f"Li {elements['Li']['reached']:.4f}" in story
+
+
+def test_a_page_tells_what_a_composed_sample_asks_for_before_and_while_it_is_dosed(ran: Path) -> None:
+    begun = Page(Follower(ran, until_s=0.0)).news(is_held=True)
+    assert [row["what"] for row in begun["rows"]] == ["793.3 mg ± 5.8 mg from li + 1.6453 g ± 12 mg from co"]
+    dosed_s = next(row["time_s"] for row in read(ran, "action") if row["skill"] == "dispense")
+    told = Page(Follower(ran, until_s=dosed_s)).news(is_held=True)
+    of = "793.3 mg ± 5.8 mg of lithium_carbonate + 1.6453 g ± 12 mg of cobalt_oxide"
+    assert told["job"]["about"] == f"lco-rich: {of} into alumina_crucible"
 
 
 def test_a_plan_tells_what_each_sample_is_made_of(command: Call) -> None:

@@ -50,9 +50,9 @@ samples:
 on_failure: {dose.overshoot: flag, otherwise: stop}
 """
 SKILL = """\
-from scuhand_bt.skill import Cell, Code, Seconds, Skill, SkillFailed, Steps, pause
+from scuhand_bt.skill import Cell, Code, Ratio, Seconds, Skill, SkillFailed, Steps, pause
 
-__all__ = ["Code", "Seconds", "SkillFailed", "pause"]
+__all__ = ["Code", "Ratio", "Seconds", "SkillFailed", "pause"]
 
 
 class Sieve(Skill[None]):

@@ -8,7 +8,7 @@ from conftest import Call, LabFolder
 from running import make_lab
 from test_resume import Run, Watch, actions
 
-from scuhand_bt.cli import ongoing
+from scuhand_bt.api import interrupted
 from scuhand_bt.events import Note
 from scuhand_bt.journal.presence import is_held
 from scuhand_bt.journal.reader import open_contents
@@ -59,7 +59,7 @@ def test_a_run_is_held_from_before_its_history_is_read(
             take_run(there)
         return []
 
-    monkeypatch.setattr(ongoing, "what_is_known", looked)
+    monkeypatch.setattr(interrupted, "what_is_known", looked)
     command("resume", there.stem, "--lab", lab)
     assert seen == [True]
     assert not is_held(there)

@@ -16,7 +16,7 @@ from scuhand_bt.lab import load_lab
 from scuhand_bt.problems import SourceError, harmless
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.report.weighing_record import weighing_csv
 
 ESCAPES = "\x1b[31mred\x1b[0m \x1b]0;owned\x07 \u009b2J \u202egood\u2069 [/bold] :smile:"
 SHOWN = "�[31mred�[0m �]0;owned� �2J �good� [/bold] :smile:"
@@ -94,7 +94,7 @@ def test_what_can_be_read_stays_as_it_is(text: str) -> None:
 def test_a_lot_is_a_text_to_every_spreadsheet(tmp_path: Path, lot: str, cell: str) -> None:
     ran = dry_run(tmp_path, recipe_with_lot(lot))
     with open_contents(ran.journal) as contents:
-        text = weighing_record(contents)
+        text = weighing_csv(contents)
     rows = list(csv.DictReader(io.StringIO(text)))
     assert {row["lot"] for row in rows if row["weighing"] in ("dose", "result")} == {cell}
     assert all(line.startswith('"') and line.endswith('"') for line in text.splitlines())

@@ -194,6 +194,18 @@ def test_a_new_skill_and_workflow_are_part_of_the_lab(lab_folder: LabFolder) -> 
     assert "sift" in library.workflows
 
 
+def test_a_skill_that_was_edited_is_read_anew_by_the_next_who_opens_the_lab(lab_folder: LabFolder) -> None:
+    text = HEAD + "from ._shared import SAID\n\nclass Sieve(Skill[None]):\n    __doc__ = SAID\n"
+    lab_folder.write("skills/sieve.py", text + "    def run(self, cell): yield from ()\n")
+    before = None
+    for said in ("Before", "Behind"):  # of one length, and within a second
+        lab_folder.write("skills/_shared.py", f"SAID = '{said}.'\n")
+        library = lab_folder.load().library
+        assert library.skills["sieve"].summary() == f"{said}."
+        assert lab_folder.load().library.skills["sieve"] is library.skills["sieve"] is not before
+        before = library.skills["sieve"]
+
+
 def test_two_labs_do_not_share_skills(lab_folder: LabFolder, tmp_path: Path) -> None:
     text = HEAD + "class Shake(Skill[None]):\n    'Other.'\n    def run(self, cell): yield from ()\n"
     lab_folder.write("skills/shake.py", text)

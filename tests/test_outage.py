@@ -17,7 +17,7 @@ from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import SourceError
-from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.report.weighing_record import weighing_csv
 from scuhand_bt.run.make_cell import Rehearsal
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
@@ -97,7 +97,7 @@ def test_what_was_weighed_after_the_outage_is_in_the_weighing_record(tmp_path: P
     run.resume()
     assert run.journal is not None
     with open_contents(run.journal) as contents:
-        rows = list(csv.DictReader(io.StringIO(weighing_record(contents))))
+        rows = list(csv.DictReader(io.StringIO(weighing_csv(contents))))
     (row,) = [row for row in rows if row["weighing"] == "after an outage"]
     (found,) = run.told("container_reweighed")
     assert row["container"] == "a"

@@ -14,7 +14,7 @@ from scuhand_bt.lab import load_lab
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.report.preview import preview
+from scuhand_bt.report.preview import preview_page
 from scuhand_bt.study.odds import odds_of
 from scuhand_bt.study.trial import Setup, trial
 
@@ -36,7 +36,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Any:
     lab = load_lab(REPOSITORY)
     plan = make_plan(load_recipe(recipe, lab), lab)
     odds = odds_of(plan, [trial(Setup(recipe, REPOSITORY), seed) for seed in range(2)])
-    return plan, odds, preview(plan, lab, odds)
+    return plan, odds, preview_page(plan, lab, odds)
 
 
 def test_the_page_has_the_plans_order_and_when_each_job_is_to_begin(made: Any) -> None:

@@ -34,7 +34,7 @@ from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import starter_lab
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.report.powder_balance import powder_balance
-from scuhand_bt.report.run_report import comparison, run_report
+from scuhand_bt.report.run_report import comparison, page_of_run
 from scuhand_bt.report.time_spent import TimeSpent, time_spent
 from tests.test_journal import HEADER, tamper, write_version_1
 
@@ -63,7 +63,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Ran:
 
 def page_of(journal: Path) -> str:
     with open_contents(journal) as contents:
-        return run_report(contents)
+        return page_of_run(contents)
 
 
 def time_of(journal: Path) -> TimeSpent:

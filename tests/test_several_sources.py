@@ -11,7 +11,7 @@ from running import dry_run
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.sample import Sample
-from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.report.weighing_record import weighing_csv
 
 SOURCES = """\
 sources:
@@ -258,7 +258,7 @@ def test_two_powders_into_one_crucible_need_one_tare_and_each_is_measured_by_its
     assert true_mg == pytest.approx(140.0, abs=4.0)
     assert true_mg == pytest.approx(sum(dose.dispensed_mg for dose in had.doses), abs=1.0)
     with open_contents(ran.journal) as contents:
-        written = list(csv.DictReader(io.StringIO(weighing_record(contents))))
+        written = list(csv.DictReader(io.StringIO(weighing_csv(contents))))
     brackets = [row for row in written if row["weighing"] == "result"]
     assert [(row["source"], row["powder"], row["target_mg"]) for row in brackets] == [
         ("other", "monosodium_glutamate", "40.0000"),

@@ -19,7 +19,7 @@ from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, Mount
 from scuhand_bt.report.cell_mesh import CellMeshes
 from scuhand_bt.report.motion_panels import spread
-from scuhand_bt.report.move_page import move_page
+from scuhand_bt.report.move_page import page_of_move
 from scuhand_bt.report.move_picture import move_png
 from scuhand_bt.report.reach import reach_page
 from scuhand_bt.report.scene3d import scene_values
@@ -65,7 +65,7 @@ def shown(speed_ratio: float = 1.0, spill_limit_deg: float | None = None) -> Sho
 
 
 def test_the_pages_are_one_file_that_fetches_nothing_and_break_on_no_name() -> None:
-    for text, title in ((move_page(shown()), "there </script>"), (reach_page(LAB), "starter")):
+    for text, title in ((page_of_move(shown()), "there </script>"), (reach_page(LAB), "starter")):
         page = Page(text)
         assert page.fetched == []
         assert "@import" not in page.text
@@ -82,7 +82,7 @@ def packed(page: str, name: str) -> Any:
 
 
 def test_the_page_shows_the_cell_the_stations_what_stands_on_the_pan_and_every_plot_with_its_units() -> None:
-    page = move_page(shown())
+    page = page_of_move(shown())
     scene = packed(page, "shown")["scene"]
     names = {one["name"] for one in scene["solids"]}
     assert {"shield_left", "shield_right", "balance_body", "mortar_bay"} <= names
@@ -95,7 +95,7 @@ def test_the_page_shows_the_cell_the_stations_what_stands_on_the_pan_and_every_p
 
 def test_the_motion_ends_where_it_leads_and_the_chain_puts_the_cones_tip_there() -> None:
     move = shown()
-    (played,) = packed(move_page(move), "shown")["motions"]
+    (played,) = packed(page_of_move(move), "shown")["motions"]
     assert played["joints_rad"][-1] == pytest.approx(move.motion.end, abs=1e-5)
     assert played["step_s"] * (len(played["joints_rad"]) - 1) == pytest.approx(move.motion.duration_s)
     tip_m = move.path_m(np.array([move.motion.duration_s]))[0]
@@ -116,7 +116,7 @@ def test_in_a_browser_the_page_draws_the_arm_where_its_motion_has_it_and_needs_n
     tmp_path: Path, browser: Any
 ) -> None:
     move = shown()
-    (tmp_path / "move.html").write_text(move_page(move), encoding="utf-8")
+    (tmp_path / "move.html").write_text(page_of_move(move), encoding="utf-8")
     (tmp_path / "reach.html").write_text(reach_page(LAB), encoding="utf-8")
     with browser_page(browser) as page:
         page.goto((tmp_path / "move.html").as_uri())

@@ -15,7 +15,7 @@ from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.study.change import changed, with_value
 from scuhand_bt.study.odds import Chance, odds_of
-from scuhand_bt.study.optimise import diff, optimise
+from scuhand_bt.study.optimise import diff, optimised
 from scuhand_bt.study.pool import all_trials, executor_of
 from scuhand_bt.study.store import open_store
 from scuhand_bt.study.table import write_table
@@ -271,7 +271,7 @@ def test_a_search_proposes_what_is_better_on_seeds_that_it_has_not_seen(setup: S
     with changed(slow.recipe, slow.lab, slow.changes) as (recipe, lab):
         here = Setup(recipe, lab)
         with open_store(tmp_path / "s.sqlite", here) as store:
-            found = optimise(here, vary, 6, range(2), range(2, 4), Inline(), store)
+            found = optimised(here, vary, 6, range(2), range(2, 4), Inline(), store)
         assert found.changes == ((FLOW, "75"),)
         assert found.is_better
         assert found.proposed.duration_s < found.as_written.duration_s

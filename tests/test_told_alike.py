@@ -18,8 +18,8 @@ from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.doses import doses_table
-from scuhand_bt.report.run_report import run_report
-from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.report.run_report import page_of_run
+from scuhand_bt.report.weighing_record import weighing_csv
 
 INPUTS = (
     "beads: Source, msg: Source, first: Container, second: Container, "
@@ -94,13 +94,13 @@ def of_table(ran: Ran) -> list[dict[str, str]]:
 def of_report(ran: Ran) -> list[dict[str, str]]:
     """The rows of the report's table."""
     with open_contents(ran.journal) as contents:
-        head, *rows = Tables(run_report(contents)).found["Doses"]
+        head, *rows = Tables(page_of_run(contents)).found["Doses"]
     return [dict(zip(head, row, strict=True)) for row in rows]
 
 
 def of_record(ran: Ran) -> list[dict[str, Any]]:
     with open_contents(ran.journal) as contents:
-        rows = csv.DictReader(io.StringIO(weighing_record(contents)))
+        rows = csv.DictReader(io.StringIO(weighing_csv(contents)))
         return [row for row in rows if row["weighing"] == "result"]
 
 

@@ -12,7 +12,7 @@ from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import open_contents, read
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.record import Record
-from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.report.weighing_record import weighing_csv
 from scuhand_bt.skill import Milligrams, Seconds, Skill, Steps
 from scuhand_bt.tree.record import Record as RecordSkill
 
@@ -462,7 +462,7 @@ def test_a_mixture_doses_the_second_powder_by_what_was_measured_of_the_first_and
     assert (value.name, value.unit) == ("ratio", "")
     assert value.value == pytest.approx(second.dispensed_mg / first.dispensed_mg, abs=0.001)
     with open_contents(ran.journal) as contents:
-        rows = weighing_record(contents).splitlines()
+        rows = weighing_csv(contents).splitlines()
     assert any('"ratio"' in row and '"recorded"' in row for row in rows)
 
 

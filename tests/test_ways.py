@@ -3,27 +3,10 @@
 import pytest
 from conftest import LabFolder
 
+from harness.own_workflow import TREE, write_own
 from scuhand_bt.lab import read_lab
 from scuhand_bt.run.checking import check
 
-RECIPE = """\
-recipe: one
-workflow: mine
-sources:
-  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}
-samples:
-  - {id: a, source: beads, container: xrd_holder, mass: 50 mg}
-"""
-TREE = """\
-workflow: mine
-inputs: {source: Source, container: Container, mass: Mass}
-tree:
-  sequence:
-    - place_container: {container: $container}
-    - tare:
-    - fill: {source: $source, container: $container, mass: $mass}
-    - park:
-"""
 ROOF = "  - {name: roof, box: [20 mm, 20 mm, 6 mm], at: [340 mm, 0 mm, 180 mm]}\n"
 """So low that the cone comes under it from the side alone."""
 LID = "  - {name: lid, box: [30 mm, 30 mm, 6 mm], at: [200 mm, 240 mm, 125 mm]}\n"
@@ -32,8 +15,7 @@ LID = "  - {name: lid, box: [30 mm, 30 mm, 6 mm], at: [200 mm, 240 mm, 125 mm]}\
 
 @pytest.fixture
 def lab(lab_folder: LabFolder) -> LabFolder:
-    lab_folder.write("trees/mine.yaml", TREE)
-    lab_folder.write("recipes/one.yaml", RECIPE)
+    write_own(lab_folder.folder)
     return lab_folder
 
 

@@ -11,32 +11,23 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.ongoing import runs_folder
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, of_kind, out, print_json
-from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.cli.shared import (
+    EXIT_ALTERED,
+    JournalArgument,
+    JsonFlag,
+    LabOption,
+    app,
+    err,
+    of_kind,
+    out,
+    print_json,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from scuhand_bt.journal.reader import Contents
-
-EXIT_ALTERED = ExitCode.CELL_FAULT
 NEWEST = 50
 """So many runs are listed where not all are asked for."""
-JournalArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="RUN", help="A run's id, a unique beginning of it, 'last', or a journal's file.", show_default=False
-    ),
-]
-
-
-def find_journal(run: str, lab: Path | None) -> Path:
-    """The journal of a run, by its file or as `find_run` finds it. Raises SourceError if there is none."""
-    from scuhand_bt.run.resume import find_run
-
-    path = Path(run)
-    return path if path.suffix == ".sqlite" or path.is_file() else find_run(runs_folder(lab), run)
 
 
 @app.command()
@@ -46,9 +37,9 @@ def runs(
     lab: LabOption = None,
 ) -> None:
     """List the lab's runs, the newest first: what each was, in what state it is, and how many samples are good."""
-    from scuhand_bt.journal.archive import summaries
+    from scuhand_bt import api
 
-    found = summaries(runs_folder(lab))
+    found = api.runs(lab)
     if as_json:
         print_json([asdict(one) for one in found])
         return
@@ -59,7 +50,7 @@ def runs(
         state += f" (since {datetime.fromisoformat(one.since).astimezone():%H:%M:%S})" if one.since else ""
         mode = "SIMULATED" if one.mode == "SIMULATED" else one.mode.partition(" (")[0]
         table.add_row(*(Text(cell) for cell in (one.id, one.recipe, mode, one.started, state, good)))
-    out.print(table if found else Text(f"There are no runs in {runs_folder(lab)}."))
+    out.print(table if found else Text(f"There are no runs in {api.find_state(lab) / 'runs'}."))
     if not every and len(found) > NEWEST:
         out.print(f"… and {len(found) - NEWEST} older ones (--all).")
 
@@ -74,30 +65,26 @@ def show(
     lab: LabOption = None,
 ) -> None:
     """Tell what happened in a run: every action, dose, question, pause and fault, and whether its journal is whole."""
-    from scuhand_bt.journal.archive import frames as frames_of
-    from scuhand_bt.journal.archive import story
-    from scuhand_bt.journal.reader import open_contents
+    from scuhand_bt.api import find_run
 
-    parts: list[RenderableType] = []
-    with open_contents(find_journal(run, lab)) as contents:
-        problem = contents.verified.problem
-        if contents.verified.entries:
-            found = frames_of(contents, frames) if frames is not None else story(contents)
-            if as_json:
-                print_json(found)
-            else:
-                parts = list(_frames(found) if frames else _told(found))
-    for part in parts:
-        out.print(part)
+    its = find_run(run, lab)
+    story = its.story()
+    problem = story["chain"]["problem"]
+    if story["chain"]["entries"]:
+        lines = its.frames(frames) if frames is not None else None
+        if as_json:
+            print_json(story if lines is None else lines)
+        else:
+            for part in _told(story) if lines is None else _frames(lines):
+                out.print(part)
     if problem is not None:
         err.print(Text(f"The journal is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)
 
 
 def _told(story: Any) -> "Iterator[RenderableType]":
-    from scuhand_bt.journal.results import SampleResult
-    from scuhand_bt.report.doses import doses_table
-    from scuhand_bt.report.run_story import chain_line, header_lines, told
+    from scuhand_bt.api import SampleResult
+    from scuhand_bt.report import chain_line, doses_table, header_lines, told
 
     yield from map(Text, header_lines(story))
     yield ""
@@ -126,15 +113,19 @@ def export(
     lab: LabOption = None,
 ) -> None:
     """Write a run's weighing record (CSV, for an audit or a spreadsheet) or its canonical export (JSON)."""
-    from scuhand_bt.journal.reader import open_contents
+    from scuhand_bt.api import find_run
+    from scuhand_bt.report import weighing_csv
 
     if as_csv == as_json:
         raise typer.BadParameter("one of them says what to write", param_hint="--csv/--json")
     if output is not None:
         of_kind(output, ".csv" if as_csv else ".json")
-    with open_contents(find_journal(run, lab)) as contents:
+    its = find_run(run, lab)
+    with its.opened() as contents:
         problem = contents.verified.problem
-        text = "" if problem is not None else _exported(contents, as_csv=as_csv)
+        text = weighing_csv(contents) if as_csv and problem is None else ""
+    if not as_csv and problem is None:
+        text = its.export()
     if problem is not None:
         err.print(Text(f"Nothing is exported from a journal that is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)
@@ -147,10 +138,3 @@ def export(
     except OSError as error:
         raise typer.BadParameter(f"'{output}' cannot be written: {error.strerror}", param_hint="--output") from None
     out.print(Text(f"Written: {output}"))
-
-
-def _exported(contents: "Contents", *, as_csv: bool) -> str:
-    from scuhand_bt.journal.export import canonical_of
-    from scuhand_bt.report.weighing_record import weighing_record
-
-    return weighing_record(contents) if as_csv else canonical_of(contents)

@@ -2,16 +2,13 @@
 
 from collections.abc import Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import JsonFlag, LabOption, app, lab_state, out, print_json, the_lab
-
-if TYPE_CHECKING:
-    from scuhand_bt.lab_state.beliefs import LabState
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="balance")
@@ -39,11 +36,11 @@ def balance(
     if context.invoked_subcommand is not None:
         context.obj = lab
         return
-    from scuhand_bt.lab_state.beliefs import BALANCE_BELIEVED_FOR
+    from scuhand_bt.api.books import BALANCE_BELIEVED_FOR
 
     loaded = the_lab(lab)
     state = lab_state(loaded)
-    rows = _rows(state, loaded.cell.balance.readability_mg, simulated=simulated)
+    rows = state.balance_figures(loaded.cell.balance.readability_mg, simulated=simulated)
     if as_json:
         keys = ("balance", "figure", "value", "says", "at")
         print_json([dict(zip(keys, row, strict=True)) for row in rows])
@@ -69,18 +66,3 @@ def forget(context: typer.Context, lab: LabOption = None) -> None:
     """Forget what was measured of the balance, and learnt of it by doses: it was repaired, moved or set otherwise."""
     names = lab_state(the_lab(lab or context.obj)).forget_balances()
     out.print(Text(f"Forgotten: {'; '.join(names)}." if names else "Nothing was known."))
-
-
-def _rows(state: "LabState", readability_mg: float, *, simulated: bool) -> list[tuple[str, str, float, str, str]]:
-    """What was measured, what follows from it, and what doses have taught."""
-    from scuhand_bt.dosing.characteristic import least_repeatability_mg, usp_minimum_weight_mg
-
-    rows = []
-    for name, figures in state.figures(simulated=simulated).items():
-        rows += [(name, figure, one.value, one.says, one.at) for figure, one in figures.items()]
-        if (repeatability := figures.get("repeatability_mg")) is not None:
-            least_mg = usp_minimum_weight_mg(least_repeatability_mg(repeatability.value, readability_mg))
-            rows.append((name, "minimum_weight_mg", least_mg, repeatability.says, repeatability.at))
-    for name, learnt in state.balances(simulated=simulated).items():
-        rows.append((name, "lag_s", learnt.belief.lag_s, learnt.run, learnt.at))
-    return rows

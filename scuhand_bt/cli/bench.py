@@ -1,6 +1,7 @@
 """Commands about a cell's devices: twins of them, and a doctor for them."""
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Annotated
@@ -20,13 +21,13 @@ from scuhand_bt.cli.shared import (
     out,
     print_json,
     the_lab,
+    the_plan,
 )
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from scuhand_bt.lab import Lab
-    from scuhand_bt.run.twins_process import TwinsProcess
-    from scuhand_bt.sim.wire.bench import WireBench
+    from scuhand_bt.api import Lab
+    from scuhand_bt.api.bench import TwinsProcess
 
 
 @app.command()
@@ -56,17 +57,12 @@ def twins(
     From another terminal, or in lines here, they are told what a person does at the cell: `scuhand-bt twins place
     xrd_holder a`, `… remove`, `… refill beads 5 g`, `… look`, `… end`.
     """
-    from scuhand_bt.cli.batch import the_plan
-    from scuhand_bt.lab import find_state, state_folder
-    from scuhand_bt.run.twins import FOLDER, say
-    from scuhand_bt.run.twins_process import TwinsProcess
-    from scuhand_bt.sim.fault_rules import read_faults
-    from scuhand_bt.sim.plant import PlantError
-    from scuhand_bt.sim.wire.hand import NoCompiler
+    from scuhand_bt.api import NoCompiler, PlantError, read_faults
+    from scuhand_bt.api.bench import make_twins, tell_twins
 
     words = words or []
     if words and not _is_recipe(words):
-        answer = say(at or find_state(lab) / FOLDER, words)
+        answer = tell_twins(words, at=at, lab=lab)
         (out if answer.is_done else err).print(Text(answer.said), soft_wrap=True)
         raise typer.Exit(0 if answer.is_done else ExitCode.BAD_INPUT)
     wrong = read_faults(faults) if faults is not None else None
@@ -74,16 +70,7 @@ def twins(
     loaded = opened.lab if opened is not None else _lab_of_cell(cell, lab)
     sources = made.recipe.sources if made is not None else {}
     try:
-        process = TwinsProcess(
-            at or state_folder(loaded) / FOLDER,
-            loaded,
-            sources,
-            seed=seed,
-            plant=plant,
-            faults=wrong,
-            is_new=new,
-            of_run=of_run,
-        )
+        process = make_twins(loaded, sources, at=at, seed=seed, plant=plant, faults=wrong, is_new=new, of_run=of_run)
         with on_signals(process.end), process:
             spec = process.bench.spec
             again = "; they go on where they were" if process.goes_on else ""
@@ -123,25 +110,25 @@ def doctor(
     as_json: JsonFlag = False,
 ) -> None:
     """Look at every device of the cell, and say what is wrong and what to do."""
-    from contextlib import nullcontext
-    from dataclasses import asdict
-
-    from scuhand_bt.devices.doctor import examine
-    from scuhand_bt.run.clock import WallClock
+    from scuhand_bt.api import NoCompiler, PlantError
+    from scuhand_bt.api.bench import examine
 
     loaded = the_lab(lab)
-    bench = _bench(loaded) if twins else None
-    spec = bench.spec if bench is not None else loaded.cell
     if not (yes or as_json) and sys.stdin.isatty():
         yes = typer.confirm("Self-test: the valve opens by 1 mm and the motor vibrates. Is the cone empty?")
-    with bench or nullcontext():
-        findings = list(examine(spec, WallClock(), self_test=yes))
+    try:
+        findings = examine(loaded, twins=twins, self_test=yes)
+    except (PlantError, NoCompiler) as error:
+        err.print(Text(f"{error}"))
+        raise typer.Exit(ExitCode.BAD_INPUT) from None
     failed = sum(finding.verdict == "FAIL" for finding in findings)
     if as_json:
-        values = {"cell": spec.cell, "simulated": twins, "ok": not failed, "findings": [asdict(f) for f in findings]}
-        print_json(values)
+        values = [asdict(finding) for finding in findings]
+        print_json({"cell": loaded.cell.cell, "simulated": twins, "ok": not failed, "findings": values})
     else:
-        out.print(Text(f"The cell '{spec.cell}', {'SIMULATED: twins of its devices' if twins else 'real devices'}"))
+        out.print(
+            Text(f"The cell '{loaded.cell.cell}', {'SIMULATED: twins of its devices' if twins else 'real devices'}")
+        )
         table = Table("device", "check", "found", "expected", "verdict", "what to do", show_edge=False)
         for f in findings:
             style = {"ok": "", "FAIL": "red", "not done": "dim"}[f.verdict]
@@ -153,25 +140,13 @@ def doctor(
 
 def _lab_of_cell(cell: Path | None, folder: Path | None) -> "Lab":
     """The lab that is named by its folder or by its robot/cell.yaml, else the nearest one."""
-    from scuhand_bt.lab import CELL_FILE
+    from scuhand_bt.api.bench import folder_of_cell
 
     if cell is not None:
         if folder is not None:
             raise typer.BadParameter("name the lab by its folder or by its cell's file", param_hint="--cell/--lab")
-        folder = cell.absolute().parent.parent
-        if folder / CELL_FILE != cell.absolute():
-            raise typer.BadParameter(f"'{cell}' is no lab's {CELL_FILE}", param_hint="--cell")
+        try:
+            folder = folder_of_cell(cell)
+        except ValueError as error:
+            raise typer.BadParameter(f"{error}", param_hint="--cell") from None
     return the_lab(folder)
-
-
-def _bench(lab: "Lab") -> "WireBench":
-    """The twins of a lab's cell; ends with a message where they cannot be made."""
-    from scuhand_bt.run.make_cell import bench_of
-    from scuhand_bt.sim.plant import PlantError
-    from scuhand_bt.sim.wire.hand import NoCompiler
-
-    try:
-        return bench_of(lab)
-    except (PlantError, NoCompiler) as error:
-        err.print(Text(f"{error}"))
-        raise typer.Exit(ExitCode.BAD_INPUT) from None

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.batch import notes_of
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, out, print_json
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, notes_of, out, print_json
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:

@@ -10,15 +10,15 @@ from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import LabOption, NameArgument, app, out, the_lab, unknown
-from scuhand_bt.quantity import Unit
 
 
 @app.command()
 def skills(name: NameArgument = None, lab: LabOption = None) -> None:
     """List the lab's skills, or show one with its parameters."""
-    from scuhand_bt.tree.wires import of_field
+    from scuhand_bt.api.content import parameters, result_type
 
-    library = the_lab(lab).library
+    loaded = the_lab(lab)
+    library = loaded.library
     if name is None:
         table = Table("skill", "what it is for", show_edge=False)
         for key, skill in library.skills.items():
@@ -29,12 +29,10 @@ def skills(name: NameArgument = None, lab: LabOption = None) -> None:
         raise unknown("skill", name, library.skills)
     skill = library.skills[name]
     out.print(f"{name}: {skill.summary()}")
-    out.print(f"commands: {', '.join(skill.devices) or 'nothing'}; gives: {of_field(skill.result_type()).name}")
+    out.print(f"commands: {', '.join(skill.devices) or 'nothing'}; gives: {result_type(skill)}")
     table = Table("parameter", "type", "default", show_edge=False)
-    for key, parameter in library.parameters(name).items():
-        field = next(info for field_name, info in skill.model_fields.items() if (info.alias or field_name) == key)
-        unit = next((f" {mark.unit}" for mark in field.metadata if isinstance(mark, Unit)), "")
-        table.add_row(key, parameter.wire.name, "required" if parameter.required else f"{field.default}{unit}")
+    for one in parameters(loaded, name):
+        table.add_row(one.name, one.type, "required" if one.default is None else one.default)
     out.print(table)
 
 
@@ -49,19 +47,13 @@ def trees(
     lab: LabOption = None,
 ) -> None:
     """List the lab's workflows, or show one; all of them are checked."""
-    if from_xml is not None:
-        _show_imported(from_xml)
-        return
-    from scuhand_bt.lab import find_lab, load_lab
-    from scuhand_bt.problems import Problems
-    from scuhand_bt.tree.btxml import to_xml
-    from scuhand_bt.tree.check import check_workflows
-    from scuhand_bt.tree.drawing import drawn
+    from scuhand_bt.api.content import checked_lab, drawn, imported, to_xml
 
-    loaded = load_lab(find_lab(None, lab))
-    problems = Problems(list(loaded.problems))
-    check_workflows(loaded.library, loaded.library.workflows, problems)
-    problems.raise_any()
+    if from_xml is not None:
+        for its_name, text in imported(from_xml).items():
+            out.file.write(f"# trees/{its_name}.yaml\n{text}")
+        return
+    loaded = checked_lab(lab)
     if name is not None:
         if name not in loaded.library.workflows:
             raise unknown("workflow", name, loaded.library.workflows)
@@ -78,19 +70,11 @@ def trees(
     out.print(table)
 
 
-def _show_imported(path: Path) -> None:
-    from scuhand_bt.tree.btxml import from_xml
-    from scuhand_bt.yaml_source import read_text
-
-    for name, text in from_xml(read_text(path, "a file of BehaviorTree.CPP"), str(path)).items():
-        out.file.write(f"# trees/{name}.yaml\n{text}")
-
-
 @app.command()
 def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", show_default=False)]) -> None:
     """Make a lab of your own: a copy of the starter lab's robot, skills, trees and recipes, with what editors need."""
-    from scuhand_bt.kit.schemas import vscode_settings, write_schemas
-    from scuhand_bt.lab import load_lab, starter_lab
+    from scuhand_bt.api.content import starter_lab
+    from scuhand_bt.kit import vscode_settings, write_schemas
 
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise typer.BadParameter(f"'{folder}' exists and is not empty")
@@ -100,7 +84,7 @@ def init(folder: Annotated[Path, typer.Argument(help="The new lab's folder.", sh
             shutil.copytree(starter_lab() / part, folder / part, ignore=ignore)
         except OSError as error:
             raise typer.BadParameter(f"'{folder}' cannot be written: {error}") from None
-    write_schemas(load_lab(folder))
+    write_schemas(the_lab(folder))
     (folder / ".vscode").mkdir()
     (folder / ".vscode" / "settings.json").write_text(json.dumps(vscode_settings(), indent=2) + "\n", encoding="utf-8")
     out.print(Text(f"A lab in {folder}. Try: scuhand-bt run {folder / 'recipes' / 'xrd_holders.yaml'} --dry-run"))

@@ -9,9 +9,17 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.archive import EXIT_ALTERED, JournalArgument, find_journal
-from scuhand_bt.cli.ongoing import runs_folder
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, err, out, print_json, the_lab
+from scuhand_bt.cli.shared import (
+    EXIT_ALTERED,
+    JournalArgument,
+    JsonFlag,
+    LabOption,
+    app,
+    err,
+    out,
+    print_json,
+    the_lab,
+)
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import SourceError
 
@@ -27,33 +35,33 @@ def verify(
     lab: LabOption = None,
 ) -> None:
     """Find out whether a journal is as it was written, and say what of that is proven, and what is not."""
-    from scuhand_bt.journal.reader import open_contents
-    from scuhand_bt.lab_state.ledger import Ledger, LedgerFound
-    from scuhand_bt.report.proof import NO_CHAIN, proof_of
+    from scuhand_bt.api import find_run
+    from scuhand_bt.api.books import Ledger, LedgerFound
+    from scuhand_bt.report import NO_CHAIN, proof_of
 
     head, key = _digits(head, "--head"), _digits(key, "--key")
-    path = find_journal(run, lab)
+    its = find_run(run, lab)
     try:
-        ledger = Ledger(path.absolute().parent.parent).verified()
+        ledger = Ledger(its.state).verified()
     except SourceError as error:
         err.print(Text(f"Note: {error}"))
         ledger = LedgerFound((), None)
-    with open_contents(path, head) as contents:
+    with its.opened(head) as contents:
         entries, its_head = contents.verified.entries, contents.verified.head
         proof = proof_of(contents, ledger, head, key) if contents.is_chained else None
     if proof is None:
-        err.print(Text(f"{path}: {NO_CHAIN}."))
+        err.print(Text(f"{its.path}: {NO_CHAIN}."))
         raise typer.Exit(ExitCode.BAD_INPUT)
     if as_json:
-        print_json({"run": path.stem, "entries": entries, "head": its_head, **asdict(proof)})
+        print_json({"run": its.id, "entries": entries, "head": its_head, **asdict(proof)})
     elif proof.problem is None:
-        out.print(Text(f"{path.stem}: {entries} entries. Head: {its_head}"))
+        out.print(Text(f"{its.id}: {entries} entries. Head: {its_head}"))
         for title, lines in (("Proven:", proof.proven), ("Not proven:", proof.open)):
             out.print(title)
             for line in lines:
                 out.print(Text(f"- {line}"), soft_wrap=True)
     if proof.problem is not None:
-        err.print(Text(f"{path}: {proof.problem}."))
+        err.print(Text(f"{its.path}: {proof.problem}."))
         raise typer.Exit(EXIT_ALTERED)
 
 
@@ -65,7 +73,8 @@ def ledger(
     lab: LabOption = None,
 ) -> None:
     """Show the lab's ledger, which has the heads of all runs, and whether it is as it was written: note its head."""
-    from scuhand_bt.lab_state.ledger import KEY_VARIABLE, Ledger
+    from scuhand_bt.api import find_state
+    from scuhand_bt.api.books import KEY_VARIABLE, Ledger
 
     if new_key is not None:
         out.print(
@@ -73,7 +82,7 @@ def ledger(
         )
         return
     head = _digits(head, "--head")
-    found = Ledger(runs_folder(lab).parent).verified()
+    found = Ledger(find_state(lab)).verified()
     problem = found.problem
     if problem is None and head is not None and not found.holds(head):
         problem = f"it never had the head {head}: it was written anew, or is another lab's"
@@ -107,19 +116,17 @@ def audit(
     lab: LabOption = None,
 ) -> None:
     """The audit trail of a run, or of the lab's own records: who did what, when, and why."""
-    from scuhand_bt.journal.reader import open_contents
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.lab_state.inventory import Inventory
-    from scuhand_bt.lab_state.persons import Persons
-    from scuhand_bt.report.audit import deeds_in_lab, deeds_of_run
+    from scuhand_bt.api import OpenLab, find_run
+    from scuhand_bt.api.books import Inventory, Persons
+    from scuhand_bt.report import deeds_in_lab, deeds_of_run
 
     problem = None
     if run is not None:
-        with open_contents(find_journal(run, lab)) as contents:
+        with find_run(run, lab).opened() as contents:
             deeds, problem = list(deeds_of_run(contents)), contents.verified.problem
     else:
         loaded = the_lab(lab)
-        state = state_folder(loaded)
+        state = OpenLab(loaded).state
         deeds = list(deeds_in_lab(Inventory(state, loaded.cell.cell).corrections(), Persons(state).enrolled()))
     if as_json:
         print_json([asdict(deed) for deed in deeds])
@@ -144,7 +151,7 @@ def _digits(text: str | None, option: str) -> str | None:
 
 
 def _made(path: Path) -> str:
-    from scuhand_bt.lab_state.signing import NEEDED, new_key
+    from scuhand_bt.api.books import NEEDED, new_key
 
     try:
         return new_key(path)

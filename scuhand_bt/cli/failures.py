@@ -15,16 +15,13 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
 
     It also explains what `check` finds.
     """
-    from scuhand_bt.failures import CATALOGUE
+    from scuhand_bt.api.content import ACTIONS, explained
     from scuhand_bt.findings import FINDINGS
-    from scuhand_bt.recipe.recipe import ACTIONS, DEFAULT_ON_FAILURE
-    from scuhand_bt.tree.check import Library
-    from scuhand_bt.tree.grammar import Branch, Decorator, walk
 
+    library = None
     try:
         library = the_lab(lab).library
     except SourceError as error:  # the shared catalogue is explained all the same
-        library = Library({}, {})
         err.print(Text(f"Without what this lab's skills add, as it cannot be read: {error.problems[0]}"))
     if code is not None and code in FINDINGS:
         finding = FINDINGS[code]
@@ -36,56 +33,38 @@ def explain(code: NameArgument = None, lab: LabOption = None, as_json: JsonFlag 
             )
             out.print(Text(f"What to do: {finding.remedy}"))
         return
-    failures = library.failures()
+    failures = explained(library)
     if code is not None and code not in failures:
         raise unknown("failure code", code, failures)
-    retried = {
-        name: {code for node in walk(workflow.tree) if isinstance(node, Branch | Decorator) for code in node.codes}
-        for name, workflow in library.workflows.items()
-    }
-    explained = {
-        name: {
-            "meaning": failure.meaning,
-            "remedy": failure.remedy,
-            "defined_by": [skill for skill, made in library.skills.items() if name in made.failures],
-            "raised_by": [skill for skill, made in library.skills.items() if name in made.raises],
-            "raised_in": [f"scuhand_bt/{room}" for room in failure.raised_in],
-            "retried_by": [workflow for workflow, codes in retried.items() if name in codes],
-            "on_failure": DEFAULT_ON_FAILURE.get(name, DEFAULT_ON_FAILURE["otherwise"]),
-        }
-        for name, failure in sorted(failures.items())
-        if code in (None, name)
-    }
     if as_json:
-        print_json(explained)
+        print_json({name: asdict(failure) for name, failure in failures.items() if code in (None, name)})
     elif code is None:
         table = Table("code", "meaning", "remedy", show_edge=False)
-        for name, values in explained.items():
-            table.add_row(name, str(values["meaning"]), str(values["remedy"]))
+        for name, failure in failures.items():
+            table.add_row(name, failure.meaning, failure.remedy)
         out.print(table)
     else:
-        values = explained[code]
-        raised = [f"the skill {skill}" for skill in values["raised_by"]]
-        raised += [f"{part}, within any skill" for part in values["raised_in"]]
-        out.print(Text(f"{code}: {values['meaning']}"))
-        out.print(Text(f"What to do: {values['remedy']}"))
+        failure = failures[code]
+        raised = [f"the skill {skill}" for skill in failure.raised_by]
+        raised += [f"{part}, within any skill" for part in failure.raised_in]
+        out.print(Text(f"{code}: {failure.meaning}"))
+        out.print(Text(f"What to do: {failure.remedy}"))
         out.print(Text(f"Raised by: {'; '.join(raised) or 'nothing that names it'}."))
-        if code not in CATALOGUE:
-            out.print(f"Defined by this lab's skill {', '.join(values['defined_by'])}.")
-        if values["retried_by"]:
-            out.print(f"Tried again by the workflows: {', '.join(values['retried_by'])}.")
+        if failure.defined_by:
+            out.print(f"Defined by this lab's skill {', '.join(failure.defined_by)}.")
+        if failure.retried_by:
+            out.print(f"Tried again by the workflows: {', '.join(failure.retried_by)}.")
         out.print(f"In a recipe's `on_failure: {{{code}: …}}`, for the sample that failed so:")
         for action, meaning in ACTIONS.items():
-            out.print(f"  {action:12} {meaning}{'  (the default)' if action == values['on_failure'] else ''}")
+            out.print(f"  {action:12} {meaning}{'  (the default)' if action == failure.on_failure else ''}")
 
 
 @app.command()
 def faults() -> None:
     """List what can go wrong in a simulated cell, as `--faults FILE` has it (docs/faults.md)."""
-    from scuhand_bt.sim.fault_rules import KINDS, OPPORTUNITIES, TO_THE_END
+    from scuhand_bt.api import content
 
     table = Table("fault", "what happens", "for", "when it may begin, if not told", show_edge=False)
-    for name, kind in KINDS.items():
-        lasts = "once" if kind.is_momentary else "to the end" if kind.lasts_s == TO_THE_END else f"{kind.lasts_s:g} s"
-        table.add_row(name, kind.summary, lasts, OPPORTUNITIES[kind.opportunity])
+    for fault in content.faults():
+        table.add_row(fault.name, fault.summary, fault.lasts, fault.begins)
     out.print(table)

@@ -11,13 +11,13 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, UnattendedFlag, app, err, out, print_json, the_lab
+from scuhand_bt.cli.shared import JsonFlag, LabOption, UnattendedFlag, app, err, out, print_json, the_lab, the_plan
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration
 
 if TYPE_CHECKING:
-    from scuhand_bt.fleet.queue import KnownStation, QueuedJob
+    from scuhand_bt.fleet import KnownStation, QueuedJob
 
 T = TypeVar("T")
 DatabaseOption = Annotated[
@@ -45,8 +45,7 @@ def station(
 ) -> None:
     """Take the jobs that the queue has for this cell, one after the other. SIGTERM: none after the one that runs."""
     _require_fleet()
-    from scuhand_bt.fleet.queue import open_queue
-    from scuhand_bt.fleet.station import Manner, Station
+    from scuhand_bt.fleet import Manner, Station, open_queue
 
     if not dry_run and operator is None:
         raise typer.BadParameter("a run on the cell has a person's name: say whose", param_hint="--operator")
@@ -76,9 +75,7 @@ def submit(
 ) -> None:
     """Check recipes, and queue each for a station that has what it needs, or none of them."""
     _require_fleet()
-    from scuhand_bt.cli.batch import the_plan
-    from scuhand_bt.fleet.order import submission_of
-    from scuhand_bt.fleet.queue import choose, open_queue
+    from scuhand_bt.fleet import choose, open_queue, submission_of
 
     asked = [submission_of(the_plan(recipe, lab)[0], simulated=dry_run, seed=seed) for recipe in recipes]
 
@@ -108,7 +105,7 @@ def queue(
 ) -> None:
     """List the jobs that wait and that are run, the newest first."""
     _require_fleet()
-    from scuhand_bt.fleet.queue import open_queue
+    from scuhand_bt.fleet import open_queue
 
     async def jobs() -> "list[QueuedJob]":
         async with open_queue(database) as queue:
@@ -133,7 +130,7 @@ def cancel(
 ) -> None:
     """Take a job out of the queue; one that is run stops after its current sample."""
     _require_fleet()
-    from scuhand_bt.fleet.queue import open_queue
+    from scuhand_bt.fleet import open_queue
 
     async def cancelled() -> bool:
         async with open_queue(database) as queue:
@@ -153,7 +150,7 @@ def fleet(
 ) -> None:
     """List the stations: what each does, when it was last heard of, and what it has before it."""
     _require_fleet()
-    from scuhand_bt.fleet.queue import open_queue
+    from scuhand_bt.fleet import open_queue
 
     async def stations() -> "tuple[bool, list[KnownStation]]":
         async with open_queue(database) as queue:

@@ -12,8 +12,8 @@ from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.quantity import MASS, parse
 
 if TYPE_CHECKING:
-    from scuhand_bt.lab import Lab
-    from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry, StockKind
+    from scuhand_bt.api import Lab
+    from scuhand_bt.api.books import Inventory, Stock, StockEntry, StockKind
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="inventory")
@@ -60,9 +60,9 @@ def set_entry(
     lab: LabOption = None,
 ) -> None:
     """Correct the inventory: what is at a station or in the cone, a fresh sheet, slots or containers used."""
+    from scuhand_bt.api import OpenLab
+    from scuhand_bt.api.books import take_cell
     from scuhand_bt.cli.persons import the_person
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.run.holds import take_cell
 
     loaded = the_lab(lab or context.obj)
     stations = [station.name for station in loaded.cell.stations.values() if station.kind == "mortar"]
@@ -83,8 +83,9 @@ def set_entry(
     if kind == "changer" and changer.driver != "operator" and (entry.used or 0) > changer.slots:
         what = f"'{value}' is more than the changer's {changer.slots} slots; write 0 to {changer.slots}"
         raise typer.BadParameter(what, param_hint="VALUE")
-    person = the_person(operator, state_folder(loaded), is_asked=False)
-    with take_cell(state_folder(loaded)):  # what a run has in the cell is not corrected beside it
+    state = OpenLab(loaded).state
+    person = the_person(operator, state, is_asked=False)
+    with take_cell(state):  # what a run has in the cell is not corrected beside it
         kept.enter(replace(entry, reason=reason), person.name if person is not None else None)
     out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
 
@@ -93,7 +94,7 @@ def _entry(
     kind: "StockKind", name: str, value: str, powder: str | None, lot: str | None, stock: "Stock"
 ) -> "StockEntry":
     """The entry that an operator means; what is left out stays as it is known."""
-    from scuhand_bt.lab_state.inventory import StockEntry
+    from scuhand_bt.api.books import StockEntry
 
     known = stock.get((kind, name))
     if kind in ("changer", "container"):
@@ -134,13 +135,13 @@ def _mass_mg(text: str) -> float:
 @app.command("notify")
 def try_notification(lab: LabOption = None) -> None:
     """Try the notification hook of robot/cell.yaml (`notify:`)."""
-    from scuhand_bt.run.notify import Notice, notify
+    from scuhand_bt.api.bench import try_notification
 
-    spec = the_lab(lab).cell.notify
-    if spec is None:
-        err.print("robot/cell.yaml has no `notify:`; docs/unattended.md shows it.")
-        raise typer.Exit(ExitCode.BAD_INPUT)
-    error = notify(spec, Notice("none", "none", simulated=True, state="ended", reason="scuhand-bt notify: a trial"))
+    try:
+        error = try_notification(the_lab(lab))
+    except ValueError as why:
+        err.print(Text(f"{why}"))
+        raise typer.Exit(ExitCode.BAD_INPUT) from None
     if error is not None:
         err.print(Text(error))
         raise typer.Exit(1)
@@ -148,7 +149,7 @@ def try_notification(lab: LabOption = None) -> None:
 
 
 def _inventory(lab: "Lab") -> "Inventory":
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.lab_state.inventory import Inventory
+    from scuhand_bt.api import OpenLab
+    from scuhand_bt.api.books import Inventory
 
-    return Inventory(state_folder(lab), lab.cell.cell)
+    return Inventory(OpenLab(lab).state, lab.cell.cell)

@@ -8,13 +8,11 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.archive import JournalArgument, find_journal
-from scuhand_bt.cli.shared import PAGES, LabOption, app, of_kind, out, the_lab, unknown
+from scuhand_bt.cli.shared import PAGES, JournalArgument, LabOption, app, of_kind, out, the_lab, unknown
+from scuhand_bt.quantity import ANGLE, MASS, parse
 
 if TYPE_CHECKING:
-    from scuhand_bt.lab import Lab
-    from scuhand_bt.motion import MotionPlanner
-    from scuhand_bt.motion.kinematics import Floats
+    from scuhand_bt.api import Lab
 
 OutputOption = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.", show_default=False)]
 
@@ -40,7 +38,7 @@ def reach(
     loaded = the_lab(lab)
 
     def write() -> None:
-        from scuhand_bt.report.reach import reach_page
+        from scuhand_bt.report import reach_page
 
         path.write_text(reach_page(loaded), encoding="utf-8")
 
@@ -62,42 +60,34 @@ def show_move(
 
     With -o FILE.png the PNG alone. Both need the extra `plot`.
     """
-    from scuhand_bt.motion import Mount
-    from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-    from scuhand_bt.report.scene3d import scene_values
-    from scuhand_bt.report.show_move import ShownMove
+    from scuhand_bt.report import shown_move
 
     path = of_kind(output or Path(f"{start}-{goal}.html"), *PAGES, ".png")
     loaded = the_lab(lab)
-    kinds = loaded.library.containers
-    if container is not None and container not in kinds:
-        raise unknown("container", container, kinds)
+    if container is not None and container not in loaded.library.containers:
+        raise unknown("container", container, loaded.library.containers)
+    if powder is not None and powder not in loaded.library.powders:
+        raise unknown("powder", powder, loaded.library.powders)
     for name in (start, goal):
         if name not in loaded.cell.stations:
             raise unknown("station", name, loaded.cell.stations)
-    planner, places_m = _planner(loaded, container)
-    there = planner.move(planner.home(), start)
-    limit_deg = _carrying_deg(loaded, load, powder, gentle)
-    motion = planner.move(there.end, goal, spill_limit_deg=limit_deg)
-    title = f"{start} to {goal}"
-    if limit_deg is not None:
-        carried = f"{load} of {powder}" if load else "a load"
-        title += f" with {carried}, spill angle up to {motion.spill_limit_deg:.0f}°"
-    offset_m = loaded.cell.hand.apex_offset_mm / 1000
-    scene, usual_mm = planner.scene(), 1000 * CONE_DIAMETER_M
-    on_pan = [kinds[container]] if container is not None else []
-    drawn = scene_values(planner, offset_m, [usual_mm], places_m, on_pan)
-    mount = Mount.of(loaded.cell.hand)
-    move = ShownMove(title, motion, scene, planner.rates, mount, places_m, drawn, container)
+    if (load is None) != (powder is None):
+        raise typer.BadParameter("--load and --powder belong together: how much, and of what")
+    try:
+        load_mg = parse(load, MASS) if load is not None else None
+        gentle_deg = parse(gentle, ANGLE) if gentle is not None else None
+        move = shown_move(loaded, start, goal, container, load_mg, powder, gentle_deg)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
     picture = path.with_suffix(".png")
 
     def write_page() -> None:
-        from scuhand_bt.report.move_page import move_page
+        from scuhand_bt.report import page_of_move
 
-        path.write_text(move_page(move), encoding="utf-8")
+        path.write_text(page_of_move(move), encoding="utf-8")
 
     def write_picture() -> None:
-        from scuhand_bt.report.move_picture import move_png
+        from scuhand_bt.report import move_png
 
         move_png(move, picture)
 
@@ -117,13 +107,12 @@ def plot(
 
     Of a sample that was dosed again, the last container's.
     """
-    from scuhand_bt.journal.reader import open_contents
-    from scuhand_bt.report.dose_curves import dose_curves
-    from scuhand_bt.report.dose_plot import plot_dose
+    from scuhand_bt.api import find_run
+    from scuhand_bt.report import curves_of_doses, plot_dose
 
     path = of_kind(output or Path(f"{sample}.png"), ".png", ".svg")
-    with open_contents(find_journal(run, lab)) as contents:
-        found = list(dose_curves(contents))
+    with find_run(run, lab).opened() as contents:
+        found = list(curves_of_doses(contents))
     of_sample = [one for one in found if one.sample == sample]
     if not of_sample:
         raise unknown("sample with a dose", sample, {one.sample for one in found})
@@ -134,62 +123,8 @@ def plot(
     _write(path, lambda: plot_dose(points, dose.target_mg, dose.tolerance_mg, path, title))
 
 
-def _carrying_deg(lab: "Lab", load: str | None, powder: str | None, gentle: str | None) -> float | None:
-    """What a run would carry a load of a powder within, and no more than `gentle`; None for an empty cone."""
-    from scuhand_bt.cell.cell import carrying_limit_deg
-    from scuhand_bt.dosing.cone import Cone
-    from scuhand_bt.motion.scenes import CONE_DIAMETER_M
-    from scuhand_bt.quantity import ANGLE, MASS, parse
-
-    if (load is None) != (powder is None):
-        raise typer.BadParameter("--load and --powder belong together: how much, and of what")
-    limits_deg = []
-    try:
-        if gentle is not None:
-            limits_deg.append(parse(gentle, ANGLE))
-        if load is not None and powder is not None:
-            if powder not in lab.library.powders:
-                raise unknown("powder", powder, lab.library.powders)
-            kind, rim_mm, load_mg = lab.library.powders[powder], 1000 * CONE_DIAMETER_M, parse(load, MASS)
-            full_mg = kind.bulk_density_mg_per_mm3 * Cone(rim_mm, lab.cell.hand.sheet_radius_mm).volume_mm3
-            if not 0 < load_mg < full_mg:
-                raise ValueError(f"--load is more than nothing and less than the full cone's {full_mg / 1000:.1f} g")
-            limits_deg.append(carrying_limit_deg(lab.cell, kind, load_mg, rim_mm))
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
-    if limits_deg and min(limits_deg) <= 0:
-        raise typer.BadParameter("--gentle is an angle above zero")
-    return min(limits_deg, default=None)
-
-
-def _planner(lab: "Lab", container: str | None) -> "tuple[MotionPlanner, dict[str, Floats]]":
-    """The lab's cell with a mortar at every mortar station; and the apex positions [m] (3,) of all stations."""
-    import numpy as np
-
-    from scuhand_bt.cell.places import at_station, over_balance, over_mortar
-    from scuhand_bt.motion import ApexPose
-
-    kind = lab.library.containers.get(container or "")
-    largest = max(lab.library.mortars.values(), key=lambda mortar: mortar.outer_diameter_mm)
-    stations = lab.cell.stations.values()
-    planner = lab.motion_planner({s.name: largest for s in stations if s.kind == "mortar"})
-    planner.set_geometry(container=kind)
-    places_m: dict[str, Floats] = {}
-    for station in stations:
-        if station.kind == "mortar":
-            position_mm = over_mortar(station, largest)
-        elif station.kind == "balance":
-            shortest = min(lab.library.containers.values(), key=lambda one: one.height_mm)
-            position_mm = over_balance(lab.cell, kind or shortest)[1]
-        else:
-            position_mm = at_station(station)
-        places_m[station.name] = np.array(position_mm) / 1000
-        planner.add_place(station.name, ApexPose(places_m[station.name]))
-    return planner, places_m
-
-
 def _tell_directions(lab: "Lab") -> None:
-    from scuhand_bt.report.scoop_reach import directions
+    from scuhand_bt.report import directions
 
     out.print("The handle's length and mount are read off a picture: measure yours, and set them in robot/cell.yaml.")
     table = Table("station", "mortar", "direction", "tilt", "time", "what is in the way", box=None)

@@ -21,7 +21,7 @@ def device(
     ] = None,
 ) -> None:
     """Write a package for a device of your own: driver, twin, protocol page and conformance test."""
-    from scuhand_bt.kit.new_device import write_device
+    from scuhand_bt.kit import write_device
 
     written = write_device(name, kind, folder or Path(f"scuhand-{name}"))
     for path in written:

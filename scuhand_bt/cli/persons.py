@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.ongoing import runs_folder
 from scuhand_bt.cli.shared import LabOption, app, out
 
 if TYPE_CHECKING:
-    from scuhand_bt.lab_state.persons import Persons
-    from scuhand_bt.run.operator import Person
+    from scuhand_bt.api import Person
+    from scuhand_bt.api.books import Persons
 
 TRIES = 3
 
@@ -25,9 +24,10 @@ def person(
     lab: LabOption = None,
 ) -> None:
     """Give a person a PIN to sign with, or a new one; without a name, list who has one."""
-    from scuhand_bt.lab_state.persons import Persons, person_name
+    from scuhand_bt.api import find_state
+    from scuhand_bt.api.books import Persons, person_name
 
-    persons = Persons(runs_folder(lab).parent)
+    persons = Persons(find_state(lab))
     if name is None:
         out.print(Text("\n".join(persons.names()) or "Nobody signs with a PIN here."))
         return
@@ -46,8 +46,8 @@ def the_person(given: str | None, folder: Path, *, is_asked: bool) -> "Person | 
 
     `folder` holds the lab's database. Who has a PIN there is asked for it.
     """
-    from scuhand_bt.lab_state.persons import Persons, person_name
-    from scuhand_bt.run.operator import Person
+    from scuhand_bt.api import Person
+    from scuhand_bt.api.books import Persons, person_name
 
     if given is None and is_asked:
         if not sys.stdin.isatty():

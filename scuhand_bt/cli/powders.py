@@ -9,7 +9,7 @@ from rich.text import Text
 from scuhand_bt.cli.shared import LabOption, app, lab_state, out, the_lab, unknown
 
 if TYPE_CHECKING:
-    from scuhand_bt.specs import PowderBelief
+    from scuhand_bt.api.books import PowderBelief
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="powders")

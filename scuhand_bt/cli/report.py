@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.archive import EXIT_ALTERED, JournalArgument, find_journal
-from scuhand_bt.cli.shared import PAGES, LabOption, app, err, of_kind, out
+from scuhand_bt.cli.shared import EXIT_ALTERED, PAGES, JournalArgument, LabOption, app, err, of_kind, out
 
 
 @app.command()
@@ -24,17 +23,17 @@ def report(
     lab: LabOption = None,
 ) -> None:
     """Write a run's report as one page that needs no network, or compare two runs (needs the extra `report`)."""
-    from scuhand_bt.journal.reader import open_contents
+    from scuhand_bt.api import find_run
 
     suffixes = (".pdf",) if pdf else PAGES
-    journals = [find_journal(name, lab) for name in (run, other) if name is not None]
-    path = of_kind(output or Path("-and-".join(journal.stem for journal in journals) + suffixes[0]), *suffixes)
+    found = [find_run(name, lab) for name in (run, other) if name is not None]
+    path = of_kind(output or Path("-and-".join(one.id for one in found) + suffixes[0]), *suffixes)
     try:
-        from scuhand_bt.report.run_report import comparison, run_report, write_pdf
+        from scuhand_bt.report import comparison, page_of_run, write_pdf
 
         with ExitStack() as opened:
-            contents = [opened.enter_context(open_contents(journal)) for journal in journals]
-            page = run_report(*contents) if len(contents) == 1 else comparison(*contents)
+            contents = [opened.enter_context(one.opened()) for one in found]
+            page = page_of_run(*contents) if len(contents) == 1 else comparison(*contents)
             problems = [one.verified.problem for one in contents]
         if pdf:
             write_pdf(page, path)
@@ -45,8 +44,8 @@ def report(
     except OSError as error:
         raise typer.BadParameter(f"'{path}' cannot be written: {error.strerror or error}") from None
     out.print(Text(f"Written: {path}"), soft_wrap=True)
-    for journal, problem in zip(journals, problems, strict=True):
+    for one, problem in zip(found, problems, strict=True):
         if problem is not None:
-            err.print(Text(f"{journal.stem}: the journal is not as it was written: {problem}."))
+            err.print(Text(f"{one.id}: the journal is not as it was written: {problem}."))
     if any(problem is not None for problem in problems):
         raise typer.Exit(EXIT_ALTERED)

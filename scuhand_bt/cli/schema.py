@@ -18,7 +18,7 @@ def schema(
     lab: LabOption = None,
 ) -> None:
     """Show the JSON Schema of one kind of file, with the lab's own skills, workflows, powders and containers in it."""
-    from scuhand_bt.kit.schemas import KINDS_OF_FILES, write_schemas, written
+    from scuhand_bt.kit import KINDS_OF_FILES, write_schemas, written
 
     loaded = the_lab(lab)
     if write:

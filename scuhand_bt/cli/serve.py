@@ -11,7 +11,6 @@ from urllib.parse import quote
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.ongoing import runs_folder
 from scuhand_bt.cli.shared import LabOption, app, err, out
 
 PORT = 8765
@@ -34,12 +33,13 @@ def serve(
     lab: LabOption = None,
 ) -> None:
     """Show the lab's runs on a page, now and as they were, until Ctrl-C; a run does not know of it (extra `serve`)."""
-    from scuhand_bt.dashboard.access import Access, is_loopback, kept_token, new_token
+    from scuhand_bt.api import find_state
+    from scuhand_bt.dashboard import Access, is_loopback, kept_token, new_token
 
-    folder = runs_folder(lab).parent
+    folder = find_state(lab)
     is_own, shown = is_loopback(host), ""
     try:
-        from scuhand_bt.dashboard.serving import listen_at, serve_at
+        from scuhand_bt.dashboard import listen_at, serve_at
 
         listener = listen_at(host, port)
         if not is_own and (fresh_token or kept_token(folder) is None):
@@ -66,7 +66,7 @@ def serve(
 def require_dashboard() -> None:
     """Raises BadParameter where there is none to bring along."""
     try:
-        import scuhand_bt.dashboard.serving  # noqa: F401
+        from scuhand_bt.dashboard import serve_at  # noqa: F401
     except ModuleNotFoundError as error:
         problem = f"a dashboard needs {error.name}: pip install 'scuhand-bt[serve]'"
         raise typer.BadParameter(problem, param_hint="--dashboard") from None
@@ -75,7 +75,7 @@ def require_dashboard() -> None:
 @contextmanager
 def dashboard_beside(journal: Path) -> Iterator[str]:
     """A dashboard in a process of its own that ends with this one, however that ends; gives the address of the run."""
-    from scuhand_bt.dashboard.serving import listen_at
+    from scuhand_bt.dashboard import listen_at
 
     with listen_at("127.0.0.1", 0) as listener:
         process = subprocess.Popen(

@@ -20,8 +20,8 @@ from scuhand_bt.failures import CATALOGUE, SkillFailed
 from scuhand_bt.problems import SourceError, harmless, nearest
 
 if TYPE_CHECKING:
-    from scuhand_bt.lab import Lab
-    from scuhand_bt.lab_state.beliefs import LabState
+    from scuhand_bt.api import Lab, OpenLab, Plan
+    from scuhand_bt.api.books import LabState
 
 PAGES = (".html", ".htm")
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -37,7 +37,19 @@ app = typer.Typer(
 out = PlainConsole(width=None if sys.stdout.isatty() else 160)
 err = PlainConsole(stderr=True, soft_wrap=True)
 
+EXIT_ALTERED = ExitCode.CELL_FAULT
+"""A journal, or the lab's ledger, is not as it was written."""
+
 RecipeArgument = Annotated[Path, typer.Argument(help="A recipe file (YAML).", show_default=False)]
+RunArgument = Annotated[
+    str, typer.Argument(metavar="RUN", help="A run's id, a unique beginning of it, or 'last'.", show_default=False)
+]
+JournalArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN", help="A run's id, a unique beginning of it, 'last', or a journal's file.", show_default=False
+    ),
+]
 LabOption = Annotated[
     Path | None, typer.Option("--lab", help="The lab's folder; default: the nearest one upward from the recipe.")
 ]
@@ -122,11 +134,29 @@ def the_lab(folder: Path | None, recipe: Path | None = None) -> "Lab":
 
     What is wrong in its files, and breaks only what uses them, is noted.
     """
-    from scuhand_bt.lab import find_lab, load_lab
+    from scuhand_bt.api import open_lab
 
-    lab = load_lab(find_lab(recipe, folder))
+    lab = open_lab(folder, recipe=recipe).require_cell()
     note_problems(lab)
     return lab
+
+
+def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, OpenLab]":
+    """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
+    from scuhand_bt.api import open_lab
+
+    opened = open_lab(folder, recipe=recipe)
+    made = opened.plan(recipe)
+    note_problems(opened.lab)
+    return made, opened
+
+
+def notes_of(made: "Plan", opened: "OpenLab", *, quiet: bool) -> list[str]:
+    """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
+    notes = [str(problem) for problem in opened.notes(made)]
+    for note in () if quiet else notes:
+        err.print(Text(f"Note: {note}"))
+    return notes
 
 
 def note_problems(lab: "Lab") -> None:
@@ -138,10 +168,10 @@ def note_problems(lab: "Lab") -> None:
 
 def lab_state(lab: "Lab") -> "LabState":
     """What was learnt and measured in a lab."""
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.lab_state.beliefs import LabState
+    from scuhand_bt.api import OpenLab
+    from scuhand_bt.api.books import LabState
 
-    return LabState(state_folder(lab))
+    return LabState(OpenLab(lab).state)
 
 
 def print_json(values: object) -> None:

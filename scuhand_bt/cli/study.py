@@ -9,16 +9,13 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, of_kind, out, print_json
+from scuhand_bt.cli.shared import JsonFlag, LabOption, RecipeArgument, app, err, of_kind, out, print_json, the_plan
 from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from scuhand_bt.study.odds import Odds, Range
-    from scuhand_bt.study.store import Store
-    from scuhand_bt.study.trial import Setup, Task, Trial
-    from scuhand_bt.study.vary import Vary
+    from scuhand_bt.study import Odds, Range, Setup, Store, Task, Trial, Vary
 
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")]
 
@@ -45,24 +42,25 @@ def study(
     as_json: JsonFlag = False,
 ) -> None:
     """Dry-run a recipe many times: its odds, and what they depend on. One that breaks off goes on where it was."""
-    from scuhand_bt.cli.batch import the_plan
-    from scuhand_bt.lab import state_folder
-    from scuhand_bt.run.options import check_controller
-    from scuhand_bt.study.odds import odds_of
-    from scuhand_bt.study.pool import all_trials, executor_of
-    from scuhand_bt.study.store import open_store
-    from scuhand_bt.study.table import KINDS, write_table
-    from scuhand_bt.study.trial import Setup
-    from scuhand_bt.study.vary import read_vary
+    from scuhand_bt.api import check_controller
+    from scuhand_bt.study import (
+        TABLE_KINDS,
+        Setup,
+        all_trials,
+        executor_of,
+        odds_of,
+        open_store,
+        read_vary,
+        write_table,
+    )
 
     if output is not None:
-        of_kind(output, *KINDS)
+        of_kind(output, *TABLE_KINDS)
     check_controller(controller)
     made, opened = the_plan(recipe, lab)
-    loaded = opened.lab
     varied = read_vary(vary) if vary is not None else None
-    setup = Setup(recipe.absolute(), loaded.folder.absolute(), controller, plant)
-    path = store or state_folder(loaded) / "studies.sqlite"
+    setup = Setup(recipe.absolute(), opened.lab.folder.absolute(), controller, plant)
+    path = store or opened.state / "studies.sqlite"
     if optimise is not None:
         if varied is None:
             raise typer.BadParameter("name the figures by --vary FILE", param_hint="--optimise")
@@ -92,10 +90,10 @@ def study(
 
 def _propose(setup: "Setup", vary: "Vary", candidates: int, seeds: range, executor: "Executor", kept: "Store") -> None:
     """Show figures that are better, as a diff: nothing is changed."""
-    from scuhand_bt.study.optimise import diff, optimise
+    from scuhand_bt.study import diff, optimised
 
     held_out = range(seeds.stop, seeds.stop + len(seeds))
-    found = optimise(setup, vary, candidates, seeds, held_out, executor, kept)
+    found = optimised(setup, vary, candidates, seeds, held_out, executor, kept)
     table = Table("on held-out seeds", "in tolerance", "a run takes", show_edge=False)
     for name, came in (("as written", found.as_written), ("proposed", found.proposed)):
         table.add_row(name, f"{came.good:.1%}", format_duration(came.duration_s))
@@ -110,7 +108,7 @@ def _propose(setup: "Setup", vary: "Vary", candidates: int, seeds: range, execut
 
 def tell_odds(odds: "Odds") -> None:
     """The odds, as a person reads them."""
-    from scuhand_bt.study.trial import LEFTOVERS
+    from scuhand_bt.study import LEFTOVERS
 
     out.print(f"\nBy {odds.trials} dry runs (intervals of 90 %): it takes {_range(odds.duration_s, format_duration)}.")
     table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in LEFTOVERS), show_edge=False)
@@ -137,7 +135,7 @@ def _range(found: "Range", told: Any) -> str:
 
 def _dominant(vary: "Vary", draws: "list[Setup]", ordered: "list[tuple[Task, Trial]]") -> dict[str, dict[str, Any]]:
     """Of success and time: Sobol indices by place, or how each goes with the place (Spearman), where it is a range."""
-    from scuhand_bt.study.vary import goes_with
+    from scuhand_bt.study import goes_with
 
     figures: dict[str, dict[Setup, list[float]]] = {"good": {}, "duration_s": {}}
     for (setup, _), one in ordered:

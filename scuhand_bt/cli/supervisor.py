@@ -17,13 +17,11 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from scuhand_bt.devices.liveness import Hung
+from scuhand_bt.api import Hung
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
-    from scuhand_bt.run.control import Control
-    from scuhand_bt.run.questions import Who
-    from scuhand_bt.run.session import Session
+    from scuhand_bt.api import Control, Session, Who
 
 HANGS_S = 20.0
 """A tick takes milliseconds, the longest plan of a motion a few seconds."""
@@ -100,19 +98,12 @@ class Supervisor:
 
     def _end(self, session: "Session") -> None:
         """Make the cell safe, write down what happened, and end the program, whatever hangs of it."""
-        from scuhand_bt.journal.events import Broken, Ended
-
         stack = sys._current_frames()[self._main]
         reason = f"{_who(stack)} hangs and cannot be ended; the program was ended with it"
 
-        def write() -> None:
-            session.journal.event(Broken(traceback="".join(traceback.format_stack(stack))))
-            session.journal.event(Ended(exit_code=ExitCode.CELL_FAULT, reason=reason, complete=False))
-            session.journal.close()
-
         _at_most(LAST_WORDS_S, *(device.stop for device in session.cell.every_device.values()))
         time.sleep(LAST_WORDS_S / 2)  # the drivers' threads say it
-        _at_most(LAST_WORDS_S, write)
+        _at_most(LAST_WORDS_S, lambda: session.write_off(reason, "".join(traceback.format_stack(stack))))
         said = f"Ended early: {reason}.\nJournal: {session.journal.kept_in}\n"
         _at_most(LAST_WORDS_S, lambda: os.write(2, said.encode()))
         os._exit(ExitCode.CELL_FAULT)

@@ -23,8 +23,7 @@ def run_tests(
 ) -> None:
     """Test workflows on simulated devices, by the `*.test.yaml` files beside them."""
     from scuhand_bt.cli.shared import the_lab
-    from scuhand_bt.kit.cases import Coverage, find_test_files, read_test_file, run_case
-    from scuhand_bt.kit.rehearsed import Rehearser
+    from scuhand_bt.kit import Coverage, Rehearser, find_test_files, read_test_file, run_case
 
     loaded = the_lab(lab, where / "x" if where is not None and where.is_dir() else where)
     files = [read_test_file(path, loaded) for path in find_test_files(where or loaded.folder / "trees")]

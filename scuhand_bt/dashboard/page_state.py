@@ -15,7 +15,7 @@ from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.report.doses import tone_of
 from scuhand_bt.report.picture import in_words
-from scuhand_bt.report.watching import about, inputs_of, pace_of, time_left_s, tree_of
+from scuhand_bt.report.watching import about, asked_of, inputs_of, pace_of, time_left_s, tree_of
 from scuhand_bt.run.questions import MEANINGS
 
 PSEUDO_TERMINALS = "/dev/pts/"
@@ -109,16 +109,9 @@ def _about(run: RunBegun, name: str) -> dict[str, Any]:
 
 def _to_come(samples: Iterable[SamplePlanned]) -> Iterator[dict[str, Any]]:
     for sample in samples:
-        what = _asked_for(sample.inputs)
+        doses = (f"{mass} from {source}" if source else mass for mass, source in asked_of(sample.inputs))
+        what = " + ".join(doses).strip()
         yield {"id": sample.id, "what": what, "tone": "", "verdict": "to come", "told": "", "done_s": sample.done_s}
-
-
-def _asked_for(inputs: Mapping[str, Any]) -> str:
-    mass, tolerance = inputs.get("mass"), inputs.get("tolerance")
-    parts = [format_mass(mass) if isinstance(mass, float | int) else ""]
-    parts += [f"± {format_mass(tolerance)}" if isinstance(tolerance, float | int) else ""]
-    parts += [f"from {inputs['source']}" if "source" in inputs else ""]
-    return " ".join(part for part in parts if part)
 
 
 def _row(result: SampleResult) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from pydantic import JsonValue
 
@@ -27,9 +28,10 @@ AT_ONCE = 500
 PATIENCE_S = 5.0
 """Once the run is over, who listens hears an entry within this time, or is waited for no longer."""
 _BEGAN = f"SELECT MAX(seq) - 1 FROM entry WHERE kind IN ('{RunBegun.KIND}', '{Resumed.KIND}')"
-_NEW = (
-    f"SELECT seq, kind, time_s, at, job, action, payload, frames FROM entry WHERE seq > ? ORDER BY seq LIMIT {AT_ONCE}"
-)
+_COLUMNS = "seq, kind, time_s, at, job, action, payload, frames"
+_NEW = f"SELECT {_COLUMNS} FROM entry WHERE seq > ? ORDER BY seq LIMIT {AT_ONCE}"
+EVENTS = f"SELECT {_COLUMNS} FROM entry ORDER BY seq"
+"""Every entry of a journal, each for `event_of`."""
 
 
 @dataclass(frozen=True)
@@ -116,12 +118,13 @@ class Telling:
             if self._seq is None:
                 self._seq = database.execute(_BEGAN).fetchone()[0]
             rows = database.execute(_NEW, (self._seq,)).fetchall()
-        return [
-            RunEvent(seq, kind, time_s, at, job, action, _values(payload, frames))
-            for seq, kind, time_s, at, job, action, payload, frames in rows
-        ]
+        return list(map(event_of, rows))
 
 
-def _values(payload: str, frames: bytes | None) -> dict[str, JsonValue]:
+def event_of(row: tuple[Any, ...]) -> RunEvent:
+    """What an entry's row tells."""
+    seq, kind, time_s, at, job, action, payload, frames = row
     values: dict[str, JsonValue] = json.loads(payload)
-    return values if frames is None else {**values, "lines": json.loads(zlib.decompress(frames))}
+    if frames is not None:
+        values["lines"] = json.loads(zlib.decompress(frames))
+    return RunEvent(seq, kind, time_s, at, job, action, values)

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.clock import wall_time
+from scuhand_bt.dosing.characteristic import least_repeatability_mg, usp_minimum_weight_mg
 from scuhand_bt.lab_state.lab_db import reading_lab_db, user_name, writing_lab_db
 from scuhand_bt.problems import SourceError
 from scuhand_bt.specs import BalanceBelief, PowderBelief
@@ -98,6 +99,21 @@ class LabState:
                 known.pop(figure, None)
                 found[balance] = known if value is None else {**known, figure: Measured(value, says, at)}
             return {balance: known for balance, known in found.items() if known}
+
+    def balance_figures(self, readability_mg: float, *, simulated: bool) -> list[tuple[str, str, float, str, str]]:
+        """What was measured of balances, what follows from it, and what doses have taught.
+
+        Each as the balance's name, the figure's, its value, what or which run says so, and when.
+        """
+        rows = []
+        for name, figures in self.figures(simulated=simulated).items():
+            rows += [(name, figure, one.value, one.says, one.at) for figure, one in figures.items()]
+            if (repeatability := figures.get("repeatability_mg")) is not None:
+                least_mg = usp_minimum_weight_mg(least_repeatability_mg(repeatability.value, readability_mg))
+                rows.append((name, "minimum_weight_mg", least_mg, repeatability.says, repeatability.at))
+        for name, learnt in self.balances(simulated=simulated).items():
+            rows.append((name, "lag_s", learnt.belief.lag_s, learnt.run, learnt.at))
+        return rows
 
     def recall(self, cell: Cell, now: datetime) -> None:
         """Give a real cell what was learnt on real devices, and let it believe nothing else of powders and balance."""

@@ -59,6 +59,8 @@ RECIPE_KEYS = (
 
 RecipeGiven = Path | Mapping[str, Any]
 """The file of a recipe, or a dict of what would stand in one."""
+GIVEN = "given.yaml"
+"""What the file of a recipe that is a dict is called, which there is not."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +106,19 @@ def load_recipe(given: RecipeGiven, lab: Lab) -> Recipe:
     return recipe
 
 
+def given_again(path: Path, text: str) -> RecipeGiven:
+    """A recipe as it was given, by what a run has noted of it: its file as it is now, or the dict."""
+    if path.name == GIVEN:
+        with suppress(ValueError):
+            given: Mapping[str, Any] = json.loads(text)
+            return given
+    return path
+
+
 def read_recipe(given: RecipeGiven, lab: Lab, problems: Problems) -> Recipe | None:
     """As `load_recipe`; what is wrong is noted, and what could be read is given. SourceError for what is no YAML."""
     if isinstance(given, Mapping):
-        path, text = lab.folder / "recipes" / "given.yaml", json.dumps(given, default=str)
+        path, text = lab.folder / "recipes" / GIVEN, json.dumps(given, default=str)
         return recipe_of(from_plain(given, "recipe"), path, text, lab, problems)
     text = read_text(given, "a recipe")
     return recipe_of(parse(text, str(given), "a recipe"), given, text, lab, problems)

@@ -21,7 +21,7 @@ class CurveOfDose:
     """Empty where the run ended before it was written."""
 
 
-def dose_curves(contents: Contents) -> Iterator[CurveOfDose]:
+def curves_of_doses(contents: Contents) -> Iterator[CurveOfDose]:
     """Every dose of a run's samples, in order. A dose and its course are of one action; of one job in old journals."""
     jobs = {row["id"]: row for row in contents.rows("job")}
     of_actions: dict[int, list[Point]] = {}

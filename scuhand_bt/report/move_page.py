@@ -17,7 +17,7 @@ _LEFT, _WIDE, _BOTTOM, _HIGH = 0.12, 0.74, 0.19, 0.75
 """Where a plot's axes are in it, as shares: the style of the page has the cursor there (`.cursor`)."""
 
 
-def move_page(move: ShownMove) -> str:
+def page_of_move(move: ShownMove) -> str:
     """The motion as a page."""
     motion = move.motion
     steps = max(1, int(motion.duration_s * ROWS_PER_S))

@@ -24,7 +24,7 @@ from scuhand_bt.run.session import Session
 from scuhand_bt.study.odds import COVERED, Odds, Range
 
 
-def preview(plan: Plan, lab: Lab, odds: Odds) -> str:
+def preview_page(plan: Plan, lab: Lab, odds: Odds) -> str:
     """The page. Raises as `Session` for a plan that no dry run can be made of."""
     motions = _motions(plan, lab)
     recipe, sources = plan.recipe, plan.recipe.sources.values()

@@ -28,14 +28,14 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_duration, format_mass
 from scuhand_bt.report import viewer
 from scuhand_bt.report.audit import deeds_of_run
-from scuhand_bt.report.dose_curves import CurveOfDose, dose_curves
+from scuhand_bt.report.dose_curves import CurveOfDose, curves_of_doses
 from scuhand_bt.report.doses import TEXT_COLUMNS, DoseRow, columns_for, dose_rows
 from scuhand_bt.report.page import rendered
 from scuhand_bt.report.powder_balance import SourceBalance, powder_balance
 from scuhand_bt.report.run_figures import CurveFigures, errors_figure, times_figure
 from scuhand_bt.report.run_scene import run_motions, run_scene
 from scuhand_bt.report.time_spent import ACTIVITIES, TimeSpent, time_spent
-from scuhand_bt.report.weighing_record import weighing_record
+from scuhand_bt.report.weighing_record import weighing_csv
 
 NONE = "–"
 
@@ -79,7 +79,7 @@ class RunFacts:
 
     @cached_property
     def curves(self) -> Sequence[CurveOfDose]:
-        return list(dose_curves(self.contents))
+        return list(curves_of_doses(self.contents))
 
     @cached_property
     def fault_rules(self) -> Sequence[FaultRules]:
@@ -171,7 +171,7 @@ class RunFacts:
         return int(json.loads(row[0])["believed"]["sheets_used"]) if row is not None else 0
 
 
-def run_report(contents: Contents) -> str:
+def page_of_run(contents: Contents) -> str:
     """A run's page. Raises SourceError for a run that had not begun."""
     facts = RunFacts(contents)
     run, problem = facts.run, contents.verified.problem
@@ -340,7 +340,7 @@ def _motions(contents: Contents) -> tuple[Mapping[str, str] | None, str]:
 def _data(contents: Contents) -> Iterator[tuple[str, str]]:
     """The run's data as files inside the page: name and link."""
     name = contents.path.stem
-    for suffix, text in (("csv", "\ufeff" + weighing_record(contents)), ("json", canonical_of(contents))):
+    for suffix, text in (("csv", "\ufeff" + weighing_csv(contents)), ("json", canonical_of(contents))):
         packed = base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
         yield f"{name}.{suffix}.gz", f"data:application/gzip;base64,{packed}"
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 from scuhand_bt.journal.events import RunBegun, TreeNode
@@ -66,19 +67,30 @@ def inputs_of(run: RunBegun, sample: str | None) -> Mapping[str, Any]:
     return next((one.inputs for one in run.samples or () if one.id == sample), {})
 
 
+def asked_of(inputs: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What a planned sample asks for, dose by dose: mass and tolerance in words, and the source's name; '' for none."""
+    if isinstance(inputs.get("masses"), list):  # side by side, as `compose` gives them
+        lists = [inputs.get(name) or [] for name in ("masses", "tolerances", "sources")]
+        doses = [*zip_longest(*lists)][: len(lists[0])]
+    else:
+        doses = [(inputs.get("mass"), inputs.get("tolerance"), inputs.get("source"))]
+    for mass_mg, tolerance_mg, source in doses:
+        within = f" ± {format_mass(tolerance_mg)}" if isinstance(tolerance_mg, float | int) else ""
+        yield f"{format_mass(mass_mg)}{within}" if isinstance(mass_mg, float | int) else "", str(source or "")
+
+
 def about(now: Follower, run: RunBegun) -> str:
     """What is under way: a sample with what it asks for, or a job between samples."""
     if now.job is None:
         return ""
     again = f", attempt {now.job.attempt}" if now.job.attempt > 1 else ""
     inputs = inputs_of(run, now.job.sample)
-    if not isinstance(mass_mg := inputs.get("mass"), float | int):
+    powders = {name: f" of {source.powder}" for name, source in run.sources.items()}
+    doses = " + ".join(f"{mass}{powders.get(source, '')}" for mass, source in asked_of(inputs) if mass)
+    if not doses:
         return f"{now.job.name}{again}"
-    tolerance_mg, source = inputs.get("tolerance"), run.sources.get(str(inputs.get("source")))
-    tolerance = f" ± {format_mass(tolerance_mg)}" if isinstance(tolerance_mg, float | int) else ""
-    of = f" of {source.powder}" if source is not None else ""
     into = f" into {inputs['container']}" if "container" in inputs else ""
-    return f"{now.job.name}{again}: {format_mass(mass_mg)}{tolerance}{of}{into}"
+    return f"{now.job.name}{again}: {doses}{into}"
 
 
 def tree_of(now: Follower) -> list[Node]:

@@ -54,7 +54,7 @@ COLUMNS = (
 _FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
 
 
-def weighing_record(contents: Contents) -> str:
+def weighing_csv(contents: Contents) -> str:
     """The record as CSV. Masses are in mg; the lines are the balance's own, as they came, in `lines_unit`.
 
     Of a dose, net = gross - tare - drift + earlier: what the same lot had brought before that tare was weighed.

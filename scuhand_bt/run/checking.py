@@ -60,7 +60,7 @@ def check(lab: Lab, recipe: RecipeGiven | None, *, fast: bool = False) -> Checke
     lint.check(sorted(sound), _uncalled(lab) if recipe is None else used)
     plan = None
     if read is not None:
-        if used and used <= sound:
+        if used and used | (lab.library.workflows.keys() & set(SERVICE)) <= sound:
             _check_on_failure(read, lint, used, of_recipe)
         check_service_workflows(read, lab, of_recipe)
         if lab.has_cell and not of_recipe.errors:

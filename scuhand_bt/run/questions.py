@@ -52,6 +52,11 @@ class Question:
     at: str
     """Since when, ISO 8601 with its offset from UTC."""
 
+    @property
+    def meanings(self) -> dict[str, str]:
+        """What each choice says; empty for one of a lab's skill, which the question explains."""
+        return {choice: MEANINGS.get(choice, "") for choice in self.choices}
+
 
 @dataclass(frozen=True)
 class Given:

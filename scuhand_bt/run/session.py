@@ -11,7 +11,8 @@ from pathlib import Path
 import scuhand_bt
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Reading, is_twin
-from scuhand_bt.journal.events import FaultRules, Matter, Resumed, RuleAccount, Trouble
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.journal.events import Broken, Ended, FaultRules, Matter, Resumed, RuleAccount, Trouble
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.lab_state.lab_db import user_name
@@ -290,6 +291,12 @@ class Session:
             return []
         account = zip(file.marks, self._account, strict=False)  # nobody knows it of twins that have ended
         return [f"{mark}: '{rule.fault}'" for mark, rule in account if not rule.came_s]
+
+    def write_off(self, reason: str, traceback: str) -> None:
+        """Close the journal of a run that hangs, from another thread than its own: the program is ended with it."""
+        self.journal.event(Broken(traceback=traceback))
+        self.journal.event(Ended(exit_code=ExitCode.CELL_FAULT, reason=reason, complete=False))
+        self.journal.close()
 
     def close(self) -> None:
         """Close the devices, wait for what is being told of the run, and close the journal."""

@@ -4,12 +4,15 @@ A file that is wrong takes its own skill away and no other.
 """
 
 import ast
+import hashlib
 import importlib
+import importlib.util
 import inspect
 import sys
 import traceback
 import types
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,7 +41,7 @@ def load_skills(
 
     `devices` are those of the lab's cell, by the names that skills lease them under.
     """
-    _mount(folder)
+    _mount(folder, _files_read(folder))
     loaded = LoadedSkills()
     shared = {code for path in paths if path.stem.startswith("_") for code in _codes_in(path)}
     for path in (path for path in paths if not path.stem.startswith("_")):
@@ -119,6 +122,9 @@ def _check_class(skill: type[Skill[Any]], mark: Mark, known: Collection[str], pr
         elif code in CATALOGUE:
             what = f"'failures' of {name} has '{code}', which the catalogue has already"
             problems.add(mark, what, "name another", code="skill-failures")
+    if not isinstance(skill.typical_s, int | float):
+        what = f"'typical_s' of {name} is {skill.typical_s!r}, and no number of seconds"
+        problems.add(mark, what, "typical_s = 4.0", code="skill-forecast")
     own = skill.failures if isinstance(skill.failures, Mapping) else {}
     for code in skill.raises if isinstance(skill.raises, tuple) else (None,):
         if code not in CATALOGUE and code not in own:
@@ -154,16 +160,31 @@ def _check_codes(skill: type[Skill[Any]], codes: Mapping[str, Mark], problems: P
             problems.warn(mark, what, "`explain` and the checks go by 'raises'", code="skill-raises")
 
 
-def _mount(folder: Path) -> None:
-    """Make `scuhand_lab` this folder, forgetting any other lab's modules."""
+def _files_read(folder: Path) -> dict[Path, bytes]:
+    """What stands in the files that skills are imported from, as hashes; what cannot be read says so at its import."""
+    found = {}
+    for path in folder.glob("skills/*.py"):
+        with suppress(OSError):
+            found[path] = hashlib.sha256(path.read_bytes()).digest()
+    return found
+
+
+def _mount(folder: Path, files: Mapping[Path, bytes]) -> None:
+    """Make `scuhand_lab` this folder, forgetting any other lab's modules, and this one's if a file has changed."""
     home = str(folder.absolute())
     package = sys.modules.get(PACKAGE)
     if package is not None and list(package.__path__) == [home]:
-        return
+        before = vars(package)["files"]
+        if before == files:
+            return
+        for path in (path for path in files if before.get(path) != files[path]):
+            # Python tells a file that was written twice within a second by its size alone.
+            Path(importlib.util.cache_from_source(str(path.absolute()))).unlink(missing_ok=True)
     for name in [name for name in sys.modules if name == PACKAGE or name.startswith(PACKAGE + ".")]:
         del sys.modules[name]
     package = types.ModuleType(PACKAGE)
     package.__path__ = [home]
+    vars(package)["files"] = files
     sys.modules[PACKAGE] = package
     importlib.invalidate_caches()
 

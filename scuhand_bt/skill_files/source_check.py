@@ -5,14 +5,17 @@ and so does nothing without `yield from`. What cannot be followed is taken for r
 """
 
 import ast
+import builtins
 import collections.abc
+import importlib
 import inspect
 import types
 import typing
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, PydanticSchemaGenerationError, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.leased import of_arm
@@ -22,7 +25,12 @@ from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, Skill
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
-CLOCKS = {"time": ("sleep", "time", "monotonic", "perf_counter"), "asyncio": ("sleep",)}
+CLOCKS = {
+    "time": ("sleep", "time", "time_ns", "monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns"),
+    "asyncio": ("sleep",),
+    "datetime": ("now", "utcnow", "today"),
+}
+"""What tells the computer's time, or waits by it: functions of a module, or of its classes."""
 RESUMING = "settle"
 """The method that has the arm and the balance, too: by them an interrupted action is taken up."""
 
@@ -31,7 +39,7 @@ def check_source(skill: type[Skill[Any]], tree: ast.Module, module: types.Module
     """All that can be told of a skill by the text of its file."""
     problems = Problems()
     body = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == skill.__name__)
-    _check_functions(tree, module, set(skill.sees()), problems, file)
+    _check_functions(tree, module, set(skill.sees()), problems, file, skill, body)
     _check_body(skill, body, problems, file)
     return problems
 
@@ -44,12 +52,19 @@ def check_shared(tree: ast.Module, module: types.ModuleType, file: str) -> Probl
 
 
 def _check_functions(
-    tree: ast.Module, module: types.ModuleType, leased: set[str] | None, problems: Problems, file: str
+    tree: ast.Module,
+    module: types.ModuleType,
+    leased: set[str] | None,
+    problems: Problems,
+    file: str,
+    skill: type[Skill[Any]] | None = None,
+    body: ast.ClassDef | None = None,
 ) -> None:
     generators = {node.name for node in ast.walk(tree) if isinstance(node, Function) and _yields(node)}
     for function in (node for node in ast.walk(tree) if isinstance(node, Function)):
         own = leased if leased is None else leased | ({"arm", "balance"} if function.name == RESUMING else set())
-        _FunctionCheck(function, vars(module), generators, own, problems, file).check()
+        of_skill = skill if body is not None and function in body.body and _has_self(function) else None
+        _FunctionCheck(function, vars(module), generators, own, problems, file, of_skill).check()
 
 
 def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems, file: str) -> None:
@@ -82,6 +97,9 @@ def _check_body(skill: type[Skill[Any]], body: ast.ClassDef, problems: Problems,
             what = f"'interrupted' is {skill.interrupted!r}, which is no way to take up an action"
             problems.add(_mark(file, node), what, " or ".join(map(repr, interrupted)), code="skill-interrupted")
         info = skill.model_fields.get(target) if target is not None else None
+        if info is not None and (why := _why_no_default(info)) is not None:
+            what = f"the default of '{target}', {info.default!r}, is not of its type: {why}"
+            problems.add(_mark(file, node), what, "a value as the type has it", code="skill-default")
         is_float = info is not None and float in (info.annotation, *typing.get_args(info.annotation))
         if info is not None and is_float and not any(hasattr(m, "dimension") for m in info.metadata):
             what = f"'{target}' is a bare float: in a workflow nobody sees its unit, and none is checked"
@@ -100,6 +118,7 @@ class _FunctionCheck:
         leased: set[str] | None,
         problems: Problems,
         file: str,
+        skill: type[Skill[Any]] | None,
     ) -> None:
         self._function = function
         self._names = names
@@ -107,10 +126,13 @@ class _FunctionCheck:
         self._leased = leased
         self._problems = problems
         self._file = file
+        self._skill = skill
         self._local = dict(self._parameters())
 
     def _parameters(self) -> Iterator[tuple[str, Any]]:
         arguments = self._function.args
+        if self._skill is not None:
+            yield arguments.args[0].arg, self._skill
         for argument in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
             said = ast.unparse(argument.annotation) if argument.annotation is not None else ""
             if said == "CellSpec" or (argument.arg == "cell" and self._function.name == "forecast"):
@@ -132,15 +154,21 @@ class _FunctionCheck:
                 self._add(node, what, f"`yield from {ast.unparse(node.value.func)}(…)`", "skill-not-waited")
             elif isinstance(node, ast.Try):
                 self._check_finally(node)
+                self._check_halt(node)
+            elif isinstance(node, ast.While):
+                self._check_end(node)
             elif isinstance(node, ast.Call):
                 self._check_clock(node)
                 self._check_device(node)
+                self._check_arguments(node)
 
     def _add(self, node: ast.AST, what: str, remedy: str, code: str, **names: Any) -> None:
         self._problems.add(_mark(self._file, node), what, remedy, code=code, **names)
 
     def _follow(self, node: ast.AST) -> None:
         """`hand = cell.hand` and `a, b = cell.a, cell.b` are followed; a name that is given twice is not."""
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            self._import(node)
         if not isinstance(node, ast.Assign) or len(node.targets) != 1:
             return
         target, value = node.targets[0], node.value
@@ -151,6 +179,15 @@ class _FunctionCheck:
             if isinstance(name, ast.Name):
                 self._local[name.id] = None if name.id in self._local else self._type_of(given)
 
+    def _import(self, node: ast.Import | ast.ImportFrom) -> None:
+        """A clock that only this function imports."""
+        for name in node.names:
+            module = name.name if isinstance(node, ast.Import) else node.module
+            if module in CLOCKS:
+                found = importlib.import_module(module)
+                given = found if isinstance(node, ast.Import) else getattr(found, name.name, None)
+                self._names = {**self._names, name.asname or name.name: given}
+
     def _check_member(self, node: ast.Attribute) -> None:
         owner = self._type_of(node.value)
         if owner is None:
@@ -158,6 +195,8 @@ class _FunctionCheck:
         if not _has(owner, node.attr):
             known = [name for name in dir(owner) if not name.startswith(("_", "model_"))]
             known += [name for name in _fields(owner) if name not in known]
+            if self._skill is not None and owner is self._skill:
+                known = [*owner.model_fields, *(name for name in vars(owner) if not name.startswith("_"))]
             what = f"a {owner.__name__} has no '{node.attr}'"
             self._add(node, what, "", "skill-unknown-member", unknown=node.attr, known=known)
         elif owner is Cell:
@@ -203,10 +242,56 @@ class _FunctionCheck:
                     what = "this waits in `finally`, where a skill that is halted only sends safe commands"
                     self._add(inner, what, "send what makes it safe; the engine waits until it is", "skill-finally")
 
+    def _check_halt(self, node: ast.Try) -> None:
+        """A skill is halted by an exception where it waits: whoever catches that goes on."""
+        if not any(isinstance(inner, ast.Yield | ast.YieldFrom) for part in node.body for inner in _with(part)):
+            return
+        for handler in node.handlers:
+            caught = handler.type.elts if isinstance(handler.type, ast.Tuple) else [handler.type]
+            is_any = any(one is None or self._object(one) in (BaseException, GeneratorExit) for one in caught)
+            if is_any and not any(isinstance(inner, ast.Raise) for part in handler.body for inner in _with(part)):
+                what = "this catches what halts the skill, too"
+                self._add(
+                    handler, what, "`finally:` for what is to be done anyway, or `except SkillFailed:`", "skill-halt"
+                )
+
+    def _check_end(self, node: ast.While) -> None:
+        """A loop without end that never waits."""
+        is_endless = isinstance(node.test, ast.Constant) and bool(node.test.value)
+        goes_on = (ast.Yield, ast.YieldFrom, ast.Await, ast.Break, ast.Return, ast.Raise)
+        if is_endless and not any(isinstance(inner, goes_on) for part in node.body for inner in _with(part)):
+            what = "this loop never ends and never waits: nothing else would go on"
+            self._add(node, what, "`yield from pause(cell, …)` in it, or `break`", "skill-endless")
+
+    def _check_arguments(self, node: ast.Call) -> None:
+        """What a method of a device, or a function of the SDK, is called with."""
+        function, own = self._function_of(node.func)
+        is_told = not any(isinstance(one, ast.Starred) for one in node.args) and all(one.arg for one in node.keywords)
+        if function is None or not is_told:
+            return
+        try:
+            inspect.signature(function).bind(*own, *node.args, **{str(one.arg): one.value for one in node.keywords})
+        except TypeError as error:
+            takes = [str(one) for one in list(inspect.signature(function).parameters.values())[len(own) :]]
+            what = f"`{ast.unparse(node.func)}` is called with other values than it takes: {error}"
+            self._add(node, what, f"it takes ({', '.join(takes)})", "skill-arguments")
+
+    def _function_of(self, called: ast.expr) -> tuple[types.FunctionType | None, tuple[None, ...]]:
+        """A function of ours that is called, and what it is given beside: a method its object."""
+        function = self._object(called)
+        own: tuple[None, ...] = ()
+        if function is None and isinstance(called, ast.Attribute):
+            owner = self._type_of(called.value)
+            is_method = owner is not None and called.attr not in _fields(owner)
+            function, own = inspect.getattr_static(owner, called.attr, None) if is_method else None, (None,)
+        is_ours = isinstance(function, types.FunctionType) and function.__module__.startswith("scuhand_bt.")
+        return (function, own) if is_ours else (None, ())
+
     def _check_clock(self, node: ast.Call) -> None:
         called = self._object(node.func)
+        home = getattr(called, "__module__", None) or getattr(getattr(called, "__self__", None), "__module__", None)
         for module, functions in CLOCKS.items():
-            if called is not None and getattr(called, "__module__", None) == module and called.__name__ in functions:
+            if home == module and called.__name__ in functions:
                 what = (
                     f"`{ast.unparse(node.func)}` is the computer's time, not the run's: nothing else goes on meanwhile"
                 )
@@ -216,10 +301,10 @@ class _FunctionCheck:
                 self._add(node, what, remedy, "skill-clock")
 
     def _object(self, node: ast.expr) -> Any:
-        """What a name of the module, or an attribute of one, stands for."""
+        """What a name of the module, or an attribute of one, or of a class of it, stands for."""
         if isinstance(node, ast.Name):
-            return None if node.id in self._local else self._names.get(node.id)
-        if isinstance(node, ast.Attribute) and isinstance(owner := self._object(node.value), types.ModuleType):
+            return None if node.id in self._local else self._names.get(node.id, getattr(builtins, node.id, None))
+        if isinstance(node, ast.Attribute) and isinstance(owner := self._object(node.value), types.ModuleType | type):
             return getattr(owner, node.attr, None)
         return None
 
@@ -249,6 +334,24 @@ class _FunctionCheck:
         if isinstance(node, ast.Call):
             return _class(self._returned(node.func))
         return None
+
+
+def _has_self(function: Function) -> bool:
+    return bool(function.args.args) and not function.decorator_list
+
+
+def _why_no_default(info: FieldInfo) -> str | None:
+    """Why a parameter's default is none of its values; pydantic takes any."""
+    if info.is_required() or info.default is None or info.default_factory is not None:
+        return None
+    try:
+        kind: Any = Annotated[(info.annotation, *info.metadata)] if info.metadata else info.annotation
+        TypeAdapter(kind).validate_python(info.default, strict=True)
+    except ValidationError as error:
+        return str(error.errors(include_url=False)[0]["msg"])
+    except PydanticSchemaGenerationError:  # a type of the lab's own
+        pass
+    return None
 
 
 def _has(owner: type, name: str) -> bool:
@@ -298,6 +401,12 @@ def _within(function: ast.AST) -> Iterator[ast.AST]:
         if not isinstance(child, Function | ast.Lambda | ast.ClassDef):
             yield child
             yield from _within(child)
+
+
+def _with(node: ast.AST) -> Iterator[ast.AST]:
+    """A node, and all below it."""
+    yield node
+    yield from _within(node)
 
 
 def _yields(function: Function) -> bool:

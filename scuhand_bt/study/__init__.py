@@ -1,1 +1,53 @@
 """Many dry runs of one recipe: what a plan's odds are, and what they depend on."""
+
+from typing import TYPE_CHECKING
+
+from scuhand_bt.fronts import front
+
+if TYPE_CHECKING:
+    from scuhand_bt.study.night import Night, in_words, read_night
+    from scuhand_bt.study.odds import Odds, Range, odds_of
+    from scuhand_bt.study.optimise import diff, optimised
+    from scuhand_bt.study.pool import all_trials, executor_of
+    from scuhand_bt.study.store import Store, open_store
+    from scuhand_bt.study.table import TABLE_KINDS, write_table
+    from scuhand_bt.study.trial import LEFTOVERS, Setup, Task, Trial
+    from scuhand_bt.study.vary import Vary, goes_with, read_vary
+else:
+    __getattr__, __dir__ = front(
+        __name__,
+        {
+            "study.night": "Night in_words read_night",
+            "study.odds": "Odds Range odds_of",
+            "study.optimise": "diff optimised",
+            "study.pool": "all_trials executor_of",
+            "study.store": "Store open_store",
+            "study.table": "TABLE_KINDS write_table",
+            "study.trial": "LEFTOVERS Setup Task Trial",
+            "study.vary": "Vary goes_with read_vary",
+        },
+    )
+
+__all__ = [
+    "LEFTOVERS",
+    "TABLE_KINDS",
+    "Night",
+    "Odds",
+    "Range",
+    "Setup",
+    "Store",
+    "Task",
+    "Trial",
+    "Vary",
+    "all_trials",
+    "diff",
+    "executor_of",
+    "goes_with",
+    "in_words",
+    "odds_of",
+    "open_store",
+    "optimised",
+    "read_night",
+    "read_vary",
+    "write_table",
+]

@@ -50,7 +50,7 @@ class Proposal:
         return self.proposed.cost(self.as_written) < self.as_written.cost(self.as_written)
 
 
-def optimise(
+def optimised(
     setup: Setup,
     vary: Vary,
     candidates: int,

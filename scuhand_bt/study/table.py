@@ -9,7 +9,7 @@ from typing import Any
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.study.trial import Task, Trial
 
-KINDS = (".csv", ".parquet")
+TABLE_KINDS = (".csv", ".parquet")
 
 
 def write_table(path: Path, trials: Sequence[tuple[Task, Trial]]) -> None:

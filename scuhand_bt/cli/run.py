@@ -1,22 +1,18 @@
-"""Commands about a recipe: run it, check it, plan it."""
+"""The command that runs a recipe, and how any run is begun, shown and told of."""
 
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 from scuhand_bt.cli.shared import (
-    PAGES,
     FaultsOption,
-    JsonFlag,
     LabOption,
     OperatorOption,
     RecipeArgument,
@@ -24,23 +20,18 @@ from scuhand_bt.cli.shared import (
     UnattendedFlag,
     app,
     err,
-    note_problems,
     of_kind,
     on_signals,
     out,
-    print_json,
+    the_plan,
 )
 from scuhand_bt.cli.streams import lines_into, unwatched
-from scuhand_bt.cli.study import WorkersOption, tell_odds
 from scuhand_bt.exit_codes import ExitCode
-from scuhand_bt.quantity import format_duration, format_mass
 
 if TYPE_CHECKING:
-    from scuhand_bt.api import BatchObserver, BatchResult, Control, Lab, OnEvent, OpenLab, Plan, Sample, Session
+    from scuhand_bt.api import BatchObserver, BatchResult, Control, OnEvent, Session
+    from scuhand_bt.cli.supervisor import Supervisor
     from scuhand_bt.groot import Publisher
-    from scuhand_bt.study.night import Night
-    from scuhand_bt.study.odds import Odds
-
 
 HowMuch = Literal["quiet", "lines", "verbose", "picture"]
 """What is told of a run while it goes on: nothing, a line for each sample, for each action, or a picture that stays."""
@@ -159,9 +150,9 @@ def run_to_its_end(
     Ctrl-C stops it now, Ctrl-Z pauses and continues it, Ctrl-\\ stops it after this sample; a closed terminal does not.
     """
     from scuhand_bt import api
-    from scuhand_bt.cli.serve import dashboard_beside, require_dashboard
+    from scuhand_bt.cli.serve import require_dashboard
     from scuhand_bt.cli.supervisor import Supervisor
-    from scuhand_bt.report.live_terminal import LiveTerminal
+    from scuhand_bt.report import LiveTerminal
 
     if dashboard:
         require_dashboard()
@@ -185,15 +176,7 @@ def run_to_its_end(
                 out.print(Text(session.title))
             for warning in session.warnings:
                 err.print(Text(f"Note: {warning}"))
-            with ExitStack() as shown:
-                if dashboard:
-                    page = shown.enter_context(dashboard_beside(session.journal.path))
-                    out.print(Text(f"Dashboard: {page}"), soft_wrap=True)
-                    out.file.flush()
-                shown.enter_context(api.closing(session, tell))
-                observers.append(_view(session, shows, shown))
-                shown.enter_context(supervisor.watching(session))
-                result = session.run(api.Observers(*observers))
+            result = _watched(session, supervisor, observers, shows, tell, dashboard=dashboard)
         except (api.PlantError, api.NoCompiler) as error:
             err.print(Text(f"{error}"))
             raise typer.Exit(ExitCode.BAD_INPUT) from None
@@ -201,6 +184,30 @@ def run_to_its_end(
         if json_file is not None:
             _export(session, result, json_file)
     raise typer.Exit(result.exit_code)
+
+
+def _watched(
+    session: "Session",
+    supervisor: "Supervisor",
+    observers: "list[BatchObserver]",
+    shows: HowMuch,
+    tell: "OnEvent | None",
+    *,
+    dashboard: bool,
+) -> "BatchResult":
+    """What the session comes to, shown as it goes on."""
+    from scuhand_bt import api
+    from scuhand_bt.cli.serve import dashboard_beside
+
+    with ExitStack() as shown:
+        if dashboard:
+            page = shown.enter_context(dashboard_beside(session.journal.path))
+            out.print(Text(f"Dashboard: {page}"), soft_wrap=True)
+            out.file.flush()
+        shown.enter_context(api.closing(session, tell))
+        view = _view(session, shows, shown)
+        shown.enter_context(supervisor.watching(session))
+        return session.run(api.Observers(*observers, view))
 
 
 def _groot_at(port: int) -> "Publisher":
@@ -218,8 +225,7 @@ def _groot_at(port: int) -> "Publisher":
 def _view(session: "Session", shows: HowMuch, shown: ExitStack) -> "BatchObserver":
     """What shows as much of the run as wished."""
     from scuhand_bt import api
-    from scuhand_bt.report.live import LiveView, PlainLines
-    from scuhand_bt.report.live_terminal import LiveTerminal
+    from scuhand_bt.report import LiveTerminal, LiveView, PlainLines
 
     if shows == "quiet":
         return api.BatchObserver()
@@ -233,8 +239,7 @@ def _view(session: "Session", shows: HowMuch, shown: ExitStack) -> "BatchObserve
 
 def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowMuch) -> None:
     """What the run came to."""
-    from scuhand_bt.report.doses import doses_table
-    from scuhand_bt.report.live import end_line
+    from scuhand_bt.report import doses_table, end_line
 
     if shows != "quiet":
         out.print(doses_table(result.samples, out.width))
@@ -259,172 +264,10 @@ def _tell(session: "Session", result: "BatchResult", seconds: float, shows: HowM
 
 def _export(session: "Session", result: "BatchResult", json_file: Path) -> None:
     """The canonical export, of the journal or of what was rescued of it."""
-    from scuhand_bt.api import canonical
+    from scuhand_bt.api import PastRun
 
     try:
-        json_file.write_text(canonical(session.journal.kept_in or session.journal.path), encoding="utf-8")
+        json_file.write_text(PastRun(session.journal.kept_in or session.journal.path).export(), encoding="utf-8")
     except OSError as error:
         err.print(Text(f"'{json_file}' cannot be written: {error.strerror}; the journal has it all"))
         raise typer.Exit(result.exit_code or ExitCode.BAD_INPUT) from None
-
-
-@app.command()
-def plan(
-    recipe: RecipeArgument,
-    trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
-    workers: WorkersOption = None,
-    night: Annotated[
-        str | None, typer.Option(metavar="20:00-08:00", help="Say what is done in hours in which nobody comes.")
-    ] = None,
-    html: Annotated[
-        Path | None, typer.Option("--html", help="Write it as a page, with the arm's motions (extra `report`).")
-    ] = None,
-    lab: LabOption = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Show the jobs in their order, what to expect of them by dry runs, and every moment that needs a person."""
-    if html is not None:
-        of_kind(html, *PAGES, option="--html")
-        if not trials:
-            raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
-    from scuhand_bt.report.doses import asked_cells, composed_lines
-
-    made, opened = the_plan(recipe, lab)
-    loaded = opened.lab
-    hours = _night(night, trials) if night is not None else None
-    notes = notes_of(made, opened, quiet=as_json)
-    odds = _odds(made, loaded, trials, workers) if trials else None
-    if html is not None and odds is not None:
-        _preview(made, loaded, odds, html)
-        return
-    if as_json:
-        print_json({**_plan_values(made), "odds": odds and asdict(odds), "notes": notes})
-        return
-    jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
-    for number, job in enumerate(made.jobs, start=1):
-        sample = job.sample
-        if sample is None:
-            jobs.add_row(str(number), job.name, job.workflow, "", "", "", "", style="cyan")
-            continue
-        jobs.add_row(
-            str(number),
-            sample.id,
-            sample.workflow,
-            ", ".join(source.name for source in sample.sources),
-            sample.container.name if sample.container else "",
-            *asked_cells(sample),
-        )
-    out.print(jobs)
-    for line in composed_lines(made.recipe.samples):
-        out.print(Text(line), soft_wrap=True)
-    powders = Table("source", "powder", "samples", "needed with losses", "amount", show_edge=False)
-    for demand in made.demands:
-        source = demand.source
-        needed, amount = format_mass(demand.needed_mg), format_mass(source.amount_mg)
-        powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
-    out.print()
-    out.print(powders)
-    if odds is not None:
-        tell_odds(odds)
-    rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
-    out.print(f"\nSheet swaps: {made.swaps}.{rough}")
-    out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
-    if all(person.job is None for person in made.persons):
-        out.print("After the start no person is needed.")
-    for person in made.persons:
-        when = odds.began_s.get(person.job or "") if odds is not None else None
-        at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
-        out.print(Text(f"A person is {person}{at}."))
-    if hours is not None and odds is not None:
-        from scuhand_bt.study.night import in_words
-
-        for line in in_words(made, loaded, odds, hours):
-            out.print(Text(line), soft_wrap=True)
-
-
-def _night(text: str, trials: int) -> "Night":
-    from scuhand_bt.study.night import read_night
-
-    if not trials:
-        raise typer.BadParameter("what a night holds is told by dry runs: at least one", param_hint="--trials")
-    return read_night(text)
-
-
-def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
-    """By the first seeds, in the background; what fails there by itself says so."""
-    from scuhand_bt.study.odds import odds_of
-    from scuhand_bt.study.pool import all_trials, executor_of
-    from scuhand_bt.study.trial import Setup
-
-    setup = Setup(made.recipe.path.absolute(), loaded.folder.absolute())
-    with executor_of(workers, None) as executor:
-        found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
-    return odds_of(made, [found[setup, seed] for seed in range(trials)])
-
-
-def _preview(made: "Plan", lab: "Lab", odds: "Odds", page: Path) -> None:
-    """Write the plan as a page."""
-    try:
-        from scuhand_bt.report.preview import preview
-
-        page.write_text(preview(made, lab, odds), encoding="utf-8")
-    except ModuleNotFoundError as error:
-        raise typer.BadParameter(f"a page needs {error.name}: pip install 'scuhand-bt[report]'") from None
-    except OSError as error:
-        raise typer.BadParameter(f"'{page}' cannot be written: {error.strerror or error}") from None
-    out.print(Text(f"Written: {page}"), soft_wrap=True)
-
-
-def _composition_values(sample: "Sample") -> dict[str, Any] | None:
-    return sample.composition.model_dump(exclude_unset=True) if sample.composition is not None else None
-
-
-def _plan_values(made: "Plan") -> dict[str, Any]:
-    return {
-        "recipe": made.recipe.name,
-        "jobs": [
-            {
-                "name": job.name,
-                "workflow": job.workflow,
-                "sample": job.sample.id if job.sample else None,
-                "source": next((source.name for source in job.sample.sources), None) if job.sample else None,
-                "sources": [source.name for source in job.sample.sources] if job.sample else [],
-                "container": job.sample.container.name if job.sample and job.sample.container else None,
-                "mass_mg": job.sample.mass_mg if job.sample else None,
-                "tolerance_mg": job.sample.tolerance_mg if job.sample else None,
-                "composition": _composition_values(job.sample) if job.sample else None,
-            }
-            for job in made.jobs
-        ],
-        "swaps": made.swaps,
-        "sources": [
-            {
-                "name": demand.source.name,
-                "powder": demand.source.powder.name,
-                "samples": demand.samples,
-                "needed_mg": demand.needed_mg,
-                "amount_mg": demand.source.amount_mg,
-            }
-            for demand in made.demands
-        ],
-        "persons": [{"job": person.job, "what": person.what, "where": str(person.mark)} for person in made.persons],
-        "duration_s": made.duration_s,
-    }
-
-
-def notes_of(made: "Plan", opened: "OpenLab", *, quiet: bool) -> list[str]:
-    """What a run on the real cell would be refused for, or ask; shown beside the result, as a dry run does not mind."""
-    notes = [str(problem) for problem in opened.notes(made)]
-    for note in () if quiet else notes:
-        err.print(Text(f"Note: {note}"))
-    return notes
-
-
-def the_plan(recipe: Path, folder: Path | None) -> "tuple[Plan, OpenLab]":
-    """A recipe's plan, and the lab it is for; SourceError for all that is wrong with it."""
-    from scuhand_bt.api import open_lab
-
-    opened = open_lab(folder, recipe=recipe)
-    made = opened.plan(recipe)
-    note_problems(opened.lab)
-    return made, opened

@@ -1,0 +1,170 @@
+"""The command that shows what a recipe comes to: its jobs in their order, their odds, and when a person is needed."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import (
+    PAGES,
+    JsonFlag,
+    LabOption,
+    RecipeArgument,
+    app,
+    notes_of,
+    of_kind,
+    out,
+    print_json,
+    the_plan,
+)
+from scuhand_bt.cli.study import WorkersOption, tell_odds
+from scuhand_bt.quantity import format_duration, format_mass
+
+if TYPE_CHECKING:
+    from scuhand_bt.api import Lab, Plan, Sample
+    from scuhand_bt.study import Night, Odds
+
+
+@app.command()
+def plan(
+    recipe: RecipeArgument,
+    trials: Annotated[int, typer.Option(min=0, help="Dry runs to tell the odds by; with 0 there are none.")] = 4,
+    workers: WorkersOption = None,
+    night: Annotated[
+        str | None, typer.Option(metavar="20:00-08:00", help="Say what is done in hours in which nobody comes.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write it as a page, with the arm's motions (extra `report`).")
+    ] = None,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Show the jobs in their order, what to expect of them by dry runs, and every moment that needs a person."""
+    if html is not None:
+        of_kind(html, *PAGES, option="--html")
+        if not trials:
+            raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
+    from scuhand_bt.report import asked_cells, composed_lines
+
+    made, opened = the_plan(recipe, lab)
+    loaded = opened.lab
+    hours = _night(night, trials) if night is not None else None
+    notes = notes_of(made, opened, quiet=as_json)
+    odds = _odds(made, loaded, trials, workers) if trials else None
+    if html is not None and odds is not None:
+        _preview(made, loaded, odds, html)
+        return
+    if as_json:
+        print_json({**_plan_values(made), "odds": odds and asdict(odds), "notes": notes})
+        return
+    jobs = Table("#", "job", "workflow", "source", "container", "mass", "tolerance", show_edge=False)
+    for number, job in enumerate(made.jobs, start=1):
+        sample = job.sample
+        if sample is None:
+            jobs.add_row(str(number), job.name, job.workflow, "", "", "", "", style="cyan")
+            continue
+        jobs.add_row(
+            str(number),
+            sample.id,
+            sample.workflow,
+            ", ".join(source.name for source in sample.sources),
+            sample.container.name if sample.container else "",
+            *asked_cells(sample),
+        )
+    out.print(jobs)
+    for line in composed_lines(made.recipe.samples):
+        out.print(Text(line), soft_wrap=True)
+    powders = Table("source", "powder", "samples", "needed with losses", "amount", show_edge=False)
+    for demand in made.demands:
+        source = demand.source
+        needed, amount = format_mass(demand.needed_mg), format_mass(source.amount_mg)
+        powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
+    out.print()
+    out.print(powders)
+    if odds is not None:
+        tell_odds(odds)
+    rough = "" if odds is not None else f" Roughly {format_duration(made.duration_s)}, if nothing fails."
+    out.print(f"\nSheet swaps: {made.swaps}.{rough}")
+    out.print("Before the start: the sources filled and in their places, a fresh sheet in the hand.")
+    if all(person.job is None for person in made.persons):
+        out.print("After the start no person is needed.")
+    for person in made.persons:
+        when = odds.began_s.get(person.job or "") if odds is not None else None
+        at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
+        out.print(Text(f"A person is {person}{at}."))
+    if hours is not None and odds is not None:
+        from scuhand_bt.study import in_words
+
+        for line in in_words(made, loaded, odds, hours):
+            out.print(Text(line), soft_wrap=True)
+
+
+def _night(text: str, trials: int) -> "Night":
+    from scuhand_bt.study import read_night
+
+    if not trials:
+        raise typer.BadParameter("what a night holds is told by dry runs: at least one", param_hint="--trials")
+    return read_night(text)
+
+
+def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odds":
+    """By the first seeds, in the background; what fails there by itself says so."""
+    from scuhand_bt.study import Setup, all_trials, executor_of, odds_of
+
+    setup = Setup(made.recipe.path.absolute(), loaded.folder.absolute())
+    with executor_of(workers, None) as executor:
+        found = dict(all_trials([(setup, seed) for seed in range(trials)], executor))
+    return odds_of(made, [found[setup, seed] for seed in range(trials)])
+
+
+def _preview(made: "Plan", lab: "Lab", odds: "Odds", page: Path) -> None:
+    """Write the plan as a page."""
+    try:
+        from scuhand_bt.report import preview_page
+
+        page.write_text(preview_page(made, lab, odds), encoding="utf-8")
+    except ModuleNotFoundError as error:
+        raise typer.BadParameter(f"a page needs {error.name}: pip install 'scuhand-bt[report]'") from None
+    except OSError as error:
+        raise typer.BadParameter(f"'{page}' cannot be written: {error.strerror or error}") from None
+    out.print(Text(f"Written: {page}"), soft_wrap=True)
+
+
+def _composition_values(sample: "Sample") -> dict[str, Any] | None:
+    return sample.composition.model_dump(exclude_unset=True) if sample.composition is not None else None
+
+
+def _plan_values(made: "Plan") -> dict[str, Any]:
+    return {
+        "recipe": made.recipe.name,
+        "jobs": [
+            {
+                "name": job.name,
+                "workflow": job.workflow,
+                "sample": job.sample.id if job.sample else None,
+                "source": next((source.name for source in job.sample.sources), None) if job.sample else None,
+                "sources": [source.name for source in job.sample.sources] if job.sample else [],
+                "container": job.sample.container.name if job.sample and job.sample.container else None,
+                "mass_mg": job.sample.mass_mg if job.sample else None,
+                "tolerance_mg": job.sample.tolerance_mg if job.sample else None,
+                "composition": _composition_values(job.sample) if job.sample else None,
+            }
+            for job in made.jobs
+        ],
+        "swaps": made.swaps,
+        "sources": [
+            {
+                "name": demand.source.name,
+                "powder": demand.source.powder.name,
+                "samples": demand.samples,
+                "needed_mg": demand.needed_mg,
+                "amount_mg": demand.source.amount_mg,
+            }
+            for demand in made.demands
+        ],
+        "persons": [{"job": person.job, "what": person.what, "where": str(person.mark)} for person in made.persons],
+        "duration_s": made.duration_s,
+    }
