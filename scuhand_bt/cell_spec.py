@@ -369,6 +369,17 @@ class CellSpec(Spec):
         options: BaseModel = self.own_options.get(device) or self.section(device).options  # type: ignore[union-attr]
         return options
 
+    def slowed(self, ratio: float) -> "CellSpec":
+        """This cell with all that moves by itself at a share of its speed: arm, roller and changer.
+
+        But for the valve: its speed is part of every dose, and is not a person's to be afraid of.
+        """
+        arm = self.arm.model_copy(update={"speed_ratio": self.arm.speed_ratio * ratio})
+        hand = self.hand.model_copy(update={"morph_speed_mm_per_s": self.hand.morph_speed_mm_per_s * ratio})
+        turning = self.changer.options.model_copy(update={"slot_s": self.changer.options.slot_s / ratio})
+        changer = self.changer.model_copy(update={"options": turning})
+        return self.model_copy(update={"arm": arm, "hand": hand, "changer": changer})
+
     def kind_of(self, device: str) -> str:
         """The kind of a device, as `scuhand_bt.drivers` has it."""
         return self.devices[device].kind if device in self.devices else device
