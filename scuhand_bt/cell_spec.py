@@ -385,7 +385,8 @@ class CellSpec(Spec):
     @model_validator(mode="after")
     def _stands_where_its_frames_do(self) -> Self:
         """Stations and obstacles in the base frame, once: everybody else knows of no other."""
-        for thing in (*self.stations.values(), *self.geometry):
+        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry]
+        for thing in things:
             if thing.frame is not None and thing.frame not in self.frames:
                 known = ", ".join(self.frames) or "none"
                 raise ValueError(f"'{thing.name}' belongs to '{thing.frame}', which is no frame; there are: {known}")

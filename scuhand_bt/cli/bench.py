@@ -126,7 +126,10 @@ def doctor(
     from contextlib import nullcontext
     from dataclasses import asdict
 
+    from scuhand_bt.commissioning.record import Record
+    from scuhand_bt.commissioning.steps import findings as commissioned
     from scuhand_bt.devices.doctor import examine
+    from scuhand_bt.lab import state_folder
     from scuhand_bt.run.clock import WallClock
 
     loaded = the_lab(lab)
@@ -136,6 +139,8 @@ def doctor(
         yes = typer.confirm("Self-test: the valve opens by 1 mm and the motor vibrates. Is the cone empty?")
     with bench or nullcontext():
         findings = list(examine(spec, WallClock(), self_test=yes))
+    if not twins:
+        findings += commissioned(Record(state_folder(loaded)).last(simulated=False), spec)
     failed = sum(finding.verdict == "FAIL" for finding in findings)
     if as_json:
         values = {"cell": spec.cell, "simulated": twins, "ok": not failed, "findings": [asdict(f) for f in findings]}

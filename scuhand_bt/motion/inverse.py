@@ -278,7 +278,8 @@ def _on_grid(pose: ApexPose, seams: Floats, swivels: Floats, mount: Mount, limit
     seams = np.repeat(seams[reached], len(swivels), axis=0)
     if not len(seams):
         return np.zeros((0, JOINTS))
-    circles = _circles(*(np.broadcast_to(one, seams.shape) for one in (pose.position_m, pose.axis)), seams, mount)
+    positions_m, axes = (np.broadcast_to(one, seams.shape) for one in (pose.position_m, pose.axis))
+    circles = _circles(positions_m, axes, seams, mount)
     assert circles is not None
     q = _branches(circles, np.tile(swivels, len(seams) // len(swivels))).reshape(-1, JOINTS)
     return _turned_within(q[_within(q, limits)], pose.axis, mount, limits)
@@ -376,7 +377,8 @@ def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Float
     None where a pose is beyond the arm.
     """
     n, m = len(positions_m), len(swivels)
-    if (circles := _circles(*(np.repeat(one, m, axis=0) for one in (positions_m, axes, seams)), mount)) is None:
+    each = [np.repeat(one, m, axis=0) for one in (positions_m, axes, seams)]
+    if (circles := _circles(each[0], each[1], each[2], mount)) is None:
         return None
     branches = _branches(circles, np.tile(swivels, n)).reshape(-1, JOINTS)
     return with_wrist_turned(branches, np.repeat(axes, 4 * m, axis=0), mount).reshape(n, m, 4, JOINTS)

@@ -76,7 +76,8 @@ class WireArm(SimulatedArm):
     @property
     def joints(self) -> Joints:
         """Where the servos are, as they are built in."""
-        return (np.array([servo.position for servo in self._servos]) - self._homes) / self._per_rad
+        joints: Joints = (np.array([servo.position for servo in self._servos]) - self._homes) / self._per_rad
+        return joints
 
     @property
     def is_active(self) -> bool:
