@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.motion.inverse import along, finest, nearest_configuration, solutions, swivel_of
 from scuhand_bt.motion.kinematics import LIMITS_RAD, ApexPose, Mount, apex, apex_frames
-from scuhand_bt.motion.touching import apex_in_flange, standing
+from scuhand_bt.motion.touching import calibrated, standing
 
 POINTS_MM = np.array([[260.0, 45.0, 58.0], [260.0, -45.0, 58.0], [390.0, 0.0, 60.0]])
 PIVOT_MM = np.array([330.0, 0.0, 60.0])
@@ -37,7 +37,8 @@ def test_a_thing_that_leans_is_said_to_lean_and_is_not_said_to_be_turned() -> No
     tilted = np.array([[math.cos(lean), 0.0, math.sin(lean)], [0.0, 1.0, 0.0], [-math.sin(lean), 0.0, math.cos(lean)]])
     found = standing(POINTS_MM, (POINTS_MM - PIVOT_MM) @ tilted.T + PIVOT_MM, PIVOT_MM)
     assert (found.tilt_deg, found.yaw_deg) == (pytest.approx(2.0), pytest.approx(0.0, abs=1e-9))
-    assert found.shift_mm == pytest.approx(np.zeros(3), abs=1e-9)
+    middle = POINTS_MM.mean(axis=0) - PIVOT_MM
+    assert found.shift_mm == pytest.approx(middle @ tilted.T - middle, abs=1e-9), "as high as in the points' middle"
 
 
 def test_a_point_that_was_touched_beside_its_mark_shows() -> None:
@@ -55,16 +56,27 @@ def test_points_on_one_line_are_refused() -> None:
 sides = st.floats(-0.006, 0.006)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.floats(0.10, 0.14), sides, sides, st.integers(0, 1000))
 def test_an_apex_is_found_from_postures_that_meet_one_point(offset: float, x: float, y: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     mount = Mount(offset, math.radians(64.0), math.pi, (x, y))
-    met = [_somehow(rng, mount) for _ in range(6)]
-    found = apex_in_flange(np.array(met))
-    assert found.offset_mm == pytest.approx(1e3 * offset, abs=1e-5)
-    assert found.aside_mm == pytest.approx((1e3 * x, 1e3 * y), abs=1e-5)
-    assert found.off_mm < 1e-5
+    found = calibrated(np.array([_somehow(rng, mount) for _ in range(8)]))
+    assert found.apex_mm == pytest.approx(1e3 * np.array([x, y, offset]), abs=1e-4)
+    assert np.abs(found.off_rad).max() < 1e-6
+    assert found.off_mm < 1e-4
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_joints_that_missed_their_marks_are_found_by_what_the_apex_then_meets(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    mount = Mount(0.117, math.radians(64.0), math.pi, (0.0025, -0.0015))
+    missed = np.radians([0.0, *rng.normal(0.0, 0.4, 5), 0.0])
+    met = np.array([_somehow(rng, mount) for _ in range(12)])
+    found = calibrated(met + missed)
+    assert found.off_rad == pytest.approx(-missed, abs=math.radians(0.05))
+    assert found.apex_mm == pytest.approx(np.array([2.5, -1.5, 117.0]), abs=0.3)
+    assert found.off_mm < 0.3
 
 
 def _somehow(rng: np.random.Generator, mount: Mount) -> np.ndarray:
@@ -80,9 +92,9 @@ def test_postures_that_are_all_alike_are_refused() -> None:
     mount = Mount.of(HandSpec())
     q = solutions(ApexPose(np.array([0.3, 0.05, 0.15])), mount)[0]
     with pytest.raises(ValueError, match="turned by 0°"):
-        apex_in_flange(np.tile(q, (5, 1)))
-    with pytest.raises(ValueError, match="4 postures"):
-        apex_in_flange(q[None])
+        calibrated(np.tile(q, (8, 1)))
+    with pytest.raises(ValueError, match="6 postures"):
+        calibrated(q[None])
 
 
 def test_an_apex_beside_the_axis_is_put_where_it_is_wanted_by_every_way_in() -> None:

@@ -16,7 +16,7 @@ APEX = (*ZERO, "hand.apex_offset", "hand.apex_aside", "hand.sheet_radius", "hand
 STEPS = (
     Step("servos", "which servo turns which joint, and which way", SERVOS, find_servos),
     Step("zero", "where every servo stands with the arm straight up", ZERO, find_zero),
-    Step("apex", "where the cone's apex is in the hand", APEX, find_apex),
+    Step("apex", "where the cone's apex is in the hand, and the joints' zero by it", APEX, find_apex),
     Step("table", "how the table stands under the arm", (*APEX, "frames.table"), find_frame("table")),
     Step(
         "balance_place",

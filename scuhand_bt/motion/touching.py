@@ -9,6 +9,14 @@ The apex (`apex_in_flange`): one fixed point g was met by it in n postures, whos
 
     o_k + R_k a = g        3 n equations, linear in a and g
 
+The apex and the joints' zeros (`calibrated`): with an error d of each zero, o and R are of q_k + d, and so
+
+    minimise  sum |o(q_k + d) + R(q_k + d) a - g|^2 / sigma_t^2  +  sum d_i^2 / sigma_d^2,     i = 2 ... 6
+
+by Gauss and Newton's steps, from the linear solution. A turn of joint 1 moves all that is touched, and is in where
+things stand then; a turn of joint 7 only turns a. (Hollerbach & Wampler, "The calibration index and taxonomy for robot
+kinematic calibration methods", Int. J. Robotics Research 15, 1996: a point contact, closed-loop method.)
+
 Lengths in mm, angles in degrees.
 """
 
@@ -21,7 +29,10 @@ from scuhand_bt.motion.kinematics import Floats, Mount, apex_frames
 
 LEAST_SIDE_MM = 40.0
 """Points nearer to each other, or to one line, say too little about a turn."""
-LEAST_POSTURES = 4
+TOUCHED_MM, ZERO_RAD = 0.3, math.radians(0.5)
+"""How well a point is touched, and a joint put on its mark, by hand (standard deviations)."""
+ROUNDS = 8
+LEAST_POSTURES = 6
 LEAST_TURN_DEG = 20.0
 """Postures that differ less from each other do not tell an apex from the point that it touches."""
 
@@ -31,7 +42,7 @@ class Standing:
     """How a thing stands against where it was taken to: a point p of it is at turn (p - pivot) + pivot + shift."""
 
     shift_mm: Floats
-    """Of the pivot, (3,)."""
+    """Of the pivot, (3,), as if it did not lean."""
     yaw_deg: float
     tilt_deg: float
     """Of its upright; no yaw."""
@@ -49,27 +60,57 @@ def standing(landmarks_mm: Floats, touched_mm: Floats, pivot_mm: Floats) -> Stan
     u, _, vt = np.linalg.svd((landmarks_mm - middle).T @ (touched_mm - met))
     turn = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
     off_mm = np.linalg.norm((landmarks_mm - middle) @ turn.T + met - touched_mm, axis=1)
+    yaw = math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+    # What leans a little, or seems to, is best taken for level where it was touched: in the points' middle.
+    level = np.array([[math.cos(yaw), -math.sin(yaw), 0.0], [math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     return Standing(
-        turn @ (pivot_mm - middle) + met - pivot_mm,
-        math.degrees(math.atan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])),
+        level @ (pivot_mm - middle) + met - pivot_mm,
+        math.degrees(yaw),
         math.degrees(math.acos(min(1.0, max(-1.0, float(turn[2, 2]))))),
         float(off_mm.max()),
     )
 
 
 @dataclass(frozen=True, slots=True)
-class ApexFound:
-    """Where the apex is in the flange, and how well that is known."""
+class Calibrated:
+    """Where the apex is in the flange, how far the joints are from what they say, and how well that is known."""
 
-    offset_mm: float
-    """Along the j7 axis."""
-    aside_mm: tuple[float, float]
+    apex_mm: Floats
+    """(3,): along the flange's x, y and the j7 axis."""
+    off_rad: Floats
+    """(7,): a joint really is at what it says, and this; 0 for the first and the last."""
     off_mm: float
     """How far from the point the apex then was, in the worst of the postures."""
 
 
-def apex_in_flange(q: Floats) -> ApexFound:
-    """From the configurations (n, 7) [rad] in which the apex met one point; ValueError where they tell too little."""
+def calibrated(q: Floats) -> Calibrated:
+    """From the configurations (n, 7) [rad], as said by the servos, in which the apex met one point.
+
+    ValueError where they tell too little.
+    """
+    apex_mm, point_mm = _apex_in_flange(q)
+
+    def apart_mm(x: Floats) -> Floats:
+        off_rad = np.concatenate([[0.0], x[:5], [0.0]])
+        mount = Mount(x[7] / 1e3, math.pi / 2, aside_m=(x[5] / 1e3, x[6] / 1e3))
+        apart: Floats = 1e3 * apex_frames(q + off_rad, mount)[0] - x[8:]
+        return apart
+
+    def weighed(x: Floats) -> Floats:
+        return np.concatenate([apart_mm(x).ravel() / TOUCHED_MM, x[:5] / ZERO_RAD])
+
+    x = np.concatenate([np.zeros(5), apex_mm, point_mm])
+    steps = np.concatenate([np.full(5, 1e-5), np.full(6, 1e-2)])
+    for _ in range(ROUNDS):
+        here = weighed(x)
+        slopes = np.array([(weighed(x + step) - here) / step.sum() for step in np.diag(steps)]).T
+        x = x - np.linalg.lstsq(slopes, here, rcond=None)[0]
+    off_mm = np.linalg.norm(apart_mm(x), axis=1)
+    return Calibrated(x[5:8], np.concatenate([[0.0], x[:5], [0.0]]), float(off_mm.max()))
+
+
+def _apex_in_flange(q: Floats) -> tuple[Floats, Floats]:
+    """The apex in the flange and the point that it met, (3,) each [mm], if the joints' zeros are right."""
     if len(q) < LEAST_POSTURES:
         raise ValueError(f"it takes {LEAST_POSTURES} postures or more")
     origins_m, _, seams = apex_frames(q, Mount(0.0, 0.0))
@@ -84,8 +125,7 @@ def apex_in_flange(q: Floats) -> ApexFound:
     found, _, rank, values = np.linalg.lstsq(equations, -1e3 * origins_m.ravel(), rcond=None)
     if rank < 6 or values[-1] < 0.1:
         raise ValueError("the hand was turned about one line only; tilt it another way, too")
-    off_mm = np.linalg.norm((equations @ found + 1e3 * origins_m.ravel()).reshape(-1, 3), axis=1)
-    return ApexFound(float(found[2]), (float(found[0]), float(found[1])), float(off_mm.max()))
+    return found[:3], found[3:]
 
 
 def _turn_deg(one: Floats, other: Floats) -> float:
