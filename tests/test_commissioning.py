@@ -9,15 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Call
+from hypothesis import given
+from hypothesis import strategies as st
 from running import make_lab
 
 from scuhand_bt.cell.places import over_balance
-from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.cell_spec import CellSpec, HandOptions, ValvePoint
 from scuhand_bt.commissioning.guide import carry_out, on_twins
 from scuhand_bt.commissioning.record import FILE, Done, Record, values_of
 from scuhand_bt.commissioning.servos import TURNS, turned
 from scuhand_bt.commissioning.step import Left, NotFound, Site
 from scuhand_bt.commissioning.steps import STEPS, findings, next_step
+from scuhand_bt.commissioning.valve import moved, opens_later_mm
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.lab import Lab, load_lab, state_folder
 from scuhand_bt.motion.inverse import solutions
@@ -28,6 +31,7 @@ from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.operator import Person
 from scuhand_bt.sim.wire.bench import COUNTS_PER_RAD, WireBench
+from scuhand_bt.specs import Container, Source
 from scuhand_bt.yaml_edit import Path as Keys
 from scuhand_bt.yaml_edit import Value, edited
 
@@ -37,11 +41,12 @@ TRUTH: dict[Keys, Value] = {
         "home_counts": [2105, 1991, 2105, 1991, 2105, 1991, 2105],
         "directions": [1, 1, 1, -1, 1, 1, 1],
     },
-    ("hand", "options"): {"roller_id": 1},
+    ("hand", "options", "roller_id"): 1,
     ("hand", "apex_offset"): "117 mm",
     ("hand", "apex_aside"): ["2.5 mm", "-1.5 mm"],
     ("frames", "balance", "shift"): ["9 mm", "-8 mm", "0.5 mm"],
     ("frames", "balance", "yaw"): "3 deg",
+    ("hand", "options", "valve_map"): [{"count": 2081, "opening": "0 mm"}, {"count": 2341, "opening": "2.4 mm"}],
     ("frames", "table", "shift"): ["0 mm", "0 mm", "-2 mm"],
 }
 """How the cell was really built: ids, horns and a hand as nobody has written them down."""
@@ -56,6 +61,7 @@ class Hands:
     bench: WireBench
     truth: CellSpec
     rng: np.random.Generator
+    bench_lab: Lab
     stops_at: int | None = None
     """A question that is answered with "stop"."""
     asked: list[str] = field(default_factory=list)
@@ -77,6 +83,12 @@ class Hands:
             self._turn(next(k for k, (what, _) in enumerate(TURNS) if what in question))
         elif "that point" in question:
             self._touch(np.array([0.30, 0.05, 0.15]), leaning=True)
+        elif "empty crucible" in question:
+            crucible = self.bench_lab.library.containers["alumina_crucible"]
+            self.bench.world.place(Container.model_validate({**crucible.model_dump(), "id": "crucible"}))
+            self._touch(np.array(over_balance(self.truth, crucible)[1]) / 1e3, leaning=False)
+        elif "glass_beads into the cone" in question and self.bench.world.masses_mg["cone"] == 0.0:
+            self.bench.world.load_cone("beads", 4000.0)
         elif "the mark of the" in question:
             name = question.split("mark of the ")[1].split(" at ")[0]
             frame = self.truth.frames[name]
@@ -156,7 +168,15 @@ def factory(tmp_path: Path) -> Iterator[Factory]:
     cell = truth_folder / "robot" / "cell.yaml"
     cell.write_text(edited(cell.read_text(encoding="utf-8"), TRUTH), encoding="utf-8")
     truth = load_lab(truth_folder)
-    with bench_of(truth) as bench:
+    library = truth.library
+    beads = Source(
+        name="beads",
+        station="mortar_bay",
+        mortar=library.mortars["agate_mortar"],
+        powder=library.powders["glass_beads"],
+        amount_mg=8000.0,
+    )
+    with bench_of(truth, sources={"beads": beads}) as bench:
         folder = make_lab(tmp_path / "lab")
         cell = folder / "robot" / "cell.yaml"
         ports: dict[Keys, Value] = {
@@ -164,7 +184,7 @@ def factory(tmp_path: Path) -> Iterator[Factory]:
         }
         ports[("arm", "options")] = {"latency": "40 ms"}
         cell.write_text(edited(cell.read_text(encoding="utf-8"), ports), encoding="utf-8")
-        yield Factory(folder, truth, bench, Hands(bench, truth.cell, np.random.default_rng(1)))
+        yield Factory(folder, truth, bench, Hands(bench, truth.cell, np.random.default_rng(1), truth))
 
 
 GEOMETRY = ("servos", "zero", "apex", "table", "balance_place")
@@ -286,3 +306,40 @@ def test_the_command_lists_the_steps_and_names_what_is_none(tmp_path: Path, comm
     wrong = command("commission", "servo", "--lab", str(folder))
     assert wrong.returncode == 2
     assert "servos" in wrong.stderr
+
+
+@given(st.floats(-0.6, 0.6), st.floats(20.0, 120.0))
+def test_a_valve_that_opens_later_than_its_map_says_is_found_by_how_powder_flows(later_mm: float, c: float) -> None:
+    openings_mm = [0.9, 1.3, 1.7, 2.1]
+    flows = [c * (opening_mm - later_mm - 0.05) ** 2.5 for opening_mm in openings_mm]
+    assert opens_later_mm(openings_mm, flows, 0.05) == pytest.approx(later_mm, abs=1e-9)
+
+
+@pytest.mark.parametrize("flows", [[10.0, 30.0], [10.0, 0.0, 30.0], [30.0, 20.0, 10.0], [10.0, 200.0, 90.0]])
+def test_flows_that_tell_no_zero_are_refused(flows: list[float]) -> None:
+    with pytest.raises(ValueError, match=r"flow"):
+        opens_later_mm([0.9, 1.5, 2.1][: len(flows)], flows, 0.05)
+
+
+def test_a_map_is_moved_the_way_its_counts_run() -> None:
+    rising = HandOptions().valve_map
+    falling = tuple(ValvePoint(count=4096 - point.count, opening_mm=point.opening_mm) for point in rising)
+    assert [point.count for point in moved(rising, 0.3)] == [2080, 2340]
+    assert [point.count for point in moved(falling, 0.3)] == [2016, 1756]
+    with pytest.raises(ValueError, match="beyond its turn"):
+        moved(rising, 20.0)
+
+
+@pytest.mark.real_time
+def test_a_valve_whose_zero_is_off_by_0_3_mm_is_mended_by_weighing(factory: Factory) -> None:
+    factory.do("servos", "zero", "valve")
+    wanted, found = (lab.cell.hand.options.valve_map for lab in (factory.truth, factory.lab))
+    counts_per_mm = (wanted[1].count - wanted[0].count) / 2.4
+    assert abs(found[0].count - wanted[0].count) / counts_per_mm < 0.1
+    assert factory.bench.hand.twin.opening_mm == 0.0
+
+
+@pytest.mark.parametrize("step", ["balance", "first_dose"])
+def test_what_only_a_run_can_show_is_not_taken_for_done_without_one(factory: Factory, step: str) -> None:
+    with pytest.raises(NotFound, match=r"scuhand-bt run recipes/\w+.yaml --step --slow 20%"):
+        factory.do(step)

@@ -4,14 +4,19 @@ from collections.abc import Iterator
 
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.commissioning.record import Done
+from scuhand_bt.commissioning.runs import find_balance, find_first_dose
 from scuhand_bt.commissioning.servos import find_servos, find_zero
 from scuhand_bt.commissioning.step import Step
 from scuhand_bt.commissioning.touch import find_apex, find_frame
+from scuhand_bt.commissioning.valve import find_valve_zero
 from scuhand_bt.devices.doctor import Finding, judged
 
 SERVOS = ("arm.options.servo_ids", "arm.options.directions", "hand.options.roller_id", "hand.options.roller_direction")
 ZERO = (*SERVOS[:2], "arm.options.home_counts")
 APEX = (*ZERO, "hand.apex_offset", "hand.apex_aside", "hand.sheet_radius", "hand.mount")
+VALVE = ("hand.options.valve_map", "hand.max_opening")
+BALANCE = ("balance.driver", "balance.port", "balance.readability", "balance.maximum", "frames.balance")
+EVERYTHING = (*APEX, "frames", "stations", *VALVE, *BALANCE[:-1])
 
 STEPS = (
     Step("servos", "which servo turns which joint, and which way", SERVOS, find_servos),
@@ -24,6 +29,9 @@ STEPS = (
         (*APEX, "frames.balance"),
         find_frame("balance"),
     ),
+    Step("valve", "where the valve begins to open, by weighing glass beads", VALVE, find_valve_zero),
+    Step("balance", "who the balance is, and what it is worth beside a moving arm", BALANCE, find_balance),
+    Step("first_dose", "a dose of glass beads, slow and in single step", EVERYTHING, find_first_dose),
 )
 """Each rests on those before it."""
 
