@@ -96,6 +96,21 @@ def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
 
 
+def settled_from(looks: Sequence[Gross], readability_mg: float) -> Gross:
+    """Which weighing of one thing, at like intervals, the last is to be held against for a drift.
+
+    A filter that creeps after powder rises, and within an interval by less than half as much as in the one before. What
+    falls, or rises on, is no filter, however much less it becomes: a zero that began to creep with the powder.
+    """
+    first = 0
+    while first + 2 < len(looks):
+        rose_mg = moved_mg(looks[first], looks[first + 1], readability_mg)
+        if rose_mg <= 0.0 or looks[first + 2].gross_mg - looks[first + 1].gross_mg > 0.5 * rose_mg:
+            break
+        first += 1
+    return looks[first]
+
+
 def fallen_mg(readings_mg: Sequence[float]) -> float:
     """By how much readings fall while powder comes, and stay below: no powder leaves the pan, so it is the zero.
 
