@@ -115,6 +115,12 @@ class Believed:
         return math.inf if is_known or load.scooped_mg == 0.0 else SURPLUS * load.scooped_mg
 
     @property
+    def seen_yields(self) -> Masses:
+        """Of `yields`, those of sources of which a load's end was seen, or was in an earlier run."""
+        unseen = self.cone_source if self.load.is_larger else None
+        return {name: share for name, share in self.yields.items() if name != unseen}
+
+    @property
     def barren_sources(self) -> frozenset[str]:
         """Those whose scoops have brought nothing so often that no more are made."""
         return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
@@ -124,6 +130,12 @@ class Believed:
     def source_holds(self, name: str, mass_mg: float) -> None:
         """So much is in a source: what a recipe, the inventory or an operator says."""
         self._set(sources_mg={**self.sources_mg, name: _mass(mass_mg)})
+
+    def scoops_bring(self, name: str, share: float) -> None:
+        """What scoops of a source were seen to bring of what was expected, in earlier runs; what this one has seen
+        counts more.
+        """
+        self._set(yields={name: _mass(share), **self.yields})
 
     def cone_holds(self, source: Source, mass_mg: float) -> None:
         """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
