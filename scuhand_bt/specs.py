@@ -155,6 +155,8 @@ class Powder(Spec):
     """At most that of osmium: what is denser is a slip of units."""
     repose_deg: Annotated[Degrees, Field(gt=0, lt=90)]
     wall_friction_deg: Annotated[Degrees, Field(gt=0, lt=90)]
+    grain_mm: Annotated[Millimetres, Positive] = 0.1
+    """Diameter of its grains: a scoop leaves a layer that is several of them thick, or nothing."""
     load_limit_mg: Annotated[Milligrams, Positive]
     """The most the cone is ever loaded with (paper: 5 g; 4 g of titanium dioxide)."""
     max_opening_mm: Annotated[Millimetres, Positive] = 2.4

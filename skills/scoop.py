@@ -121,8 +121,7 @@ class Scoop(Skill[Milligrams]):
 
     def _bed(self, cell: Cell) -> Bed:
         source, believed = self.source, cell.believed
-        density = source.powder.bulk_density_mg_per_mm3
-        return Bed(source.mortar, believed.sources_mg[source.name], density, believed.layers.get(source.name))
+        return Bed(source.mortar, believed.sources_mg[source.name], source.powder, believed.layers.get(source.name))
 
     def _chosen(self, cell: Cell, bed: Bed, in_mortar_mg: float) -> Stroke:
         source = self.source

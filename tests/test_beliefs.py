@@ -10,9 +10,10 @@ import pytest
 from conftest import Call, LabFolder
 from running import dry_run
 
+from scuhand_bt.cell.believed import Believed
 from scuhand_bt.lab_state.beliefs import LabState
 from scuhand_bt.run.cell_state import state_of, take_up
-from scuhand_bt.specs import BalanceBelief, PowderBelief
+from scuhand_bt.specs import BalanceBelief, PowderBelief, Source
 
 NOW = datetime.now().astimezone()
 
@@ -162,3 +163,65 @@ def test_a_run_of_another_version_is_resumed_with_what_can_be_read_of_its_belief
     take_up(fresh, state)
     assert fresh.believed == cell.believed
     assert (fresh.powder_beliefs, fresh.balance_belief) == ({}, BalanceBelief())
+
+
+@pytest.mark.parametrize(("days", "is_known"), [(29.9, True), (30.1, False)])
+def test_what_a_lots_scoops_bring_is_believed_for_a_month_in_that_kind_of_mortar(
+    tmp_path: Path, days: float, is_known: bool
+) -> None:
+    cell, state = dry_run(tmp_path, CHARACTERISE, controller="paper").session.cell, LabState(tmp_path)
+    taught = replace(Believed(), yields={"beads": 0.6})
+    for simulated in (True, False):
+        state.keep(replace(cell, believed=taught, simulated=simulated), "first")
+    (beads,) = cell.sources.values()
+    small = replace_mortar(beads, "small_agate_mortar")
+    for source, expected in ((beads, is_known), (small, False), (beads.model_copy(update={"lot": "L8"}), False)):
+        later = replace(cell, sources={"again": source.model_copy(update={"name": "again"})}, believed=Believed())
+        state.recall(later, NOW + timedelta(days=days))
+        assert later.believed.yields == ({"again": 0.6} if expected else {})
+
+
+def test_what_was_simulated_of_scoops_is_recalled_by_no_run_and_what_is_no_news_stays_as_old_as_it_is(
+    tmp_path: Path,
+) -> None:
+    cell, state = dry_run(tmp_path, CHARACTERISE, controller="paper").session.cell, LabState(tmp_path)
+    taught = replace(cell, believed=replace(Believed(), yields={"beads": 0.6}))
+    state.keep(taught, "dry")
+    fresh = replace(cell, believed=Believed())
+    state.recall(fresh, NOW)
+    assert fresh.believed.yields == {}
+    for run in ("first", "second"):
+        state.keep(replace(taught, simulated=False), run)
+    ((of, learnt),) = state.yields(simulated=False).items()
+    assert (of, learnt.share, learnt.run) == (("glass_beads/L7", "agate_mortar"), 0.6, "first")
+    state.keep(replace(taught, simulated=False, believed=replace(Believed(), yields={"beads": 0.7})), "third")
+    assert [(one.share, one.run) for one in state.yields(simulated=False).values()] == [(0.7, "third")]
+
+
+def test_what_scoops_bring_is_shown_with_its_date_and_forgotten_with_its_lot(
+    command: Call, lab_folder: LabFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell, state = (
+        dry_run(tmp_path, CHARACTERISE, controller="paper").session.cell,
+        LabState(lab_folder.folder / ".scuhand"),
+    )
+    believed = replace(Believed(), yields={"beads": 0.6})
+    state.keep(replace(cell, simulated=False, believed=believed, powder_beliefs={}), "run-1")
+
+    def shown() -> str:
+        out = command("powders", "--lab", lab_folder.folder).stdout
+        return next((line for line in out.splitlines() if "glass_beads/L7" in line), "")
+
+    for told in ("agate_mortar", "60%", "run-1", f"{NOW:%Y-%m-%dT}"):
+        assert told in shown()
+    assert "anew" not in shown()
+    monkeypatch.setattr("scuhand_bt.lab_state.beliefs.YIELD_BELIEVED_FOR", timedelta(0))
+    assert "anew" in shown()
+    forgotten = command("powders", "forget", "glass_beads", "--lab", lab_folder.folder).stdout
+    assert forgotten == "Forgotten: glass_beads/L7.\n"
+    assert shown() == ""
+    assert state.yields(simulated=False) == {}
+
+
+def replace_mortar(source: Source, name: str) -> Source:
+    return source.model_copy(update={"mortar": source.mortar.model_copy(update={"name": name})})

@@ -54,6 +54,7 @@ names = st.sampled_from(list(SOURCES))
 
 VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "source_holds": st.builds(lambda n, m: lambda b: b.source_holds(n, m), names, masses_mg),
+    "scoops_bring": st.builds(lambda n, share: lambda b: b.scoops_bring(n, share), names, st.floats(-1.0, 3.0)),
     "cone_holds": st.builds(lambda s, m: lambda b: b.cone_holds(s, m), sources, masses_mg),
     "touched": st.builds(lambda s: lambda b: b.touched(s), sources),
     "scooped": st.builds(lambda s, m: lambda b: b.scooped(s, m), sources, masses_mg),
@@ -341,6 +342,21 @@ def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_until_the_end_of_one
     believed.gave_out(is_short=False)
     believed.scooped(BEADS, 4000.0)
     assert (believed.yields, believed.used_up_from_mg) == ({"beads": 4500.0 / 4000.0}, math.inf)
+
+
+def test_what_earlier_runs_have_seen_of_scoops_is_believed_until_this_one_has_seen_a_load() -> None:
+    believed = Believed()
+    believed.source_holds("beads", 20_000.0)
+    believed.scoops_bring("beads", 0.5)
+    believed.scooped(BEADS, 4000.0)
+    assert (believed.cone_mg, believed.used_up_from_mg) == (2000.0, math.inf), "its end need not be seen again"
+    believed.dosing_ended(3000.0, 0.0)
+    assert believed.used_up_from_mg == 400.0, "more has come than it should: so it is not believed any more"
+    assert believed.seen_yields == {}, "how much there is, only its end will tell"
+    believed.gave_out(is_short=False)
+    assert believed.seen_yields == {"beads": 0.75}
+    believed.scoops_bring("beads", 0.5)
+    assert believed.yields == {"beads": 0.75}
 
 
 def test_a_loaded_cone_goes_into_no_other_powder_and_an_emptied_one_may_have() -> None:

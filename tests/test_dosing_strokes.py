@@ -8,8 +8,8 @@ from dose_bench import shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.dosing.strokes import Bed, Layer, chosen, expected_mg, layer_left
-from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, stroke_path
+from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left
+from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, least_attack_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.specs import Mortar
@@ -18,7 +18,22 @@ MORTAR = Mortar(name="agate", bore_mm=90.0, depth_mm=30.0, height_mm=45.0, outer
 SMALL = Mortar(name="small", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0)
 SHEET_MM = 50.0
 POWDERS = shipped_powders()
+BEADS = POWDERS["glass_beads"]
 ACROSS_DEG = (90.0, 270.0, 120.0, 240.0)
+
+
+def through(stroke: Stroke, field: HeightField, in_mortar_mg: float, mortar: Mortar) -> tuple[float, float]:
+    """What a stroke collects, and what goes over the edge, by the height field."""
+    path = stroke_path(Vessel.of(mortar), stroke, Ladle())
+    in_cone_mg = spilled_mg = 0.0
+    for apex_mm, axis, rim_mm in zip(path.apex_mm, path.axis, path.rim_mm, strict=True):
+        left_mg = in_mortar_mg - in_cone_mg - spilled_mg
+        gained_mg, lost_mg = field.move(apex_mm, axis, float(rim_mm), left_mg, in_cone_mg)
+        in_cone_mg += gained_mg
+        spilled_mg += lost_mg
+    field.leave()
+    return in_cone_mg, spilled_mg
+
 
 masses_mg = st.floats(200.0, 30_000.0)
 
@@ -26,11 +41,13 @@ masses_mg = st.floats(200.0, 30_000.0)
 @given(masses_mg, st.floats(100.0, 6000.0))
 @settings(max_examples=60, deadline=None)
 def test_no_more_is_expected_than_is_wanted_or_there(in_mortar_mg: float, wanted_mg: float) -> None:
-    bed = Bed(MORTAR, in_mortar_mg, 1.5)
+    bed = Bed(MORTAR, in_mortar_mg, BEADS)
     stroke = chosen(bed, SHEET_MM, wanted_mg)
     assert expected_mg(stroke, bed, SHEET_MM) <= min(wanted_mg, in_mortar_mg) + 1e-6
     if stroke.gap_mm > LIP_GAP_MM:
-        deeper = replace(stroke, gap_mm=max(LIP_GAP_MM, stroke.gap_mm - 0.25))
+        clear_mm = GRAINS_CLEAR * BEADS.grain_mm
+        assert stroke.gap_mm >= clear_mm
+        deeper = replace(stroke, gap_mm=stroke.gap_mm - 0.25 if stroke.gap_mm - 0.25 >= clear_mm else LIP_GAP_MM)
         assert expected_mg(deeper, bed, SHEET_MM) > wanted_mg, "a deeper one would have brought too much"
     else:
         assert expected_mg(stroke, bed, SHEET_MM) > 0.8 * in_mortar_mg or stroke.gap_mm == LIP_GAP_MM
@@ -39,21 +56,21 @@ def test_no_more_is_expected_than_is_wanted_or_there(in_mortar_mg: float, wanted
 @given(masses_mg, st.floats(0.5, 10.0), st.floats(0.1, 1.0))
 @settings(max_examples=60, deadline=None)
 def test_all_that_is_in_a_mortar_is_in_its_bed(in_mortar_mg: float, gap_mm: float, share: float) -> None:
-    bed = Bed(MORTAR, in_mortar_mg, 1.5, Layer(gap_mm, share * in_mortar_mg))
+    bed = Bed(MORTAR, in_mortar_mg, BEADS, Layer(gap_mm, share * in_mortar_mg))
     assert bed.above_mg(0.0) == pytest.approx(in_mortar_mg, rel=1e-6)
 
 
 def test_of_a_layer_nothing_is_above_the_lip_that_has_left_it() -> None:
-    first = Bed(MORTAR, 20_000.0, 1.5)
+    first = Bed(MORTAR, 20_000.0, BEADS)
     stroke = chosen(first, SHEET_MM, 4000.0)
     left_mg = 20_000.0 - expected_mg(stroke, first, SHEET_MM)
-    assert Bed(MORTAR, left_mg, 1.5, Layer(stroke.gap_mm, left_mg)).above_mg(stroke.gap_mm) < 0.02 * left_mg
-    assert Bed(MORTAR, left_mg, 1.5).above_mg(stroke.gap_mm) > 0.1 * left_mg, "a level bed of as much would be higher"
+    assert Bed(MORTAR, left_mg, BEADS, Layer(stroke.gap_mm, left_mg)).above_mg(stroke.gap_mm) < 0.02 * left_mg
+    assert Bed(MORTAR, left_mg, BEADS).above_mg(stroke.gap_mm) > 0.1 * left_mg, "a level bed of as much would be higher"
 
 
 def test_a_layer_of_which_less_is_left_than_a_stroke_should_leave_is_thinner() -> None:
     layer = Layer(5.0, 12_000.0)
-    whole, thinner = (Bed(MORTAR, mass_mg, 1.5, layer) for mass_mg in (12_000.0, 9000.0))
+    whole, thinner = (Bed(MORTAR, mass_mg, BEADS, layer) for mass_mg in (12_000.0, 9000.0))
     assert whole.above_mg(3.0) > 1000.0
     assert thinner.above_mg(3.75) == pytest.approx(0.75 * whole.above_mg(5.0), abs=1.0)
     assert thinner.above_mg(0.75 * 3.0) == pytest.approx(0.75 * whole.above_mg(3.0), rel=1e-3)
@@ -61,12 +78,12 @@ def test_a_layer_of_which_less_is_left_than_a_stroke_should_leave_is_thinner() -
 
 def test_what_is_poured_back_lies_on_the_layer() -> None:
     layer = Layer(5.0, 12_000.0)
-    without, more = (Bed(MORTAR, mass_mg, 1.5, layer) for mass_mg in (12_000.0, 14_000.0))
+    without, more = (Bed(MORTAR, mass_mg, BEADS, layer) for mass_mg in (12_000.0, 14_000.0))
     assert more.above_mg(5.0) - without.above_mg(5.0) == pytest.approx(2000.0, rel=0.2)
 
 
 def test_a_rim_narrower_than_the_bed_brings_its_strip() -> None:
-    bed = Bed(MORTAR, 20_000.0, 1.5)
+    bed = Bed(MORTAR, 20_000.0, BEADS)
     wide = chosen(bed, SHEET_MM, math.inf)
     narrow = replace(wide, open_mm=bed.radius_mm)
     assert expected_mg(narrow, bed, SHEET_MM) == pytest.approx(0.609 * expected_mg(wide, bed, SHEET_MM), rel=1e-3)
@@ -76,9 +93,9 @@ def test_a_rim_narrower_than_the_bed_brings_its_strip() -> None:
 def test_of_a_bowl_that_the_sheet_is_too_large_for_less_is_expected_and_a_thicker_layer_left(
     sheet_mm: float, slip_mm: float
 ) -> None:
-    bed = Bed(SMALL, 4000.0, 1.5)
+    bed = Bed(SMALL, 4000.0, BEADS)
     stroke = chosen(bed, sheet_mm, 1500.0)
-    brought_mg, above_mg = expected_mg(stroke, bed, sheet_mm), bed.above_mg(stroke.gap_mm)
+    brought_mg, above_mg = expected_mg(replace(stroke, end_mm=math.inf), bed, sheet_mm), bed.above_mg(stroke.gap_mm)
     assert 2 / 3 * above_mg < brought_mg <= above_mg
     assert (brought_mg < 0.9 * above_mg) == (slip_mm > 0.0)
     layer = layer_left(stroke, bed, sheet_mm)
@@ -90,7 +107,7 @@ def test_of_a_bowl_that_the_sheet_is_too_large_for_less_is_expected_and_a_thicke
 
 @pytest.mark.parametrize(
     ("mortar", "fill_mg", "wanted_mg", "least", "most"),
-    [(MORTAR, 20_000.0, 3500.0, 0.85, 1.2), (SMALL, 8000.0, 1500.0, 0.7, 1.15)],
+    [(MORTAR, 20_000.0, 3500.0, 0.85, 1.2), (SMALL, 8000.0, 1500.0, 0.75, 1.3)],
     ids=["shipped", "small"],
 )
 @pytest.mark.parametrize("name", ["glass_beads", "monosodium_glutamate", "titanium_dioxide"])
@@ -101,15 +118,54 @@ def test_strokes_one_after_another_bring_what_is_expected_of_the_layers(
     field, layer, in_mortar_mg = HeightField(mortar, powder), None, fill_mg
     ratios = []
     for heading_deg in ACROSS_DEG:
-        bed = Bed(mortar, in_mortar_mg, powder.bulk_density_mg_per_mm3, layer)
+        bed = Bed(mortar, in_mortar_mg, powder, layer)
         stroke = replace(chosen(bed, SHEET_MM, wanted_mg), heading_deg=heading_deg)
-        path = stroke_path(Vessel.of(mortar), stroke, Ladle())
-        in_cone_mg = 0.0
-        for apex_mm, axis, rim_mm in zip(path.apex_mm, path.axis, path.rim_mm, strict=True):
-            gained_mg, lost_mg = field.move(apex_mm, axis, float(rim_mm), in_mortar_mg, in_cone_mg)
-            in_cone_mg += gained_mg
-            in_mortar_mg -= gained_mg + lost_mg
-        field.leave()
+        in_cone_mg, lost_mg = through(stroke, field, in_mortar_mg, mortar)
+        in_mortar_mg -= in_cone_mg + lost_mg
         ratios.append(in_cone_mg / expected_mg(stroke, bed, SHEET_MM))
         layer = layer_left(stroke, bed, SHEET_MM)
     assert all(least < ratio < most for ratio in ratios), ratios
+
+
+@pytest.mark.parametrize("mortar", [MORTAR, SMALL], ids=["shipped", "small"])
+@pytest.mark.parametrize("name", ["glass_beads", "monosodium_glutamate", "titanium_dioxide"])
+@pytest.mark.parametrize("fill_mg", [1500.0, 4000.0, 8000.0, 12_000.0])
+def test_nothing_is_pushed_over_a_mortars_edge(name: str, mortar: Mortar, fill_mg: float) -> None:
+    powder = POWDERS[name]
+    stroke = chosen(Bed(mortar, fill_mg, powder), SHEET_MM, 0.95 * powder.load_limit_mg)
+    _, lost_mg = through(stroke, HeightField(mortar, powder), fill_mg, mortar)
+    assert lost_mg == 0.0
+
+
+def test_a_lip_that_went_to_the_small_mortars_edge_would_push_powder_over_it() -> None:
+    for fill_mg in (2000.0, 4000.0):
+        stroke = chosen(Bed(SMALL, fill_mg, BEADS), SHEET_MM, 4750.0)
+        to_edge = replace(stroke, end_mm=math.inf)
+        _, lost_mg = through(to_edge, HeightField(SMALL, BEADS), fill_mg, SMALL)
+        assert lost_mg > 5.0
+
+
+def test_the_more_is_pushed_the_earlier_the_lip_leaves_the_wall_but_not_before_the_sheet_is_level() -> None:
+    ends_mm = [chosen(Bed(SMALL, fill_mg, BEADS), SHEET_MM, math.inf).end_mm for fill_mg in (500.0, 2000.0, 4000.0)]
+    assert ends_mm == sorted(ends_mm, reverse=True)
+    assert len(set(ends_mm)) == 3
+    level_mm = SMALL.bowl_radius_mm * math.radians(least_attack_deg(SMALL.bowl_radius_mm, SHEET_MM))
+    much = chosen(Bed(SMALL, 12_000.0, POWDERS["titanium_dioxide"]), SHEET_MM, math.inf)
+    assert much.gap_mm > LIP_GAP_MM, "there is more than may be pushed"
+    assert level_mm <= much.end_mm < level_mm + 2.0
+    assert math.isinf(chosen(Bed(MORTAR, 4000.0, BEADS), SHEET_MM, math.inf).end_mm), "it slides into the cone before"
+
+
+def test_of_what_lay_before_a_lip_that_left_the_wall_some_is_not_expected() -> None:
+    bed = Bed(SMALL, 4000.0, BEADS)
+    stroke = chosen(bed, SHEET_MM, math.inf)
+    to_edge = replace(stroke, end_mm=math.inf)
+    assert 0.8 < expected_mg(stroke, bed, SHEET_MM) / expected_mg(to_edge, bed, SHEET_MM) < 0.95
+
+
+def test_of_coarse_grains_a_layer_is_left_that_they_pass_through_or_none() -> None:
+    coarse = BEADS.model_copy(update={"grain_mm": 1.0})
+    bed = Bed(MORTAR, 12_000.0, coarse)
+    gaps_mm = {chosen(bed, SHEET_MM, wanted_mg).gap_mm for wanted_mg in (100.0, 1000.0, 4000.0, 8000.0, 12_000.0)}
+    assert min(gaps_mm) == LIP_GAP_MM
+    assert min(gaps_mm - {LIP_GAP_MM}) >= 4.0

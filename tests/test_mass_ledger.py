@@ -49,7 +49,7 @@ def assert_conserved(ran: Ran) -> None:
     assert math.fsum(world.masses_mg.values()) == pytest.approx(loaded_mg, abs=1e-6)
     assert min(world.masses_mg.values()) >= 0.0
     assert world.masses_mg["flight"] == 0.0
-    assert world.masses_mg["spilled"] < 5.0, "the last of a load that a controller took for used up"
+    assert world.masses_mg["spilled"] == 0.0
 
 
 @st.composite

@@ -24,6 +24,7 @@ from scuhand_bt.motion.trajectory import through
 LAB = load_lab(starter_lab())
 HAND = LAB.cell.hand
 MORTAR = LAB.library.mortars["agate_mortar"]
+BEADS = LAB.library.powders["glass_beads"]
 STATION = LAB.cell.stations["mortar_bay_2"]
 OUTWARD_DEG = math.degrees(math.atan2(STATION.position_mm[1], STATION.position_mm[0]))
 UP = np.array([0.0, 0.0, 1.0])
@@ -136,7 +137,7 @@ def test_a_cone_that_opens_where_it_stands_stays_upright_about_its_apex(planner:
 
 
 def test_on_its_way_to_a_stroke_the_cone_is_formed_and_touches_nothing(planner: MotionPlanner) -> None:
-    stroke = replace(chosen(Bed(MORTAR, 20000.0, 1.5), HAND.sheet_radius_mm, 4000.0), heading_deg=OUTWARD_DEG + 90.0)
+    stroke = replace(chosen(Bed(MORTAR, 20000.0, BEADS), HAND.sheet_radius_mm, 4000.0), heading_deg=OUTWARD_DEG + 90.0)
     path = stroke_path(Vessel.of(MORTAR), stroke, Ladle.of(HAND))
     motion = planned_stroke(planner, planner.home(), path, LAB.cell, STATION.name, MORTAR)
     way = planner.forming(planner.home(), motion.start[:7], (90.0, 82.0), _roller_rad)
@@ -182,7 +183,7 @@ def test_a_stroke_that_is_asked_for_again_has_the_answer_that_it_had(
 def test_the_arm_can_swing_to_and_fro_at_a_station_with_either_mortar(name: str, mortar: str) -> None:
     kind, station = LAB.library.mortars[mortar], LAB.cell.stations[name]
     planner = LAB.motion_planner({name: kind})
-    bed = Bed(kind, 6000.0, 1.5)
+    bed = Bed(kind, 6000.0, BEADS)
     outward_deg = math.degrees(math.atan2(station.position_mm[1], station.position_mm[0]))
     for wanted_mg in (2000.0, 6000.0):
         stroke, possible = chosen(bed, HAND.sheet_radius_mm, wanted_mg), []

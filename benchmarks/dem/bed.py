@@ -4,12 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.dem.cases import BULK_DENSITY, SLANT_MM, Case
+from benchmarks.dem.cases import SLANT_MM, Case, powder
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.specs import Powder, PowderFlowSpec
-
-REPOSE_DEG = {25.0: 22.0, 37.0: 25.0}
-"""Of grains that roll, by the friction between them: nearly as steep with much of it as with little."""
 
 
 @dataclass(frozen=True)
@@ -21,15 +18,9 @@ class Collected:
 
 
 def material(case: Case) -> Powder:
-    """The case's grains, as a powder of the lab's."""
-    return Powder(
-        name="coarse_beads",
-        bulk_density_mg_per_mm3=BULK_DENSITY,
-        repose_deg=REPOSE_DEG[case.friction_deg],
-        wall_friction_deg=case.wall_friction_deg,
-        load_limit_mg=50_000.0,
-        simulation=PowderFlowSpec(grain_mm=case.grain_mm, film_mm=0.0),
-    )
+    """The case's grains, as the simulation has them."""
+    grains = PowderFlowSpec(grain_mm=case.grain_mm, film_mm=0.0)
+    return powder((case.friction_deg, case.wall_friction_deg)).model_copy(update={"simulation": grains})
 
 
 def collected_mg(case: Case, fill_mg: float) -> Collected:

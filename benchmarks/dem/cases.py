@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
+from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, Mount, apex
-from scuhand_bt.specs import Mortar
+from scuhand_bt.specs import Mortar, Powder
 
 SLANT_MM = 50.0
 GRAIN_MM = 3.0
@@ -36,6 +36,8 @@ MORTARS = (
 )
 STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"}
 FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (2000.0, 4000.0, 8000.0)}
+REPOSE_DEG = {25.0: 22.0, 37.0: 25.0}
+"""Of grains that roll, by the friction between them: nearly as steep with much of it as with little."""
 BULK_DENSITY = 1.48
 """Of these grains as they lie, in mg/mm^3."""
 LOAD_MG = 4750.0
@@ -74,8 +76,11 @@ class Case:
 
     @property
     def jams(self) -> bool:
-        """Whether a layer is to be left that is too thin for these grains to pass under the lip."""
-        return LIP_GAP_MM < self.gap_mm <= 2 * self.grain_mm
+        """Whether a layer is to be left that is too thin for these grains to pass under the lip.
+
+        The strokes are those for a powder of fine grains, for which these stand.
+        """
+        return LIP_GAP_MM < self.gap_mm < GRAINS_CLEAR * self.grain_mm
 
     def written(self) -> dict[str, Any]:
         return {
@@ -95,25 +100,29 @@ def cases() -> Iterator[Case]:
     agate, small = MORTARS
     beads = FRICTIONS_DEG[0]
     yield Case("upright control", agate, 12_000.0, *beads, (upright(agate),), (0.05, 1.0, 2.0, 3.0))
-    _, (everything,) = lip_led(agate, 12_000.0, math.inf)
+    _, (everything,) = lip_led(agate, 12_000.0, math.inf, beads)
     yield Case("all at once", agate, 12_000.0, *beads, (everything,), moments(everything))
-    gap_mm, strokes = lip_led(agate, 12_000.0, LOAD_MG, HEADINGS_DEG)
+    gap_mm, strokes = lip_led(agate, 12_000.0, LOAD_MG, beads, HEADINGS_DEG)
     yield Case("four strokes", agate, 12_000.0, *beads, strokes, gap_mm=gap_mm)
     for friction in FRICTIONS_DEG:
         for mortar in MORTARS:
             for fill_mg in FILLS_MG[mortar.name]:
-                gap_mm, strokes = lip_led(mortar, fill_mg, LOAD_MG)
+                gap_mm, strokes = lip_led(mortar, fill_mg, LOAD_MG, friction)
                 name = f"{mortar.name}, {fill_mg / 1000:g} g, {friction[0]:g} deg"
                 is_shown = friction == beads and fill_mg == max(FILLS_MG[mortar.name])
                 shown_s = moments(strokes[0]) if is_shown else ()
                 yield Case(name, mortar, fill_mg, *friction, strokes, shown_s, gap_mm=gap_mm)
-    gap_mm, strokes = lip_led(small, 8000.0, LITTLE_MG)
+    gap_mm, strokes = lip_led(small, 8000.0, LITTLE_MG, beads)
     name = f"small_agate_mortar, 8 g, {LITTLE_MG / 1000:g} g wanted"
     yield Case(name, small, 8000.0, *beads, strokes, grain_mm=FINE_GRAIN_MM, gap_mm=gap_mm)
 
 
 def lip_led(
-    mortar: Mortar, fill_mg: float, wanted_mg: float, headings_deg: Sequence[float] = HEADINGS_DEG[:1]
+    mortar: Mortar,
+    fill_mg: float,
+    wanted_mg: float,
+    friction_deg: tuple[float, float],
+    headings_deg: Sequence[float] = HEADINGS_DEG[:1],
 ) -> tuple[float, tuple[Way, ...]]:
     """Strokes one after another, as the skill chooses them where each brings what it is expected to; the first's gap.
 
@@ -121,13 +130,25 @@ def lip_led(
     """
     layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
     for heading_deg in headings_deg:
-        bed = Bed(mortar, left_mg, BULK_DENSITY, layer)
+        bed = Bed(mortar, left_mg, powder(friction_deg), layer)
         stroke = chosen(bed, SLANT_MM, wanted_mg)
         gaps_mm.append(stroke.gap_mm)
         ways.append(_planned(mortar, stroke, heading_deg, heading_deg - headings_deg[0]))
         left_mg -= expected_mg(stroke, bed, SLANT_MM)
         layer = layer_left(stroke, bed, SLANT_MM)
     return gaps_mm[0], tuple(ways)
+
+
+def powder(friction_deg: tuple[float, float]) -> Powder:
+    """Beads of such frictions, as the skill knows them."""
+    repose_deg, wall_friction_deg = REPOSE_DEG[friction_deg[0]], friction_deg[1]
+    return Powder(
+        name="beads",
+        bulk_density_mg_per_mm3=BULK_DENSITY,
+        repose_deg=repose_deg,
+        wall_friction_deg=wall_friction_deg,
+        load_limit_mg=50_000.0,
+    )
 
 
 @cache

@@ -84,6 +84,8 @@ class Believed:
     """The weighings about the container that stands on the pan, or stood there until the bare pan is weighed again."""
     closed: tuple[ClosedBracket, ...] = ()
     """What containers that have gone came to; until the batch has noted it."""
+    has_closed: bool = False
+    """A container of this run has gone, and its bracket was closed, whatever came out."""
     is_zero_doubted: bool = False
     """The balance's zero was seen to step, or the last bracket did not close: one has to, before it is believed."""
     given_up: str = ""
@@ -115,6 +117,12 @@ class Believed:
         return math.inf if is_known or load.scooped_mg == 0.0 else SURPLUS * load.scooped_mg
 
     @property
+    def seen_yields(self) -> Masses:
+        """Of `yields`, those of sources of which a load's end was seen, or was in an earlier run."""
+        unseen = self.cone_source if self.load.is_larger else None
+        return {name: share for name, share in self.yields.items() if name != unseen}
+
+    @property
     def barren_sources(self) -> frozenset[str]:
         """Those whose scoops have brought nothing so often that no more are made."""
         return frozenset(name for name, loads in self.barren_loads.items() if loads >= BARREN_LOADS)
@@ -124,6 +132,12 @@ class Believed:
     def source_holds(self, name: str, mass_mg: float) -> None:
         """So much is in a source: what a recipe, the inventory or an operator says."""
         self._set(sources_mg={**self.sources_mg, name: _mass(mass_mg)})
+
+    def scoops_bring(self, name: str, share: float) -> None:
+        """What scoops of a source were seen to bring of what was expected, in earlier runs; what this one has seen
+        counts more.
+        """
+        self._set(yields={name: _mass(share), **self.yields})
 
     def cone_holds(self, source: Source, mass_mg: float) -> None:
         """So much of a source is in the cone, known otherwise than by a scoop; what the source holds is not changed."""
@@ -285,7 +299,7 @@ class Believed:
         told = closed
         if closed.closes and self.is_zero_doubted:
             told = replace(closed, closes=False, detail=f"the balance's zero has stepped of late; {closed.detail}")
-        self._set(bracket=None, closed=(*self.closed, told), is_zero_doubted=not closed.closes)
+        self._set(bracket=None, closed=(*self.closed, told), has_closed=True, is_zero_doubted=not closed.closes)
 
     def noted(self, closed: ClosedBracket) -> None:
         """The batch has noted what a container came to."""

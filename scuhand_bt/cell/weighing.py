@@ -141,7 +141,7 @@ def is_to_be_weighed_again(cell: Cell) -> bool:
     A zero that is elsewhere while a lone container is dosed, and back by the next weighing, is told by nothing else.
     No person is asked to put back what was just taken away.
     """
-    return not cell.believed.closed and not cell.changer.needs_person
+    return not cell.believed.has_closed and not cell.changer.needs_person
 
 
 def note_again(

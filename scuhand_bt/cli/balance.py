@@ -55,10 +55,10 @@ def balance(
     out.print(table)
     if simulated:
         out.print("SIMULATED: no run reads this.")
-    for learnt in state.balances(simulated=simulated).values():
+    for name, learnt in state.balances(simulated=simulated).items():
         if learnt.is_older_than(BALANCE_BELIEVED_FOR, datetime.now().astimezone()):
             days = f"more than {BALANCE_BELIEVED_FOR.days} days ago"
-            out.print(Text(f"{learnt.name}: doses taught its delay {days}; the next dose learns it anew."))
+            out.print(Text(f"{name}: doses taught its delay {days}; the next dose learns it anew."))
 
 
 @group.command("forget")

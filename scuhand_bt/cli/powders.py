@@ -1,5 +1,8 @@
-"""Commands about the lab's powders: what is believed of each lot, since when and by which run, and to forget it."""
+"""Commands about the lab's powders: what is believed of each lot and its scoops, since when and by which run, and to
+forget it.
+"""
 
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -9,7 +12,7 @@ from rich.text import Text
 from scuhand_bt.cli.shared import LabOption, app, lab_state, out, the_lab, unknown
 
 if TYPE_CHECKING:
-    from scuhand_bt.api.books import PowderBelief
+    from scuhand_bt.api.books import LabState, PowderBelief
 
 group = typer.Typer(invoke_without_command=True)
 app.add_typer(group, name="powders")
@@ -29,9 +32,25 @@ def powders(context: typer.Context, lab: LabOption = None) -> None:
     for name, powder in loaded.library.powders.items():
         table.add_row(name, *_belief_cells(powder.belief), "first guess (robot/powders.yaml)", "", style="dim")
     for simulated in (False, True):
-        for learnt in state.powders(simulated=simulated).values():
-            table.add_row(Text(learnt.name), *_belief_cells(learnt.belief), Text(learnt.origin), learnt.at)
+        for name, learnt in state.powders(simulated=simulated).items():
+            table.add_row(Text(name), *_belief_cells(learnt.belief), Text(learnt.origin), learnt.at)
     out.print(table)
+    if (scoops := _scoops(state)).row_count:
+        out.print(scoops)
+
+
+def _scoops(state: "LabState") -> Table:
+    """What scoops bring of what is expected of them."""
+    from scuhand_bt.api.books import YIELD_BELIEVED_FOR
+
+    table = Table("scoops of", "in", "bring of what is expected", "learnt", "at")
+    now = datetime.now().astimezone()
+    for simulated in (False, True):
+        for (lot, mortar), learnt in state.yields(simulated=simulated).items():
+            is_old = learnt.is_older_than(YIELD_BELIEVED_FOR, now)
+            told = f"{learnt.share:.0%}{f', older than {YIELD_BELIEVED_FOR.days} days: learnt anew' if is_old else ''}"
+            table.add_row(Text(lot), Text(mortar), told, Text(learnt.origin), learnt.at)
+    return table
 
 
 @group.command("forget")

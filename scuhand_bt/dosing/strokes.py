@@ -14,20 +14,37 @@ w is the strip's share of a disc. Where the sheet, of radius L, is too large for
 beyond level until the lip is past the bottom: the powder is pushed before it, and some slips past. So of a thickness x
 above the gap comes
 
-    x - s,    s = min(SLIPS (L - R), x / 3) where L > R, else 0
+    x - s,    s = min(SLIPS (L - R), x / 3) where L > R and the lip is off the wall, else 0
 
 and the layer is thicker by SLIPS (L - R). The form is ours, and takes powder to stay as it was left; what a source
-really yields of it is learnt from weighing (`cell/believed.py`). Masses in mg, lengths in mm.
+really yields of it is learnt from weighing (`cell/believed.py`).
+
+Of what is pushed, V in all, the sheet's slope lets a share slide in behind the lip: none where it is level, at the
+attack beta, and all where it is as steep as the friction on it, delta. The rest lies before the lip, over its width w,
+between the wall and a slope of its own, which is at most its repose rho; where the wall is phi steep its top is higher
+than the lip by no more than
+
+    H = sqrt(2 p V / w / (cot phi + cot rho)),    p = 1 - (phi - beta) / delta, from 0 to 1
+
+The lip leaves the wall before h(phi) + H comes near the edge, over which that would be pushed. What lay on the wall
+stays in the mortar: p cot phi / (cot phi + cot delta) of V, as what is dragged over a sheet is hardly steeper than the
+friction on that (Dahlen, Annu. Rev. Earth Planet. Sci. 18, 1990). No stroke pushes so much that it would have to leave
+the wall before the sheet is level.
+
+Of a gap of a grain or two, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a layer
+of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
 """
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain, count
 
 import numpy as np
 
-from scuhand_bt.dosing.swing import LIP_GAP_MM, Floats, Stroke
-from scuhand_bt.specs import Mortar
+from scuhand_bt.dosing.swing import LIP_GAP_MM, Floats, NoStrokeError, Stroke, least_attack_deg
+from scuhand_bt.specs import Mortar, Powder
 
 BEHIND_MM = 4.0
 """The lip comes to the wall so far behind the bed."""
@@ -37,6 +54,12 @@ CLOSING_MM = 12.0
 """How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
 RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
 """Strokes differ by so much at least."""
+GRAINS_CLEAR = 4
+"""By discrete elements grains jam in a gap of two of them; of a gap of so many they are taken not to."""
+NEAR_EDGE_MM = 1.0
+"""The heap before the lip is to be lower than the mortar's edge by this."""
+ENDS = 60
+"""Places on the wall that are looked at, from the lowest to the edge."""
 SLIPS = 0.033
 """By discrete elements: 1.06 g, where without it 1.48 g were expected of a bowl of 35 mm and a sheet of 50 mm."""
 RINGS = 100
@@ -54,9 +77,9 @@ class Layer:
 class Bed:
     """What is believed to lie in a mortar: so much, of it no more than was left in a layer, and on that the rest."""
 
-    def __init__(self, mortar: Mortar, mass_mg: float, density_mg_per_mm3: float, layer: Layer | None = None) -> None:
+    def __init__(self, mortar: Mortar, mass_mg: float, powder: Powder, layer: Layer | None = None) -> None:
         radius_mm, half_mm = mortar.bowl_radius_mm, mortar.bore_mm / 2
-        self.mortar, self.mass_mg, self._density = mortar, mass_mg, density_mg_per_mm3
+        self.mortar, self.mass_mg, self.powder = mortar, mass_mg, powder
         self._out_mm = (np.arange(RINGS) + 0.5) * half_mm / RINGS
         cosine = np.sqrt(1 - (self._out_mm / radius_mm) ** 2)
         self._area_mm2 = 2 * math.pi * self._out_mm * half_mm / RINGS / cosine
@@ -95,39 +118,91 @@ class Bed:
         return self._mass_mg(above_mm - np.minimum(slip_mm, above_mm / 3))
 
     def _mass_mg(self, thick_mm: Floats) -> float:
-        return self._density * float(thick_mm @ self._area_mm2)
+        return self.powder.bulk_density_mg_per_mm3 * float(thick_mm @ self._area_mm2)
 
 
 def expected_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What a stroke is expected to bring into the cone."""
-    u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
-    strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
-    return strip * bed.above_mg(max(0.0, stroke.gap_mm), slip_mm(bed.mortar, sheet_radius_mm))
+    return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * _pushed_mg(stroke, bed, sheet_radius_mm)
 
 
-def slip_mm(mortar: Mortar, sheet_radius_mm: float) -> float:
-    """How much thicker than its gap what a stroke leaves is."""
-    return SLIPS * max(0.0, sheet_radius_mm - mortar.bowl_radius_mm)
+def slip_mm(stroke: Stroke, mortar: Mortar, sheet_radius_mm: float) -> float:
+    """How much thicker than its gap what a stroke leaves is; past a lip on the wall nothing slips."""
+    return SLIPS * max(0.0, sheet_radius_mm - mortar.bowl_radius_mm) if stroke.gap_mm > LIP_GAP_MM else 0.0
 
 
 def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer | None:
-    """What a stroke is expected to leave; none where it takes all there is."""
+    """What a stroke is expected to leave; none where it takes all there is. What falls back lies on it."""
     if stroke.gap_mm <= LIP_GAP_MM:
         return None
-    left_mg = bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm)
-    return Layer(stroke.gap_mm + slip_mm(bed.mortar, sheet_radius_mm), left_mg)
+    left_mg = bed.mass_mg - _pushed_mg(stroke, bed, sheet_radius_mm)
+    return Layer(stroke.gap_mm + slip_mm(stroke, bed.mortar, sheet_radius_mm), left_mg)
 
 
 def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
-    """The stroke that brings so much and no more, or the most that there is: the widest, as deep as it has to be."""
-    mortar = bed.mortar
+    """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be."""
+    deepest = across(bed.mortar, bed.radius_mm, sheet_radius_mm)
+    level_mm = bed.mortar.bowl_radius_mm * math.radians(_attack_deg(deepest, bed.mortar, sheet_radius_mm))
+    clear = math.ceil(GRAINS_CLEAR * bed.powder.grain_mm / GAP_GRID_MM)
+    gaps_mm = chain([LIP_GAP_MM], (steps * GAP_GRID_MM for steps in count(clear)))
+    strokes = (_ended(replace(deepest, gap_mm=gap_mm), bed, sheet_radius_mm) for gap_mm in gaps_mm)
+    return next(
+        stroke
+        for stroke in strokes
+        if stroke.end_mm >= level_mm and expected_mg(stroke, bed, sheet_radius_mm) <= wanted_mg
+    )
+
+
+def across(mortar: Mortar, bed_radius_mm: float, sheet_radius_mm: float) -> Stroke:
+    """The stroke that takes all that lies no farther than that from the middle, with the widest rim, to the edge."""
     widest_mm = WIDEST_SHARE * min(mortar.bore_mm, 2 * sheet_radius_mm)
-    behind_mm = mortar.bowl_radius_mm * math.asin(bed.radius_mm / mortar.bowl_radius_mm) + BEHIND_MM
+    behind_mm = mortar.bowl_radius_mm * math.asin(bed_radius_mm / mortar.bowl_radius_mm) + BEHIND_MM
     rims_mm = (_on_grid(widest_mm, RIM_GRID_MM), _on_grid(widest_mm - CLOSING_MM, RIM_GRID_MM))
-    stroke = Stroke(*rims_mm, begin_mm=-_on_grid(behind_mm, RIM_GRID_MM))
-    while expected_mg(stroke, bed, sheet_radius_mm) > wanted_mg:
-        stroke = replace(stroke, gap_mm=_on_grid(stroke.gap_mm + GAP_GRID_MM, GAP_GRID_MM))
-    return stroke
+    return Stroke(*rims_mm, begin_mm=-_on_grid(behind_mm, RIM_GRID_MM))
+
+
+def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+    """What comes before the lip of a stroke, and into the mouth."""
+    u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
+    strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
+    return strip * bed.above_mg(max(0.0, stroke.gap_mm), slip_mm(stroke, bed.mortar, sheet_radius_mm))
+
+
+def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
+    """With the place where the lip leaves the wall; none where it goes to the edge."""
+    mortar, volume_mm3 = bed.mortar, _pushed_mg(stroke, bed, sheet_radius_mm) / bed.powder.bulk_density_mg_per_mm3
+    edge = math.asin(mortar.bore_mm / 2 / mortar.bowl_radius_mm)
+    steeps: Floats = np.linspace(0.0, edge, ENDS + 1)[1:]
+    on_wall, beside = 1 / np.tan(steeps), 1 / math.tan(math.radians(bed.powder.repose_deg))
+    before_mm3 = volume_mm3 * np.array([_before_lip(steep, stroke, bed, sheet_radius_mm) for steep in steeps.tolist()])
+    heap_mm = np.sqrt(2 * before_mm3 / stroke.closed_mm / (on_wall + beside))
+    below_edge_mm = mortar.depth_mm - mortar.bowl_radius_mm * (1 - np.cos(steeps))
+    is_over = (heap_mm > THIN_MM) & (heap_mm > below_edge_mm - NEAR_EDGE_MM)
+    if not is_over.any():
+        return stroke
+    return replace(stroke, end_mm=mortar.bowl_radius_mm * float(steeps[max(0, int(is_over.argmax()) - 1)]))
+
+
+def _before_lip(steep: float, stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+    """The share of what is pushed that has not slid in where the wall is so steep [rad]."""
+    attack_deg = _attack_deg(stroke, bed.mortar, sheet_radius_mm)
+    return min(1.0, max(0.0, 1.0 - (math.degrees(steep) - attack_deg) / bed.powder.wall_friction_deg))
+
+
+def _attack_deg(stroke: Stroke, mortar: Mortar, sheet_radius_mm: float) -> float:
+    """The attack as it is while the apex is in the bowl; 90 where the sheet is too large for any."""
+    with suppress(NoStrokeError):
+        return max(stroke.attack_deg, least_attack_deg(mortar.bowl_radius_mm, sheet_radius_mm))
+    return 90.0
+
+
+def _falls_back(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+    """The share of what is pushed that lies on the wall before the lip where that leaves it, below the edge."""
+    if math.isinf(stroke.end_mm):
+        return 0.0
+    steep = stroke.end_mm / bed.mortar.bowl_radius_mm
+    on_wall, beside = 1 / math.tan(steep), 1 / math.tan(math.radians(bed.powder.wall_friction_deg))
+    return _before_lip(steep, stroke, bed, sheet_radius_mm) * on_wall / (on_wall + beside)
 
 
 def _on_grid(length_mm: float, grid_mm: float) -> float:

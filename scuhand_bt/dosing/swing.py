@@ -82,7 +82,8 @@ class Stroke:
 
     The lip meets the wall at the arc length `begin_mm` from the lowest point, negative behind it, or later where the
     axis would have to be tilted more than `max_tilt_deg`. `heading_deg` is the direction of the swing about the
-    vertical. The lip follows the wall at `gap_mm`; less than 0 presses it into the wall.
+    vertical. The lip follows the wall at `gap_mm`; less than 0 presses it into the wall. It leaves the wall at the arc
+    length `end_mm`, or at the edge, if that is nearer.
     """
 
     open_mm: float
@@ -93,6 +94,7 @@ class Stroke:
     gap_mm: float = LIP_GAP_MM
     max_tilt_deg: float = 110.0
     lip_speed_mm_per_s: float = 60.0
+    end_mm: float = math.inf
 
     def turned(self, heading_deg: float, max_tilt_deg: float) -> "Stroke":
         """The same in another direction, with another limit of the tilt."""
@@ -238,10 +240,11 @@ class _Flat:
     # Along the wall ---------------------------------------------------------------------------------
 
     def scrape(self) -> list[_Pose]:
-        """The lip along the wall, from its beginning to the edge, or to where the cone is upright."""
+        """The lip along the wall, from its beginning to its end or the edge, or to where the cone is upright."""
         stroke, vessel = self._stroke, self._vessel
-        count = math.ceil((vessel.to_edge_mm - stroke.begin_mm) / STEP_MM) + 1
-        s_mm = np.linspace(stroke.begin_mm, vessel.to_edge_mm, max(count, 2))
+        end_mm = min(stroke.end_mm, vessel.to_edge_mm)
+        count = math.ceil((end_mm - stroke.begin_mm) / STEP_MM) + 1
+        s_mm = np.linspace(stroke.begin_mm, end_mm, max(count, 2))
         shares = (s_mm - s_mm[0]) / (s_mm[-1] - s_mm[0])
         rims_mm = stroke.open_mm + (stroke.closed_mm - stroke.open_mm) * shares
         out_mm, high_mm, steep = vessel.wall(s_mm)

@@ -1,9 +1,11 @@
-"""What is learnt is kept: beliefs about powders and balances, and what was measured of these, in `.scuhand/lab.db`.
+"""What is learnt is kept: beliefs about powders, their scoops and balances, and what was measured of these, in
+`.scuhand/lab.db`.
 
 Rows are only ever added; the last one of a name counts, the others are its history; one without a value says that
 what was known is forgotten. What is known of a balance belongs to its `Cell.balance_name`, and what doses have taught
-of it is believed for `BALANCE_BELIEVED_FOR`. What was learnt from simulated devices is kept apart, and never read by a
-run: a real run must not believe a simulation, and a dry run of one seed must not depend on the runs before it.
+of it is believed for `BALANCE_BELIEVED_FOR`; what a lot's scoops bring belongs to that lot in one kind of mortar, and
+is believed for `YIELD_BELIEVED_FOR`. What was learnt from simulated devices is kept apart, and never read by a run: a
+real run must not believe a simulation, and a dry run of one seed must not depend on the runs before it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,26 +22,27 @@ from scuhand_bt.clock import wall_time
 from scuhand_bt.dosing.characteristic import least_repeatability_mg, usp_minimum_weight_mg
 from scuhand_bt.lab_state.lab_db import reading_lab_db, user_name, writing_lab_db
 from scuhand_bt.problems import SourceError
-from scuhand_bt.specs import BalanceBelief, PowderBelief
+from scuhand_bt.specs import BalanceBelief, PowderBelief, Source
 
 FORGOTTEN = "null"
 """In the place of a belief."""
 BALANCE_BELIEVED_FOR = timedelta(days=7)
 """Nobody tells a program that a filter was set otherwise: what is older than this is learnt anew, by one small dose."""
 
+YIELD_BELIEVED_FOR = timedelta(days=30)
+"""Powder takes up water, and sheets wear: what is older than this is learnt anew, by a run's first load."""
+
 B = TypeVar("B", PowderBelief, BalanceBelief)
 
 
 @dataclass(frozen=True)
-class Learnt(Generic[B]):
-    """One belief as it was written: of a powder lot (`Source.sheet_key`), or of a balance (`Cell.balance_name`)."""
+class Taught:
+    """Which run has taught something, and when (ISO 8601)."""
 
     version: int
-    name: str
     simulated: bool
     run: str
     at: str
-    belief: B
 
     @property
     def origin(self) -> str:
@@ -49,6 +52,24 @@ class Learnt(Generic[B]):
     def is_older_than(self, age: timedelta, now: datetime) -> bool:
         """Whether it was learnt longer ago than that."""
         return now - datetime.fromisoformat(self.at) > age
+
+
+@dataclass(frozen=True)
+class Learnt(Taught, Generic[B]):
+    """One belief as it was written: of a powder lot (`Source.sheet_key`), or of a balance (`Cell.balance_name`)."""
+
+    belief: B
+
+
+@dataclass(frozen=True)
+class LearntYield(Taught):
+    """The share of what was expected that scoops were seen to bring."""
+
+    share: float
+
+
+YieldOf = tuple[str, str]
+"""A powder lot (`Source.sheet_key`), and the mortar's name."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +98,22 @@ class LabState:
     def balances(self, *, simulated: bool) -> dict[str, Learnt[BalanceBelief]]:
         """The last belief about each balance."""
         return self._latest("balance", BalanceBelief, simulated)
+
+    def yields(self, *, simulated: bool) -> dict[YieldOf, LearntYield]:
+        """What the scoops of each powder lot bring in each kind of mortar."""
+        with reading_lab_db(self._folder) as database:
+            if database is None:
+                return {}
+            rows = database.execute(
+                "SELECT version, lot, mortar, run, at, share FROM yielded WHERE simulated = ? ORDER BY version",
+                (simulated,),
+            )
+            last = {(lot, mortar): (version, run, at, share) for version, lot, mortar, run, at, share in rows}
+        return {
+            of: LearntYield(version, simulated, run, at, share)
+            for of, (version, run, at, share) in last.items()
+            if share is not None
+        }
 
     def unreadable(self) -> list[str]:
         """The real powder lots and balances of which another version has learnt what this one cannot read."""
@@ -116,13 +153,21 @@ class LabState:
         return rows
 
     def recall(self, cell: Cell, now: datetime) -> None:
-        """Give a real cell what was learnt on real devices, and let it believe nothing else of powders and balance."""
+        """Give a real cell what was learnt on real devices, and let it believe nothing else of powders and balance.
+
+        Of what scoops bring, what the run has seen itself counts more.
+        """
         cell.powder_beliefs = {name: learnt.belief for name, learnt in self.powders(simulated=False).items()}
         balance = self.balances(simulated=False).get(cell.balance_name)
         is_known = balance is not None and not balance.is_older_than(BALANCE_BELIEVED_FOR, now)
         cell.balance_belief = balance.belief if balance is not None and is_known else BalanceBelief()
         delay = self.figures(simulated=False).get(cell.balance_name, {}).get("delay_s")
         cell.known_delay_s = delay.value if delay is not None else None
+        yields = self.yields(simulated=False)
+        for name, source in cell.sources.items():
+            learnt = yields.get(_yield_of(source))
+            if learnt is not None and not learnt.is_older_than(YIELD_BELIEVED_FOR, now):
+                cell.believed.scoops_bring(name, learnt.share)
 
     def keep(self, cell: Cell, run: str) -> str | None:
         """Write what doses have taught a cell, where it is news; what went wrong, or None."""
@@ -146,7 +191,10 @@ class LabState:
         written = [(kind, name, belief.model_dump_json()) for kind, name, belief in news]
         if not belief.fits and name in balances and not cell.simulated:  # it was given up, or was too old
             written.append(("balance", name, FORGOTTEN))
-        self._write(written, figures, simulated=cell.simulated, says=run)
+        known, seen = self.yields(simulated=cell.simulated), cell.believed.seen_yields
+        shares = {_yield_of(cell.sources[name]): share for name, share in seen.items() if name in cell.sources}
+        brought = [(of, share) for of, share in shares.items() if of not in known or known[of].share != share]
+        self._write(written, figures, brought, simulated=cell.simulated, says=run)
 
     def forget_balances(self) -> list[str]:
         """Believe nothing of any real balance any more; their names."""
@@ -154,26 +202,39 @@ class LabState:
         self._write(
             [("balance", name, FORGOTTEN) for name in learnt],
             [(name, figure, None) for name, known in figures.items() for figure in known],
+            [],
             simulated=False,
             says=f"operator {user_name()}",
         )
         return sorted({*learnt, *figures})
 
     def forget_powders(self, name: str) -> list[str]:
-        """Believe nothing any more of a powder lot, or of all lots of a powder; their names."""
-        lots = [lot for lot in self.powders(simulated=False) if lot == name or lot.startswith(f"{name}/")]
-        self._write([("powder", lot, FORGOTTEN) for lot in lots], [], simulated=False, says=f"operator {user_name()}")
-        return lots
+        """Believe nothing any more of a powder lot and its scoops, or of all lots of a powder; their names."""
+
+        def is_meant(lot: str) -> bool:
+            return lot == name or lot.startswith(f"{name}/")
+
+        lots = [lot for lot in self.powders(simulated=False) if is_meant(lot)]
+        yields = [of for of in self.yields(simulated=False) if is_meant(of[0])]
+        self._write(
+            [("powder", lot, FORGOTTEN) for lot in lots],
+            [],
+            [(of, None) for of in yields],
+            simulated=False,
+            says=f"operator {user_name()}",
+        )
+        return list(dict.fromkeys([*lots, *(lot for lot, _ in yields)]))
 
     def _write(
         self,
         beliefs: Sequence[tuple[str, str, str]],
         figures: Sequence[tuple[str, str, float | None]],
+        yields: Sequence[tuple[YieldOf, float | None]],
         *,
         simulated: bool,
         says: str,
     ) -> None:
-        if not beliefs and not figures:
+        if not beliefs and not figures and not yields:
             return
         at = wall_time()
         with writing_lab_db(self._folder, durable=not simulated) as database:
@@ -185,12 +246,16 @@ class LabState:
                 "INSERT INTO measured (balance, figure, simulated, value, says, at) VALUES (?, ?, ?, ?, ?, ?)",
                 [(name, figure, simulated, value, says, at) for name, figure, value in figures],
             )
+            database.executemany(
+                "INSERT INTO yielded (lot, mortar, simulated, share, run, at) VALUES (?, ?, ?, ?, ?, ?)",
+                [(*of, simulated, share, says, at) for of, share in yields],
+            )
 
     def _latest(self, kind: str, model: type[B], simulated: bool) -> dict[str, Learnt[B]]:
         found = {}
         for name, (version, run, at, belief) in self._last(kind, simulated).items():
             with suppress(ValidationError):  # `unreadable` tells of it
-                found[name] = Learnt(version, name, simulated, run, at, model.model_validate_json(belief))
+                found[name] = Learnt(version, simulated, run, at, model.model_validate_json(belief))
         return found
 
     def _last(self, kind: str, simulated: bool) -> dict[str, tuple[int, str, str, str]]:
@@ -204,3 +269,7 @@ class LabState:
             )
             last = {name: (version, run, at, belief) for version, name, run, at, belief in rows}
             return {name: written for name, written in last.items() if written[-1] != FORGOTTEN}
+
+
+def _yield_of(source: Source) -> YieldOf:
+    return source.sheet_key, source.mortar.name

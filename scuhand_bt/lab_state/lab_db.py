@@ -41,6 +41,11 @@ MIGRATIONS = (
         number INTEGER PRIMARY KEY, name TEXT NOT NULL, at TEXT NOT NULL, salt BLOB NOT NULL, hash BLOB NOT NULL) STRICT
     """,
     "ALTER TABLE inventory ADD COLUMN reason TEXT",
+    """
+    CREATE TABLE yielded (
+        version INTEGER PRIMARY KEY, lot TEXT NOT NULL, mortar TEXT NOT NULL,
+        simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)), share REAL, run TEXT NOT NULL, at TEXT NOT NULL) STRICT
+    """,
 )
 """One statement for each version of the schema, from the one before."""
 FILE = "lab.db"
