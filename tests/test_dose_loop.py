@@ -177,11 +177,13 @@ def test_a_long_dose_is_weighed_twice_whenever_nobody_has_looked_for_half_a_minu
         ([0.0, 0.31, 0.29], (0.0, 0.29), 16.0),
         ([0.0, -0.31, -0.4, -0.5], (0.0, -0.5), 24.0),
         ([0.0, 0.6, 0.8], (0.6, 0.8), 8.0),
-        ([0.0, 0.6, 1.0, 1.2], (0.6, 1.2), 16.0),
-        ([0.0, 0.6, 1.2, 1.8], (1.2, 1.8), 8.0),
+        ([0.0, 1.6, 2.2, 2.4], (2.2, 2.4), 8.0),
+        ([0.0, 0.6, 1.0, 1.2], (0.0, 1.2), 24.0),
+        ([0.0, 0.6, 1.2, 1.8], (0.0, 1.8), 24.0),
+        ([0.0, -0.6, -0.7, -0.7], (0.0, -0.7), 24.0),
     ],
 )
-def test_what_chance_would_hardly_make_is_watched_on_and_what_settles_is_let_settle(
+def test_what_chance_would_hardly_make_is_watched_on_and_a_filter_is_let_settle_but_no_zero_that_creeps(
     creep_mg: list[float], seen_mg: tuple[float, float], for_s: float
 ) -> None:
     loop = Loop([Weigh(31.0)], [20.0])

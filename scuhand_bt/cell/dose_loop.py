@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
-from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, moved_mg
+from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, settled_from
 from scuhand_bt.dosing.controller import (
     LONGEST_UNWEIGHED_S,
     Controller,
@@ -76,9 +76,8 @@ BARREN_S = 60.0
 and an arch stands for 40 s at the most before it is shaken."""
 GAIN_MG, AVERAGED = 1.0, 10
 """A gain is so much more, by a stable mean or the mean of so many readings: 5 standard deviations while it shakes."""
-SETTLED = 3
-"""What still moves when it is watched for the third time is a drift, and no filter that creeps after the powder. What
-chance would hardly make is watched on, so as to be known better."""
+WATCHES = 3
+"""What chance would hardly make is watched on: to be known better, or until a filter has crept after the powder."""
 LONGEST_S = 1800.0
 """No dose takes longer, whatever its controller thinks; the paper's slowest took 15 min."""
 
@@ -202,18 +201,17 @@ def run_dose(
                 record.event(_pulsed(command, seen, acted_s, mean))
                 unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
                 if mean.time_s - unwatched_since_s > LONGEST_UNWEIGHED_S:
-                    first, digit_mg = last, balance.spec.readability_mg
-                    for left in reversed(range(SETTLED)):
+                    looks, digit_mg = [last], balance.spec.readability_mg
+                    for _ in range(WATCHES):
                         weighed_s = last.time_s
                         yield from pause(LONGEST_WATCH_S)
                         mean = yield from balance.stable_mean()
                         seen = weighed(mean)
                         record.event(_pulsed(Weigh(), seen, weighed_s, mean))
-                        difference_mg = abs(last.gross_mg - first.gross_mg)
-                        if difference_mg <= HARDLY * apart_mg(first, last, digit_mg):
+                        looks.append(last)
+                        first = settled_from(looks, digit_mg)
+                        if abs(last.gross_mg - first.gross_mg) <= HARDLY * apart_mg(first, last, digit_mg):
                             break
-                        if left and moved_mg(first, last, digit_mg) != 0.0:
-                            first = last
                     watched.append((first, last))
             require_nothing_lost(seen)
             flow.note(seen)

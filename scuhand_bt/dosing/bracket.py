@@ -96,6 +96,21 @@ def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
 
 
+def settled_from(looks: Sequence[Gross], readability_mg: float) -> Gross:
+    """Which weighing of one thing, at like intervals, the last is to be held against for a drift.
+
+    A filter that creeps after powder rises, and within an interval by less than half as much as in the one before. What
+    falls, or rises on, is no filter, however much less it becomes: a zero that began to creep with the powder.
+    """
+    first = 0
+    while first + 2 < len(looks):
+        rose_mg = moved_mg(looks[first], looks[first + 1], readability_mg)
+        if rose_mg <= 0.0 or looks[first + 2].gross_mg - looks[first + 1].gross_mg > 0.5 * rose_mg:
+            break
+        first += 1
+    return looks[first]
+
+
 def fallen_mg(readings_mg: Sequence[float]) -> float:
     """By how much readings fall while powder comes, and stay below: no powder leaves the pan, so it is the zero.
 
@@ -202,6 +217,12 @@ def standing(bare: Gross, loaded: Gross, readability_mg: float) -> Net:
     first, last = sorted((bare, loaded), key=lambda weighing: weighing.time_s)
     drifted_mg = SOUND_DIGITS_PER_S * readability_mg * (last.time_s - first.time_s)
     return Net(loaded.gross_mg - bare.gross_mg, math.hypot(apart_mg(first, last, readability_mg), drifted_mg))
+
+
+def differ_mg(first: Net, again: Net) -> tuple[float, float]:
+    """By how much two results of one thing differ, and how far they may be apart by chance."""
+    difference_mg = again.mass_mg - first.mass_mg
+    return difference_mg, AGREEMENT * math.hypot(first.uncertainty_mg, again.uncertainty_mg)
 
 
 def held(empty: Net, full: Sequence[Net]) -> Net:
