@@ -109,7 +109,7 @@ def streaming() -> Figures:
 
 
 def _ready_arm() -> DynamixelTwin:
-    servos = crane_x7(roller=False)
+    servos = crane_x7(range(2, 9))
     for servo, angle_rad in zip(servos, READY_RAD, strict=True):
         servo.position += angle_rad * 4096 / (2 * np.pi)
     return DynamixelTwin(servos)

@@ -251,7 +251,7 @@ def unplugs(cycles: int) -> Iterator[tuple[str, Figures]]:
 
 
 def _bus(count: int) -> Figures:
-    twin = DynamixelTwin(crane_x7(roller=False))
+    twin = DynamixelTwin(crane_x7(range(2, 9)))
     cycles, group = Cycles(1), AxisGroup(arm_axes(ArmSpec()))
     with TwinServer(twin, PtyPort()) as server:
         chain = ServoChain(DynamixelBus(server.url), [group], reopen_s=0.01)

@@ -1,5 +1,6 @@
 """The cell of `robot/cell.yaml`: its stations and obstacles, and the devices on it."""
 
+import math
 from itertools import pairwise
 from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
@@ -28,12 +29,40 @@ from scuhand_bt.specs import NotNegative, Positive, Spec
 Point = Annotated[tuple[Millimetres, Millimetres, Millimetres], Field(description="x, y, z in the base frame")]
 
 
+class Frame(Spec):
+    """What stands on the bench as one thing, moved from where the file's other figures have it; measured by touching.
+
+    A point p of it really is at  pivot + shift + Rz(yaw) (p - pivot).
+    """
+
+    pivot_mm: Point = (0.0, 0.0, 0.0)
+    """About which it is turned."""
+    shift_mm: Point = (0.0, 0.0, 0.0)
+    yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
+    landmarks_mm: tuple[Point, Point, Point] | None = None
+    """Three points of it that the apex can touch, by the same figures as the others; not on one line."""
+
+    def moved_mm(self, point_mm: Point) -> Point:
+        """Where a point of it really is."""
+        yaw_rad = math.radians(self.yaw_deg)
+        x, y, z = (p - pivot for p, pivot in zip(point_mm, self.pivot_mm, strict=True))
+        turned = (
+            x * math.cos(yaw_rad) - y * math.sin(yaw_rad),
+            x * math.sin(yaw_rad) + y * math.cos(yaw_rad),
+            z,
+        )
+        x, y, z = (sum(parts) for parts in zip(self.pivot_mm, self.shift_mm, turned, strict=True))
+        return x, y, z
+
+
 class Station(Spec):
     """A named place of the cell. `position` is the table point of a mortar, the pan's centre, …"""
 
     name: str
     kind: Literal["mortar", "balance", "waste", "service", "park"]
     position_mm: Point
+    frame: str | None = None
+    """What it belongs to, of `frames`; None once `position_mm` is where it really is."""
 
 
 Size = Annotated[Millimetres, Field(gt=0)]
@@ -49,6 +78,8 @@ class Obstacle(Spec):
     """Diameter and length."""
     yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
     """By how much a box is turned about its upright axis, against the clock seen from above."""
+    frame: str | None = None
+    """As a station's."""
 
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
@@ -68,6 +99,8 @@ class ArmOptions(Spec):
     baud: Annotated[int, Positive] = 3_000_000
     latency_s: Annotated[Seconds, Field(gt=0, le=0.1)] = 0.008
     """How long adapter and system may hold bytes back; an answer is waited for twice as long."""
+    servo_ids: Annotated[tuple[Annotated[int, Field(ge=0, le=252)], ...], Seven] = (2, 3, 4, 5, 6, 7, 8)
+    """Of the joints, from the base."""
     home_counts: Annotated[tuple[int, ...], Seven] = (2048,) * 7
     """Position of each servo with the arm straight up."""
     directions: Annotated[tuple[Direction, ...], Seven] = (1,) * 7
@@ -170,6 +203,8 @@ class HandSpec(Spec):
     """Speed of the sheet's edge along the rim while the cone changes its size; what the roller's servo can turn."""
     apex_offset_mm: Annotated[Millimetres, Positive] = 120.0
     """Flange to cone apex along the j7 axis, which the sheet's slit continues: read off a picture, measure yours."""
+    apex_aside_mm: tuple[Millimetres, Millimetres] = (0.0, 0.0)
+    """The apex beside that axis, along x and y of the flange: how crookedly the hand is screwed on."""
     mount: MountSpec = MountSpec()
     max_opening_mm: Annotated[Millimetres, Field(gt=0, le=20)] = 2.4
     valve_speed_mm_per_s: Annotated[MillimetresPerSecond, Field(ge=0.1)] = 4.0
@@ -342,8 +377,30 @@ class CellSpec(Spec):
     plant: str | None = None
     """`module:Class` of the simulated physics; none for the shipped one."""
     notify: NotifySpec | None = None
+    frames: dict[str, Frame] = Field(default_factory=dict)
+    """What stands as one thing where it was measured to stand, by the names that stations and obstacles give."""
     stations: dict[str, Station]
     geometry: list[Obstacle] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _stands_where_its_frames_do(self) -> Self:
+        """Stations and obstacles in the base frame, once: everybody else knows of no other."""
+        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry]
+        for thing in things:
+            if thing.frame is not None and thing.frame not in self.frames:
+                known = ", ".join(self.frames) or "none"
+                raise ValueError(f"'{thing.name}' belongs to '{thing.frame}', which is no frame; there are: {known}")
+        for name, station in self.stations.items():
+            if station.frame is not None:
+                moved_mm = self.frames[station.frame].moved_mm(station.position_mm)
+                self.stations[name] = station.model_copy(update={"position_mm": moved_mm, "frame": None})
+        for number, obstacle in enumerate(self.geometry):
+            if obstacle.frame is not None:
+                frame = self.frames[obstacle.frame]
+                yaw_deg = (obstacle.yaw_deg + frame.yaw_deg + 180.0) % 360.0 - 180.0
+                moved = {"at_mm": frame.moved_mm(obstacle.at_mm), "yaw_deg": yaw_deg, "frame": None}
+                self.geometry[number] = obstacle.model_copy(update=moved)
+        return self
 
     @field_validator("devices")
     @classmethod
@@ -368,6 +425,17 @@ class CellSpec(Spec):
         """The options of a device, as its driver's own model has read them, or the engine's."""
         options: BaseModel = self.own_options.get(device) or self.section(device).options  # type: ignore[union-attr]
         return options
+
+    def slowed(self, ratio: float) -> "CellSpec":
+        """This cell with all that moves by itself at a share of its speed: arm, roller and changer.
+
+        But for the valve: its speed is part of every dose, and is not a person's to be afraid of.
+        """
+        arm = self.arm.model_copy(update={"speed_ratio": self.arm.speed_ratio * ratio})
+        hand = self.hand.model_copy(update={"morph_speed_mm_per_s": self.hand.morph_speed_mm_per_s * ratio})
+        turning = self.changer.options.model_copy(update={"slot_s": self.changer.options.slot_s / ratio})
+        changer = self.changer.model_copy(update={"options": turning})
+        return self.model_copy(update={"arm": arm, "hand": hand, "changer": changer})
 
     def kind_of(self, device: str) -> str:
         """The kind of a device, as `scuhand_bt.drivers` has it."""

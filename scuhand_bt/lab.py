@@ -287,14 +287,20 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
         broken.add("station", "", problems.found)
     if cell is None:
         sound = (key for key in CellSpec.model_fields if key in root.keys and key not in ("cell", "stations"))
-        parts = {key: Entries(root.mark, {key: root.keys[key]}, {key: root.values[key]}) for key in sound}
+        parts = {key: _part(root, key, *(("frames",) if key == "geometry" else ())) for key in sound}
         none = "none"
+        stations = {name: station.model_copy(update={"frame": None}) for name, station in stations.items()}
         kept = {key: validate(CellSpec, part, Problems(), cell=none, stations=stations) for key, part in parts.items()}
         return CellSpec(
             cell=none, stations=stations, **{key: getattr(made, key) for key, made in kept.items() if made is not None}
         )
     _check_ports(cell, root, problems)
     return cell
+
+
+def _part(root: Entries, *keys: str) -> Entries:
+    there = [key for key in keys if key in root.keys]
+    return Entries(root.mark, {key: root.keys[key] for key in there}, {key: root.values[key] for key in there})
 
 
 def _check_ports(cell: CellSpec, root: Entries, problems: Problems) -> None:

@@ -114,7 +114,7 @@ class WiredArmBench(DeviceBench):
     late_s = 0.3
 
     def __init__(self, joints: Joints = READY) -> None:
-        servos = crane_x7(roller=False)
+        servos = crane_x7(range(2, 9))
         for servo, angle in zip(servos, joints, strict=True):
             servo.position = 2048 + angle * r.COUNTS_PER_RAD
         self.twin = DynamixelTwin(servos)

@@ -32,7 +32,7 @@ class Bench:
     """The arm's driver and its twin."""
 
     def __init__(self) -> None:
-        servos = crane_x7(roller=False)
+        servos = crane_x7(range(2, 9))
         for servo, angle in zip(servos, READY, strict=True):
             servo.position = 2048 + angle * r.COUNTS_PER_RAD
         self.twin = DynamixelTwin(servos)

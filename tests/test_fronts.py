@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-FRONTS = ("api", "api.books", "study", "fleet", "dashboard", "kit", "report")
+FRONTS = ("api", "api.books", "study", "fleet", "dashboard", "kit", "report", "commissioning")
 
 
 def declared(file: str) -> dict[str, str]:

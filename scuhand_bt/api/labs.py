@@ -42,6 +42,10 @@ class How(TypedDict, total=False):
     """Nobody is there: a plan that needs a person is refused, and nobody is waited for."""
     control: "Control"
     """Pauses and stops it, from any thread."""
+    single_step: bool
+    """The person at the cell is asked before each action (in a simulation: where it `asks`)."""
+    slow_ratio: float
+    """Arm, roller and changer go at this share of their speeds."""
 
 
 class HowRun(How, total=False):
@@ -116,7 +120,15 @@ class OpenLab:
         plan = recipe if isinstance(recipe, Plan) else self.plan(recipe)
         folder = Path(how["journals"]) if "journals" in how else None
         unattended = how.get("unattended", False)
-        options = Options(simulation, how.get("controller"), folder, unattended=unattended, person=person)
+        options = Options(
+            simulation,
+            how.get("controller"),
+            folder,
+            unattended=unattended,
+            person=person,
+            single_step=how.get("single_step", False),
+            slow_ratio=how.get("slow_ratio", 1.0),
+        )
         return Session(plan, self.lab, options, control=how.get("control"))
 
     def dry_run(self, recipe: Given | Plan, **how: Unpack[HowSimulated]) -> Result:

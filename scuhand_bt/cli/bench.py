@@ -110,8 +110,10 @@ def doctor(
     as_json: JsonFlag = False,
 ) -> None:
     """Look at every device of the cell, and say what is wrong and what to do."""
+
     from scuhand_bt.api import NoCompiler, PlantError
     from scuhand_bt.api.bench import examine
+    from scuhand_bt.commissioning import commissioned
 
     loaded = the_lab(lab)
     if not (yes or as_json) and sys.stdin.isatty():
@@ -121,6 +123,8 @@ def doctor(
     except (PlantError, NoCompiler) as error:
         err.print(Text(f"{error}"))
         raise typer.Exit(ExitCode.BAD_INPUT) from None
+    if not twins:
+        findings += commissioned(loaded)
     failed = sum(finding.verdict == "FAIL" for finding in findings)
     if as_json:
         values = [asdict(finding) for finding in findings]

@@ -27,6 +27,7 @@ from scuhand_bt.cli.shared import (
 )
 from scuhand_bt.cli.streams import lines_into, unwatched
 from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.quantity import RATIO, parse
 
 if TYPE_CHECKING:
     from scuhand_bt.api import BatchObserver, BatchResult, Control, OnEvent, Session
@@ -49,6 +50,8 @@ EventsOption = Annotated[
     typer.Option("--events", metavar="FILE", help="Write all that happens as lines of JSON; - is the standard output."),
 ]
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Tell only what it came to.")]
+SLOWEST = 0.05
+"""Of a cell's speeds: below, a move would last minutes."""
 VerboseFlag = Annotated[bool, typer.Option("--verbose", help="Tell every action, line by line.")]
 
 
@@ -68,6 +71,10 @@ def run(
     asks: Annotated[
         bool, typer.Option("--ask", help="Ask a person in a dry run or a rehearsal, as at the cell.")
     ] = False,
+    step: Annotated[bool, typer.Option("--step", help="Ask before each action: single step.")] = False,
+    slow: Annotated[
+        str | None, typer.Option("--slow", metavar="20%", help="Arm, roller and changer at a share of their speeds.")
+    ] = None,
     operator: OperatorOption = None,
     dashboard: DashboardFlag = False,
     groot: GrootOption = None,
@@ -95,6 +102,10 @@ def run(
         raise typer.BadParameter("on the cell a person is asked anyway", param_hint="--ask")
     if asks and unattended:
         raise typer.BadParameter("an unattended run asks nobody", param_hint="--ask/--unattended")
+    if step and unattended:
+        raise typer.BadParameter("an unattended run asks nobody", param_hint="--step/--unattended")
+    asks = asks or step  # of a simulated person a step is no step
+    slow_ratio = _slow_ratio(slow) if slow is not None else 1.0
     if json_file is not None:
         of_kind(json_file, ".json", option="--json")
     if json_file is not None and (json_file.is_dir() or not json_file.absolute().parent.is_dir()):
@@ -110,11 +121,22 @@ def run(
         made, opened = the_plan(recipe, lab)
         person = the_person(operator, opened.state, is_asked=simulation is None)
         how: api.How = {"controller": controller, "unattended": unattended, "control": control}
+        how |= {"single_step": step, "slow_ratio": slow_ratio}
         return opened.prepare(made, simulation, person=person, **how)
 
     with told(events) as tell, unwatched():
         shows = how_much(quiet=quiet, verbose=verbose)
         run_to_its_end(make, json_file, shows, dashboard=dashboard, groot=groot, tell=tell)
+
+
+def _slow_ratio(text: str) -> float:
+    try:
+        ratio = parse(text, RATIO)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--slow") from None
+    if not SLOWEST <= ratio <= 1.0:
+        raise typer.BadParameter(f"from {SLOWEST:.0%} to 100 %", param_hint="--slow")
+    return ratio
 
 
 @contextmanager

@@ -46,6 +46,10 @@ class OptionsGiven(Values):
     """The fault file's name."""
     asks: bool = False
     """A person was asked in a simulation, too."""
+    step: bool = False
+    """A person was asked before each action."""
+    slow_ratio: float = 1.0
+    """Of the cell's own speeds."""
 
 
 class RunBegun(Event):

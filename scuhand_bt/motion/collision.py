@@ -135,13 +135,14 @@ class Arm:
         """The arm's shapes with the clamp that holds the sheet, and cones of these rims, all that a motion forms."""
         apex_m, slant_m = hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3
         shapes = pin.GeometryModel(self.shapes)
-        held = pin.SE3(np.eye(3), np.array([0.0, 0.0, apex_m - slant_m]))
+        x_m, y_m = (beside_mm / 1e3 for beside_mm in hand.apex_aside_mm)
+        held = pin.SE3(np.eye(3), np.array([x_m, y_m, apex_m - slant_m]))
         clamp = coal.Cylinder(hand.mount.clamp_radius_mm / 1e3, CLAMP_M)
         shapes.addGeometryObject(pin.GeometryObject("clamp", JOINTS, held, clamp))
         for k, diameter_mm in enumerate(diameters_mm):
             mount = Mount.of(hand, diameter_mm)
             depth_m = slant_m * math.cos(mount.lean_rad)
-            placed = pin.SE3(_with_z(-mount.axis), np.array([0.0, 0.0, apex_m]) + depth_m / 2 * mount.axis)
+            placed = pin.SE3(_with_z(-mount.axis), np.array([x_m, y_m, apex_m]) + depth_m / 2 * mount.axis)
             cone = coal.Cone((diameter_mm / 2 + margin_mm) / 1e3, depth_m)
             shapes.addGeometryObject(pin.GeometryObject(f"{CONE} {k}" if k else CONE, JOINTS, placed, cone))
         return shapes

@@ -91,9 +91,9 @@ def seams_of(pose: ApexPose, mount: Mount, count: int = YAWS) -> Floats:
     return seams
 
 
-def _circle(position_m: Floats, seam: Floats, mount: Mount) -> _Circle | str:
-    """The elbow's circle of an apex and a seam, or the sentence that says why it has none."""
-    d = position_m + mount.length_m * seam - (0.0, 0.0, SHOULDER_Z_M)
+def _circle(position_m: Floats, axis: Floats, seam: Floats, mount: Mount) -> _Circle | str:
+    """The elbow's circle of an apex, an axis and a seam, or the sentence that says why it has none."""
+    d = mount.wrists_m(position_m, axis, seam) - (0.0, 0.0, SHOULDER_Z_M)
     distance_m = math.sqrt(float(d @ d))
     nearest_m = 2 * LINK_M * math.cos(LIMITS_RAD[0, 3] / 2)
     if distance_m > 2 * LINK_M + _EDGE:
@@ -265,7 +265,7 @@ def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floa
     swivels = _even_swivels()[:: 1 if len(seams) == 1 else 2]
     found = _on_grid(pose, seams, swivels, mount, limits)
     if not len(found):
-        circles = (_circle(pose.position_m, seam, mount) for seam in seams_of(pose, mount))
+        circles = (_circle(pose.position_m, pose.axis, seam, mount) for seam in seams_of(pose, mount))
         found = np.vstack([np.zeros((0, JOINTS)), *(_in_arcs(c, limits) for c in circles if not isinstance(c, str))])
         found = _turned_within(found, pose.axis, mount, limits)
     return found
@@ -273,12 +273,13 @@ def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floa
 
 def _on_grid(pose: ApexPose, seams: Floats, swivels: Floats, mount: Mount, limits: Floats) -> Floats:
     """Solutions at each seam (m, 3) and each swivel (k,): (n, 7)."""
-    positions_m = np.broadcast_to(pose.position_m, seams.shape)
-    reached = _has_circle(positions_m, seams, mount)
+    positions_m, axes = (np.broadcast_to(one, seams.shape) for one in (pose.position_m, pose.axis))
+    reached = _has_circle(positions_m, axes, seams, mount)
     seams = np.repeat(seams[reached], len(swivels), axis=0)
     if not len(seams):
         return np.zeros((0, JOINTS))
-    circles = _circles(np.broadcast_to(pose.position_m, seams.shape), seams, mount)
+    positions_m, axes = (np.broadcast_to(one, seams.shape) for one in (pose.position_m, pose.axis))
+    circles = _circles(positions_m, axes, seams, mount)
     assert circles is not None
     q = _branches(circles, np.tile(swivels, len(seams) // len(swivels))).reshape(-1, JOINTS)
     return _turned_within(q[_within(q, limits)], pose.axis, mount, limits)
@@ -309,7 +310,7 @@ def neighbours(pose: ApexPose, q: Floats, mount: Mount, spread_rad: float, count
     """Solutions of the same branch and yaw within `spread_rad` of swivel around the solution q: shape (n, 7)."""
     seam = apex(q, mount).seam
     assert seam is not None  # every configuration has one
-    circle = _circle(pose.position_m, seam, mount)
+    circle = _circle(pose.position_m, pose.axis, seam, mount)
     if isinstance(circle, str):
         return np.zeros((0, JOINTS))
     swivels = _swivel_on(circle, q) + np.linspace(-spread_rad, spread_rad, count)
@@ -337,10 +338,10 @@ def unreachable_reason(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD
     if len(solutions(pose, mount, limits)):
         return None
     seams = seams_of(pose, mount)
-    wrists_m = pose.position_m + mount.length_m * seams - (0.0, 0.0, SHOULDER_Z_M)
+    wrists_m = mount.wrists_m(pose.position_m, pose.axis, seams) - (0.0, 0.0, SHOULDER_Z_M)
     distances_m = np.linalg.norm(wrists_m, axis=1)
     off_m = np.maximum(distances_m - 2 * LINK_M, 2 * LINK_M * math.cos(LIMITS_RAD[0, 3] / 2) - distances_m)
-    circles = [_circle(pose.position_m, seams[k], mount) for k in np.argsort(off_m, kind="stable")]
+    circles = [_circle(pose.position_m, pose.axis, seams[k], mount) for k in np.argsort(off_m, kind="stable")]
     if isinstance(circles[0], str):
         return circles[0]
     q = np.vstack([_at_arcs(circle, limits) for circle in circles if not isinstance(circle, str)])
@@ -358,7 +359,7 @@ def swivel_of(q: Floats, mount: Mount) -> float:
     """The elbow's swivel angle phi of a configuration."""
     pose = apex(q, mount)
     assert pose.seam is not None  # every configuration has one
-    circle = _circle(pose.position_m, pose.seam, mount)
+    circle = _circle(pose.position_m, pose.axis, pose.seam, mount)
     if isinstance(circle, str):
         raise ValueError(circle)
     return _swivel_on(circle, q)
@@ -376,7 +377,8 @@ def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Float
     None where a pose is beyond the arm.
     """
     n, m = len(positions_m), len(swivels)
-    if (circles := _circles(np.repeat(positions_m, m, axis=0), np.repeat(seams, m, axis=0), mount)) is None:
+    each = [np.repeat(one, m, axis=0) for one in (positions_m, axes, seams)]
+    if (circles := _circles(each[0], each[1], each[2], mount)) is None:
         return None
     branches = _branches(circles, np.tile(swivels, n)).reshape(-1, JOINTS)
     return with_wrist_turned(branches, np.repeat(axes, 4 * m, axis=0), mount).reshape(n, m, 4, JOINTS)
@@ -410,7 +412,7 @@ def along(
     The axes may lean from the seams as the cone's size along the course has it. None where a pose is beyond the arm,
     or a joint would leave its limits or jump.
     """
-    if (circles := _circles(positions_m, seams, mount)) is None:
+    if (circles := _circles(positions_m, axes, seams, mount)) is None:
         return None
     branches = _branches(circles, swivels)
     n = len(branches)
@@ -427,19 +429,19 @@ def along(
     return q if _within(q, LIMITS_RAD).all() else None
 
 
-def _has_circle(positions_m: Floats, seams: Floats, mount: Mount) -> NDArray[np.bool_]:
+def _has_circle(positions_m: Floats, axes: Floats, seams: Floats, mount: Mount) -> NDArray[np.bool_]:
     """Which apexes and seams (n, 3) the arm is neither too short nor too folded for: (n,)."""
-    d = positions_m + mount.length_m * seams - (0.0, 0.0, SHOULDER_Z_M)
+    d = mount.wrists_m(positions_m, axes, seams) - (0.0, 0.0, SHOULDER_Z_M)
     share = np.linalg.norm(d, axis=1) / (2 * LINK_M)
     has: NDArray[np.bool_] = (share <= 1 + _EDGE) & (share >= math.cos(LIMITS_RAD[0, 3] / 2) - _EDGE)
     return has
 
 
-def _circles(positions_m: Floats, seams: Floats, mount: Mount) -> _Circles | None:
+def _circles(positions_m: Floats, axes: Floats, seams: Floats, mount: Mount) -> _Circles | None:
     """The elbow circles of many apexes and seams (n, 3), (n, 3), stacked; None where one has none."""
-    if not _has_circle(positions_m, seams, mount).all():
+    if not _has_circle(positions_m, axes, seams, mount).all():
         return None
-    d = positions_m + mount.length_m * seams - (0.0, 0.0, SHOULDER_Z_M)
+    d = mount.wrists_m(positions_m, axes, seams) - (0.0, 0.0, SHOULDER_Z_M)
     share = np.linalg.norm(d, axis=1)[:, None] / (2 * LINK_M)
     towards = d / (2 * LINK_M * share)
     upright = np.abs(towards[:, 2:]) > 0.99

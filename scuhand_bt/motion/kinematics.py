@@ -2,7 +2,7 @@
 
 The CRANE-X7 is a spherical-revolute-spherical arm, and the hand holds its cone as a ladle's handle holds the bowl: the
 apex is on the axis of the last joint, the handle's, which the slit's edge (the seam) continues, and the cone's own axis
-leans from there by the cone's half-angle:
+leans from there by the cone's half-angle (what the apex was measured to be beside it, `Mount.aside_m`, is left out):
 
     R = Rz(q1) Ry(-q2) Rz(q3) Ry(-q4) Rz(q5) Ry(-q6) Rz(q7)
     apex = S + l e + l f + L h,      e, f, h = the third columns of R up to q2, q4, q6
@@ -49,17 +49,35 @@ class Mount:
     """Flange to apex."""
     lean_rad: float
     azimuth_rad: float = 0.0
+    aside_m: tuple[float, float] = (0.0, 0.0)
+    """The apex beside the j7 axis, along x and y of the flange."""
 
     @classmethod
     def of(cls, hand: HandSpec, diameter_mm: float = MOUNTED_DIAMETER_MM) -> "Mount":
         """This hand's, with a rim of this diameter; ValueError for one that the sheet cannot make."""
         sine = diameter_mm / (2 * hand.sheet_radius_mm)
-        return cls(hand.apex_offset_mm / 1e3, math.asin(sine), math.radians(hand.mount.azimuth_deg))
+        return cls(hand.apex_offset_mm / 1e3, math.asin(sine), math.radians(hand.mount.azimuth_deg), _in_metres(hand))
 
     @property
     def length_m(self) -> float:
         """Wrist centre to apex."""
         return WRIST_TO_FLANGE_M + self.offset_m
+
+    def wrists_m(self, positions_m: Floats, axes: Floats, seams: Floats) -> Floats:
+        """Where the wrist's centre is for an apex, a cone's axis and a seam, (3,) or (n, 3) each: the same shape.
+
+        The part b of the axis across the seam lies in the flange's azimuth, whatever the lean; h x b completes it.
+        """
+        wrists_m: Floats = positions_m + self.length_m * seams
+        x_m, y_m = self.aside_m
+        if x_m == 0.0 == y_m:
+            return wrists_m
+        cosine, sine = math.cos(self.azimuth_rad), math.sin(self.azimuth_rad)
+        towards = axes - (axes * seams).sum(axis=-1, keepdims=True) * seams
+        towards = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+        wrists_m -= (x_m * cosine + y_m * sine) * towards
+        wrists_m += (y_m * cosine - x_m * sine) * np.cross(seams, towards)
+        return wrists_m
 
     @property
     def axis(self) -> Floats:
@@ -108,6 +126,11 @@ class ApexPose:
         return math.degrees(math.acos(max(-1.0, min(1.0, float(self.axis[2])))))
 
 
+def _in_metres(hand: HandSpec) -> tuple[float, float]:
+    x_mm, y_mm = hand.apex_aside_mm
+    return x_mm / 1e3, y_mm / 1e3
+
+
 def apex(q: ArrayLike, mount: Mount) -> ApexPose:
     """The apex pose of a configuration q [rad], shape (7,), seam included: a few microseconds of plain floats."""
     q1, q2, q3, q4, q5, q6, q7 = map(float, np.asarray(q, dtype=float).tolist())
@@ -131,6 +154,9 @@ def apex(q: ArrayLike, mount: Mount) -> ApexPose:
         x, z = c2 * x - s2 * z, s2 * x + c2 * z
         base.append((c1 * x - s1 * y, s1 * x + c1 * y, z))
     (hx, hy, hz), (px, py, pz), up = base
+    if mount.aside_m != (0.0, 0.0):
+        (px, py, pz) = (float(x) for x in apex_positions_m(np.asarray(q, dtype=float)[None], mount)[0][0])
+        pz -= SHOULDER_Z_M
     pose = object.__new__(ApexPose)
     object.__setattr__(pose, "position_m", np.array((px, py, pz + SHOULDER_Z_M)))
     object.__setattr__(pose, "axis", np.array(up))
@@ -149,6 +175,11 @@ def apex_frames(q: Floats, mount: Mount) -> tuple[Floats, Floats, Floats]:
     c, s = np.cos(q), np.sin(q)
     h = np.stack([-s[:, 5] * c[:, 4], -s[:, 5] * s[:, 4], c[:, 5]], axis=1)
     p = h * mount.length_m + (0.0, 0.0, LINK_M)
+    if mount.aside_m != (0.0, 0.0):
+        aside = np.broadcast_to(np.array([*mount.aside_m, 0.0]), h.shape)
+        for joint in (6, 5, 4):
+            aside = _turned(aside, c, s, joint)
+        p = p + aside
     u = np.broadcast_to(mount.axis, h.shape)
     for joint in (6, 5, 4):
         u = _turned(u, c, s, joint)

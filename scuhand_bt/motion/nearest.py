@@ -25,7 +25,7 @@ def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | 
         return len(q) > 0 and not scene.hits(q[:: max(1, len(q) // _LOOKED_AT)]).all()
 
     wanted_m = pose.position_m
-    to_wrists_m = wanted_m + mount.length_m * seams_of(pose, mount) - (0.0, 0.0, SHOULDER_Z_M)
+    to_wrists_m = mount.wrists_m(wanted_m, pose.axis, seams_of(pose, mount)) - (0.0, 0.0, SHOULDER_Z_M)
     to_wrist_m = min(to_wrists_m, key=lambda way_m: float(way_m @ way_m))
     too_far = max(0.0, 1 - 2 * LINK_M / float(np.linalg.norm(to_wrist_m)))
     around_m = wanted_m - to_wrist_m * too_far

@@ -28,7 +28,7 @@ from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.leaf import SkillBug
+from scuhand_bt.tree.leaf import Consent, SkillBug
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.tree.substitutes import Substitutes
 
@@ -110,6 +110,7 @@ class Batch:
         first: Steps[None] | None = None,
         after_job: Callable[[], None] = lambda: None,
         substitutes: Substitutes | None = None,
+        consent: Consent | None = None,
     ) -> None:
         self._plan = plan
         self._cell = cell
@@ -121,7 +122,7 @@ class Batch:
         self._history = history or History()
         self._first = first
         self._after_job = after_job
-        self._runner = Runner(cell, library, journal, control, Guards(cell), observer, substitutes)
+        self._runner = Runner(cell, library, journal, control, Guards(cell), observer, substitutes, consent)
         self._results: dict[str, SampleResult] = {}
         self._overshot: list[SampleResult] = []
         """The last samples that were dosed, as long as they overshot."""

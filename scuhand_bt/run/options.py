@@ -40,6 +40,10 @@ class Options:
     """Whoever began or resumed it has seen the arm: if it has no torque, it may be held where it is."""
     person: Person | None = None
     """Who runs it, and answers; the user of the computer if None."""
+    single_step: bool = False
+    """A person is asked before each action."""
+    slow_ratio: float = 1.0
+    """Of the cell's own speeds: what arm, roller and changer may go at; see `CellSpec.slowed`."""
 
 
 def options_of(history: History, folder: Path) -> Options:
@@ -51,7 +55,9 @@ def options_of(history: History, folder: Path) -> Options:
         simulation = Rehearsal(run.seed or 0, given.plant, faults, given.asks)
     elif run.seed is not None:  # twins of another program have one of their own
         simulation = DryRun(run.seed, given.plant, given.speed, faults, given.asks)
-    return Options(simulation, given.controller, folder, run.unattended)
+    return Options(
+        simulation, given.controller, folder, run.unattended, single_step=given.step, slow_ratio=given.slow_ratio
+    )
 
 
 def check_controller(name: str | None) -> None:
@@ -88,6 +94,8 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
             speed=simulation.speed if isinstance(simulation, DryRun) else None,
             faults=faults.marks[0].file if faults is not None else None,
             asks=simulation is not None and simulation.asks,
+            step=options.single_step,
+            slow_ratio=options.slow_ratio,
         ),
         sources={
             name: SourceUsed(

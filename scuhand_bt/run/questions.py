@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from scuhand_bt.clock import Signal, wall_time
 
 MEANINGS: Mapping[str, str] = {
+    "go": "the action begins",
     "done": "it is done: the run goes on",
     "stop": "it is not done: what the recipe says of `operator.refused`, else the run stops and can be resumed",
     "flag": "the dose is kept and marked; the batch goes on",

@@ -23,7 +23,7 @@ from scuhand_bt.run.rejoin import rejoin
 from scuhand_bt.skill import SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
 from scuhand_bt.tree.check import Library
-from scuhand_bt.tree.leaf import SkillBug, SkillLeaf, Ticking
+from scuhand_bt.tree.leaf import Consent, SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
 from scuhand_bt.tree.nodes import Timeout, While, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
@@ -63,6 +63,7 @@ class Runner:
         guards: Guards,
         observer: TickObserver,
         substitutes: Substitutes | None = None,
+        consent: Consent | None = None,
     ) -> None:
         self._cell = cell
         self._library = library
@@ -71,7 +72,7 @@ class Runner:
         self._observer = observer
         self._leases = Leases(cell)
         self._guards = guards
-        self._substitutes = substitutes
+        self._substitutes, self._consent = substitutes, consent
         self._drawn: set[str] = set()
         """The workflows whose tree the journal has."""
 
@@ -81,7 +82,7 @@ class Runner:
         After an interruption `make_safe` is the caller's to call.
         """
         recorder, rejoins = _Recorder(self._journal), partial(rejoin, self._journal)
-        shared = Ticking(self._cell, self._leases, recorder, replay, rejoins, self._substitutes)
+        shared = Ticking(self._cell, self._leases, recorder, replay, rejoins, self._substitutes, self._consent)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
         if job.workflow not in self._drawn:
             self._drawn.add(job.workflow)

@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 import threading
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -36,6 +37,7 @@ from scuhand_bt.run.outage import settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
+from scuhand_bt.run.single_step import SingleStep
 from scuhand_bt.run.twins import folder_of_run
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.substitutes import Substitutes
@@ -71,6 +73,7 @@ class Session:
         """What a real run asks more of its balance than that is known to give, where it goes on all the same."""
         self.control = control or Control()
         """By it the run is paused, continued and stopped, safely (Ctrl-C does)."""
+        lab = replace(lab, cell=lab.cell.slowed(options.slow_ratio))
         self._lab, self._options, self._has_run = lab, options, threading.Lock()
         self._substitutes = substitutes
         self._history = resumes.history if resumes is not None else None
@@ -230,6 +233,10 @@ class Session:
         if simulation is not None and simulation.faults is not None:
             count = len(simulation.faults.rules)
             mode += f", {count} fault {'rule' if count == 1 else 'rules'}"
+        if self._options.slow_ratio < 1.0:
+            mode += f", at {self._options.slow_ratio:.0%} of its speed"
+        if self._options.single_step:
+            mode += ", in single step"
         again = "resumed, " if self._history is not None else ""
         count = len(self.plan.recipe.samples)
         return f"{self.plan.recipe.name}: {again}{count} samples on the cell '{self._lab.cell.cell}', {mode}"
@@ -252,6 +259,7 @@ class Session:
             first=self._settle() if has_to_settle else None,
             after_job=self._records.after_job,
             substitutes=self._substitutes,
+            consent=SingleStep(self.cell, self.control) if self._options.single_step else None,
         )
         try:
             result = batch.run()

@@ -70,6 +70,18 @@ class Rejoin(Protocol):
     ) -> Steps[bool]: ...
 
 
+class Consent(Protocol):
+    """Who has to say, before each action, that it may begin."""
+
+    def waits(self, leaf: "SkillLeaf", inputs: Values, shared: "Ticking") -> Wake | None:
+        """What the leaf has to wait for until it may begin; None where it may, which is said once."""
+        ...
+
+    def withdraw(self, leaf: "SkillLeaf", shared: "Ticking") -> None:
+        """The leaf is halted: it is not to begin any more."""
+        ...
+
+
 class Ticking:
     """What the nodes of one job's tree share: the cell, its leases, the listener, and who waits for what."""
 
@@ -81,6 +93,7 @@ class Ticking:
         replay: Replay,
         rejoin: Rejoin,
         substitutes: Substitutes | None = None,
+        consent: Consent | None = None,
     ) -> None:
         self.cell = cell
         self.leases = leases
@@ -89,6 +102,8 @@ class Ticking:
         self.rejoin = rejoin
         self.substitutes = substitutes
         """What stands in for skills, in a test."""
+        self.consent = consent
+        """Who lets each action begin, in single step."""
         self.acting: set[SkillLeaf] = set()
         """The leaves whose skill is at work."""
         self.is_pausing = False
@@ -139,14 +154,14 @@ class SkillLeaf(Behaviour):
         self._wake: Wake | None = None
         self._lease_deadline_s = self._rest_deadline_s = 0.0
         self._ended: tuple[str, Any] | None = None
-        self._is_recorded = False
+        self._is_recorded = self._may_begin = False
         self._recorded: Recorded | None = None
 
     def initialise(self) -> None:
         self.visits += 1
         self.failure = None
         self._steps = self._wake = self._ended = None
-        self._is_recorded = False
+        self._is_recorded = self._may_begin = False
         self._recorded = self._shared.replay.recorded(self.path, self.visits)
         self._lease_deadline_s = self._shared.cell.clock.now_s + LEASE_TIMEOUT_S
 
@@ -224,6 +239,8 @@ class SkillLeaf(Behaviour):
         if new_status is not Status.INVALID or self.status is not Status.RUNNING:
             return
         outcome = "interrupted" if self._shared.is_interrupted else "halted"
+        if self._shared.consent is not None:
+            self._shared.consent.withdraw(self, self._shared)
         try:
             if self._steps is not None:
                 self._steps.close()
@@ -254,6 +271,13 @@ class SkillLeaf(Behaviour):
             self._lease_deadline_s = now_s + LEASE_TIMEOUT_S
             shared.wait(self, Wake.on(shared.going_on))
             return False
+        inputs = self._arguments()
+        if shared.consent is not None and not self._may_begin:
+            self._lease_deadline_s = now_s + LEASE_TIMEOUT_S
+            if (asked := shared.consent.waits(self, inputs, shared)) is not None:
+                shared.wait(self, asked)
+                return False
+            self._may_begin = True
         own = self.skill.devices
         devices = sorted({*own, *REJOINING}) if replay.is_to_rejoin else own
         if not shared.leases.take(devices, self):
@@ -262,7 +286,6 @@ class SkillLeaf(Behaviour):
                 raise SkillFailed(Code.DEVICE_BUSY, f"{names} not free after {LEASE_TIMEOUT_S:g} s")
             shared.wait(self, *shared.leases.wakes(devices, self._lease_deadline_s))
             return False
-        inputs = self._arguments()
         skill = made(self.name, self.skill, inputs)
         shared.listener.started(self, inputs)
         self._is_recorded = True

@@ -18,7 +18,6 @@ from scuhand_bt.devices.dynamixel.servo_loop import AxisGroup, ServoChain, fault
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import SkillFailed
 
-FIRST_SERVO = 2
 GAINS = (
     (1000, 300, 200),
     (2200, 500, 500),
@@ -36,7 +35,7 @@ def arm_axes(spec: ArmSpec) -> list[Axis]:
     options = spec.options
     return [
         Axis(
-            servo=FIRST_SERVO + index,
+            servo=options.servo_ids[index],
             name=f"joint {index + 1}",
             model=XM540 if index == 1 else XM430,
             home_count=options.home_counts[index],

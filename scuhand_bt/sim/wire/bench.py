@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from scuhand_bt.cell_spec import DEVICES, MOUNTED_DIAMETER_MM, CellSpec, HandSpec
+from scuhand_bt.cell_spec import DEVICES, MOUNTED_DIAMETER_MM, ArmOptions, CellSpec, HandSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints, Reading
 from scuhand_bt.dosing.cone import Cone
@@ -57,13 +57,27 @@ UNSAVED_S = 0.5
 class WireArm(SimulatedArm):
     """The world's arm: it is where the servos are."""
 
-    def __init__(self, clock: Clock, mount: Callable[[], Mount], joints: Joints, servos: list[Servo]) -> None:
+    def __init__(
+        self, clock: Clock, mount: Callable[[], Mount], joints: Joints, servos: list[Servo], built: ArmOptions
+    ) -> None:
         super().__init__(clock, mount, joints)
         self._servos = servos
+        self._homes, self._per_rad = np.array(built.home_counts), np.array(built.directions) * COUNTS_PER_RAD
         self._moved_s = float("-inf")
         self._now_s = 0.0
-        for servo, angle_rad in zip(servos, joints, strict=True):
-            servo.position = 2048 + float(angle_rad) * COUNTS_PER_RAD
+        self.stand_at(joints)
+
+    def stand_at(self, joints: Joints) -> None:
+        """A hand has moved the arm there, which was limp."""
+        for servo, count in zip(self._servos, (self._homes + joints * self._per_rad).tolist(), strict=True):
+            servo.position = count
+            servo.stand()
+
+    @property
+    def joints(self) -> Joints:
+        """Where the servos are, as they are built in."""
+        joints: Joints = (np.array([servo.position for servo in self._servos]) - self._homes) / self._per_rad
+        return joints
 
     @property
     def is_active(self) -> bool:
@@ -71,7 +85,7 @@ class WireArm(SimulatedArm):
 
     def advance(self, end_s: float) -> None:
         """See where the servos are."""
-        joints = np.array([(servo.position - 2048) / COUNTS_PER_RAD for servo in self._servos])
+        joints = self.joints
         if np.abs(joints - self._rest).max() > 0.5 / COUNTS_PER_RAD:
             if not self.is_active:
                 self.faults.chance("motion", end_s)
@@ -309,11 +323,11 @@ class WireBench:
     ) -> None:
         physics = probed_plant(plant or spec.plant, sources.values(), spec.balance)
         board = HandTwin(firmware, spec.hand.valve_dead_time_s, spec.hand.options.valve_map)
-        *arm_servos, roller = servos = crane_x7()
+        *arm_servos, roller = servos = crane_x7((*spec.arm.options.servo_ids, spec.hand.options.roller_id))
         self.bus = TwinServer(DynamixelTwin(servos), PtyPort(ports and ports / "arm"))
         self.hand = TwinServer(board, PtyPort(ports and ports / "hand"))
         hand = WireHand(spec.hand, clock, board, roller)
-        arm = WireArm(clock, hand.mount, joints, arm_servos)
+        self.arm = arm = WireArm(clock, hand.mount, joints, arm_servos, spec.arm.options)
         balance = SimulatedBalance(spec.balance, clock, physics)
         self.world = WireWorld(spec, sources, physics, seed, arm, hand, balance, faults)
         kind = balance_twin(spec.balance.driver)

@@ -3,7 +3,7 @@
 Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0".
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import ClassVar
 
 from scuhand_bt.sim.plain_state import Plain
@@ -225,11 +225,11 @@ def fast_status(answers: list[tuple[int, int, bytes]]) -> bytes:
     return message
 
 
-def crane_x7(roller: bool = True) -> list[Servo]:
-    """The servos of the arm as it is delivered, ids 2 to 8, and the hand's roller, id 9.
+def crane_x7(ids: Sequence[int] = (2, 3, 4, 5, 6, 7, 8, 9)) -> list[Servo]:
+    """The servos of the arm, by default as it is delivered, and that of the hand's roller, if it has an id.
 
     Windows: `rt-net/rt_manipulators_cpp`, `samples/samples03/config/crane-x7_links.csv` (Apache-2.0).
     """
     windows = [(262, 3834), (1024, 3072), (262, 3834), (228, 2048), (262, 3834), (1024, 3072), (148, 3948)]
-    arm = [Servo(i + 2, XM540 if i == 1 else XM430, 2048.0, window) for i, window in enumerate(windows)]
-    return [*arm, Servo(9)] if roller else arm
+    arm = [Servo(ids[i], XM540 if i == 1 else XM430, 2048.0, window) for i, window in enumerate(windows)]
+    return [*arm, *(Servo(number) for number in ids[7:])]

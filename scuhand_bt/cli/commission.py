@@ -1,0 +1,131 @@
+"""The command that leads through a new cell to its first dose."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from scuhand_bt.cli.shared import JsonFlag, LabOption, OperatorOption, app, err, out, print_json, the_lab, unknown
+from scuhand_bt.exit_codes import ExitCode
+
+if TYPE_CHECKING:
+    from scuhand_bt.api import Lab
+    from scuhand_bt.commissioning import Record
+    from scuhand_bt.quantity import Unit
+
+
+class AtTerminal:
+    """The person at this terminal; see `scuhand_bt.commissioning.step.Dialogue`."""
+
+    def tell(self, text: str) -> None:
+        out.print(Text(text), soft_wrap=True)
+
+    def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> str:
+        from scuhand_bt.commissioning import Left
+
+        while True:
+            said: str = typer.prompt(f"{question} [{'/'.join(choices)}]", default=choices[0], show_default=False)
+            if (answer := said.strip().lower()) == "stop":
+                raise Left
+            if answer in choices:
+                return answer
+            self.tell(f"'{answer}' is no answer; there are: {', '.join(choices)}")
+
+    def number(self, question: str, unit: "Unit") -> float:
+        from scuhand_bt.commissioning import Left
+        from scuhand_bt.quantity import parse
+
+        while True:
+            said: str = typer.prompt(question)
+            if said.strip().lower() == "stop":
+                raise Left
+            try:
+                return parse(said, unit)
+            except ValueError as error:
+                self.tell(str(error))
+
+
+def _list(record: "Record", lab: "Lab", *, as_json: bool) -> None:
+    from scuhand_bt.commissioning import STEPS
+
+    rows = [
+        (step, done, done.changed(lab.cell) if done is not None else [])
+        for simulated in (False, True)
+        for last in [record.last(simulated=simulated)]
+        for step in STEPS
+        if (done := last.get(step.name)) is not None or not simulated
+    ]
+    if as_json:
+        print_json(
+            [
+                {"step": step.name, "summary": step.summary, "done": asdict(done) if done is not None else None}
+                | {"changed_since": changes}
+                for step, done, changes in rows
+            ]
+        )
+        return
+    table = Table("step", "what", "done", "by", "found", "changed since", show_edge=False)
+    for step, done, changes in rows:
+        if done is None:
+            table.add_row(step.name, step.summary, "-", "", "", "")
+            continue
+        at = f"{done.at[:16].replace('T', ' ')}{' SIMULATED' if done.simulated else ''}"
+        found = "; ".join(f"{what}: {value}" for what, value in done.found.items())
+        table.add_row(step.name, step.summary, at, Text(done.by), Text(found), ", ".join(changes))
+    out.print(table)
+
+
+@app.command()
+def commission(
+    step: Annotated[
+        str | None,
+        typer.Argument(help="A step, to do it (again); else the first that is to be done.", show_default=False),
+    ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Show the steps, and when who has done them.")] = False,
+    operator: OperatorOption = None,
+    lab: LabOption = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Lead through a new cell to its first dose, step by step; it may be left and taken up again at any time."""
+    from scuhand_bt.api import OpenLab, SkillFailed
+    from scuhand_bt.commissioning import STEPS, Left, NotFound, Record, Site, carry_out, next_step, on_twins
+
+    loaded = the_lab(lab)
+    state = OpenLab(loaded).state
+    names = [one.name for one in STEPS]
+    if step is not None and step not in names:
+        raise unknown("step", step, names)
+    if listed or as_json:
+        _list(Record(state), loaded, as_json=as_json)
+        return
+    from scuhand_bt.cli.persons import the_person
+    from scuhand_bt.failures import CATALOGUE
+
+    who = the_person(operator, state, is_asked=True)
+    assert who is not None
+    chosen = next((one for one in STEPS if one.name == step), None)
+    try:
+        simulated = on_twins(loaded.cell)
+        if simulated:
+            out.print("TWINS: nothing of what is found here is believed of a real cell.")
+        while (now := chosen or next_step(Record(state).last(simulated=simulated), loaded.cell)) is not None:
+            out.print(Text(f"{now.name}: {now.summary}", style="bold"))
+            site = Site(loaded, AtTerminal(), state, who, simulated)
+            done = carry_out(now, site)
+            if done is None or chosen is not None:
+                break
+            loaded = the_lab(lab)
+        else:
+            out.print("All steps are done; `scuhand-bt doctor` looks at the cell.")
+    except Left:
+        out.print("Left here. `scuhand-bt commission` goes on.")
+        raise typer.Exit(ExitCode.INTERRUPTED) from None
+    except NotFound as error:
+        err.print(Text(f"{error}."), soft_wrap=True)
+        raise typer.Exit(ExitCode.CELL_FAULT) from None
+    except SkillFailed as error:
+        err.print(Text(f"{error.code}: {error.detail}. {CATALOGUE[error.code].remedy}"), soft_wrap=True)
+        raise typer.Exit(ExitCode.CELL_FAULT) from None

@@ -1,0 +1,129 @@
+"""Where the valve begins to open: by the flow of glass beads, weighed at a few openings.
+
+Beverloo's law (docs/calibration.md), of an opening that really is `later` less than the map says:
+
+    W = C' (D - later - k)^2.5         so W^0.4 is a straight line over D, and vanishes at D = later + k
+
+k is what the powder needs to flow at all (`belief.threshold` in `robot/powders.yaml`). W is the mass that a longer
+pulse brings more than a shorter one, by how much longer it is: what comes while the valve opens and shuts is in both.
+The scale of the map (mm a count) cannot be told from C', which nobody knows beforehand: it stays the rack's.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from scuhand_bt.cell_spec import CellSpec, ChangerSpec, ValvePoint
+from scuhand_bt.clock import carried_out
+from scuhand_bt.commissioning.limp_arm import limp
+from scuhand_bt.commissioning.step import Found, NotFound, Site
+from scuhand_bt.devices.connect import Devices, connect_cell_devices
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.yaml_edit import Path as Keys
+from scuhand_bt.yaml_edit import Value
+
+POWDER = "glass_beads"
+OPENINGS_MM = (0.9, 1.3, 1.7, 2.1)
+DWELLS_S = (0.4, 1.4)
+LEAST_MG = 3.0
+"""What a pulse has to bring to count."""
+UNEVEN_MM = 0.12
+"""Flows that fit no straight line better than this tell no zero."""
+CLOSER_MM = (0.0, 0.25, 0.5, 0.75)
+"""By how much a valve that leaks is shut further, until it does not."""
+STILL_S = 20.0
+MOST_LATER_MM = 1.5
+
+
+def opens_later_mm(openings_mm: Sequence[float], flows_mg_per_s: Sequence[float], threshold_mm: float) -> float:
+    """How much less the valve is open than its map says. ValueError for flows that do not tell."""
+    x, y = np.array(openings_mm), np.array(flows_mg_per_s, dtype=float)
+    if len(x) < 3 or (y <= 0.0).any():
+        raise ValueError("too little has flowed, at too few openings")
+    y = y**0.4
+    slope, constant = np.polyfit(x, y, 1)
+    if slope <= 0.0:
+        raise ValueError("no more flows where the valve opens wider")
+    uneven_mm = float(np.sqrt(np.mean((y - slope * x - constant) ** 2)) / slope)
+    if uneven_mm > UNEVEN_MM:
+        raise ValueError(f"the powder flows as if the opening were off by {uneven_mm:.2f} mm each time")
+    return float(-constant / slope) - threshold_mm
+
+
+def moved(points: Sequence[ValvePoint], later_mm: float) -> tuple[ValvePoint, ...]:
+    """The map of a valve that opens later by so much. ValueError beyond the servo's turn."""
+    first, second = points[0], points[1]
+    shift = round(later_mm * (second.count - first.count) / (second.opening_mm - first.opening_mm))
+    if not all(0 <= point.count + shift <= 4095 for point in points):
+        raise ValueError("the valve's servo would have to go beyond its turn; see to its linkage")
+    return tuple(ValvePoint(count=point.count + shift, opening_mm=point.opening_mm) for point in points)
+
+
+def find_valve_zero(site: Site) -> Found:
+    """The valve's map with its zero where the flow says."""
+    if (powder := site.lab.library.powders.get(POWDER)) is None:
+        raise NotFound(f"the zero is found with '{POWDER}', which robot/powders.yaml does not have")
+    threshold_mm, points = powder.belief.threshold_mm, site.cell.hand.options.valve_map
+    with limp(site.cell.arm, site.person):
+        site.person.ask(
+            "Put an empty crucible on the pan, and lead the apex over its middle, 5 to 10 cm above the pan."
+        )
+        site.person.ask("The servos hold the arm from now on. May they?")
+    try:
+        for closer_mm in CLOSER_MM:
+            told = moved(points, -closer_mm)
+            with _held(site, told) as devices:
+                site.person.ask(f"Put 3 to 5 g of dry {POWDER} into the cone, or see that as much is in it.")
+                flows = _flows(devices, site)
+            if flows is not None:
+                break
+            site.person.tell("Powder runs though the valve is shut: it is shut a quarter of a millimetre further.")
+        else:
+            raise NotFound("powder runs however far the valve is shut: look for what is in it, or at its linkage")
+        found = [(opening_mm, flow) for opening_mm, flow in zip(OPENINGS_MM, flows, strict=True) if flow > 0.0]
+        later_mm = opens_later_mm([one for one, _ in found], [flow for _, flow in found], threshold_mm) - closer_mm
+        if abs(later_mm) > MOST_LATER_MM:
+            raise ValueError(f"the zero would be {later_mm:+.2f} mm off")
+        new = moved(points, later_mm)
+    except ValueError as error:
+        raise NotFound(f"{error}; is the powder dry, the cone full enough, and nothing in the valve?") from None
+    listed: list[Value] = [{"count": point.count, "opening": f"{point.opening_mm:g} mm"} for point in new]
+    values: dict[Keys, Value] = {("hand", "options", "valve_map"): listed} if new != points else {}
+    rates = ", ".join(f"{flow:.0f} mg/s at {opening_mm:g} mm" for opening_mm, flow in found)
+    return Found({"the valve opens later by": f"{later_mm:+.2f} mm", "flow": rates}, values)
+
+
+@contextmanager
+def _held(site: Site, points: tuple[ValvePoint, ...]) -> Iterator[Devices]:
+    """The devices of the cell, the arm held where it is, the valve by this map."""
+    options = site.cell.hand.options.model_copy(update={"valve_map": points})
+    hand = site.cell.hand.model_copy(update={"options": options})
+    changer = ChangerSpec(driver="operator")
+    spec: CellSpec = site.cell.model_copy(update={"hand": hand, "changer": changer, "devices": {}})
+    devices = connect_cell_devices(spec, site.clock)
+    try:
+        yield devices
+    finally:
+        devices.close()
+
+
+def _flows(devices: Devices, site: Site) -> list[float] | None:
+    """The flow at each of `OPENINGS_MM` [mg/s], 0 where next to nothing came; None where powder runs all the time."""
+    try:
+        gross_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
+        flows = []
+        for opening_mm in OPENINGS_MM:
+            masses_mg = []
+            for dwell_s in DWELLS_S:
+                carried_out(devices.hand.pulse(opening_mm, dwell_s), site.clock)
+                now_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
+                masses_mg.append(now_mg - gross_mg)
+                gross_mg = now_mg
+            more_mg = masses_mg[1] - masses_mg[0]
+            flows.append(more_mg / (DWELLS_S[1] - DWELLS_S[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
+        return flows
+    except SkillFailed as failure:
+        if failure.code == Code.BALANCE_UNSTABLE:
+            return None
+        raise
