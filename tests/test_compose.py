@@ -534,11 +534,11 @@ def test_every_face_of_a_run_tells_the_same_composition(ran: Path, command: Call
 
 def test_a_page_tells_what_a_composed_sample_asks_for_before_and_while_it_is_dosed(ran: Path) -> None:
     begun = Page(Follower(ran, until_s=0.0)).news(is_held=True)
-    assert [row["what"] for row in begun["rows"]] == ["793.3 mg ± 5.8 mg from li + 1.6453 g ± 12 mg from co"]
-    dosed_s = next(row["time_s"] for row in read(ran, "action") if row["skill"] == "dispense")
+    assert begun["rows"][0]["what"] == "798.3 mg ± 10.3 mg from li + 1.6452 g ± 21.2 mg from co"
+    dosed_s = next(row["time_s"] for row in read(ran, "entry") if row["kind"] == "dose")
     told = Page(Follower(ran, until_s=dosed_s)).news(is_held=True)
-    of = "793.3 mg ± 5.8 mg of lithium_carbonate + 1.6453 g ± 12 mg of cobalt_oxide"
-    assert told["job"]["about"] == f"lco-rich: {of} into alumina_crucible"
+    of = "798.3 mg ± 10.3 mg of lithium_carbonate + 1.6452 g ± 21.2 mg of cobalt_oxide"
+    assert told["job"]["about"] == f"lco-rich: {of} into lco-rich (alumina_crucible)"
 
 
 def test_a_plan_tells_what_each_sample_is_made_of(command: Call) -> None:

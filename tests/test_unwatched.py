@@ -183,9 +183,10 @@ class Hanging(Skill[None]):
         cell.hand.set_opening(1.0)
         %s
 '''
-LOOP = 'print("hangs")\n        while True: pass'
+# `check` refuses a loop that is written without an end; one that only turns out so is the supervisor's.
+LOOP = 'print("hangs")\n        while cell: pass'
 SLEEP = "threading.Event().wait(3600)"
-DEAF = """while True:
+DEAF = """while cell:
             try:
                 threading.Event().wait(3600)
             except BaseException:
