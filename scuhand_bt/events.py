@@ -92,6 +92,20 @@ class ContainerPlaced(SkillEvent):
     """How late the balance has shown it; none where that cannot be told."""
 
 
+class ContainerAgain(SkillEvent):
+    """The first container of a run was taken off the pan and put back, and weighed again about the bare pan."""
+
+    KIND: ClassVar = "container_again"
+
+    container: Text
+    bare: Weighing
+    loaded: Weighing
+    difference_mg: float
+    """Against the time before."""
+    allowance_mg: float
+    """How far the two may be apart by chance; where they are farther, the zero has stepped in between."""
+
+
 class BalanceSlower(SkillEvent):
     """The balance has shown a container later than it was known to: what doses have taught of it is given up."""
 
@@ -414,6 +428,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     Weighed,
     ContainerDiscarded,
     ContainerLifted,
+    ContainerAgain,
     BracketClosed,
     Reweighed,
     WeightChecked,

@@ -5,6 +5,9 @@ from typing import Any
 
 from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.weighing import (
+    changed,
+    is_to_be_weighed_again,
+    note_again,
     require_known_delay,
     shown_step,
     take_container_away,
@@ -70,6 +73,12 @@ class PlaceContainer(Skill[None]):
                 f"'{container.id}' weighs {mass_mg / 1000:.3f} g; a {container.name} weighs "
                 f"{container.empty_mass_mg / 1000:.3f} ± {container.empty_mass_tolerance_mg / 1000:.3f} g",
             )
+        if is_to_be_weighed_again(cell):
+            first = bare, loaded
+            bare, _ = yield from changed(cell, cell.changer.take_away(), loaded)
+            loaded, step = yield from changed(cell, cell.changer.bring(container), bare)
+            cell.came = step
+            note_again(cell, container.id, first, bare, loaded)
         if step is not None:
             require_known_delay(cell, step)
         believed.placed(weighing_of(bare), weighing_of(loaded))

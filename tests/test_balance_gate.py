@@ -59,6 +59,10 @@ DAY = "recipe: day\nworkflow: start_of_day\nsamples: [{id: check, weight: 20 g}]
 NOW = datetime.fromisoformat("2026-03-02T08:00:00+00:00")
 
 
+BEFORE_THE_SECOND = 4
+"""Loads: the first container of a run is put on the pan twice, and once more when it was filled."""
+
+
 class Slower:
     """A plant whose balance is set to another filter when the first container has gone: `lag_s` a pole."""
 
@@ -73,7 +77,7 @@ class Slower:
             is_loaded = on_pan_mg > 1000.0
             if is_loaded and not self._was_loaded:
                 self._loads += 1
-                if self._loads == 2:
+                if self._loads == BEFORE_THE_SECOND:
                     self._figures = self._figures.model_copy(update={"lag_s": self._lag_s})
                     self._dt_s = 0.0
             self._was_loaded = is_loaded
@@ -189,7 +193,7 @@ def test_a_sound_balance_and_one_that_is_a_little_slower_change_nothing(tmp_path
         assert told(ran, "balance_slower") == []
         delays_s = [placed["delay_s"] for placed in told(ran, "container")]
         assert delays_s[0] == pytest.approx(0.6, abs=0.1)
-        assert ran.session.cell.known_delay_s == pytest.approx(min(delays_s))
+        assert ran.session.cell.known_delay_s == pytest.approx(min(delays_s), rel=1e-3)
 
 
 def test_a_delay_known_from_an_earlier_run_is_held_against_the_first_container(tmp_path: Path) -> None:
@@ -451,7 +455,7 @@ def test_a_run_that_was_begun_goes_on_whatever_its_balance(
 def test_a_resumed_real_run_believes_what_the_lab_does_by_now(
     tmp_path: Path, plan_of: Callable[..., tuple[Plan, Lab]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ran = dry_run(tmp_path, RECIPE, stop_at=400, controller="adaptive")
+    ran = dry_run(tmp_path, RECIPE, stop_at=500, controller="adaptive")
     assert (ran.result.is_complete, ran.session.cell.balance_belief.fits > 0) == (False, True)
     assert any(belief.doses for belief in ran.session.cell.powder_beliefs.values())
     monkeypatch.setattr("scuhand_bt.run.session.set_up", taken_for_real)

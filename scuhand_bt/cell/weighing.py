@@ -9,11 +9,11 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
-from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, moved_mg, total
+from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, differ_mg, moved_mg, standing, total
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
 from scuhand_bt.dosing.identification import balance_of
-from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerLifted, LotDosed
+from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerAgain, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
 
 PATIENCE_S = 60.0
@@ -127,6 +127,43 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     return mean
 
 
+def changed(cell: Cell, changing: Steps[None], shown: StableMean) -> Steps[tuple[StableMean, Step | None]]:
+    """Let the changer change the load, and weigh what is on the pan then; and how the balance has shown it."""
+    yield from watched(cell, changing, weighing_of(shown))
+    changed_s = cell.clock.now_s
+    mean = yield from weigh_changed(cell, shown.value_mg)
+    return mean, shown_step(cell, weighing_of(shown), weighing_of(mean), changed_s)
+
+
+def is_to_be_weighed_again(cell: Cell) -> bool:
+    """Whether no container of this run has told yet whether the zero steps: then one does that is weighed twice.
+
+    A zero that is elsewhere while a lone container is dosed, and back by the next weighing, is told by nothing else.
+    No person is asked to put back what was just taken away.
+    """
+    return not cell.believed.closed and not cell.changer.needs_person
+
+
+def note_again(
+    cell: Cell, container: str, first: tuple[StableMean, StableMean], bare: StableMean, loaded: StableMean
+) -> None:
+    """The same container about the bare pan, twice: what they differ by, beyond chance, is a step of the zero."""
+    digit_mg = cell.spec.balance.readability_mg
+    nets = [standing(weighing_of(a), weighing_of(b), digit_mg) for a, b in (first, (bare, loaded))]
+    difference_mg, allowance_mg = differ_mg(*nets)
+    if abs(difference_mg) > allowance_mg:
+        cell.believed.zero_stepped(abs(difference_mg))
+    cell.record.event(
+        ContainerAgain(
+            container=container,
+            bare=bare.written(),
+            loaded=loaded.written(),
+            difference_mg=difference_mg,
+            allowance_mg=allowance_mg,
+        )
+    )
+
+
 def shown_step(cell: Cell, before: Gross, after: Gross, changed_s: float) -> Step | None:
     """How the balance has shown what came on its pan or went, by `changed_s` at the latest, where that can be told.
 
@@ -185,21 +222,26 @@ def take_container_away(cell: Cell) -> Steps[StableMean]:
     Whether it closes is for the batch to say of its sample.
     """
     believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
-    bracket = believed.bracket
+    bracket, lifted = believed.bracket, None
     if bracket is not None and bracket.holds and bracket.lifted is None:
-        mean = yield from cell.balance.stable_mean()
-        believed.lifted(weighing_of(mean))
-        cell.record.event(ContainerLifted(**dict(mean.written()), container=bracket.container))
+        lifted = yield from cell.balance.stable_mean()
+        believed.lifted(weighing_of(lifted))
+        cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
         # What has dripped, or a force that grows with the container, and did while it was dosed.
-        crept = Net(0.0, note_moved(cell, bracket.last, weighing_of(mean)))
+        crept = Net(0.0, note_moved(cell, bracket.last, weighing_of(lifted)))
     was_mg = believed.pan_gross_mg
     bracket = believed.bracket
+    container = believed.pan
     believed.changing_container()
     taking = cell.changer.take_away()
     yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
     took_s = cell.clock.now_s
     bare = yield from weigh_changed(cell, was_mg)
+    if lifted is not None and container is not None and is_to_be_weighed_again(cell):
+        back, _ = yield from changed(cell, cell.changer.bring(container), bare)
+        again, _ = yield from changed(cell, cell.changer.take_away(), back)
+        note_again(cell, container.id, (bare, lifted), again, back)
     believed.removed()
     if bracket is None or bracket.lifted is None:
         believed.bracket_closed(None)

@@ -219,6 +219,12 @@ def standing(bare: Gross, loaded: Gross, readability_mg: float) -> Net:
     return Net(loaded.gross_mg - bare.gross_mg, math.hypot(apart_mg(first, last, readability_mg), drifted_mg))
 
 
+def differ_mg(first: Net, again: Net) -> tuple[float, float]:
+    """By how much two results of one thing differ, and how far they may be apart by chance."""
+    difference_mg = again.mass_mg - first.mass_mg
+    return difference_mg, AGREEMENT * math.hypot(first.uncertainty_mg, again.uncertainty_mg)
+
+
 def held(empty: Net, full: Sequence[Net]) -> Net:
     """What a container holds, by what it weighed empty, and what it weighs now: once, or about the bare pan (A-B-A).
 

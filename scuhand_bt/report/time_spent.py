@@ -12,6 +12,7 @@ from typing import Literal, get_args
 from scuhand_bt.events import (
     BalanceWatched,
     BracketClosed,
+    ContainerAgain,
     ContainerLifted,
     ContainerPlaced,
     Discarded,
@@ -46,7 +47,7 @@ ACTIVITIES: tuple[Activity, ...] = get_args(Activity)
 _TOLD_BY: Mapping[Activity, tuple[type[SkillEvent], ...]] = {
     "scooping": (Scooped,),
     "emptying the cone": (Returned, Discarded),
-    "changing containers": (ContainerPlaced, ContainerLifted, BracketClosed),
+    "changing containers": (ContainerPlaced, ContainerAgain, ContainerLifted, BracketClosed),
     "changing the sheet": (SheetSwapped, ValveChecked),
     "settling and weighing": (Tared, DoseBegun, DoseWeighed, Reweighed, WeightChecked, BalanceWatched),
 }

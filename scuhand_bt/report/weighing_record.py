@@ -18,6 +18,7 @@ from typing import Any
 
 from scuhand_bt.events import (
     BracketClosed,
+    ContainerAgain,
     ContainerLifted,
     ContainerPlaced,
     Dose,
@@ -226,6 +227,9 @@ def _weighed(
         case ContainerPlaced():
             row = _between(event.bare, event.loaded, event.mass_mg)
             return row | {"weighing": "container", "container": event.container, "container_kind": event.kind}
+        case ContainerAgain():
+            row = _between(event.bare, event.loaded, event.loaded.gross_mg - event.bare.gross_mg)
+            return row | {"weighing": "container again", "container": event.container}
         case Tared():
             return _gross(event) | {"weighing": "tare", "standard_uncertainty_mg": event.uncertainty_mg}
         case Dose():
