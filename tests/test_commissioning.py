@@ -2,8 +2,6 @@
 
 import json
 import math
-import re
-import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,19 +22,13 @@ from scuhand_bt.commissioning.step import Left, NotFound, Site
 from scuhand_bt.commissioning.steps import STEPS, findings, next_step
 from scuhand_bt.commissioning.valve import moved, opens_later_mm
 from scuhand_bt.devices.dynamixel.arm import arm_axes
-from scuhand_bt.lab import Lab, load_lab, starter_lab, state_folder
+from scuhand_bt.lab import Lab, load_lab, state_folder
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
 from scuhand_bt.problems import SourceError
-from scuhand_bt.recipe.plan import make_plan
-from scuhand_bt.recipe.recipe import load_recipe
-from scuhand_bt.run.batch import BatchObserver
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.operator import Person
-from scuhand_bt.run.options import Options
-from scuhand_bt.run.questions import Question, Questions, Who
-from scuhand_bt.run.session import Session
 from scuhand_bt.sim.wire.bench import COUNTS_PER_RAD, WireBench
 from scuhand_bt.sim.wire.servo import Servo
 from scuhand_bt.specs import Container, Source
@@ -359,68 +351,3 @@ def test_a_valve_whose_zero_is_off_by_0_3_mm_is_mended_by_weighing(factory: Fact
 def test_what_only_a_run_can_show_is_not_taken_for_done_without_one(factory: Factory, step: str) -> None:
     with pytest.raises(NotFound, match=r"scuhand-bt run recipes/\w+.yaml --step --slow 20%"):
         factory.do(step)
-
-
-class AtTheCell:
-    """The person at a run, who lets every action begin and does what is asked."""
-
-    def __init__(self, factory: Factory, questions: Questions) -> None:
-        self._factory, self._questions = factory, questions
-        self.allowed = 0
-        self._gone = threading.Event()
-        self._thread = threading.Thread(target=self._stand_by)
-
-    def __enter__(self) -> "AtTheCell":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._gone.set()
-        self._thread.join()
-
-    def _stand_by(self) -> None:
-        while not self._gone.wait(0.05):
-            if (asked := self._questions.waiting) is not None:
-                self._answer(asked)
-
-    def _answer(self, asked: Question) -> None:
-        questions, world = self._questions, self._factory.bench.world
-        answer = asked.choices[0]
-        if "rim" in asked.text:
-            answer = min(asked.choices, key=lambda one: abs(_number(one) - self._factory.bench.rim_mm))
-        elif asked.text.startswith("Put the alumina_crucible"):
-            crucible = self._factory.truth.library.containers["alumina_crucible"]
-            world.place(Container.model_validate({**crucible.model_dump(), "id": "first"}))
-        elif asked.text.startswith("Take the container"):
-            world.remove()
-        self.allowed += asked.choices[0] == "go"
-        questions.give(asked.number, answer, Who("Ada"))
-
-
-def _number(words: str) -> float:
-    found = re.search(r"[\d.]+", words)
-    return float(found[0]) if found else math.inf
-
-
-@pytest.mark.slow
-@pytest.mark.real_time
-def test_a_first_dose_slow_and_in_single_step_ends_the_commissioning(factory: Factory) -> None:
-    factory.do(*GEOMETRY, "valve")
-    for servo in factory.bench.bus.twin.servos.values():  # and the arm is led home, limp again
-        servo.put(64, 1, 0)
-    factory.bench.arm.stand_at(factory.truth.motion_planner({}).home())
-    lab = factory.lab
-    plan = make_plan(load_recipe(starter_lab() / "recipes" / "first_dose.yaml", lab), lab)
-    options = Options(None, single_step=True, slow_ratio=0.5, person=Person("Ada"))
-    session = Session(plan, lab, options)
-    try:
-        with AtTheCell(factory, session.control.questions) as person:
-            result = session.run(BatchObserver())
-    finally:
-        session.close()
-    assert (result.exit_code, result.reason) == (0, "")
-    assert person.allowed >= 5
-    assert factory.bench.world.true_mass("first") == pytest.approx(200.0, abs=5.0)
-    factory.do("first_dose")
-    last = Record(state_folder(lab)).last(simulated=True)
-    assert last["first_dose"].found["run"] == session.run_id
