@@ -26,10 +26,10 @@ from scuhand_bt.lab import Lab, load_lab, state_folder
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
 from scuhand_bt.problems import SourceError
-from scuhand_bt.quantity import Unit
 from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.run.operator import Person
 from scuhand_bt.sim.wire.bench import COUNTS_PER_RAD, WireBench
+from scuhand_bt.sim.wire.servo import Servo
 from scuhand_bt.specs import Container, Source
 from scuhand_bt.yaml_edit import Path as Keys
 from scuhand_bt.yaml_edit import Value, edited
@@ -65,18 +65,19 @@ class Hands:
     """A question that is answered with "stop"."""
     asked: list[str] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
+    _rolled: float = 0.0
+    """Counts by which the roller is turned, and not back yet."""
 
     def tell(self, text: str) -> None:
         self.told.append(text)
-
-    def number(self, question: str, unit: Unit) -> float:
-        raise AssertionError(question)
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> str:
         self.asked.append(question)
         if len(self.asked) - 1 == self.stops_at:
             raise Left
         if "straight up" in question:
+            self._roller.position -= self._rolled
+            self._rolled = 0.0
             self._lead_to(self.rng.uniform(-1, 1, 7) * UPRIGHT_WITHIN_RAD)
         elif question.startswith("By hand, "):
             self._turn(next(k for k, (what, _) in enumerate(TURNS) if what in question))
@@ -86,6 +87,9 @@ class Hands:
             crucible = self.bench_lab.library.containers["alumina_crucible"]
             self.bench.world.place(Container.model_validate({**crucible.model_dump(), "id": "crucible"}))
             self._touch(np.array(over_balance(self.truth, crucible)[1]) / 1e3, leaning=False)
+        elif question.startswith("Empty the cone"):
+            self.bench.world.swap_sheet()
+            self.bench.world.remove()
         elif "glass_beads into the cone" in question and self.bench.world.masses_mg["cone"] == 0.0:
             self.bench.world.load_cone("beads", 4000.0)
         elif "the mark of the" in question:
@@ -94,6 +98,10 @@ class Hands:
             at = tuple(float(part) for part in question.split("(")[1].split(")")[0].split(","))
             self._touch(np.array(frame.moved_mm(at)) / 1e3, leaning=False)
         return choices[0]
+
+    @property
+    def _roller(self) -> Servo:
+        return self.bench.bus.twin.servos[self.truth.hand.options.roller_id]
 
     def _lead_to(self, joints: Floats) -> None:
         assert not any(servo.has_torque for servo in self.bench.bus.twin.servos.values()), (
@@ -108,8 +116,8 @@ class Hands:
             joints[which] += by_rad
             self._lead_to(joints)
         else:
-            servo = self.bench.bus.twin.servos[self.truth.hand.options.roller_id]
-            servo.position += by_rad * COUNTS_PER_RAD
+            self._rolled = by_rad * COUNTS_PER_RAD
+            self._roller.position += self._rolled
 
     def _touch(self, point_m: Floats, *, leaning: bool) -> None:
         mount = Mount.of(self.truth.hand)
@@ -181,7 +189,7 @@ def factory(tmp_path: Path) -> Iterator[Factory]:
         ports: dict[Keys, Value] = {
             (name, "port"): getattr(bench.spec, name).port for name in ("arm", "hand", "balance")
         }
-        ports[("arm", "options")] = {"latency": "40 ms"}
+        ports |= {("arm", "options"): {"latency": "40 ms"}, ("changer",): {"driver": "operator"}}
         cell.write_text(edited(cell.read_text(encoding="utf-8"), ports), encoding="utf-8")
         yield Factory(folder, truth, bench, Hands(bench, truth.cell, np.random.default_rng(1), truth))
 

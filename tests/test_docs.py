@@ -133,6 +133,12 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^changer: .*$", text, cell, flags=re.M))
         assert [problem for problem in lab_folder.problems() if problem.startswith("robot/")] == []
+    elif kind == "frames":
+        cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+        frames = text.split("stations:")[0] + "  table: {}\nstations:"
+        lab_folder.write("robot/cell.yaml", re.sub(r"^frames:.*^stations:", frames, cell, flags=re.M | re.S))
+        x_mm, y_mm, z_mm = lab_folder.load().cell.stations["balance"].position_mm
+        assert (x_mm, y_mm, z_mm) == pytest.approx((339.1, -8.0, 60.4))
     elif kind == "design":
         vary = lab_folder.write("vary.yaml", text)
         assert read_vary(vary).changes()

@@ -44,7 +44,7 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "cell",
             "{name: table,        box:",
             "{name: table,        bx:",
-            "unknown key 'bx'; known: at, box, cylinder, name",
+            "unknown key 'bx'; known: at, box, cylinder, frame, name",
         ),
         (
             "cell",

@@ -14,7 +14,6 @@ from scuhand_bt.exit_codes import ExitCode
 if TYPE_CHECKING:
     from scuhand_bt.api import Lab
     from scuhand_bt.commissioning import Record
-    from scuhand_bt.quantity import Unit
 
 
 class AtTerminal:
@@ -27,25 +26,15 @@ class AtTerminal:
         from scuhand_bt.commissioning import Left
 
         while True:
-            said: str = typer.prompt(f"{question} [{'/'.join(choices)}]", default=choices[0], show_default=False)
+            try:
+                said: str = typer.prompt(f"{question} [{'/'.join(choices)}]")
+            except typer.Abort:  # Ctrl-C, or nobody there
+                raise Left from None
             if (answer := said.strip().lower()) == "stop":
                 raise Left
             if answer in choices:
                 return answer
             self.tell(f"'{answer}' is no answer; there are: {', '.join(choices)}")
-
-    def number(self, question: str, unit: "Unit") -> float:
-        from scuhand_bt.commissioning import Left
-        from scuhand_bt.quantity import parse
-
-        while True:
-            said: str = typer.prompt(question)
-            if said.strip().lower() == "stop":
-                raise Left
-            try:
-                return parse(said, unit)
-            except ValueError as error:
-                self.tell(str(error))
 
 
 def _list(record: "Record", lab: "Lab", *, as_json: bool) -> None:

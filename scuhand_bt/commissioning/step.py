@@ -8,7 +8,6 @@ from typing import Protocol
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Clock
 from scuhand_bt.lab import Lab
-from scuhand_bt.quantity import Unit
 from scuhand_bt.run.clock import WallClock
 from scuhand_bt.run.operator import Person
 from scuhand_bt.yaml_edit import Path as Keys
@@ -32,10 +31,6 @@ class Dialogue(Protocol):
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> str:
         """Ask, and wait for one of the choices; `Left` for "stop"."""
-        ...
-
-    def number(self, question: str, unit: Unit) -> float:
-        """Ask for a quantity, in its unit; `Left` for "stop"."""
         ...
 
 

@@ -88,6 +88,7 @@ def find_valve_zero(site: Site) -> Found:
         new = moved(points, later_mm)
     except ValueError as error:
         raise NotFound(f"{error}; is the powder dry, the cone full enough, and nothing in the valve?") from None
+    site.person.ask("Empty the cone, and take the crucible off the pan.")
     listed: list[Value] = [{"count": point.count, "opening": f"{point.opening_mm:g} mm"} for point in new]
     values: dict[Keys, Value] = {("hand", "options", "valve_map"): listed} if new != points else {}
     rates = ", ".join(f"{flow:.0f} mg/s at {opening_mm:g} mm" for opening_mm, flow in found)
