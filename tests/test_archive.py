@@ -206,7 +206,15 @@ def test_the_weighing_record_has_every_weighing_with_all_an_auditor_asks_for(ran
     doses = {row["sample"]: row for row in rows if row["weighing"] == "dose"}
     brackets = {row["sample"]: row for row in rows if row["weighing"] == "result"}
     assert [row["weighing"] for row in rows].count("result") == len(brackets) == 2
-    assert {row["weighing"] for row in rows} == {"container", "tare", "dose", "lifted", "bare pan", "result"}
+    assert {row["weighing"] for row in rows} == {
+        "container",
+        "container again",
+        "tare",
+        "dose",
+        "lifted",
+        "bare pan",
+        "result",
+    }
     for name in ("a", "b"):
         row, bracket, result = doses[name], brackets[name], ran.sample(name)
         drift_mg, earlier_mg, net_mg = (float(row[name]) for name in ("drift_mg", "earlier_mg", "net_mg"))

@@ -100,7 +100,7 @@ def test_a_mortar_half_in_the_shield_is_found_before_a_run_refuses_it(command: C
     assert command("run", recipe, "--dry-run", "--quiet").returncode == 2
     ended = command("check", recipe)
     assert ended.returncode == 2
-    assert "robot/cell.yaml:9:43: the arm cannot stand at mortar_bay" in ended.stdout
+    assert "robot/cell.yaml:13:43: the arm cannot stand at mortar_bay" in ended.stdout
     assert "[no-path]" in ended.stdout
     assert command("check", recipe, "--fast").returncode == 0, "the ways are what it leaves out"
 

@@ -315,7 +315,7 @@ def test_a_motion_a_dose_and_the_reach_can_be_drawn(command: Call, recipe: Path,
     load = ("--load", "3 g", "--powder", "glass_beads", "--gentle", "20 deg")
     assert command("show-move", "mortar_bay", "balance", "-o", page, *load).returncode == 0
     assert command("reach", "-o", reach).returncode == 0
-    assert "3 g of glass_beads, spill angle up to 20°" in page.read_text(encoding="utf-8")
+    assert "3.0000 g of glass_beads, spill angle up to 20°" in page.read_text(encoding="utf-8")
     assert "mortar_bay" in reach.read_text(encoding="utf-8")
     ran = command("run", recipe, "--dry-run")
     journal = ran.stdout.split("Journal:")[1].split()[0]

@@ -75,7 +75,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Desk:
     more = "".join(POWDER.format(name=name, formula=formula) for name, formula in POWDERS.items())
     folder.write("robot/powders.yaml", powders + more)
     bay = "  mortar_bay_3: {kind: mortar, position: [330 mm, 240 mm, 0 mm]}\n"
-    folder.replace("robot/cell.yaml", "  balance: ", f"{bay}  balance: ")
+    folder.replace("robot/cell.yaml", "  balance:      {", f"{bay}  balance:      {{")
     for name, (old, new) in OTHERWISE.items():
         text = (folder.folder / "trees/weigh_in.yaml").read_text(encoding="utf-8").replace("weigh_in", name)
         assert old in text
