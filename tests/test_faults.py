@@ -261,15 +261,15 @@ def test_a_short_silence_of_the_balance_is_waited_for(tmp_path: Path) -> None:
 
 
 def test_what_is_over_before_it_matters_does_no_harm_and_overload_is_told_while_it_lasts(tmp_path: Path) -> None:
-    rules = ("fault: balance.overload, at: 20 s, for: 5 s", "fault: balance.unstable, at: 1 s, for: 5 s")
-    assert run_with(tmp_path, *rules).result.exit_code == 0  # the arm scoops at 20 s
+    rules = ("fault: balance.overload, at: 46 s, for: 5 s", "fault: balance.unstable, at: 1 s, for: 5 s")
+    assert run_with(tmp_path, *rules).result.exit_code == 0  # the arm scoops at 46 s
     assert run_with(tmp_path, "fault: balance.overload, at: 1 s").sample("a").code == "balance.overload"
 
 
 def test_a_fault_that_has_come_does_not_come_again_when_the_run_is_resumed(tmp_path: Path) -> None:
     """The rules' state is the world's, and lives in its file; the rules themselves are in the journal."""
     text = "faults: [{fault: balance.draught, at_pulse: 1, for: 1 s}, {fault: scoop.nothing, sample: b, times: 9}]"
-    ran = dry_run(tmp_path, BATCH, controller="adaptive", faults=text, stop_at=200)
+    ran = dry_run(tmp_path, BATCH, controller="adaptive", faults=text, stop_at=500)
     assert ran.result.exit_code == 130
     first = came(ran)
     assert len(first[0]) == 1
