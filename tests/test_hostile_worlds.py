@@ -42,7 +42,7 @@ def test_powder_that_no_weighing_can_tell_of_is_a_false_good_and_a_false_exit_co
 def test_what_falls_into_a_container_after_its_result_counts(falsifier: Falsifier) -> None:
     late = HostileWorld("late", "powder comes when all is over", lambda: [_Late()])
     tally = falsifier.run(late, 8, LUCKY)
-    assert len(tally.false_goods) == 8
+    assert len(tally.false_goods) == 7  # none comes after the last
 
 
 def test_a_redone_sample_is_judged_by_its_second_container(falsifier: Falsifier) -> None:
@@ -113,13 +113,13 @@ class _Once(Ill):
 
 
 class _Late(Ill):
-    """Powder that comes into every container when it has been lifted."""
+    """Powder that comes into every container when the next one has come."""
 
     def __init__(self) -> None:
         self._on: str | None = None
 
     def act(self, bench: Bench, dt_s: float) -> None:
-        before, self._on = self._on, bench.container
+        before, self._on = self._on, bench.container or self._on
         if before is not None and before != self._on:
             bench.move(in_source("mortar-1"), in_container(before), 10.0)
 
