@@ -23,7 +23,7 @@ from scuhand_bt.specs import Powder
 SIX = """
 recipe: six
 workflow: scoop_and_dispense
-defaults: {container: pellet_die_13mm, mass: 50 mg}
+defaults: {container: pellet_die_13mm, mass: 50 mg, tolerance: 5 mg}
 samples:
   - {id: a, source: beads}
   - {id: b, source: beads}

@@ -111,7 +111,7 @@ def test_a_batch_that_is_killed_again_and_again_ends_with_every_dose_once(
             break
         batch = make_batch(recipe, tmp_path / f"runs-{seed}", seed, motion)
         motion = batch.motion
-        kills = at_any_time(rng, 1.0, 10) if at_any_time_too and seed == 0 else at_ticks(rng, 250, 10)
+        kills = at_any_time(rng, 1.0, 10) if at_any_time_too and seed == 0 else at_ticks(rng, 400, 10)
         kill_until_done(batch, kills, tally)
     assert not tally.problems
     assert tally.kills >= kills_in_all
@@ -504,7 +504,7 @@ def test_a_run_whose_world_could_not_be_kept_says_so_instead_of_being_resumed(ru
     plan, lab = run.plan()
     options = Options(DryRun(plant="test_resume:Unwritable"), folder=run.folder)
     session = Session(plan, lab, options, shared_planner(plan, lab))
-    watch = Watch("stop_now", 200)
+    watch = Watch("stop_now", 500)
     watch.session = session
     try:
         session.run(watch)

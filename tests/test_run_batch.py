@@ -311,7 +311,7 @@ tree:
 
 
 @pytest.mark.parametrize(
-    ("source", "left", "spilled"), [("beads", 0.01, 0.001), ("msg", 0.03, 0.004)], ids=["beads", "msg, small mortar"]
+    ("source", "left", "spilled"), [("beads", 0.02, 0.001), ("msg", 0.06, 0.001)], ids=["beads", "msg, small mortar"]
 )
 def test_several_scoops_empty_a_mortar_to_its_last_few_per_cent(
     tmp_path: Path, source: str, left: float, spilled: float
