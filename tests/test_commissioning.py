@@ -340,6 +340,7 @@ def test_a_map_is_moved_the_way_its_counts_run() -> None:
 
 
 @pytest.mark.real_time
+@pytest.mark.slow
 def test_a_valve_whose_zero_is_off_by_0_3_mm_is_mended_by_weighing(factory: Factory) -> None:
     factory.do("servos", "zero", "valve")
     wanted, found = (lab.cell.hand.options.valve_map for lab in (factory.truth, factory.lab))

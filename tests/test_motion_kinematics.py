@@ -144,6 +144,7 @@ def test_a_pose_too_far_says_by_how_much_and_a_reachable_one_near_is_found():
     assert np.linalg.norm(near.position_m - pose.position_m) < 0.3
 
 
+@pytest.mark.slow
 def test_no_reachable_pose_is_much_nearer_than_the_one_that_is_told():
     rng = np.random.default_rng(3)
     for position_m in ([0.9, 0.0, 0.1], [0.0, 0.0, 0.45], [0.05, 0.0, 0.5]):

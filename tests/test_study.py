@@ -264,6 +264,7 @@ def test_a_value_is_changed_where_it_stands_and_all_else_stays_as_written() -> N
         with_value(text, "powders.glass_beads.belief.spred", "20 %")
 
 
+@pytest.mark.slow
 def test_a_search_proposes_what_is_better_on_seeds_that_it_has_not_seen(setup: Setup, tmp_path: Path) -> None:
     pytest.importorskip("optuna")
     vary = Vary.model_validate({"vary": {"powders.glass_beads.simulation.flow_coefficient": ["75", "20"]}})

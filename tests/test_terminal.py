@@ -348,6 +348,7 @@ needs_tmux = pytest.mark.skipif(shutil.which("tmux") is None, reason="there is n
 
 
 @needs_tmux
+@pytest.mark.slow
 def test_a_run_that_goes_on_shows_what_it_does_and_why_in_every_size(tmp_path: Path) -> None:
     with terminal_of(tmp_path, ONE_FOR_EACH_SIZE, "--speed", "6") as terminal:
         for number, size in enumerate(SIZES, start=1):
