@@ -89,11 +89,12 @@ def answer(page: Any) -> None:
 
 SEEING = """window.seen = new Set();
 new MutationObserver(() => { for (const line of document.querySelectorAll("#tree li"))
-  window.seen.add(line.getAttribute("aria-label")); }).observe(document, {childList: true, subtree: true});"""
+  window.seen.add(line.getAttribute("aria-label"));
+}).observe(document, {childList: true, subtree: true, attributes: true});"""
 
 
 def has_seen(page: Any, label: str) -> None:
-    """Wait until a node of the tree was shown so: at thirty times real time some are for an instant."""
+    """Wait until a node of the tree was shown so: at many times real time some are for an instant."""
     page.wait_for_function("(label) => window.seen.has(label)", arg=label, timeout=60_000)
 
 
@@ -103,8 +104,9 @@ def states(page: Any) -> dict[str, str]:
     return dict(re.match(r"([^,]+), ([a-z ]+)", line).groups() for line in said)  # type: ignore[union-attr]
 
 
+@pytest.mark.real_time
 def test_a_run_is_watched_answered_paused_and_played_again(tmp_path: Path, browser: Any) -> None:
-    with going_on(tmp_path, 30.0) as (client, session, thread), browser_page(browser, client.origin) as page:
+    with going_on(tmp_path, 15.0) as (client, session, thread), browser_page(browser, client.origin) as page:
         journal = session.journal.path
         page.add_init_script(SEEING)
         page.goto(f"{client.origin}/runs/{journal.stem}")
