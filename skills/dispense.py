@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from itertools import groupby
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
@@ -185,11 +184,8 @@ class Dispense(Skill[Dose]):
     def _require_readability(cell: Cell, run: DoseRun) -> None:
         """A balance that holds its display, or shows finer digits than it weighs: all are multiples of something."""
         digit_mg = cell.spec.balance.readability_mg
-        # What begins to shake shows more and less by itself.
-        alike = groupby(run.curve, lambda point: (point.stable, point.vibration > 0.0))
-        parts_mg = [[point.net_mg for point in points] for (stable, _), points in alike if not stable]
-        readings_mg = [mg for part_mg in parts_mg for mg in part_mg]
-        if (held := max((held_mg(part_mg, digit_mg) for part_mg in parts_mg), default=0.0)) > 0.0:
+        readings_mg = [point.net_mg for point in run.curve if not point.stable]
+        if (held := held_mg(readings_mg, digit_mg)) > 0.0:
             raise SkillFailed(
                 Code.BALANCE_COARSE,
                 f"the display stood still in the dose, and then jumped by {held:.1f} mg: it holds what it shows",

@@ -87,6 +87,7 @@ class Rig:
         self.believed = believed = self.cell.believed
         if not self.is_first:
             believed.bracket_closed(ClosedBracket("before", {}, True, 0.0, ""))
+            believed.noted(believed.closed[-1])  # as the batch does
         empty, full = self.gross(DISH.empty_mass_mg), self.gross(DISH.empty_mass_mg + 50.0)
         believed.brought(DISH, from_changer=False)
         believed.placed(self.gross(0.0), empty)
@@ -217,8 +218,6 @@ def test_a_changer_that_is_watched_is_halted_with_its_skill(rig: Rig) -> None:
 
 
 # --- the first container of a run, which no other one vouches for
-
-AWAY_S = WEIGHING_S + SWING_S + BACK_S
 
 
 @pytest.fixture
