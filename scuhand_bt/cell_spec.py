@@ -381,6 +381,8 @@ class CellSpec(Spec):
     """What stands as one thing where it was measured to stand, by the names that stations and obstacles give."""
     stations: dict[str, Station]
     geometry: list[Obstacle] = Field(default_factory=list)
+    zones: list[Obstacle] = Field(default_factory=list)
+    """Spaces that only one may move in at a time, as what the container changer sweeps; skills lease them by name."""
 
     @model_validator(mode="after")
     def _stands_where_its_frames_do(self) -> Self:
@@ -409,6 +411,11 @@ class CellSpec(Spec):
             if name in DEVICES or not name.isidentifier():
                 raise ValueError(f"'{name}' names none: letters, digits and _, and not {', '.join(DEVICES)}")
         return devices
+
+    @property
+    def zone_names(self) -> tuple[str, ...]:
+        """The zones that skills can lease."""
+        return tuple(zone.name for zone in self.zones)
 
     @property
     def device_names(self) -> tuple[str, ...]:

@@ -173,7 +173,7 @@ def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellS
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
-    return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
+    return cell, Library({}, {}, powders, containers, mortars, zones=cell.zone_names, broken=broken), has_cell
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:

@@ -204,7 +204,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "dosing": {
             "began_s": 4.0,
             "pulses": 3,
-            "scoops": 0,
+            "scoops": 1,
             "vibration_s": 1.5,
             "target_mg": 50.0,
             "is_unweighed": True,

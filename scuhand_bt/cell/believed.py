@@ -322,8 +322,8 @@ class Believed:
     def tared(self, weighing: Gross) -> None:
         """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
         bracket = self._open_bracket.tared(weighing)
-        self._set(pan_empty_mg=weighing.gross_mg, pan_gross_mg=weighing.gross_mg, bracket=bracket)
-        self.dose_began(weighing.time_s)
+        so_far = DoseSoFar(began_s=weighing.time_s, scoops=self.dosing.scoops)  # a scoop may have been made meanwhile
+        self._set(pan_empty_mg=weighing.gross_mg, pan_gross_mg=weighing.gross_mg, bracket=bracket, dosing=so_far)
 
     def zero_stepped(self, by_mg: float) -> None:
         """Weighings of one thing differ by so much, which neither chance nor powder explains; 0: by nothing."""

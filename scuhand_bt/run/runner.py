@@ -83,6 +83,9 @@ class Runner:
         """
         recorder, rejoins = _Recorder(self._journal), partial(rejoin, self._journal)
         shared = Ticking(self._cell, self._leases, recorder, replay, rejoins, self._substitutes, self._consent)
+        skills = self._library.skills
+        had = (skills[name].devices for name in replay.open_skills if name in skills)
+        replay.at_work = frozenset(device for devices in had for device in devices)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
         if job.workflow not in self._drawn:
             self._drawn.add(job.workflow)
