@@ -387,7 +387,7 @@ class CellSpec(Spec):
     @model_validator(mode="after")
     def _stands_where_its_frames_do(self) -> Self:
         """Stations and obstacles in the base frame, once: everybody else knows of no other."""
-        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry]
+        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry, *self.zones]
         for thing in things:
             if thing.frame is not None and thing.frame not in self.frames:
                 known = ", ".join(self.frames) or "none"
@@ -396,13 +396,16 @@ class CellSpec(Spec):
             if station.frame is not None:
                 moved_mm = self.frames[station.frame].moved_mm(station.position_mm)
                 self.stations[name] = station.model_copy(update={"position_mm": moved_mm, "frame": None})
-        for number, obstacle in enumerate(self.geometry):
-            if obstacle.frame is not None:
-                frame = self.frames[obstacle.frame]
-                yaw_deg = (obstacle.yaw_deg + frame.yaw_deg + 180.0) % 360.0 - 180.0
-                moved = {"at_mm": frame.moved_mm(obstacle.at_mm), "yaw_deg": yaw_deg, "frame": None}
-                self.geometry[number] = obstacle.model_copy(update=moved)
+        for solids in (self.geometry, self.zones):
+            solids[:] = [self._in_base_frame(solid) for solid in solids]
         return self
+
+    def _in_base_frame(self, solid: Obstacle) -> Obstacle:
+        if solid.frame is None:
+            return solid
+        frame = self.frames[solid.frame]
+        yaw_deg = (solid.yaw_deg + frame.yaw_deg + 180.0) % 360.0 - 180.0
+        return solid.model_copy(update={"at_mm": frame.moved_mm(solid.at_mm), "yaw_deg": yaw_deg, "frame": None})
 
     @field_validator("devices")
     @classmethod

@@ -7,7 +7,7 @@ over, and the arm out of the zone, nobody else gets the zone.
 
 A weighing needs stillness: an arm that swings beside a balance, and a motor that shakes the bench, are in what it
 shows. So does a person who reaches into the cell. Motions that are under way come to their end then, and no other
-begins.
+begins. While the pan only comes to rest from what came or went they go on: none of that is weighed.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,6 +26,8 @@ ZONE_TIMEOUT_S = 120.0
 """How long a zone that is taken is waited for: containers are changed and weighed in a fifth of that."""
 STILL_TIMEOUT_S = 120.0
 """How long a weighing waits for arm and hand to stand still: no motion of theirs takes a tenth of that."""
+SETTLES_S = 8.0
+"""So long a pan may come to rest while the arm goes on: a balance that the arm keeps from it is not waited for."""
 LOOK_S = 0.1
 """So often it is looked whether what moves has come to rest."""
 
@@ -135,8 +137,10 @@ class RightOfWay:
     def stable_mean(self) -> Steps[StableMean]:
         """The balance's stable mean while arm and hand stand still; what they have disturbed all the same begins again.
 
-        SkillFailed balance.unstable where they do not come to rest, and as the balance's own.
+        They need not until the balance calls a reading stable. SkillFailed balance.unstable where they do not come to
+        rest, and as the balance's own.
         """
+        yield from self._settled()
         with self._hushed():
             while True:
                 yield from self._stillness()
@@ -151,6 +155,15 @@ class RightOfWay:
                         yield wake
                 finally:
                     weighing.close()
+
+    def _settled(self) -> Steps[None]:
+        """Wait until the pan has come to rest, where somebody has the arm: it goes on meanwhile."""
+        clock, balance = self._cell.clock, self._cell.balance
+        deadline_s = clock.now_s + SETTLES_S
+        while "arm" in self.commands and clock.now_s < deadline_s:
+            if (latest := balance.latest) is not None and latest.stable:
+                return
+            yield from balance.next_reading()
 
     @property
     def _is_still(self) -> bool:

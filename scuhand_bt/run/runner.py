@@ -30,7 +30,7 @@ from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes
 
 SAFE_TIMEOUT_S = 20.0
-"""How long the cell may take to stand still once it is told to: a carousel's swing takes 6 s, an arm's stop 1 s."""
+"""How long the cell may take to stand still once it is told to: a carousel's swing takes 2 s, an arm's stop 1 s."""
 UNREACHED_S = 2.0
 """The same for a device that cannot be told, nor tell that it stands: its own watchdog has long done it by then."""
 UNREACHED = frozenset({Code.DEVICE_LOST, Code.ARM_LIMP, Code.HAND_VALVE_LOST})
