@@ -108,7 +108,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_ZONE_TAKEN: Failure(
         "The arm was to go into a zone of the cell, or to leave it, and something else did not end there.",
         "Look at the cell; in the workflow, put what goes into the zone behind the `parallel`, not into it.",
-        ("cell", "tree"),
+        ("cell",),
     ),
     Code.ARM_NOT_FOLLOWING: Failure(
         "The arm is not where its trajectory says it should be.",
@@ -148,7 +148,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.BALANCE_UNSTABLE: Failure(
         "The balance did not settle in time.",
         "Close the draft shield, look for vibration, draughts, a touching container; if it creeps, for its filter.",
-        ("devices",),
+        ("devices", "cell"),
     ),
     Code.BALANCE_COARSE: Failure(
         "The balance shows finer digits than it weighs, holds back small changes, or stands still.",

@@ -201,7 +201,7 @@ def test_what_fits_together_has_no_problem(starter: Lab, tree: str) -> None:
         ("{while: {guards: [{move: }], child: {move: }}}", "'move' is no condition and cannot be a guard; known: calm"),
         ("{parallel: [{move: }, {move: }]}", "2:30: children 1 and 2 of 'parallel' both command the arm"),
         ("{parallel: [{swing: }, {over: }]}", "2:31: children 1 and 2 of 'parallel' both move in the zone 'pan'"),
-        ("{parallel: [{beside: }, {move: }]}", "2:19: this moves in the zone 'bench' beside the arm"),
+        ("{parallel: [{beside: }, {move: }]}", "2:20: this moves in the zone 'bench' beside the arm"),
         ("{parallel: [{weigh: }, {retry: {attempts: 2, child: {fill: {mass: 1 g}}}}]}", "both command the balance"),
     ],
 )
