@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
+from scuhand_bt.cell.load import HIDDEN, SURPLUS, TELLING, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
@@ -114,7 +114,7 @@ class Believed:
         """
         load = self.load
         is_known = self.cone_source in self.yields and not load.is_larger
-        return math.inf if is_known or load.scooped_mg == 0.0 else SURPLUS * load.scooped_mg
+        return math.inf if is_known or load.scooped_mg == 0.0 else TELLING * load.scooped_mg
 
     @property
     def seen_yields(self) -> Masses:
