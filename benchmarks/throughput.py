@@ -1,4 +1,4 @@
-"""How long a batch takes at the cell: `python -m benchmarks.throughput [--seeds 20] [--first 1] [--by-hand] [--json FILE]`.
+"""How long a batch takes at the cell: `python -m benchmarks.throughput [--seeds 20] [--by-hand] [--json FILE]`.
 
 Dry runs of `synthesis_batch` and of `xrd_holders` with the shipped lab: seconds of cell time a run and an XRD holder,
 how many of their samples are good, and what the skills took of it. With `--by-hand` a person changes containers. Skills

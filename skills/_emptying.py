@@ -114,10 +114,21 @@ def pour_back(cell: Cell, source: Source) -> Steps[None]:
 
 
 def put_away(cell: Cell) -> Steps[None]:
-    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded."""
-    source = cell.sources[cell.believed.cone_source or ""]
+    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded.
+
+    Over the lip, where the arm can; through the valve what a bridge may hold, open and shaken.
+    """
+    believed = cell.believed
+    source = cell.sources[believed.cone_source or ""]
     if source.leftover == "discard":
         yield from empty_at(cell, source.leftover_to or cell.spec.station_of_kind("waste").name)
-    else:
-        yield from cell.move_to(source.station)
+        return
+    yield from cell.move_to(source.station)
+    if not believed.is_load_doubted:
+        try:
+            yield from pour_back(cell, source)
+        except SkillFailed as failure:
+            if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
+                raise
+    if believed.cone_source is not None:
         yield from empty_into(cell, source)

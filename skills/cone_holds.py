@@ -30,6 +30,8 @@ class ConeHolds(Condition):
             enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
             if self.wanted_mg > believed.used_up_from_mg:
                 enough_mg = 0.0  # and more than is believed may be there
+            if believed.load.scooped_mg > 0.0 and believed.load.came_mg == 0.0:
+                enough_mg = self.at_least_mg  # the next scoop brings no more than this one
         if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:

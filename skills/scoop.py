@@ -29,7 +29,7 @@ from scuhand_bt.skill import (
     Steps,
 )
 
-from ._emptying import is_over, leave_mortar, pour_back, put_away
+from ._emptying import is_over, leave_mortar, put_away
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -70,7 +70,7 @@ class Scoop(Skill[Milligrams]):
             yield from put_away(cell)
         self._require_clean(cell)
         if believed.cone_source is not None:  # not seen to be empty: what is in it would fall out of a cone that swings
-            yield from self._clear(cell)
+            yield from put_away(cell)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
@@ -83,19 +83,6 @@ class Scoop(Skill[Milligrams]):
         held_mg = self._believe(cell, stroke, motion.duration_s, bed)
         yield from cell.form_upright(source.station, MOUNTED_DIAMETER_MM)
         return held_mg
-
-    def _clear(self, cell: Cell) -> Steps[None]:
-        """Leftover of this mortar goes back over the lip, where the arm can; all else as the recipe wants it."""
-        source, believed = self.source, cell.believed
-        if believed.cone_source == source.name and source.leftover != "discard":
-            yield from cell.move_to(source.station)
-            try:
-                yield from pour_back(cell, source)
-            except SkillFailed as failure:
-                if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
-                    raise
-        if believed.cone_source is not None:
-            yield from put_away(cell)
 
     def settle(self, cell: Cell) -> Steps[None]:
         """Out of the mortar, straight up; what the cone may hold goes back into it, so that nothing is unknown."""

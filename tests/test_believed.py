@@ -336,7 +336,7 @@ def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_until_the_end_of_one
     believed = Believed()
     assert believed.used_up_from_mg == math.inf, "there is none"
     believed.scooped(BEADS, 4000.0)
-    assert believed.used_up_from_mg == 1200.0, "smaller ones would end where it ends"
+    assert believed.used_up_from_mg == 3600.0, "smaller ones end before it does"
     believed.dosing_ended(4500.0, 0.0)
     assert believed.yields == {"beads": pytest.approx(1.25 * 4500.0 / 4000.0)}
     assert believed.used_up_from_mg == 1200.0, "more has come than was in it: its end is still to be seen"
