@@ -157,6 +157,27 @@ def test_a_weighing_waits_for_the_arm_and_no_motion_begins_in_it(bench: Bench) -
     assert any(moves for now_s, moves, _ in bench.seen if now_s > last_s), "and goes on then"
 
 
+def test_while_the_pan_comes_to_rest_the_arm_goes_on(bench: Bench) -> None:
+    """Until the balance calls a reading stable: five of those are weighed beside an arm that stands still."""
+    rests_s = 3.0
+    bench.cell.balance.faults.active["balance.unstable"] = 0.0
+
+    def move() -> Steps[None]:
+        for place in ("mortar_bay", "waste", "park", "waste", "mortar_bay", "park"):
+            yield from bench.cell.move_to(place)
+
+    def rest() -> None:
+        del bench.cell.balance.faults.active["balance.unstable"]
+
+    mean, _, _ = bench.do(bench.way.stable_mean(), move(), bench.later(rests_s, rest))
+    begins_s, ends_s = mean.readings[0].time_s, mean.readings[-1].time_s
+    assert begins_s > rests_s
+    moves_s = [now_s for now_s, moves, _ in bench.seen if moves]
+    assert any(1.5 < now_s < rests_s for now_s in moves_s), "another motion began"
+    assert not any(begins_s <= now_s < ends_s for now_s in moves_s)
+    assert max(moves_s) > ends_s
+
+
 def test_while_a_container_changes_the_arm_may_move_and_the_motor_does_not_begin_to_shake(bench: Bench) -> None:
     changing = bench.way.unshaken(bench.later(5.0, lambda: None))
     next(changing)
