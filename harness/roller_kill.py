@@ -41,17 +41,39 @@ from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.wire.bench import WireBench
 
+WORKFLOW = """
+workflow: scoop_first
+summary: Scoop before a container stands on the pan, so that a run that is killed scooping is soon scooping again.
+inputs: {source: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 2 mg}}
+result: $dose
+tree:
+  sequence:
+    - fallback:
+        - cone_holds: {powder: $source.powder, wanted: $mass}
+        - scoop: {source: $source, wanted: $mass}
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance, as: dose}
+    - return_leftover: {source: $source, keep: never}
+    - park:
+"""
 RECIPE = """
 recipe: scoops
-workflow: scoop_and_dispense
-sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
-defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
-samples: [{id: a, mass: 300 mg}, {id: b, mass: 200 mg}, {id: c, mass: 400 mg}]
+workflow: scoop_first
+sources: {lot: {station: %s, container: %s, powder: glass_beads, amount: %s}}
+defaults: {source: lot, container: alumina_crucible, tolerance: 10 mg}
+samples: [{id: a, mass: 300 mg}]
 """
+MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate_mortar", "8 g"))
+"""Batches take turns with them."""
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = 14.0
-"""A run is killed within so much time of scooping, which is about what one scoop takes."""
+SCOOPING_S = {"agate_mortar": 11.0, "small_agate_mortar": 18.0}
+"""A run is killed within so much time of scooping, which is about what one scoop takes from a mortar."""
 LOOK_S = 0.005
+PLANS_S = 0.2
+"""A tick that takes longer plans, while nothing moves: of that, no more than this counts."""
+DEAD_MEN_S = 0.4
+"""Until arm and valve have noticed that nobody speaks to them."""
 TRIES = 5
 """So often a run that ended by itself is resumed."""
 
@@ -77,10 +99,25 @@ class Tally(Seen):
     """The rim at each kill."""
     batches: int = 0
     ended_safe: int = 0
+    doses_ended: int = 0
+    """Of the samples, so many came to their dose once nobody killed any more."""
     problems: list[str] = field(default_factory=list)
 
+    def add(self, other: "Tally") -> None:
+        """What was seen of other batches, too."""
+        self.narrowest_mm = min(self.narrowest_mm, other.narrowest_mm)
+        self.widest_mm = max(self.widest_mm, other.widest_mm)
+        self.worst_belief_mm = max(self.worst_belief_mm, other.worst_belief_mm)
+        self.dosed_mg |= other.dosed_mg
+        self.kills += other.kills
+        self.while_rolled_mm += other.while_rolled_mm
+        self.batches += other.batches
+        self.ended_safe += other.ended_safe
+        self.doses_ended += other.doses_ended
+        self.problems += other.problems
 
-def make_lab_of_twins(folder: Path) -> Path:
+
+def make_lab_of_twins(folder: Path, seed: int) -> Path:
     """A copy of the starter lab whose devices are twins in `folder`/ports, and whose changer is a person."""
     lab = folder / "lab"
     for part in ("robot", "skills", "trees"):
@@ -93,7 +130,8 @@ def make_lab_of_twins(folder: Path) -> Path:
     cell["balance"] |= {"port": str(ports / "balance"), "options": {"bits": "8N1"}, "limits": {}}
     cell["changer"] = {"driver": "operator"}
     path.write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
-    (folder / "recipe.yaml").write_text(RECIPE, encoding="utf-8")
+    (lab / "trees" / "scoop_first.yaml").write_text(WORKFLOW, encoding="utf-8")
+    (folder / "recipe.yaml").write_text(RECIPE % MORTARS[seed % len(MORTARS)], encoding="utf-8")
     return lab
 
 
@@ -186,7 +224,7 @@ class KilledScooping(BatchObserver):
 
     def ticked(self, root: Any) -> None:
         now_s = time.monotonic()
-        self._left_s -= max(0.0, now_s - self._since_s)
+        self._left_s -= min(max(0.0, now_s - self._since_s), PLANS_S)
         scoops = any(node.name == "scoop" and node.status is Status.RUNNING for node in root.iterate())
         self._since_s = now_s if scoops else math.inf
         if self._left_s <= 0.0:
@@ -220,35 +258,38 @@ def void(answer: object) -> None:
     """What is answered does not matter."""
 
 
-def kill_while_scooping(folder: Path, kills: int, seed: int, tally: Tally) -> None:
-    """One batch, killed so often, and judged as it stands then: it is not let end."""
+def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
+    """One batch, killed so often, then let end, and judged."""
     folder.mkdir(parents=True)
-    make_lab_of_twins(folder)
+    make_lab_of_twins(folder, seed)
     plan, lab = _plan(folder)
-    motion, rng = prepared_motion(plan, lab, for_real=True), random.Random(seed)
+    motion, rng, tally = prepared_motion(plan, lab, for_real=True), random.Random(seed), Tally(batches=1)
     spawn = multiprocessing.get_context("spawn")
     keeper = spawn.Process(target=_keep_twins, args=(folder, motion.home(), seed), daemon=True)
     keeper.start()
     twins, runs, tries = Twins(folder), folder / "state" / "runs", TRIES
+    (most_s,) = (SCOOPING_S[source.mortar.name] for source in plan.recipe.sources.values())
     try:
-        while kills and tries and not any(read_history(path).is_complete for path in journals(runs)):
-            code = _child(folder, plan, lab, motion, rng.uniform(0.0, SCOOPING_S))
+        while tries and not any(read_history(path).is_complete for path in journals(runs)):
+            after_s = rng.uniform(0.0, most_s) if tally.kills < kills else math.inf
+            code = _child(folder, plan, lab, motion, after_s)
             if code is None:
-                kills -= 1
                 tally.kills += 1
                 tally.while_rolled_mm.append(round(twins.ask("rim")[0], 1))
-                time.sleep(0.4)  # the dead-men
+                time.sleep(DEAD_MEN_S)
             elif code == BROKEN:
                 tally.problems.append(f"seed {seed}: a child broke")
-                return
+                break
             elif code not in (0, 1):
                 tally.ended_safe += 1
                 tries -= 1
+                time.sleep(DEAD_MEN_S)
         _judge(plan, lab, seed, twins.ask("seen")[1], tally)
     finally:
         with suppress(EOFError, OSError):
             twins.ask("end")
         keeper.join(10.0)
+    return tally
 
 
 def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: float) -> int | None:
@@ -268,15 +309,14 @@ def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: f
 
 def _judge(plan: Plan, lab: Lab, seed: int, seen: Seen, tally: Tally) -> None:
     narrowest_mm, widest_mm = lab.cell.hand.rim_limits_mm
-    tally.batches += 1
-    tally.narrowest_mm = min(tally.narrowest_mm, seen.narrowest_mm)
-    tally.widest_mm = max(tally.widest_mm, seen.widest_mm)
-    tally.worst_belief_mm = max(tally.worst_belief_mm, seen.worst_belief_mm)
+    tally.narrowest_mm, tally.widest_mm = seen.narrowest_mm, seen.widest_mm
+    tally.worst_belief_mm = seen.worst_belief_mm
     if not narrowest_mm <= seen.narrowest_mm <= seen.widest_mm <= widest_mm:
         tally.problems.append(f"seed {seed}: rims of {seen.narrowest_mm:.1f} to {seen.widest_mm:.1f} mm")
     for sample in plan.recipe.samples:
         dosed_mg, mass_mg = seen.dosed_mg[sample.id], sample.mass_mg or 0.0
         tally.dosed_mg[f"{seed}/{sample.id}"] = round(dosed_mg, 1)
+        tally.doses_ended += abs(dosed_mg - mass_mg) <= 2.0 * (sample.tolerance_mg or 0.0)
         if dosed_mg > mass_mg + 2.0 * (sample.tolerance_mg or 0.0):
             tally.problems.append(
                 f"seed {seed}: '{sample.id}' holds {dosed_mg:.1f} mg, and {mass_mg:g} mg were asked for"

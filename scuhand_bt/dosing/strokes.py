@@ -57,7 +57,7 @@ RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
 GRAINS_CLEAR = 4
 """By discrete elements grains jam in a gap of two of them; of a gap of so many they are taken not to."""
 NEAR_EDGE_MM = 1.0
-"""The heap before the lip is to be lower than the mortar's edge by this."""
+"""The heap before the lip is to be lower than the mortar's edge by this, or by a grain, which may roll on it."""
 ENDS = 60
 """Places on the wall that are looked at, from the lowest to the edge."""
 SLIPS = 0.033
@@ -177,7 +177,7 @@ def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
     before_mm3 = volume_mm3 * np.array([_before_lip(steep, stroke, bed, sheet_radius_mm) for steep in steeps.tolist()])
     heap_mm = np.sqrt(2 * before_mm3 / stroke.closed_mm / (on_wall + beside))
     below_edge_mm = mortar.depth_mm - mortar.bowl_radius_mm * (1 - np.cos(steeps))
-    is_over = (heap_mm > THIN_MM) & (heap_mm > below_edge_mm - NEAR_EDGE_MM)
+    is_over = (heap_mm > THIN_MM) & (heap_mm > below_edge_mm - max(NEAR_EDGE_MM, bed.powder.grain_mm))
     if not is_over.any():
         return stroke
     return replace(stroke, end_mm=mortar.bowl_radius_mm * float(steeps[max(0, int(is_over.argmax()) - 1)]))
