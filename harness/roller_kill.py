@@ -74,8 +74,8 @@ PLANS_S = 0.2
 """A tick that takes longer plans, while nothing moves: of that, no more than this counts."""
 DEAD_MEN_S = 0.4
 """Until arm and valve have noticed that nobody speaks to them."""
-TRIES = 5
-"""So often a run that ended by itself is resumed."""
+TRIES = 8
+"""So often a run that ended safe by itself, one time after the other, is resumed."""
 
 
 @dataclass
@@ -88,6 +88,8 @@ class Seen:
     """Of what a program that had just connected believed of the rim."""
     masses_mg: dict[str, float] = field(default_factory=dict)
     dosed_mg: dict[str, float] = field(default_factory=dict)
+    track: list[list[float]] = field(default_factory=list)
+    """The time [s], and the shafts of arm and roller, from the flat sheet [rad], when the roller had turned."""
 
 
 @dataclass
@@ -117,6 +119,11 @@ class Tally(Seen):
         self.problems += other.problems
 
 
+def mortar_of(seed: int) -> tuple[str, str, str]:
+    """Station, mortar and amount of a batch."""
+    return MORTARS[seed % len(MORTARS)]
+
+
 def make_lab_of_twins(folder: Path, seed: int) -> Path:
     """A copy of the starter lab whose devices are twins in `folder`/ports, and whose changer is a person."""
     lab = folder / "lab"
@@ -131,21 +138,22 @@ def make_lab_of_twins(folder: Path, seed: int) -> Path:
     cell["changer"] = {"driver": "operator"}
     path.write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
     (lab / "trees" / "scoop_first.yaml").write_text(WORKFLOW, encoding="utf-8")
-    (folder / "recipe.yaml").write_text(RECIPE % MORTARS[seed % len(MORTARS)], encoding="utf-8")
+    (folder / "recipe.yaml").write_text(RECIPE % mortar_of(seed), encoding="utf-8")
     return lab
 
 
-def _plan(folder: Path) -> tuple[Plan, Lab]:
+def plan_in(folder: Path) -> tuple[Plan, Lab]:
+    """The plan and the lab in a folder that `make_lab_of_twins` has filled."""
     lab = load_lab(folder / "lab")
     return make_plan(load_recipe(folder / "recipe.yaml", lab), lab), lab
 
 
-def _keep_twins(folder: Path, joints: Any, seed: int) -> None:
+def keep_twins(folder: Path, joints: Any, seed: int) -> None:
     """The twins' process: they go on until it is told to end."""
-    plan, lab = _plan(folder)
+    plan, lab = plan_in(folder)
     firmware = lab.folder / "robot" / "firmware"
     bench = WireBench(lab.cell, plan.recipe.sources, firmware, joints, WallClock(), seed, ports=folder / "ports")
-    world, seen, ended = bench.world, Seen(), threading.Event()
+    world, seen, ended, track = bench.world, Seen(), threading.Event(), list[list[float]]()
     roller = bench.bus.twin.servos[ROLLER]
 
     def rim_mm() -> float:
@@ -154,8 +162,14 @@ def _keep_twins(folder: Path, joints: Any, seed: int) -> None:
         return Cone.from_roller(Cone(MOUNTED_MM).roller_deg(hand) + turned_deg, hand).diameter_mm
 
     def look() -> None:
+        before_mm = rim_mm()
         while not ended.wait(LOOK_S):
             now_mm = rim_mm()
+            if now_mm != before_mm:
+                track.append(
+                    [time.monotonic(), *bench.arm.joints, math.radians(Cone(now_mm).roller_deg(lab.cell.hand))]
+                )
+            before_mm = now_mm
             seen.narrowest_mm, seen.widest_mm = min(seen.narrowest_mm, now_mm), max(seen.widest_mm, now_mm)
 
     def serve(caller: Connection) -> None:
@@ -168,6 +182,8 @@ def _keep_twins(folder: Path, joints: Any, seed: int) -> None:
                     world.remove()
                 elif what == "believes":
                     seen.worst_belief_mm = max(seen.worst_belief_mm, abs(said - rim_mm()))
+                elif what == "track":
+                    seen.track = list(track)
                 elif what == "end":
                     ended.set()
                 elif what == "seen":
@@ -216,6 +232,12 @@ class Hands:
         return choices[0]
 
 
+class OfSession(BatchObserver):
+    """An observer that is told which session it observes."""
+
+    session: Session
+
+
 class KilledScooping(BatchObserver):
     """Ends its own process after so much time of scooping."""
 
@@ -231,12 +253,15 @@ class KilledScooping(BatchObserver):
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: KilledScooping) -> int:
+def run_over(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, observer: BatchObserver) -> int:
+    """Begin the run over the twins of a folder, or resume it; its exit code."""
     twins, runs = Twins(folder), folder / "state" / "runs"
     begun, found = next(journals(runs), None), None
     if begun is not None:
         found = resumable(begun, checked_history(begun), plan, lab, accept_changes=False)
     session = Session(plan, lab, Options(None, folder=runs), motion, resumes=found)
+    if isinstance(observer, OfSession):
+        observer.session = session
     try:
         cell = session.cell
         if begun is None:
@@ -249,7 +274,7 @@ def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: Killed
             lambda: void(twins.ask("remove")),
             may_be_loaded=begun is not None,
         )
-        return session.run(kill).exit_code
+        return session.run(observer).exit_code
     finally:
         session.close()
 
@@ -262,10 +287,10 @@ def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
     """One batch, killed so often, then let end, and judged."""
     folder.mkdir(parents=True)
     make_lab_of_twins(folder, seed)
-    plan, lab = _plan(folder)
+    plan, lab = plan_in(folder)
     motion, rng, tally = prepared_motion(plan, lab, for_real=True), random.Random(seed), Tally(batches=1)
     spawn = multiprocessing.get_context("spawn")
-    keeper = spawn.Process(target=_keep_twins, args=(folder, motion.home(), seed), daemon=True)
+    keeper = spawn.Process(target=keep_twins, args=(folder, motion.home(), seed), daemon=True)
     keeper.start()
     twins, runs, tries = Twins(folder), folder / "state" / "runs", TRIES
     (most_s,) = (SCOOPING_S[source.mortar.name] for source in plan.recipe.sources.values())
@@ -276,6 +301,7 @@ def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
             if code is None:
                 tally.kills += 1
                 tally.while_rolled_mm.append(round(twins.ask("rim")[0], 1))
+                tries = TRIES
                 time.sleep(DEAD_MEN_S)
             elif code == BROKEN:
                 tally.problems.append(f"seed {seed}: a child broke")
@@ -298,7 +324,7 @@ def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: f
     if child == 0:
         code = BROKEN
         try:
-            code = _run(folder, plan, lab, motion, KilledScooping(after_s))
+            code = run_over(folder, plan, lab, motion, KilledScooping(after_s))
         except BaseException:
             traceback.print_exc()
         finally:
