@@ -6,7 +6,8 @@ powder that the skill is told of; and the stroke of the first version, which lif
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -19,6 +20,7 @@ from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, Mount, apex
 from scuhand_bt.sim.bed import nipped_mm
@@ -26,7 +28,7 @@ from scuhand_bt.specs import Mortar, Powder
 
 SLANT_MM = 50.0
 GRAIN_MM = 3.0
-FINE_GRAIN_MM = {"agate_mortar": 1.5, "small_agate_mortar": 2.0}
+FINE_GRAINS_MM = (1.5, 2.0)
 """Where a layer of some millimetres is left: larger ones would not pass under the lip."""
 GRAIN_DENSITY = 2.5
 """Of glass, in mg/mm^3."""
@@ -46,8 +48,8 @@ BULK_DENSITY = 1.48
 LOAD_MG = 4750.0
 """What the skill aims at with beads, unless less is wanted."""
 LITTLE_MG = 1500.0
-HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0)
-"""From straight out from the arm's base, as the skill goes through them."""
+HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0)
+"""From straight out from the arm's base, as the skill goes through them, without those in which the arm has no way."""
 LOOKED_S = 0.03
 """Between two poses that are kept of a motion."""
 ON_WALL_MM = 0.3
@@ -108,13 +110,13 @@ def cases() -> Iterator[Case]:
                 is_shown = friction == beads and fill_mg == max(FILLS_MG[mortar.name])
                 shown_s = moments(strokes[0]) if is_shown else ()
                 yield Case(name, mortar, fill_mg, *friction, strokes, shown_s, gap_mm=gap_mm)
-    for mortar, fill_mg, wanted_mg, headings_deg, name in (
-        (small, 8000.0, LITTLE_MG, HEADINGS_DEG[:1], f"small_agate_mortar, 8 g, {LITTLE_MG / 1000:g} g wanted"),
-        (agate, 8000.0, LOAD_MG, HEADINGS_DEG[:1], f"agate_mortar, 8 g, {LOAD_MG / 1000:g} g wanted"),
-        (agate, 12_000.0, LOAD_MG, HEADINGS_DEG, "four strokes"),
+    fine_mm, medium_mm = FINE_GRAINS_MM
+    for mortar, fill_mg, wanted_mg, grain_mm, count, name in (
+        (agate, 8000.0, LOAD_MG, fine_mm, 1, f"agate_mortar, 8 g, {LOAD_MG / 1000:g} g wanted"),
+        (small, 8000.0, LITTLE_MG, medium_mm, 1, f"{small.name}, 8 g, {LITTLE_MG / 1000:g} g wanted"),
+        (agate, 12_000.0, LOAD_MG, medium_mm, 4, "four strokes"),
     ):
-        grain_mm = FINE_GRAIN_MM[mortar.name]
-        gap_mm, strokes = lip_led(mortar, fill_mg, wanted_mg, beads, grain_mm / GRAINS_CLEAR, headings_deg)
+        gap_mm, strokes = lip_led(mortar, fill_mg, wanted_mg, beads, grain_mm / GRAINS_CLEAR, count)
         yield Case(name, mortar, fill_mg, *beads, strokes, grain_mm=grain_mm, gap_mm=gap_mm)
 
 
@@ -124,18 +126,22 @@ def lip_led(
     wanted_mg: float,
     friction_deg: tuple[float, float],
     grain_mm: float,
-    headings_deg: Sequence[float] = HEADINGS_DEG[:1],
+    count: int = 1,
 ) -> tuple[float, tuple[Way, ...]]:
     """Strokes one after another, as the skill chooses them where each brings what it is expected to; the first's gap.
 
     `grain_mm` is what the skill takes the powder's to be. Turned about the vertical so that the first goes along x.
     """
     layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
-    for heading_deg in headings_deg:
+    headings_deg = iter(HEADINGS_DEG)
+    for _ in range(count):
         bed = Bed(mortar, left_mg, powder(friction_deg, grain_mm), layer)
         stroke = chosen(bed, SLANT_MM, wanted_mg)
         gaps_mm.append(stroke.gap_mm)
-        ways.append(_planned(mortar, stroke, heading_deg, heading_deg - headings_deg[0]))
+        for heading_deg in headings_deg:
+            with suppress(SkillFailed):
+                ways.append(_planned(mortar, stroke, heading_deg, heading_deg - HEADINGS_DEG[0]))
+                break
         left_mg -= expected_mg(stroke, bed, SLANT_MM)
         layer = layer_left(stroke, bed, SLANT_MM)
     return gaps_mm[0], tuple(ways)

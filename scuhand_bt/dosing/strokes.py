@@ -31,8 +31,8 @@ stays in the mortar: p cot phi / (cot phi + cot delta) of V, as what is dragged 
 friction on that (Dahlen, Annu. Rev. Earth Planet. Sci. 18, 1990). No stroke pushes so much that it would have to leave
 the wall before the sheet is level.
 
-Of a gap of a grain or two, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a layer
-of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
+Of a gap of less than a grain, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a
+layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
 """
 
 import math
@@ -55,7 +55,7 @@ CLOSING_MM = 12.0
 RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
 """Strokes differ by so much at least."""
 GRAINS_CLEAR = 4
-"""By discrete elements grains jam in a gap of two of them; of a gap of so many they are taken not to."""
+"""By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even."""
 NEAR_EDGE_MM = 1.0
 """The heap before the lip is to be lower than the mortar's edge by this, or by a grain, which may roll on it."""
 ENDS = 60
