@@ -43,7 +43,7 @@ def main() -> None:
                 "kills": tally.kills,
                 "batches": tally.batches,
                 "rims_mm": [round(tally.narrowest_mm, 2), round(tally.widest_mm, 2)],
-                "rims_at_kills_mm": tally.while_rolled_mm,
+                "rims_at_kills_mm": tally.at_kills_mm,
                 "worst_belief_mm": round(tally.worst_belief_mm, 3),
                 "dosed_mg": tally.dosed_mg,
                 "doses_ended": tally.doses_ended,

@@ -21,6 +21,7 @@ from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from py_trees.common import Status
 
@@ -67,9 +68,11 @@ samples: [{id: a, mass: 300 mg}]
 MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate_mortar", "8 g"))
 """Batches take turns with them."""
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = {"agate_mortar": 11.0, "small_agate_mortar": 18.0}
-"""A run is killed within so much time of scooping, which is about what one scoop takes from a mortar."""
+SCOOPING_S = {"agate_mortar": 10.0, "small_agate_mortar": 17.0}
+"""A run is killed within so much of a scoop's motion, which is about what one scoop from a mortar takes."""
 LOOK_S = 0.005
+MOVED = 1e-3
+"""From tick to tick: a joint [rad], or the rim [mm], that has moved."""
 PLANS_S = 0.2
 """A tick that takes longer plans, while nothing moves: of that, no more than this counts."""
 DEAD_MEN_S = 0.4
@@ -97,7 +100,7 @@ class Tally(Seen):
     """What was seen of all batches."""
 
     kills: int = 0
-    while_rolled_mm: list[float] = field(default_factory=list)
+    at_kills_mm: list[float] = field(default_factory=list)
     """The rim at each kill."""
     batches: int = 0
     ended_safe: int = 0
@@ -112,7 +115,7 @@ class Tally(Seen):
         self.worst_belief_mm = max(self.worst_belief_mm, other.worst_belief_mm)
         self.dosed_mg |= other.dosed_mg
         self.kills += other.kills
-        self.while_rolled_mm += other.while_rolled_mm
+        self.at_kills_mm += other.at_kills_mm
         self.batches += other.batches
         self.ended_safe += other.ended_safe
         self.doses_ended += other.doses_ended
@@ -238,15 +241,23 @@ class OfSession(BatchObserver):
     session: Session
 
 
-class KilledScooping(BatchObserver):
-    """Ends its own process after so much time of scooping."""
+class KilledScooping(OfSession):
+    """Ends its own process after so much time in which arm or roller moved for a scoop.
+
+    Not counted is what moves nothing: planning, and the emptying of a cone whose load a kill before has made doubtful.
+    """
 
     def __init__(self, after_s: float) -> None:
         self._left_s, self._since_s = after_s, math.inf
+        self._was: Any = None
 
     def ticked(self, root: Any) -> None:
-        now_s = time.monotonic()
-        self._left_s -= min(max(0.0, now_s - self._since_s), PLANS_S)
+        now_s, cell = time.monotonic(), self.session.cell
+        stands = np.append(cell.arm.positions, cell.hand.cone_diameter_mm)
+        moved = self._was is not None and bool(np.abs(stands - self._was).max() > MOVED)
+        self._was = stands
+        if moved:
+            self._left_s -= min(max(0.0, now_s - self._since_s), PLANS_S)
         scoops = any(node.name == "scoop" and node.status is Status.RUNNING for node in root.iterate())
         self._since_s = now_s if scoops else math.inf
         if self._left_s <= 0.0:
@@ -300,7 +311,7 @@ def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
             code = _child(folder, plan, lab, motion, after_s)
             if code is None:
                 tally.kills += 1
-                tally.while_rolled_mm.append(round(twins.ask("rim")[0], 1))
+                tally.at_kills_mm.append(round(twins.ask("rim")[0], 1))
                 tries = TRIES
                 time.sleep(DEAD_MEN_S)
             elif code == BROKEN:

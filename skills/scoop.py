@@ -47,6 +47,8 @@ PRESSED_BELOW_MG = 1500.0
 """With less in the mortar, the lip is pressed into the wall."""
 HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0, 30.0, 330.0, 0.0, 180.0, 150.0, 210.0)
 """Directions of a swing, from straight out from the arm's base: across it, to and fro, are what it does best."""
+HIGHER_M = 0.03
+"""Above the mortar's place, for a cone that leans: its lip is below its apex."""
 
 
 class Scoop(Skill[Milligrams]):
@@ -94,15 +96,20 @@ class Scoop(Skill[Milligrams]):
         if math.dist(cell.apex_mm()[:2], above_mm[:2]) > source.mortar.bore_mm:
             return
         believed.touched(source)
-        top_m = now.position_m.copy()
-        top_m[2] = max(top_m[2], above_mm[2] / 1000)
-        up = [ApexPose(top_m, now.axis, now.seam), ApexPose(top_m), cell.place(source.station)]
-        try:
-            yield from cell.touch(up, self.speed_mm_per_s, source.station)
-        except SkillFailed as failure:
-            if failure.code != Code.ARM_NO_PATH:
-                raise
-            yield from cell.move_to(source.station)  # it was above the mortar, on the way to its stroke
+        level_m, high_m = now.position_m.copy(), now.position_m.copy()
+        level_m[2] = max(level_m[2], above_mm[2] / 1000)
+        high_m[2] = level_m[2] + HIGHER_M
+        level, high = (ApexPose(top_m, now.axis, now.seam) for top_m in (level_m, high_m))
+        # Upright on the way, where the elbow can; else as it leans, until nothing of it is in the mortar any more.
+        for up in ([level, ApexPose(level_m), cell.place(source.station)], [high], [level]):
+            try:
+                yield from cell.touch(up, self.speed_mm_per_s, source.station)
+            except SkillFailed as failure:
+                if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
+                    raise
+            else:
+                break
+        yield from cell.move_to(source.station)
         yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
         held_mg = believed.cone_mg
         believed.cone_holds(source, source.powder.load_limit_mg)

@@ -39,7 +39,7 @@ MORTARS = (
     Mortar(name="small_agate_mortar", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0),
 )
 STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"}
-FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (2000.0, 3000.0, 4000.0)}
+FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (1000.0, 2000.0, 3000.0)}
 """Of what the skill scoops at once: of more in the small mortar it leaves a layer, thinner than these grains."""
 REPOSE_DEG = {25.0: 22.0, 37.0: 25.0}
 """Of grains that roll, by the friction between them: nearly as steep with much of it as with little."""
