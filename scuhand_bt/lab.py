@@ -173,7 +173,7 @@ def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellS
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
-    return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
+    return cell, Library({}, {}, powders, containers, mortars, zones=cell.zone_names, broken=broken), has_cell
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:
@@ -287,7 +287,7 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
         broken.add("station", "", problems.found)
     if cell is None:
         sound = (key for key in CellSpec.model_fields if key in root.keys and key not in ("cell", "stations"))
-        parts = {key: _part(root, key, *(("frames",) if key == "geometry" else ())) for key in sound}
+        parts = {key: _part(root, key, *(("frames",) if key in ("geometry", "zones") else ())) for key in sound}
         none = "none"
         stations = {name: station.model_copy(update={"frame": None}) for name, station in stations.items()}
         kept = {key: validate(CellSpec, part, Problems(), cell=none, stations=stations) for key, part in parts.items()}

@@ -16,14 +16,12 @@ from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
 from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
-from scuhand_bt.motion import ApexPose
 from scuhand_bt.skill import (
     Cell,
     Code,
     Milligrams,
     Millimetres,
     MillimetresPerSecond,
-    Returned,
     Scooped,
     Skill,
     SkillFailed,
@@ -31,7 +29,7 @@ from scuhand_bt.skill import (
     Steps,
 )
 
-from ._emptying import empty_cone, put_away
+from ._emptying import is_over, leave_mortar, put_away
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -47,8 +45,6 @@ PRESSED_BELOW_MG = 1500.0
 """With less in the mortar, the lip is pressed into the wall."""
 HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0, 30.0, 330.0, 0.0, 180.0, 150.0, 210.0)
 """Directions of a swing, from straight out from the arm's base: across it, to and fro, are what it does best."""
-HIGHER_M = 0.03
-"""Above the mortar's place, for a cone that leans: its lip is below its apex."""
 
 
 class Scoop(Skill[Milligrams]):
@@ -57,7 +53,7 @@ class Scoop(Skill[Milligrams]):
     A load that is too little, or gave out too early, is let out before, as the recipe's `leftover` says.
     """
 
-    raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH)
+    raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH, Code.ARM_UNREACHABLE)
     devices = ("arm", "hand")
     typical_s = 18.0
     interrupted = "repeat"
@@ -90,32 +86,8 @@ class Scoop(Skill[Milligrams]):
 
     def settle(self, cell: Cell) -> Steps[None]:
         """Out of the mortar, straight up; what the cone may hold goes back into it, so that nothing is unknown."""
-        source, believed = self.source, cell.believed
-        above_mm = cell.places_mm[source.station]
-        now = cell.apex()
-        if math.dist(cell.apex_mm()[:2], above_mm[:2]) > source.mortar.bore_mm:
-            return
-        believed.touched(source)
-        level_m, high_m = now.position_m.copy(), now.position_m.copy()
-        level_m[2] = max(level_m[2], above_mm[2] / 1000)
-        high_m[2] = level_m[2] + HIGHER_M
-        level, high = (ApexPose(top_m, now.axis, now.seam) for top_m in (level_m, high_m))
-        # Upright on the way, where the elbow can; else as it leans, until nothing of it is in the mortar any more.
-        for up in ([level, ApexPose(level_m), cell.place(source.station)], [high], [level]):
-            try:
-                yield from cell.touch(up, self.speed_mm_per_s, source.station)
-            except SkillFailed as failure:
-                if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
-                    raise
-            else:
-                break
-        yield from cell.move_to(source.station)
-        yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
-        held_mg = believed.cone_mg
-        believed.cone_holds(source, source.powder.load_limit_mg)
-        yield from empty_cone(cell)
-        believed.returned(source.name, held_mg)
-        cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+        if is_over(cell, self.source):
+            yield from leave_mortar(cell, self.source)
 
     def _require_clean(self, cell: Cell) -> None:
         believed = cell.believed

@@ -8,8 +8,9 @@ Metres and radians, base frame.
 """
 
 import math
+from collections.abc import Iterable
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.cell_spec import Obstacle, Station
 from scuhand_bt.motion.collision import Solid
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -18,10 +19,10 @@ _SIDES = 24
 _CONTAINER_WALL_MM = 3.0
 
 
-def bench(cell: CellSpec) -> list[Solid]:
-    """The fixed geometry of `robot/cell.yaml`; ValueError for an obstacle that is not one shape."""
+def solids_of(obstacles: Iterable[Obstacle]) -> list[Solid]:
+    """What `robot/cell.yaml` describes; ValueError for an obstacle that is not one shape."""
     solids = []
-    for obstacle in cell.geometry:
+    for obstacle in obstacles:
         if (obstacle.box_mm is None) == (obstacle.cylinder_mm is None):
             raise ValueError(f"the obstacle {obstacle.name} needs either a box or a cylinder")
         x, y, z = obstacle.at_mm
