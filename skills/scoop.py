@@ -53,7 +53,7 @@ class Scoop(Skill[Milligrams]):
     A load that is too little, or gave out too early, is let out before, as the recipe's `leftover` says.
     """
 
-    raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH, Code.ARM_UNREACHABLE)
+    raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH)
     devices = ("arm", "hand")
     typical_s = 18.0
     interrupted = "repeat"
