@@ -116,6 +116,8 @@ class ArmSpec(Spec):
     options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
     speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
+    torque_ratio: Annotated[Ratio, Field(ge=0.1, le=1)] = 0.8
+    """Of its servos' stall torque (the URDF's `effort`), what a motion may take; one that would take more is slower."""
     gentle_deg: Annotated[Degrees, Field(gt=0, le=90)] = 90.0
     """The largest spill angle a loaded cone is carried at; its powder's own limit where that is smaller."""
 
@@ -205,6 +207,8 @@ class HandSpec(Spec):
     """Flange to cone apex along the j7 axis, which the sheet's slit continues: read off a picture, measure yours."""
     apex_aside_mm: tuple[Millimetres, Millimetres] = (0.0, 0.0)
     """The apex beside that axis, along x and y of the flange: how crookedly the hand is screwed on."""
+    mass_mg: Annotated[Milligrams, Positive] | None = None
+    """Of all beyond joint 7, with what was added to the hand; unset, the URDF's."""
     mount: MountSpec = MountSpec()
     max_opening_mm: Annotated[Millimetres, Field(gt=0, le=20)] = 2.4
     valve_speed_mm_per_s: Annotated[MillimetresPerSecond, Field(ge=0.1)] = 4.0

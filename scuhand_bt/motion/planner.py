@@ -40,6 +40,7 @@ from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory, beside, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
@@ -86,6 +87,8 @@ class MotionPlanner:
         arm = Arm(urdf)
         self._cell, self._limits_rad = cell, arm.limits_rad
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
+        hand_kg = None if cell.hand.mass_mg is None else cell.hand.mass_mg / 1e6
+        self._torques = Torques(arm.model, cell.arm.torque_ratio, hand_kg)
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, self.rates, cell.hand)
@@ -133,6 +136,10 @@ class MotionPlanner:
     def standing_at(self, place: str) -> Floats:
         """The configuration in which the arm stands at a place: shape (7,). SkillFailed arm.no_path where it cannot."""
         return self._posture(place).copy()
+
+    def held_at(self, place: str) -> Strain:
+        """What the arm's hardest joint holds while it stands at a place. SkillFailed arm.no_path where it cannot."""
+        return self._torques.strain(self._torques.holding(self._posture(place)[None, :]))
 
     def prepare(
         self, pans: Iterable[tuple[ContainerKind, str]] = (), carries: Iterable[tuple[str, str, float]] = ()
@@ -201,7 +208,7 @@ class MotionPlanner:
         stretch = self.rates.stretch_for(motion)
         quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
         factor = spill_stretch(quick, self._mount, spill_limit_deg)
-        return None if factor is None else quick.stretched(factor).keeping(spill_limit_deg)
+        return None if factor is None else self._borne(quick.stretched(factor).keeping(spill_limit_deg))
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
@@ -220,7 +227,7 @@ class MotionPlanner:
                 there = self._kept(goals[0], begin[None, :], name, spill_limit_deg, effort)
                 return None if there is None else self._stoppable(there.reversed())
             found = self._planned(begin, goals, name, spill_limit_deg, effort)
-            return None if found is None else self._stoppable(found)
+            return None if found is None else self._stoppable(self._borne(found))
 
         return self._plans.of(key, made)
 
@@ -274,7 +281,7 @@ class MotionPlanner:
         if not waypoints:
             return self._stoppable(standing(begin))
         motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        return self._stoppable(motion)
+        return self._stoppable(self._borne(motion))
 
     def descent(
         self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None
@@ -288,7 +295,7 @@ class MotionPlanner:
         above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        return self._stoppable(up.reversed())
+        return self._stoppable(self._borne(up.reversed()))
 
     def forming(
         self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle
@@ -312,7 +319,7 @@ class MotionPlanner:
             course = partial(_later, arm_part(both), begin_s)
             if not scene.curve_free(course, half_s, both.extremes()[1][:JOINTS]):
                 raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
-        return StoppableTrajectory(both, rates, self._mount)
+        return self._stoppable(self._borne(both), rates)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
@@ -326,7 +333,8 @@ class MotionPlanner:
             scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
             mount, rates = Mount.of(hand, rims_mm[0]), with_roller(self.rates, hand)
             try:
-                return StoppableTrajectory(stroke_motion(begin, poses, scene, rates, mount), rates, mount)
+                motion = self._borne(stroke_motion(begin, poses, scene, rates, mount))
+                return StoppableTrajectory(motion, rates, mount, self._torques)
             except SkillFailed as failure:  # as expensive as a stroke that there is, and asked for as often
                 return failure
 
@@ -350,7 +358,7 @@ class MotionPlanner:
             three_mm = [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]]
             scene = self._scenes.of_stroke(self._geometry, three_mm, None, CLOSE_MARGIN_M)
             motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad)
-            return StoppableTrajectory(motion, rates, self._mount)
+            return self._stoppable(self._borne(motion), rates)
 
         return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
@@ -361,8 +369,25 @@ class MotionPlanner:
 
     # Within -----------------------------------------------------------------------------------------
 
-    def _stoppable(self, motion: JointTrajectory) -> StoppableTrajectory:
-        return StoppableTrajectory(motion, self.rates, self._mount)
+    def _stoppable(self, motion: JointTrajectory, rates: RateLimits | None = None) -> StoppableTrajectory:
+        return StoppableTrajectory(motion, rates or self.rates, self._mount, self._torques)
+
+    def _borne(self, motion: JointTrajectory) -> JointTrajectory:
+        """A motion as slow as the servos' torques ask; its path, and so its proof, is the same."""
+        try:
+            factor = self._torques.stretch(motion)
+        except TooHeavyError as error:
+            raise SkillFailed(Code.ARM_NO_PATH, f"the hand is too heavy for this way: {error}") from None
+        if factor == 1.0:
+            return motion
+        slower, limit_deg = motion.stretched(factor), motion.spill_limit_deg
+        if limit_deg is None:
+            return slower
+        # What acceleration made up for of a tilt, a slower motion does not.
+        again = spill_stretch(slower, self._mount, limit_deg)
+        if again is None:
+            raise SkillFailed(Code.ARM_NO_PATH, "a way as slow as the servos' torques ask for would spill the load")
+        return slower.stretched(again).keeping(limit_deg)
 
     def _resolved(self, start: Floats, goal: str | ApexPose | Floats) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
