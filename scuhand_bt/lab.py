@@ -50,12 +50,15 @@ class Lab:
     def _urdf_path(self) -> Path:
         return self.folder / "robot" / self.cell.arm.urdf
 
-    def motion_planner(self, mortars: Mapping[str, Mortar]) -> "MotionPlanner":
-        """A motion planner of this cell; SourceError where the URDF or the geometry is not this arm's."""
+    def motion_planner(self, mortars: Mapping[str, Mortar], plans: Path | None = None) -> "MotionPlanner":
+        """A motion planner of this cell, its plans kept in the folder `plans` if one is given.
+
+        SourceError where the URDF or the geometry is not this arm's.
+        """
         from scuhand_bt.motion import MotionPlanner
 
         try:
-            return MotionPlanner(self.urdf, self.cell, mortars)
+            return MotionPlanner(self.urdf, self.cell, mortars, plans)
         except ValueError as error:
             raise SourceError([Problem(Mark(str(self._urdf_path)), str(error))]) from None
 

@@ -21,6 +21,7 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -33,6 +34,8 @@ from scuhand_bt.motion.contact import contact_motion, with_seams
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
 from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.plan_store import PlanStore
+from scuhand_bt.motion.proof import is_whole
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
@@ -52,6 +55,8 @@ UNSLOWED = 1.001
 RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
 """The spill limits that loads are planned for, those up to a load's own; loads that differ a little share them."""
 
+SAME_RAD = 1e-9
+"""A plan begins and ends where it was asked for, but for rounding."""
 PLANS_KEPT = 256
 STROKES_KEPT = 64
 
@@ -78,12 +83,16 @@ def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
 class MotionPlanner:
     """Plans the arm's motions in one cell, and keeps what it has planned.
 
-    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name.
+    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name. `plans` is the folder
+    in which plans are kept from one planner of the same geometry to the next; each is proven again.
     ValueError for a URDF or a cell that does not describe this arm, KeyError for an unknown station.
     """
 
-    def __init__(self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None) -> None:
+    def __init__(
+        self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None, plans: Path | None = None
+    ) -> None:
         self.urdf = urdf
+        self._store = None if plans is None else PlanStore(plans, urdf, cell, mortars or {})
         arm = Arm(urdf)
         self._cell, self._limits_rad = cell, arm.limits_rad
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
@@ -226,10 +235,33 @@ class MotionPlanner:
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
                 there = self._kept(goals[0], begin[None, :], name, spill_limit_deg, effort)
                 return None if there is None else self._stoppable(there.reversed())
-            found = self._planned(begin, goals, name, spill_limit_deg, effort)
+            found = self._from_store(key)
+            if found is None:
+                found = self._planned(begin, goals, name, spill_limit_deg, effort)
+                if found is not None and self._store is not None:
+                    self._store.keep(key, found)
             return None if found is None else self._stoppable(self._borne(found))
 
         return self._plans.of(key, made)
+
+    def keep_plans(self) -> None:
+        """Write what was planned to the folder of plans, if there is one."""
+        if self._store is not None:
+            self._store.write()
+
+    def _from_store(self, request: Request) -> JointTrajectory | None:
+        """The kept plan of a request, if it is all that a plan of it has to be."""
+        begin, goals, _, spill_limit_deg, _ = request
+        motion = self._store.found(request, spill_limit_deg) if self._store is not None else None
+        if motion is None or not is_whole(motion, self.rates, self._mount, spill_limit_deg):
+            return None
+        ends = np.frombuffer(goals).reshape(-1, JOINTS) - motion.end
+        if max(np.abs(np.frombuffer(begin) - motion.start).max(), np.abs(ends).max(axis=1).min()) > SAME_RAD:
+            return None
+        scene = self.scene()
+        if scene.hits(np.stack([motion.start, motion.end])).any():
+            scene = self.scene(CLOSE_MARGIN_M)
+        return motion if scene.proves(motion) else None
 
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
