@@ -1,7 +1,7 @@
 """Plans on disk: what was planned once for a cell is at hand for the next run in it.
 
-A file holds the plans of one geometry: its name is a hash of the URDF, the cell, the mortars, this package's own source and
-the libraries below it, so that a plan is looked for only where the same would be planned again. Nothing is believed
+A file holds the plans of one geometry: its name is a hash of the URDF, the cell, the mortars, this package's own source
+and the libraries below it, so that a plan is looked for only where the same would be planned again. Nothing is believed
 because it was found: the planner proves every plan anew before it is used (`MotionPlanner`).
 """
 
@@ -74,7 +74,7 @@ class PlanStore:
                 try:
                     np.savez(part, allow_pickle=False, **arrays)
                     part.close()
-                    os.replace(part.name, self._path)  # so that none is ever read half written
+                    Path(part.name).replace(self._path)  # so that none is ever read half written
                 except OSError:
                     Path(part.name).unlink(missing_ok=True)
                     raise
