@@ -1,7 +1,7 @@
 """Which shapes of neighbouring links can meet at all, and are looked at: those of links at most two joints apart.
 
 The links' own bounding shapes overlap there by construction, or turn on the spot beside one another; what a URDF adds
-to them (a camera beside the fore arm) may be hit by what comes after. So each pair is measured over the joints' windows:
+to them (a camera beside the fore arm) may be hit by what comes after. So each pair is measured over all windows:
 
     looked at    where its distance changes, is not always below a margin, and is not always far above one
 
