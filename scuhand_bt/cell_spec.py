@@ -69,22 +69,28 @@ Size = Annotated[Millimetres, Field(gt=0)]
 
 
 class Obstacle(Spec):
-    """A box or an upright cylinder that the arm must not touch, by the centre of its shape."""
+    """A box or an upright cylinder, by its centre, or a mesh, by its origin, that the arm must not touch."""
 
     name: str
     at_mm: Point
     box_mm: tuple[Size, Size, Size] | None = None
     cylinder_mm: tuple[Size, Size] | None = None
     """Diameter and length."""
+    mesh: str | None = None
+    """An STL or OBJ file, beside cell.yaml; its z is up. An absolute path once the lab is loaded."""
+    mesh_unit_mm: Size = 1.0
+    """What one unit of the file is."""
+    mesh_digest: str = ""
+    """Of the file's bytes, once the lab is loaded; written by nobody."""
     yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
-    """By how much a box is turned about its upright axis, against the clock seen from above."""
+    """By how much a box or a mesh is turned about its upright axis, against the clock seen from above."""
     frame: str | None = None
     """As a station's."""
 
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
-        if (self.box_mm is None) == (self.cylinder_mm is None):
-            raise ValueError("it has one shape: a box, or a cylinder")
+        if (self.box_mm, self.cylinder_mm, self.mesh).count(None) != 2:
+            raise ValueError("it has one shape: a box, a cylinder, or a mesh")
         return self
 
 

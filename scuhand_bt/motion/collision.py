@@ -55,24 +55,29 @@ CurveAt: TypeAlias = Callable[[Floats], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A box (x, y, z) or an upright cylinder (diameter, length) standing in the cell, by its centre."""
+    """A box (x, y, z) or an upright cylinder (diameter, length) standing in the cell, by its centre; or a mesh."""
 
     name: str
     centre_m: tuple[float, float, float]
     box_m: tuple[float, float, float] | None = None
     cylinder_m: tuple[float, float] | None = None
     yaw_rad: float = 0.0
+    mesh: coal.BVHModelBase | None = None
 
     def shape(self) -> coal.CollisionGeometry:
         if self.box_m is not None:
             return coal.Box(*self.box_m)
         if self.cylinder_m is not None:
             return coal.Cylinder(self.cylinder_m[0] / 2, self.cylinder_m[1])
-        raise ValueError(f"{self.name} is neither a box nor a cylinder")
+        if self.mesh is not None:
+            return self.mesh
+        raise ValueError(f"{self.name} is neither a box nor a cylinder nor a mesh")
 
     @property
     def top_m(self) -> float:
         """How high it stands."""
+        if self.mesh is not None:
+            return self.centre_m[2] + float(self.mesh.aabb_local.max_[2])
         height_m = self.box_m[2] if self.box_m is not None else self.cylinder_m[1] if self.cylinder_m else 0.0
         return self.centre_m[2] + height_m / 2
 
