@@ -62,7 +62,7 @@ class Solid:
     box_m: tuple[float, float, float] | None = None
     cylinder_m: tuple[float, float] | None = None
     yaw_rad: float = 0.0
-    mesh: coal.BVHModelBase | None = None
+    mesh: coal.BVHModelBase | coal.OcTree | None = None
 
     def shape(self) -> coal.CollisionGeometry:
         if self.box_m is not None:

@@ -33,6 +33,7 @@ from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.contact import contact_motion, with_seams
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
 from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
+from scuhand_bt.motion.occupancy import VOXEL_M, Occupancy
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.plan_store import PlanStore
 from scuhand_bt.motion.proof import is_whole
@@ -117,7 +118,23 @@ class MotionPlanner:
         if not 0 < rim_mm < widest_mm:
             raise ValueError(f"this sheet makes cones of less than {widest_mm:g} mm, not of {rim_mm:g} mm")
         is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
-        self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container)
+        diameter_m = CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
+        self._geometry = replace(self._geometry, cone_diameter_m=diameter_m, container=container)
+
+    def set_occupied(self, points_m: Floats | None, voxel_m: float = VOXEL_M) -> None:
+        """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
+
+        The arm's own points are not to be among them. What is asked for from now on is planned for that; motions under
+        way are as they were, see `is_free`. ValueError for what is no points.
+        """
+        occupied = None if points_m is None else Occupancy.of(points_m, voxel_m)
+        self._geometry = replace(self._geometry, occupied=occupied)
+
+    def is_free(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
+        """Whether what is left of a motion is proven to touch nothing as the cell looks now; else stop it."""
+        left_s = max(motion.duration_s - from_s, 0.0)
+        acceleration = motion.extremes()[1][:JOINTS]
+        return self.scene(CLOSE_MARGIN_M).curve_free(partial(_later, arm_part(motion), from_s), left_s, acceleration)
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -163,7 +180,7 @@ class MotionPlanner:
         over, carried = dict(pans), list(carries)
         for kind, place in ((None, None), *over.items()):
             names = [one for one in self._places.names if place in (None, one) or one not in over.values()]
-            with self._as_if(Geometry(self._geometry.cone_diameter_m, kind)):
+            with self._as_if(replace(self._geometry, container=kind)):
                 for first, second in itertools.combinations(names, 2):
                     self.move(self._posture(first), second)
                 for first, second, limit_deg in carried:
@@ -238,7 +255,7 @@ class MotionPlanner:
             found = self._from_store(key)
             if found is None:
                 found = self._planned(begin, goals, name, spill_limit_deg, effort)
-                if found is not None and self._store is not None:
+                if found is not None and self._store is not None and self._geometry.occupied is None:
                     self._store.keep(key, found)
             return None if found is None else self._stoppable(self._borne(found))
 
@@ -271,8 +288,8 @@ class MotionPlanner:
         if self._between_places(begin, goals):
             if spill_limit_deg is None:
                 wanted = POLISHED
-            if self._geometry.container is not None:
-                with self._as_if(Geometry(self._geometry.cone_diameter_m)):
+            if self._geometry != self._geometry.usual:
+                with self._as_if(self._geometry.usual):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
                 if over_bare_pan is not None and self.scene().proves(over_bare_pan):
                     return over_bare_pan
