@@ -391,11 +391,13 @@ class CellSpec(Spec):
     """What stands as one thing where it was measured to stand, by the names that stations and obstacles give."""
     stations: dict[str, Station]
     geometry: list[Obstacle] = Field(default_factory=list)
+    zones: list[Obstacle] = Field(default_factory=list)
+    """Spaces that only one may move in at a time, as what the container changer sweeps; skills lease them by name."""
 
     @model_validator(mode="after")
     def _stands_where_its_frames_do(self) -> Self:
         """Stations and obstacles in the base frame, once: everybody else knows of no other."""
-        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry]
+        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry, *self.zones]
         for thing in things:
             if thing.frame is not None and thing.frame not in self.frames:
                 known = ", ".join(self.frames) or "none"
@@ -404,13 +406,16 @@ class CellSpec(Spec):
             if station.frame is not None:
                 moved_mm = self.frames[station.frame].moved_mm(station.position_mm)
                 self.stations[name] = station.model_copy(update={"position_mm": moved_mm, "frame": None})
-        for number, obstacle in enumerate(self.geometry):
-            if obstacle.frame is not None:
-                frame = self.frames[obstacle.frame]
-                yaw_deg = (obstacle.yaw_deg + frame.yaw_deg + 180.0) % 360.0 - 180.0
-                moved = {"at_mm": frame.moved_mm(obstacle.at_mm), "yaw_deg": yaw_deg, "frame": None}
-                self.geometry[number] = obstacle.model_copy(update=moved)
+        for solids in (self.geometry, self.zones):
+            solids[:] = [self._in_base_frame(solid) for solid in solids]
         return self
+
+    def _in_base_frame(self, solid: Obstacle) -> Obstacle:
+        if solid.frame is None:
+            return solid
+        frame = self.frames[solid.frame]
+        yaw_deg = (solid.yaw_deg + frame.yaw_deg + 180.0) % 360.0 - 180.0
+        return solid.model_copy(update={"at_mm": frame.moved_mm(solid.at_mm), "yaw_deg": yaw_deg, "frame": None})
 
     @field_validator("devices")
     @classmethod
@@ -419,6 +424,11 @@ class CellSpec(Spec):
             if name in DEVICES or not name.isidentifier():
                 raise ValueError(f"'{name}' names none: letters, digits and _, and not {', '.join(DEVICES)}")
         return devices
+
+    @property
+    def zone_names(self) -> tuple[str, ...]:
+        """The zones that skills can lease."""
+        return tuple(zone.name for zone in self.zones)
 
     @property
     def device_names(self) -> tuple[str, ...]:

@@ -177,7 +177,7 @@ def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellS
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
-    return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
+    return cell, Library({}, {}, powders, containers, mortars, zones=cell.zone_names, broken=broken), has_cell
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:
@@ -291,7 +291,7 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
         broken.add("station", "", problems.found)
     if cell is None:
         sound = (key for key in CellSpec.model_fields if key in root.keys and key not in ("cell", "stations"))
-        parts = {key: _part(root, key, *(("frames",) if key == "geometry" else ())) for key in sound}
+        parts = {key: _part(root, key, *(("frames",) if key in ("geometry", "zones") else ())) for key in sound}
         none = "none"
         stations = {name: station.model_copy(update={"frame": None}) for name, station in stations.items()}
         kept = {key: validate(CellSpec, part, Problems(), cell=none, stations=stations) for key, part in parts.items()}
@@ -314,6 +314,10 @@ LARGEST_MESH_BYTES = 50_000_000
 
 def _find_meshes(cell: CellSpec, root: Entries, folder: Path, problems: Problems) -> None:
     """The obstacles' mesh files by their absolute paths, with what is in them told by a hash."""
+    for zone in cell.zones:
+        if zone.mesh is not None:
+            what = f"the zone '{zone.name}' is a mesh, which has no inside"
+            problems.add(root.keys["zones"], what, "write it as a box or a cylinder", code="bad-value")
     nodes = root.get("geometry")
     for number, obstacle in enumerate(cell.geometry):
         if obstacle.mesh is None:

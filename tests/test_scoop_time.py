@@ -14,8 +14,8 @@ from scuhand_bt.motion import MotionPlanner
 
 RECIPE = """
 recipe: r
-workflow: scoop_and_dispense
-defaults: {container: alumina_crucible, tolerance: 5 mg}
+workflow: prime_and_fill   # nothing else goes on while it scoops
+defaults: {container: alumina_crucible, waste: alumina_crucible, prime: 0 mg, tolerance: 5 mg}
 samples:
   - {id: a, source: beads, mass: 500 mg}
 """

@@ -95,14 +95,17 @@ def step_of(curve: Curve, before_mg: float, after_mg: float, latest_s: float) ->
 def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
     """The most that a display has held back: it stood still, to the digit, and then jumped; 0 for one that follows.
 
-    What it holds back at the end nobody sees. A filter of a tenth of a second or more makes a ramp of whatever falls.
+    What it holds back at the end nobody sees. A filter of a tenth of a second or more makes a ramp of whatever falls:
+    the jump is what goes beyond the next change, which a flow that begins makes as well, and a motor's noise.
     """
     digits = [round(mg / readability_mg) for mg in readings_mg]
+    changes = [now - last for last, now in pairwise(digits)]
     held, still = 0, 1
-    for last, now in pairwise(digits):
-        if still >= HELD_READINGS and abs(now - last) > HELD_DIGITS:
-            held = max(held, abs(now - last))
-        still = still + 1 if now == last else 1
+    for change, following in zip(changes, (*changes[1:], 0), strict=False):
+        beyond = abs(change) - abs(following)
+        if still >= HELD_READINGS and beyond > HELD_DIGITS:
+            held = max(held, beyond)
+        still = 1 if change else still + 1
     return held * readability_mg
 
 

@@ -4,7 +4,7 @@
 If nothing else happens, the pan comes to rest as it did then, a little earlier or later: m p(t - d). A zero that is S
 lower until t1, and then goes back, is shown by the same filter: - S p(t - t1), with p = 1 before t1. Both are fitted by
 least squares. A line that falls behind looks alike: a step must explain the curve better than one that was late from
-some reading on.
+some reading on. A zero that stepped while the container came is told the other way round, by how it went.
 
 **While powder falls.** Readings that fall are the zero's, as no powder leaves the pan, unless the filter rings. What
 can have come, with each reading no less than nothing, is fitted through that filter: sum of m_j (1 - p(t - t_j)),
@@ -41,14 +41,19 @@ LEAST_DIGITS, MOST_MG = 5.0, 50.0
 
 
 def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
-    """How far the zero stepped while what `came` went again; 0 where no step is told."""
-    mass_mg = abs(went.step_mg)
-    shown_mg = mass_mg * np.asarray(went.missing)
+    """How far the zero stepped while a load came, or went again; 0 where no step is told."""
+    return max(_stepped_mg(came, went, readability_mg), _stepped_mg(went, came, readability_mg))
+
+
+def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
+    """How far the zero stepped in `step`, if it did not in the other."""
+    mass_mg = abs(step.step_mg)
+    shown_mg = mass_mg * np.asarray(step.missing)
     tail = int(np.argmax(np.abs(shown_mg) < TAIL_MG)) if len(shown_mg) else 0
-    times_s, shown_mg = np.asarray(went.times_s)[tail:], shown_mg[tail:]
+    times_s, shown_mg = np.asarray(step.times_s)[tail:], shown_mg[tail:]
     if len(times_s) < 10:
         return 0.0
-    expected_mg = mass_mg * _missing(came, times_s - EARLIER_S[:, None])  # (D, N)
+    expected_mg = mass_mg * _missing(sound, times_s - EARLIER_S[:, None])  # (D, N)
     bends_mg = np.abs(np.diff(expected_mg, n=2, axis=1, append=np.zeros((len(EARLIER_S), 2))))
     bends_mg = np.maximum(bends_mg, np.maximum(np.roll(bends_mg, 1, axis=1), np.roll(bends_mg, -1, axis=1)))
     falls_mg = UNEVEN_S * np.gradient(expected_mg, times_s, axis=1)
@@ -56,7 +61,7 @@ def hidden_step_mg(came: Step, went: Step, readability_mg: float) -> float:
     misfits = off_mg**2 / variances
     misfit, until = misfits.sum(axis=1), misfits.cumsum(axis=1)
     late = float((until.min(axis=0) + (misfit[:, None] - until).min(axis=0)).min())
-    back = _missing(came, times_s - times_s[:, None])  # (T, N): a zero that goes back with each of the readings
+    back = _missing(sound, times_s - times_s[:, None])  # (T, N): a zero that goes back with each of the readings
     top, below = (off_mg / variances) @ back.T, (1.0 / variances) @ (back**2).T
     steps_mg = top / np.maximum(below, 1e-12)
     left = misfit[:, None] - np.where(np.abs(steps_mg) < MOST_MG, steps_mg * top, 0.0)

@@ -8,8 +8,9 @@ Metres and radians, base frame.
 """
 
 import math
+from collections.abc import Iterable
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.cell_spec import Obstacle, Station
 from scuhand_bt.motion.collision import Solid
 from scuhand_bt.motion.meshes import read_mesh
 from scuhand_bt.specs import ContainerKind, Mortar
@@ -19,10 +20,10 @@ _SIDES = 24
 _CONTAINER_WALL_MM = 3.0
 
 
-def bench(cell: CellSpec) -> list[Solid]:
-    """The fixed geometry of `robot/cell.yaml`; ValueError for an obstacle that is not one shape, or no sound mesh."""
+def solids_of(obstacles: Iterable[Obstacle]) -> list[Solid]:
+    """What `robot/cell.yaml` describes; ValueError for an obstacle that is not one shape, or no sound mesh."""
     solids = []
-    for obstacle in cell.geometry:
+    for obstacle in obstacles:
         if (obstacle.box_mm, obstacle.cylinder_mm, obstacle.mesh).count(None) != 2:
             raise ValueError(f"the obstacle {obstacle.name} needs one shape: a box, a cylinder, or a mesh")
         x, y, z = obstacle.at_mm

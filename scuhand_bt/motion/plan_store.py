@@ -9,7 +9,7 @@ import hashlib
 import importlib.metadata
 import os
 import zipfile
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -43,7 +43,7 @@ class PlanStore:
         with suppress(OSError):
             os.utime(self._path)  # what is in use is not the oldest
 
-    def found(self, request: Hashable, spill_limit_deg: float | None) -> JointTrajectory | None:
+    def found(self, request: str, spill_limit_deg: float | None) -> JointTrajectory | None:
         """The plan of a request, unproven; None if there is none."""
         kept = self._plans.get(_name(request))
         if kept is None:
@@ -55,7 +55,7 @@ class PlanStore:
             return JointTrajectory(knots_s, coefficients, spill_limit_deg)
         return None
 
-    def keep(self, request: Hashable, motion: JointTrajectory) -> None:
+    def keep(self, request: str, motion: JointTrajectory) -> None:
         """Remember a plan, until it is written."""
         self._plans[_name(request)] = motion.knots_s, motion.coefficients
         self._is_new = True
@@ -84,8 +84,8 @@ class PlanStore:
                 old.unlink(missing_ok=True)
 
 
-def _name(request: Hashable) -> str:
-    return hashlib.blake2b(repr(request).encode(), digest_size=16).hexdigest()
+def _name(request: str) -> str:
+    return hashlib.blake2b(request.encode(), digest_size=16).hexdigest()
 
 
 @cache

@@ -68,9 +68,16 @@ Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None, Effort]
 def _seed(start: Floats, goals: Floats, geometry: Geometry, spill_limit_deg: float | None) -> int:
     """A seed that belongs to the request, so that its answer is the same on every run."""
     kind = geometry.container.name if geometry.container is not None else ""
-    words = f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}"
+    words = " ".join([f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}", *sorted(geometry.closed)])
     digest = hashlib.blake2b(start.tobytes() + goals.tobytes() + words.encode(), digest_size=16).digest()
     return int.from_bytes(digest, "big")
+
+
+def _written(request: Request) -> str:
+    """A request in words that are the same in every process."""
+    begin, goals, geometry, spill_limit_deg, effort = request
+    seen = f"{geometry.cone_diameter_m} {geometry.container!r} {sorted(geometry.closed)}"
+    return f"{begin!r} {goals!r} {seen} {spill_limit_deg} {effort!r}"
 
 
 Found = TypeVar("Found", bound=JointTrajectory)
@@ -109,17 +116,22 @@ class MotionPlanner:
 
     # What the cell looks like now -------------------------------------------------------------------
 
-    def set_geometry(self, cone_diameter_m: float = CONE_DIAMETER_M, container: ContainerKind | None = None) -> None:
-        """How wide the rim is, and which kind of container stands on the pan, in all that is asked from now on.
+    def set_geometry(
+        self,
+        cone_diameter_m: float = CONE_DIAMETER_M,
+        container: ContainerKind | None = None,
+        closed: frozenset[str] = frozenset(),
+    ) -> None:
+        """How wide the rim is, which kind of container stands on the pan, and which zones of the cell are closed.
 
-        ValueError for a rim that the sheet cannot make.
+        In all that is asked from now on. ValueError for a rim that the sheet cannot make.
         """
         rim_mm, widest_mm = 1e3 * cone_diameter_m, 2 * self._cell.hand.sheet_radius_mm
         if not 0 < rim_mm < widest_mm:
             raise ValueError(f"this sheet makes cones of less than {widest_mm:g} mm, not of {rim_mm:g} mm")
         is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
         diameter_m = CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
-        self._geometry = replace(self._geometry, cone_diameter_m=diameter_m, container=container)
+        self._geometry = Geometry(diameter_m, container, closed, self._geometry.occupied)
 
     def set_occupied(self, points_m: Floats | None, voxel_m: float = VOXEL_M) -> None:
         """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
@@ -135,6 +147,11 @@ class MotionPlanner:
         left_s = max(motion.duration_s - from_s, 0.0)
         acceleration = motion.extremes()[1][:JOINTS]
         return self.scene(CLOSE_MARGIN_M).curve_free(partial(_later, arm_part(motion), from_s), left_s, acceleration)
+
+    def entered(self, q: Floats) -> frozenset[str]:
+        """The zones of the cell that the arm is in, at a configuration."""
+        one = (frozenset({zone}) for zone in self._cell.zone_names)
+        return frozenset[str]().union(*(z for z in one if self._scenes.of_zones(self._geometry, z).hits(q[None, :])[0]))
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -170,7 +187,8 @@ class MotionPlanner:
     def prepare(
         self, pans: Iterable[tuple[ContainerKind, str]] = (), carries: Iterable[tuple[str, str, float]] = ()
     ) -> None:
-        """Plan all pairs of places, with a bare pan and with each container on it, and polish them.
+        """Plan all pairs of places, with a bare pan and with each container on it, and polish them; so, too, around the
+        zones of the cell, between those that are in none.
 
         `pans` are those containers with the places over them, which are left out while another one stands there.
 
@@ -186,6 +204,12 @@ class MotionPlanner:
                 for first, second, limit_deg in carried:
                     if first in names and second in names:
                         self.move(self._posture(first), second, spill_limit_deg=limit_deg)
+        if zones := frozenset(self._cell.zone_names):
+            with self._as_if(Geometry(self._geometry.cone_diameter_m)):
+                outside = [name for name in self._places.names if not self.entered(self._posture(name))]
+            with self._as_if(Geometry(self._geometry.cone_diameter_m, None, zones)):
+                for first, second in itertools.combinations(outside, 2):
+                    self.move(self._posture(first), second)
 
     def move(
         self,
@@ -256,7 +280,7 @@ class MotionPlanner:
             if found is None:
                 found = self._planned(begin, goals, name, spill_limit_deg, effort)
                 if found is not None and self._store is not None and self._geometry.occupied is None:
-                    self._store.keep(key, found)
+                    self._store.keep(_written(key), found)
             return None if found is None else self._stoppable(self._borne(found))
 
         return self._plans.of(key, made)
@@ -269,7 +293,7 @@ class MotionPlanner:
     def _from_store(self, request: Request) -> JointTrajectory | None:
         """The kept plan of a request, if it is all that a plan of it has to be."""
         begin, goals, _, spill_limit_deg, _ = request
-        motion = self._store.found(request, spill_limit_deg) if self._store is not None else None
+        motion = self._store.found(_written(request), spill_limit_deg) if self._store is not None else None
         if motion is None or not is_whole(motion, self.rates, self._mount, spill_limit_deg):
             return None
         ends = np.frombuffer(goals).reshape(-1, JOINTS) - motion.end
@@ -283,13 +307,13 @@ class MotionPlanner:
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> JointTrajectory | None:
-        """Planned anew, but for what was planned over the bare pan and is free of a container there too."""
+        """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
         wanted, known, attempts = effort, None, transfer.ATTEMPTS
         if self._between_places(begin, goals):
             if spill_limit_deg is None:
                 wanted = POLISHED
-            if self._geometry != self._geometry.usual:
-                with self._as_if(self._geometry.usual):
+            if self._geometry != (bare := self._geometry.usual):
+                with self._as_if(bare):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
                 if over_bare_pan is not None and self.scene().proves(over_bare_pan):
                     return over_bare_pan
