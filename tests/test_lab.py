@@ -50,7 +50,7 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "cell",
             "{name: table,        box: [1.2 m, 1.2 m, 20 mm], ",
             "{name: table, ",
-            "it has one shape: a box, or a cylinder",
+            "it has one shape: a box, a cylinder, or a mesh",
         ),
         (
             "powders",
