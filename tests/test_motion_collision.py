@@ -222,7 +222,6 @@ def test_a_joint_with_a_narrower_window_is_free_only_within_it():
 
 
 def test_a_box_stands_as_it_is_turned():
-    lab = load_lab(starter_lab())
     long = Obstacle(name="rail", at_mm=(300, 0, 300), box_mm=(400, 10, 10), yaw_deg=90)
     (solid,) = cell_solids.solids_of([long])
     corner = solid.placement().act(np.array([0.2, 0.005, 0.005]))
