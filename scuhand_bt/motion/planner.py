@@ -45,7 +45,7 @@ from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
-from scuhand_bt.motion.trajectory import JointTrajectory, beside, standing
+from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, beside, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -375,8 +375,9 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """The empty cone's motion between two configurations, on which its rim becomes another: 8 columns.
 
-        Either half of it is proven with the rims of that half. SkillFailed as `move`, and arm.no_path where the cone
-        would touch something on the way.
+        Where the roller takes longer, the arm waits: it comes with the rim that is wanted there, or nearly. What it
+        stands with, and either half of its way, are proven with the rims of that while. SkillFailed as `move`, and
+        arm.no_path where the cone would touch something.
         """
         rates, last = (
             with_roller(self.rates, self._cell.hand),
@@ -385,12 +386,17 @@ class MotionPlanner:
         with self._as_if(last):
             way = self.move(start, goal)
         law = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
-        both = beside(way, law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm])))
-        half_s, quarters_mm = both.duration_s / 2, np.linspace(*rims_mm, 5).round(1).tolist()
-        for begin_s, three_mm in ((0.0, quarters_mm[:3]), (half_s, quarters_mm[2:])):
+        rolling = law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm]))
+        both = beside(begun_later(way, rolling.duration_s - way.duration_s), rolling)
+        leaves_s, comes_s = max(0.0, both.duration_s - way.duration_s), both.duration_s
+        turned_rad = rolling.end - rolling.start
+        for begin_s, end_s in itertools.pairwise((0.0, leaves_s, (leaves_s + comes_s) / 2, comes_s)):
+            rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, JOINTS] - rolling.start
+            shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is even with the roller's angle
+            three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
             scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
             course = partial(_later, arm_part(both), begin_s)
-            if not scene.curve_free(course, half_s, both.extremes()[1][:JOINTS]):
+            if not scene.curve_free(course, end_s - begin_s, both.extremes()[1][:JOINTS]):
                 raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
         return self._stoppable(self._borne(both), rates)
 
