@@ -249,6 +249,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
     CELLS: {
         "missing-station": Finding("The cell has no balance, no waste or no park.", "Add the station."),
         "port-taken": Finding("Two devices are on one port.", "Give each its own."),
+        "strained": _warning(
+            "At a place the arm holds up more than half of a servo's stall torque, by the URDF's masses.",
+            "A lighter hand, or the place nearer to the arm.",
+        ),
         "implausible-size": _warning("A vessel's sizes do not go together.", "Look at the units."),
     },
 }

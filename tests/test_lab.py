@@ -44,13 +44,13 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "cell",
             "{name: table,        box:",
             "{name: table,        bx:",
-            "unknown key 'bx'; known: at, box, cylinder, frame, name",
+            "unknown key 'bx'; known: at, box, cylinder, frame, mesh",
         ),
         (
             "cell",
             "{name: table,        box: [1.2 m, 1.2 m, 20 mm], ",
             "{name: table, ",
-            "it has one shape: a box, or a cylinder",
+            "it has one shape: a box, a cylinder, or a mesh",
         ),
         (
             "powders",

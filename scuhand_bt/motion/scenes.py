@@ -12,6 +12,7 @@ from typing import TypeAlias
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.occupancy import Occupancy
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -25,12 +26,18 @@ SCENES_KEPT, STROKES_KEPT = 12, 2
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What changes in the cell: the cone's rim, and what stands on the pan."""
+    """What changes in the cell: the cone's rim, what stands on the pan, and what else was seen."""
 
     cone_diameter_m: float = CONE_DIAMETER_M
     container: ContainerKind | None = None
     closed: frozenset[str] = frozenset()
     """The zones that the arm must keep out of."""
+    occupied: Occupancy | None = None
+
+    @property
+    def usual(self) -> "Geometry":
+        """The same cone over a bare pan, with no zone closed and nothing else to be seen."""
+        return Geometry(self.cone_diameter_m)
 
 
 _Asked: TypeAlias = tuple[Geometry, float, str | None, tuple[float, ...]]
@@ -87,6 +94,8 @@ class Scenes:
                 solids += parts
             else:
                 solids.append(cell_solids.full_mortar(self._station(name), mortar))
+        if geometry.occupied is not None:
+            solids.append(geometry.occupied.solid())
         if geometry.container is not None:
             solids.append(cell_solids.container(self._cell.station_of_kind("balance"), geometry.container))
         return solids, touchable
