@@ -167,10 +167,12 @@ def test_a_container_that_a_hand_took_or_exchanged_counts_no_more_and_its_sample
     assert run.sample()["true_mg"] == pytest.approx(80.0, abs=2.0)
 
 
-@pytest.mark.parametrize("within", ["tare", "scoop"])
-def test_a_container_exchanged_before_its_first_powder_counts_no_more(tmp_path: Path, within: str) -> None:
+@pytest.mark.parametrize(("within", "at_tick"), [("tare", 4), ("move_over", 2)])
+def test_a_container_exchanged_before_its_first_powder_counts_no_more(
+    tmp_path: Path, within: str, at_tick: int
+) -> None:
     run = CutRun(tmp_path, "outage.container_exchanged", ONE + REDO)
-    run.cut(within, 4)
+    run.cut(within, at_tick)
     assert run.resume() == 0
     (found,) = run.told("container_reweighed")
     assert not found["counts"]
