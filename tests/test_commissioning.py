@@ -96,6 +96,7 @@ class Hands:
             self._touch(np.array([0.30, 0.05, 0.15]), leaning=True)
         elif "empty crucible" in question:
             crucible = self.bench_lab.library.containers["alumina_crucible"]
+            self.bench.world.remove()
             self.bench.world.place(Container.model_validate({**crucible.model_dump(), "id": "crucible"}))
             self._touch(np.array(over_balance(self.truth, crucible)[1]) / 1e3, leaning=False)
         elif question.startswith("Empty the cone"):
@@ -145,7 +146,8 @@ class Hands:
         return self.bench.bus.twin.servos[self.truth.hand.options.roller_id]
 
     def _lead_to(self, joints: Floats) -> None:
-        assert not any(servo.has_torque for servo in self.bench.bus.twin.servos.values()), (
+        servos = self.bench.bus.twin.servos
+        assert not any(servos[servo].has_torque for servo in self.truth.arm.options.servo_ids), (
             "an arm that holds is not led"
         )
         self.bench.arm.stand_at(joints)
@@ -440,7 +442,10 @@ def test_openings_are_known_to_each_other_by_what_flows(c: float, widest_mm: flo
 def rung(decay_s: float) -> list[tuple[float, float]]:
     """Two seconds of a disturbance of 5 mg that then dies away about 20 mg, and 8 s more."""
     times_s = np.arange(0.0, 10.0, 0.1)
-    return [(t, 20.0 + 5.0 * math.cos(40.0 * t) * math.exp(-max(0.0, t - 2.0) / decay_s)) for t in times_s.tolist()]
+    return [
+        (t, 20.0 + 5.0 * math.cos(10.0 * math.pi * t) * math.exp(-max(0.0, t - 2.0) / decay_s))
+        for t in times_s.tolist()
+    ]
 
 
 def test_how_long_a_balance_rings_is_counted_from_the_end_of_what_has_disturbed_it() -> None:

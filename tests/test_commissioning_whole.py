@@ -24,7 +24,7 @@ from scuhand_bt.specs import Container
 __all__ = ["factory"]
 pytestmark = [pytest.mark.slow, pytest.mark.real_time]
 SLOW = "50%"
-QUESTION = re.compile(r"([^\r\n]*) \[([a-z_]+(?:/[a-z_]+)+)\]")
+QUESTION = re.compile(r"([^\r\n]*[.?]) \[([^\]\r\n]+)\]")
 SILENT_S = 300.0
 RUNS = {"balance": "start_of_day", "first_dose": "first_dose"}
 
@@ -75,6 +75,8 @@ class AtTheCell:
             world.place(check_weight(20_000.0))
         elif "off the pan" in question:
             world.remove()
+        elif "lost its turns" in question:
+            pytest.fail("the roller's count was kept by its step")
         elif "mount the sheet" in question:
             world.swap_sheet()
         elif "Next: scoop" in question:

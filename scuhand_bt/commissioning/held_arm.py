@@ -21,7 +21,7 @@ HOLD = "The servos hold the arm from now on. May they?"
 
 def led(site: Site, where: str) -> None:
     """Have the arm led there by hand, and the person say that it may be held."""
-    with limp(site.cell.arm, site.person):
+    with limp(site.cell.arm, site.person, site.cell.hand.options.roller_id):
         site.person.ask(where)
         site.person.ask(HOLD)
 

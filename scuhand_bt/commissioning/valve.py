@@ -35,6 +35,8 @@ UNEVEN_MM = 0.12
 CLOSER_MM = (0.0, 0.25, 0.5, 0.75)
 """By how much a valve that leaks is shut further, until it does not."""
 STILL_S = 20.0
+TRIES = 3
+"""A pulse that the hand's dead-man has cut short, as a busy computer was silent, is given again and weighed alone."""
 MOST_LATER_MM = 1.5
 
 
@@ -112,10 +114,8 @@ def weighed_flows(devices: Devices, site: Site, openings_mm: Sequence[float]) ->
         for opening_mm in openings_mm:
             masses_mg = []
             for dwell_s in DWELLS_S:
-                carried_out(devices.hand.pulse(opening_mm, dwell_s), site.clock)
-                now_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
-                masses_mg.append(now_mg - gross_mg)
-                gross_mg = now_mg
+                brought_mg, gross_mg = _weighed(devices, site, opening_mm, dwell_s, gross_mg)
+                masses_mg.append(brought_mg)
             more_mg = masses_mg[1] - masses_mg[0]
             flows.append(more_mg / (DWELLS_S[1] - DWELLS_S[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
         return flows
@@ -123,3 +123,19 @@ def weighed_flows(devices: Devices, site: Site, openings_mm: Sequence[float]) ->
         if failure.code == Code.BALANCE_UNSTABLE:
             return None
         raise
+
+
+def _weighed(devices: Devices, site: Site, opening_mm: float, dwell_s: float, gross_mg: float) -> tuple[float, float]:
+    """What one pulse brings [mg], and what the balance shows then; SkillFailed."""
+    left = TRIES
+    while True:
+        left -= 1
+        try:
+            carried_out(devices.hand.pulse(opening_mm, dwell_s), site.clock)
+        except SkillFailed as failure:
+            if failure.code != Code.DEVICE_LOST or not left:
+                raise
+            gross_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
+        else:
+            now_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
+            return now_mg - gross_mg, now_mg
