@@ -106,18 +106,20 @@ def as_written(points: Sequence[ValvePoint]) -> dict[Keys, Value]:
     return {("hand", "options", "valve_map"): listed}
 
 
-def weighed_flows(devices: Devices, site: Site, openings_mm: Sequence[float]) -> list[float] | None:
+def weighed_flows(
+    devices: Devices, site: Site, openings_mm: Sequence[float], dwells_s: tuple[float, float] = DWELLS_S
+) -> list[float] | None:
     """The flow at each of these openings [mg/s], 0 where next to nothing came; None where powder runs all the time."""
     try:
         gross_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
         flows = []
         for opening_mm in openings_mm:
             masses_mg = []
-            for dwell_s in DWELLS_S:
+            for dwell_s in dwells_s:
                 brought_mg, gross_mg = _weighed(devices, site, opening_mm, dwell_s, gross_mg)
                 masses_mg.append(brought_mg)
             more_mg = masses_mg[1] - masses_mg[0]
-            flows.append(more_mg / (DWELLS_S[1] - DWELLS_S[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
+            flows.append(more_mg / (dwells_s[1] - dwells_s[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
         return flows
     except SkillFailed as failure:
         if failure.code == Code.BALANCE_UNSTABLE:

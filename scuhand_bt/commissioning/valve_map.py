@@ -20,6 +20,8 @@ from scuhand_bt.devices.connect import Devices
 
 SHARES = (0.3, 0.45, 0.6, 0.8, 1.0)
 """Where the flow is weighed, of the widest opening."""
+DWELLS_S = (0.2, 0.7)
+"""Short, as the widest opening empties the cone, and the last of a load flows slower."""
 STRAIGHT_MM = 0.06
 """Openings that differ less from the present map leave it as it is: the flow at one opening varies by as much."""
 MOST_OFF = 0.4
@@ -45,7 +47,7 @@ def find_valve_map(site: Site) -> Found:
     led(site, OVER_CRUCIBLE)
     with held(site) as devices:
         site.person.ask(FILL)
-        flows = weighed_flows(devices, site, told_mm)
+        flows = weighed_flows(devices, site, told_mm, DWELLS_S)
         site.person.ask(EMPTY)
         gauged_mm = _gauged_mm(devices, site)
     if flows is None:
