@@ -108,4 +108,3 @@ def test_a_cell_is_commissioned_from_factory_state_to_its_first_dose(
     real, told = truth.options.valve_map, found.options.valve_map
     opens_mm = np.interp([p.count for p in told], [p.count for p in real], [p.opening_mm for p in real])
     assert opens_mm == pytest.approx([point.opening_mm for point in told], abs=0.15)
-    print({name: dict(done.found) for name, done in last.items()}, person.over_mm, dosed_mg)
