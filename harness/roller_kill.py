@@ -21,6 +21,7 @@ from multiprocessing.connection import Client, Connection, Listener
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from py_trees.common import Status
 
@@ -41,19 +42,43 @@ from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.wire.bench import WireBench
 
+WORKFLOW = """
+workflow: scoop_first
+summary: Scoop before a container stands on the pan, so that a run that is killed scooping is soon scooping again.
+inputs: {source: Source, container: Container, mass: Mass, tolerance: {type: Mass, default: 2 mg}}
+result: $dose
+tree:
+  sequence:
+    - fallback:
+        - cone_holds: {powder: $source.powder, wanted: $mass}
+        - scoop: {source: $source, wanted: $mass}
+    - place_container: {container: $container}
+    - tare:
+    - fill: {source: $source, container: $container, mass: $mass, tolerance: $tolerance, as: dose}
+    - return_leftover: {source: $source, keep: never}
+    - park:
+"""
 RECIPE = """
 recipe: scoops
-workflow: scoop_and_dispense
-sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
-defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
-samples: [{id: a, mass: 300 mg}, {id: b, mass: 200 mg}, {id: c, mass: 400 mg}]
+workflow: scoop_first
+sources: {lot: {station: %s, container: %s, powder: glass_beads, amount: %s}}
+defaults: {source: lot, container: alumina_crucible, tolerance: 10 mg}
+samples: [{id: a, mass: 300 mg}]
 """
+MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate_mortar", "8 g"))
+"""Batches take turns with them."""
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = 14.0
-"""A run is killed within so much time of scooping, which is about what one scoop takes."""
+SCOOPING_S = {"agate_mortar": 10.0, "small_agate_mortar": 17.0}
+"""A run is killed within so much of a scoop's motion, which is about what one scoop from a mortar takes."""
 LOOK_S = 0.005
-TRIES = 5
-"""So often a run that ended by itself is resumed."""
+MOVED = 1e-3
+"""From tick to tick: a joint [rad], or the rim [mm], that has moved."""
+PLANS_S = 0.2
+"""A tick that takes longer plans, while nothing moves: of that, no more than this counts."""
+DEAD_MEN_S = 0.4
+"""Until arm and valve have noticed that nobody speaks to them."""
+TRIES = 8
+"""So often a run that ended safe by itself, one time after the other, is resumed."""
 
 
 @dataclass
@@ -66,6 +91,8 @@ class Seen:
     """Of what a program that had just connected believed of the rim."""
     masses_mg: dict[str, float] = field(default_factory=dict)
     dosed_mg: dict[str, float] = field(default_factory=dict)
+    track: list[list[float]] = field(default_factory=list)
+    """The time [s], and the shafts of arm and roller, from the flat sheet [rad], when the roller had turned."""
 
 
 @dataclass
@@ -73,14 +100,34 @@ class Tally(Seen):
     """What was seen of all batches."""
 
     kills: int = 0
-    while_rolled_mm: list[float] = field(default_factory=list)
+    at_kills_mm: list[float] = field(default_factory=list)
     """The rim at each kill."""
     batches: int = 0
     ended_safe: int = 0
+    doses_ended: int = 0
+    """Of the samples, so many came to their dose once nobody killed any more."""
     problems: list[str] = field(default_factory=list)
 
+    def add(self, other: "Tally") -> None:
+        """What was seen of other batches, too."""
+        self.narrowest_mm = min(self.narrowest_mm, other.narrowest_mm)
+        self.widest_mm = max(self.widest_mm, other.widest_mm)
+        self.worst_belief_mm = max(self.worst_belief_mm, other.worst_belief_mm)
+        self.dosed_mg |= other.dosed_mg
+        self.kills += other.kills
+        self.at_kills_mm += other.at_kills_mm
+        self.batches += other.batches
+        self.ended_safe += other.ended_safe
+        self.doses_ended += other.doses_ended
+        self.problems += other.problems
 
-def make_lab_of_twins(folder: Path) -> Path:
+
+def mortar_of(seed: int) -> tuple[str, str, str]:
+    """Station, mortar and amount of a batch."""
+    return MORTARS[seed % len(MORTARS)]
+
+
+def make_lab_of_twins(folder: Path, seed: int) -> Path:
     """A copy of the starter lab whose devices are twins in `folder`/ports, and whose changer is a person."""
     lab = folder / "lab"
     for part in ("robot", "skills", "trees"):
@@ -93,21 +140,23 @@ def make_lab_of_twins(folder: Path) -> Path:
     cell["balance"] |= {"port": str(ports / "balance"), "options": {"bits": "8N1"}, "limits": {}}
     cell["changer"] = {"driver": "operator"}
     path.write_text(yaml.safe_dump(cell, sort_keys=False), encoding="utf-8")
-    (folder / "recipe.yaml").write_text(RECIPE, encoding="utf-8")
+    (lab / "trees" / "scoop_first.yaml").write_text(WORKFLOW, encoding="utf-8")
+    (folder / "recipe.yaml").write_text(RECIPE % mortar_of(seed), encoding="utf-8")
     return lab
 
 
-def _plan(folder: Path) -> tuple[Plan, Lab]:
+def plan_in(folder: Path) -> tuple[Plan, Lab]:
+    """The plan and the lab in a folder that `make_lab_of_twins` has filled."""
     lab = load_lab(folder / "lab")
     return make_plan(load_recipe(folder / "recipe.yaml", lab), lab), lab
 
 
-def _keep_twins(folder: Path, joints: Any, seed: int) -> None:
+def keep_twins(folder: Path, joints: Any, seed: int) -> None:
     """The twins' process: they go on until it is told to end."""
-    plan, lab = _plan(folder)
+    plan, lab = plan_in(folder)
     firmware = lab.folder / "robot" / "firmware"
     bench = WireBench(lab.cell, plan.recipe.sources, firmware, joints, WallClock(), seed, ports=folder / "ports")
-    world, seen, ended = bench.world, Seen(), threading.Event()
+    world, seen, ended, track = bench.world, Seen(), threading.Event(), list[list[float]]()
     roller = bench.bus.twin.servos[ROLLER]
 
     def rim_mm() -> float:
@@ -116,8 +165,14 @@ def _keep_twins(folder: Path, joints: Any, seed: int) -> None:
         return Cone.from_roller(Cone(MOUNTED_MM).roller_deg(hand) + turned_deg, hand).diameter_mm
 
     def look() -> None:
+        before_mm = rim_mm()
         while not ended.wait(LOOK_S):
             now_mm = rim_mm()
+            if now_mm != before_mm:
+                track.append(
+                    [time.monotonic(), *bench.arm.joints, math.radians(Cone(now_mm).roller_deg(lab.cell.hand))]
+                )
+            before_mm = now_mm
             seen.narrowest_mm, seen.widest_mm = min(seen.narrowest_mm, now_mm), max(seen.widest_mm, now_mm)
 
     def serve(caller: Connection) -> None:
@@ -130,6 +185,8 @@ def _keep_twins(folder: Path, joints: Any, seed: int) -> None:
                     world.remove()
                 elif what == "believes":
                     seen.worst_belief_mm = max(seen.worst_belief_mm, abs(said - rim_mm()))
+                elif what == "track":
+                    seen.track = list(track)
                 elif what == "end":
                     ended.set()
                 elif what == "seen":
@@ -178,27 +235,44 @@ class Hands:
         return choices[0]
 
 
-class KilledScooping(BatchObserver):
-    """Ends its own process after so much time of scooping."""
+class OfSession(BatchObserver):
+    """An observer that is told which session it observes."""
+
+    session: Session
+
+
+class KilledScooping(OfSession):
+    """Ends its own process after so much time in which arm or roller moved for a scoop.
+
+    Not counted is what moves nothing: planning, and the emptying of a cone whose load a kill before has made doubtful.
+    """
 
     def __init__(self, after_s: float) -> None:
         self._left_s, self._since_s = after_s, math.inf
+        self._was: Any = None
 
     def ticked(self, root: Any) -> None:
-        now_s = time.monotonic()
-        self._left_s -= max(0.0, now_s - self._since_s)
+        now_s, cell = time.monotonic(), self.session.cell
+        stands = np.append(cell.arm.positions, cell.hand.cone_diameter_mm)
+        moved = self._was is not None and bool(np.abs(stands - self._was).max() > MOVED)
+        self._was = stands
+        if moved:
+            self._left_s -= min(max(0.0, now_s - self._since_s), PLANS_S)
         scoops = any(node.name == "scoop" and node.status is Status.RUNNING for node in root.iterate())
         self._since_s = now_s if scoops else math.inf
         if self._left_s <= 0.0:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: KilledScooping) -> int:
+def run_over(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, observer: BatchObserver) -> int:
+    """Begin the run over the twins of a folder, or resume it; its exit code."""
     twins, runs = Twins(folder), folder / "state" / "runs"
     begun, found = next(journals(runs), None), None
     if begun is not None:
         found = resumable(begun, checked_history(begun), plan, lab, accept_changes=False)
     session = Session(plan, lab, Options(None, folder=runs), motion, resumes=found)
+    if isinstance(observer, OfSession):
+        observer.session = session
     try:
         cell = session.cell
         if begun is None:
@@ -211,7 +285,7 @@ def _run(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, kill: Killed
             lambda: void(twins.ask("remove")),
             may_be_loaded=begun is not None,
         )
-        return session.run(kill).exit_code
+        return session.run(observer).exit_code
     finally:
         session.close()
 
@@ -220,35 +294,39 @@ def void(answer: object) -> None:
     """What is answered does not matter."""
 
 
-def kill_while_scooping(folder: Path, kills: int, seed: int, tally: Tally) -> None:
-    """One batch, killed so often, and judged as it stands then: it is not let end."""
+def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
+    """One batch, killed so often, then let end, and judged."""
     folder.mkdir(parents=True)
-    make_lab_of_twins(folder)
-    plan, lab = _plan(folder)
-    motion, rng = prepared_motion(plan, lab, for_real=True), random.Random(seed)
+    make_lab_of_twins(folder, seed)
+    plan, lab = plan_in(folder)
+    motion, rng, tally = prepared_motion(plan, lab, for_real=True), random.Random(seed), Tally(batches=1)
     spawn = multiprocessing.get_context("spawn")
-    keeper = spawn.Process(target=_keep_twins, args=(folder, motion.home(), seed), daemon=True)
+    keeper = spawn.Process(target=keep_twins, args=(folder, motion.home(), seed), daemon=True)
     keeper.start()
     twins, runs, tries = Twins(folder), folder / "state" / "runs", TRIES
+    (most_s,) = (SCOOPING_S[source.mortar.name] for source in plan.recipe.sources.values())
     try:
-        while kills and tries and not any(read_history(path).is_complete for path in journals(runs)):
-            code = _child(folder, plan, lab, motion, rng.uniform(0.0, SCOOPING_S))
+        while tries and not any(read_history(path).is_complete for path in journals(runs)):
+            after_s = rng.uniform(0.0, most_s) if tally.kills < kills else math.inf
+            code = _child(folder, plan, lab, motion, after_s)
             if code is None:
-                kills -= 1
                 tally.kills += 1
-                tally.while_rolled_mm.append(round(twins.ask("rim")[0], 1))
-                time.sleep(0.4)  # the dead-men
+                tally.at_kills_mm.append(round(twins.ask("rim")[0], 1))
+                tries = TRIES
+                time.sleep(DEAD_MEN_S)
             elif code == BROKEN:
                 tally.problems.append(f"seed {seed}: a child broke")
-                return
+                break
             elif code not in (0, 1):
                 tally.ended_safe += 1
                 tries -= 1
+                time.sleep(DEAD_MEN_S)
         _judge(plan, lab, seed, twins.ask("seen")[1], tally)
     finally:
         with suppress(EOFError, OSError):
             twins.ask("end")
         keeper.join(10.0)
+    return tally
 
 
 def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: float) -> int | None:
@@ -257,7 +335,7 @@ def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: f
     if child == 0:
         code = BROKEN
         try:
-            code = _run(folder, plan, lab, motion, KilledScooping(after_s))
+            code = run_over(folder, plan, lab, motion, KilledScooping(after_s))
         except BaseException:
             traceback.print_exc()
         finally:
@@ -268,15 +346,14 @@ def _child(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, after_s: f
 
 def _judge(plan: Plan, lab: Lab, seed: int, seen: Seen, tally: Tally) -> None:
     narrowest_mm, widest_mm = lab.cell.hand.rim_limits_mm
-    tally.batches += 1
-    tally.narrowest_mm = min(tally.narrowest_mm, seen.narrowest_mm)
-    tally.widest_mm = max(tally.widest_mm, seen.widest_mm)
-    tally.worst_belief_mm = max(tally.worst_belief_mm, seen.worst_belief_mm)
+    tally.narrowest_mm, tally.widest_mm = seen.narrowest_mm, seen.widest_mm
+    tally.worst_belief_mm = seen.worst_belief_mm
     if not narrowest_mm <= seen.narrowest_mm <= seen.widest_mm <= widest_mm:
         tally.problems.append(f"seed {seed}: rims of {seen.narrowest_mm:.1f} to {seen.widest_mm:.1f} mm")
     for sample in plan.recipe.samples:
         dosed_mg, mass_mg = seen.dosed_mg[sample.id], sample.mass_mg or 0.0
         tally.dosed_mg[f"{seed}/{sample.id}"] = round(dosed_mg, 1)
+        tally.doses_ended += abs(dosed_mg - mass_mg) <= 2.0 * (sample.tolerance_mg or 0.0)
         if dosed_mg > mass_mg + 2.0 * (sample.tolerance_mg or 0.0):
             tally.problems.append(
                 f"seed {seed}: '{sample.id}' holds {dosed_mg:.1f} mg, and {mass_mg:g} mg were asked for"

@@ -69,22 +69,28 @@ Size = Annotated[Millimetres, Field(gt=0)]
 
 
 class Obstacle(Spec):
-    """A box or an upright cylinder that the arm must not touch, by the centre of its shape."""
+    """A box or an upright cylinder, by its centre, or a mesh, by its origin, that the arm must not touch."""
 
     name: str
     at_mm: Point
     box_mm: tuple[Size, Size, Size] | None = None
     cylinder_mm: tuple[Size, Size] | None = None
     """Diameter and length."""
+    mesh: str | None = None
+    """An STL or OBJ file, beside cell.yaml; its z is up. An absolute path once the lab is loaded."""
+    mesh_unit_mm: Size = 1.0
+    """What one unit of the file is."""
+    mesh_digest: str = ""
+    """Of the file's bytes, once the lab is loaded; written by nobody."""
     yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
-    """By how much a box is turned about its upright axis, against the clock seen from above."""
+    """By how much a box or a mesh is turned about its upright axis, against the clock seen from above."""
     frame: str | None = None
     """As a station's."""
 
     @model_validator(mode="after")
     def _has_one_shape(self) -> Self:
-        if (self.box_mm is None) == (self.cylinder_mm is None):
-            raise ValueError("it has one shape: a box, or a cylinder")
+        if (self.box_mm, self.cylinder_mm, self.mesh).count(None) != 2:
+            raise ValueError("it has one shape: a box, a cylinder, or a mesh")
         return self
 
 
@@ -116,6 +122,8 @@ class ArmSpec(Spec):
     options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
     speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
+    torque_ratio: Annotated[Ratio, Field(ge=0.1, le=1)] = 0.8
+    """Of its servos' stall torque (the URDF's `effort`), what a motion may take; one that would take more is slower."""
     gentle_deg: Annotated[Degrees, Field(gt=0, le=90)] = 90.0
     """The largest spill angle a loaded cone is carried at; its powder's own limit where that is smaller."""
 
@@ -205,6 +213,8 @@ class HandSpec(Spec):
     """Flange to cone apex along the j7 axis, which the sheet's slit continues: read off a picture, measure yours."""
     apex_aside_mm: tuple[Millimetres, Millimetres] = (0.0, 0.0)
     """The apex beside that axis, along x and y of the flange: how crookedly the hand is screwed on."""
+    mass_mg: Annotated[Milligrams, Positive] | None = None
+    """Of all beyond joint 7, with what was added to the hand; unset, the URDF's."""
     mount: MountSpec = MountSpec()
     max_opening_mm: Annotated[Millimetres, Field(gt=0, le=20)] = 2.4
     valve_speed_mm_per_s: Annotated[MillimetresPerSecond, Field(ge=0.1)] = 4.0
@@ -381,11 +391,13 @@ class CellSpec(Spec):
     """What stands as one thing where it was measured to stand, by the names that stations and obstacles give."""
     stations: dict[str, Station]
     geometry: list[Obstacle] = Field(default_factory=list)
+    zones: list[Obstacle] = Field(default_factory=list)
+    """Spaces that only one may move in at a time, as what the container changer sweeps; skills lease them by name."""
 
     @model_validator(mode="after")
     def _stands_where_its_frames_do(self) -> Self:
         """Stations and obstacles in the base frame, once: everybody else knows of no other."""
-        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry]
+        things: list[Station | Obstacle] = [*self.stations.values(), *self.geometry, *self.zones]
         for thing in things:
             if thing.frame is not None and thing.frame not in self.frames:
                 known = ", ".join(self.frames) or "none"
@@ -394,13 +406,16 @@ class CellSpec(Spec):
             if station.frame is not None:
                 moved_mm = self.frames[station.frame].moved_mm(station.position_mm)
                 self.stations[name] = station.model_copy(update={"position_mm": moved_mm, "frame": None})
-        for number, obstacle in enumerate(self.geometry):
-            if obstacle.frame is not None:
-                frame = self.frames[obstacle.frame]
-                yaw_deg = (obstacle.yaw_deg + frame.yaw_deg + 180.0) % 360.0 - 180.0
-                moved = {"at_mm": frame.moved_mm(obstacle.at_mm), "yaw_deg": yaw_deg, "frame": None}
-                self.geometry[number] = obstacle.model_copy(update=moved)
+        for solids in (self.geometry, self.zones):
+            solids[:] = [self._in_base_frame(solid) for solid in solids]
         return self
+
+    def _in_base_frame(self, solid: Obstacle) -> Obstacle:
+        if solid.frame is None:
+            return solid
+        frame = self.frames[solid.frame]
+        yaw_deg = (solid.yaw_deg + frame.yaw_deg + 180.0) % 360.0 - 180.0
+        return solid.model_copy(update={"at_mm": frame.moved_mm(solid.at_mm), "yaw_deg": yaw_deg, "frame": None})
 
     @field_validator("devices")
     @classmethod
@@ -409,6 +424,11 @@ class CellSpec(Spec):
             if name in DEVICES or not name.isidentifier():
                 raise ValueError(f"'{name}' names none: letters, digits and _, and not {', '.join(DEVICES)}")
         return devices
+
+    @property
+    def zone_names(self) -> tuple[str, ...]:
+        """The zones that skills can lease."""
+        return tuple(zone.name for zone in self.zones)
 
     @property
     def device_names(self) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ class Code(StrEnum):
     ARM_START_IN_COLLISION = "arm.start_in_collision"
     ARM_JOINT_LIMIT = "arm.joint_limit"
     ARM_IN_THE_WAY = "arm.in_the_way"
+    ARM_ZONE_TAKEN = "arm.zone_taken"
     ARM_NOT_FOLLOWING = "arm.not_following"
     ARM_LIMP = "arm.limp"
     COMPUTER_BUSY = "computer.busy"
@@ -102,6 +103,12 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_IN_THE_WAY: Failure(
         "The arm stands over the pan while a container is to be changed.",
         "Put `park:` before `place_container` in the workflow.",
+        ("cell",),
+    ),
+    Code.ARM_ZONE_TAKEN: Failure(
+        "The arm was to go into a zone of the cell, or to leave it, and something else did not end there.",
+        "Look at the cell; in the workflow, put what goes into the zone behind the `parallel`, not into it.",
+        ("cell",),
     ),
     Code.ARM_NOT_FOLLOWING: Failure(
         "The arm is not where its trajectory says it should be.",
@@ -141,7 +148,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.BALANCE_UNSTABLE: Failure(
         "The balance did not settle in time.",
         "Close the draft shield, look for vibration, draughts, a touching container; if it creeps, for its filter.",
-        ("devices",),
+        ("devices", "cell"),
     ),
     Code.BALANCE_COARSE: Failure(
         "The balance shows finer digits than it weighs, holds back small changes, or stands still.",

@@ -177,6 +177,11 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "circle": Finding("Workflows call each other in a circle.", "Take one of the calls away."),
         "too-large": Finding("A tree of more nodes than can be run.", "Use `repeat`."),
         "parallel-devices": Finding("Two children of a `parallel` command one device.", "Use `sequence`."),
+        "parallel-zones": Finding("Two children of a `parallel` move in one zone of the cell.", "Use `sequence`."),
+        "unknown-zone": Finding(
+            "Beside the arm something moves in a zone, and the cell does not say where that is.",
+            "Describe it under `zones` of robot/cell.yaml, or use `sequence`.",
+        ),
         "no-condition": Finding("A guard that is no condition.", "Take a condition, such as `cone_holds`."),
         "bad-count": Finding("A count or a duration of zero or less.", "More than 0."),
         "unused-input": _warning("Nothing reads an input.", "Wire it, or leave it out."),
@@ -244,6 +249,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
     CELLS: {
         "missing-station": Finding("The cell has no balance, no waste or no park.", "Add the station."),
         "port-taken": Finding("Two devices are on one port.", "Give each its own."),
+        "strained": _warning(
+            "At a place the arm holds up more than half of a servo's stall torque, by the URDF's masses.",
+            "A lighter hand, or the place nearer to the arm.",
+        ),
         "implausible-size": _warning("A vessel's sizes do not go together.", "Look at the units."),
     },
 }

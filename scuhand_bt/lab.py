@@ -1,5 +1,6 @@
 """A lab: the folder with `robot/`, `skills/`, `trees/` and `recipes/` that a user edits; found and loaded."""
 
+import hashlib
 import math
 import os
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.grammar import KEYWORDS, RECORD, Workflow, read_workflow
 from scuhand_bt.tree.record import Record
 from scuhand_bt.validation import validate
-from scuhand_bt.yaml_source import Entries, Node, describe, load, read_text
+from scuhand_bt.yaml_source import Entries, Items, Node, describe, load, read_text
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
@@ -50,12 +51,15 @@ class Lab:
     def _urdf_path(self) -> Path:
         return self.folder / "robot" / self.cell.arm.urdf
 
-    def motion_planner(self, mortars: Mapping[str, Mortar]) -> "MotionPlanner":
-        """A motion planner of this cell; SourceError where the URDF or the geometry is not this arm's."""
+    def motion_planner(self, mortars: Mapping[str, Mortar], plans: Path | None = None) -> "MotionPlanner":
+        """A motion planner of this cell, its plans kept in the folder `plans` if one is given.
+
+        SourceError where the URDF or the geometry is not this arm's.
+        """
         from scuhand_bt.motion import MotionPlanner
 
         try:
-            return MotionPlanner(self.urdf, self.cell, mortars)
+            return MotionPlanner(self.urdf, self.cell, mortars, plans)
         except ValueError as error:
             raise SourceError([Problem(Mark(str(self._urdf_path)), str(error))]) from None
 
@@ -173,7 +177,7 @@ def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellS
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
-    return cell, Library({}, {}, powders, containers, mortars, broken=broken), has_cell
+    return cell, Library({}, {}, powders, containers, mortars, zones=cell.zone_names, broken=broken), has_cell
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:
@@ -287,13 +291,14 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
         broken.add("station", "", problems.found)
     if cell is None:
         sound = (key for key in CellSpec.model_fields if key in root.keys and key not in ("cell", "stations"))
-        parts = {key: _part(root, key, *(("frames",) if key == "geometry" else ())) for key in sound}
+        parts = {key: _part(root, key, *(("frames",) if key in ("geometry", "zones") else ())) for key in sound}
         none = "none"
         stations = {name: station.model_copy(update={"frame": None}) for name, station in stations.items()}
         kept = {key: validate(CellSpec, part, Problems(), cell=none, stations=stations) for key, part in parts.items()}
         return CellSpec(
             cell=none, stations=stations, **{key: getattr(made, key) for key, made in kept.items() if made is not None}
         )
+    _find_meshes(cell, root, path.parent, problems)
     _check_ports(cell, root, problems)
     return cell
 
@@ -301,6 +306,39 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
 def _part(root: Entries, *keys: str) -> Entries:
     there = [key for key in keys if key in root.keys]
     return Entries(root.mark, {key: root.keys[key] for key in there}, {key: root.values[key] for key in there})
+
+
+MESHES = (".stl", ".obj")
+LARGEST_MESH_BYTES = 50_000_000
+
+
+def _find_meshes(cell: CellSpec, root: Entries, folder: Path, problems: Problems) -> None:
+    """The obstacles' mesh files by their absolute paths, with what is in them told by a hash."""
+    for zone in cell.zones:
+        if zone.mesh is not None:
+            what = f"the zone '{zone.name}' is a mesh, which has no inside"
+            problems.add(root.keys["zones"], what, "write it as a box or a cylinder", code="bad-value")
+    nodes = root.get("geometry")
+    for number, obstacle in enumerate(cell.geometry):
+        if obstacle.mesh is None:
+            continue
+        path = (folder / obstacle.mesh).resolve()
+        node = nodes.items[number] if isinstance(nodes, Items) else root
+        mark = node.values["mesh"].mark if isinstance(node, Entries) and "mesh" in node.values else node.mark
+        if path.suffix.lower() not in MESHES:
+            problems.add(mark, f"'{shorten(obstacle.mesh)}' is no STL and no OBJ file", code="bad-value")
+            continue
+        try:
+            if path.stat().st_size > LARGEST_MESH_BYTES:
+                what = f"'{shorten(obstacle.mesh)}' is larger than {LARGEST_MESH_BYTES / 1e6:g} MB"
+                problems.add(mark, what, "a coarser mesh will do: planning looks at every triangle", code="unreadable")
+                continue
+            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        except OSError as error:
+            what = f"'{shorten(obstacle.mesh)}' cannot be read: {error.strerror}"
+            problems.add(mark, what, "its path is from cell.yaml's folder", code="unreadable")
+            continue
+        cell.geometry[number] = obstacle.model_copy(update={"mesh": str(path), "mesh_digest": digest})
 
 
 def _check_ports(cell: CellSpec, root: Entries, problems: Problems) -> None:

@@ -145,6 +145,8 @@ class Skill(BaseModel, Generic[R]):
 
     devices: ClassVar[tuple[str, ...]] = ()
     """The devices it commands, and so leases: arm, hand, balance, changer, and the names of `devices:` of the cell."""
+    zones: ClassVar[tuple[str, ...]] = ()
+    """The zones of the cell (`zones` of `robot/cell.yaml`) in which it moves something, and so leases."""
     failures: ClassVar[Mapping[str, Failure]] = {}
     """Failure codes of its own, beyond the shared catalogue."""
     raises: ClassVar[tuple[str, ...]] = ()

@@ -1,6 +1,12 @@
-"""What `return_leftover`, `discard` and `scoop` share: letting everything out of the cone."""
+"""What `return_leftover`, `discard`, `scoop` and `withdraw` share: letting everything out of the cone."""
 
-from scuhand_bt.skill import Cell, Discarded, Returned, Source, Steps
+import math
+
+import numpy as np
+
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
+from scuhand_bt.motion import ApexPose
+from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Source, Steps, pause
 
 SHAKE_S = 3.0
 SPARE = 2.0
@@ -8,6 +14,14 @@ SPARE = 2.0
 DOUBT = 0.2
 """The cone may hold more than believed, by this share of the load limit: scoops vary."""
 LONGEST_S = 300.0
+LEAVING_MM_PER_S = 60.0
+POURED_FROM_MM = 30.0
+"""The lip above the mortar's edge while the cone is poured out."""
+POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
+"""The axis' tilts on the way: between two of them the lip strays by some millimetres."""
+POURING_MM_PER_S = 100.0
+POURED_S = 1.0
+"""Tilted so far, all has slid out within this time."""
 
 
 def empty_cone(cell: Cell) -> Steps[None]:
@@ -20,6 +34,7 @@ def empty_cone(cell: Cell) -> Steps[None]:
     duration_s = min(LONGEST_S, SHAKE_S + SPARE * most_mg / flow_mg_per_s)
     while duration_s > 0.0:
         dwell_s = min(duration_s, cell.hand.longest_dwell_s)
+        yield from cell.right_of_way.go(shaking=True)
         yield from cell.hand.pulse(opening_mm, dwell_s, vibration=1.0)
         duration_s -= dwell_s
     cell.believed.emptied()
@@ -41,11 +56,79 @@ def empty_at(cell: Cell, station: str) -> Steps[None]:
     cell.record.event(Discarded(expected_mg=held_mg, source=source, to=station))
 
 
+def is_over(cell: Cell, source: Source) -> bool:
+    """Whether the cone is in this source's mortar, or above it."""
+    above_mm = cell.places_mm[source.station]
+    return math.dist(cell.apex_mm()[:2], above_mm[:2]) <= source.mortar.bore_mm
+
+
+def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
+    """Out of a mortar in which a scoop was halted, straight up; what the cone may hold goes back into it.
+
+    So nothing is unknown.
+    """
+    believed, now = cell.believed, cell.apex()
+    believed.touched(source)
+    top_m = now.position_m.copy()
+    hangs_mm = cell.spec.hand.sheet_radius_mm * math.sqrt(max(0.0, 1.0 - now.axis[2] ** 2))  # its rim, at most
+    top_m[2] = max(top_m[2], (cell.places_mm[source.station][2] + hangs_mm) / 1000)
+    yield from cell.touch([ApexPose(top_m, now.axis, now.seam)], LEAVING_MM_PER_S, source.station)
+    try:
+        yield from cell.touch([ApexPose(top_m), cell.place(source.station)], LEAVING_MM_PER_S, source.station)
+    except SkillFailed as failure:
+        if failure.code != Code.ARM_NO_PATH:
+            raise
+        yield from cell.move_to(source.station)  # nothing is in the way of another turn up there
+    yield from cell.right_of_way.go()
+    yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
+    held_mg = believed.cone_mg
+    believed.cone_holds(source, source.powder.load_limit_mg)
+    yield from empty_cone(cell)
+    believed.returned(source.name, held_mg)
+    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+
+
+def pour_back(cell: Cell, source: Source) -> Steps[None]:
+    """Pour what is in the cone over its lip into the mortar that it came from, as a ladle does.
+
+    The lip stands still above the middle of the bowl, and the cone is turned about it, away from the arm: whenever
+    powder begins to slide, it falls into the mortar. What clings is of the same powder. SkillFailed as `touch`.
+    """
+    x_mm, y_mm, z_mm = cell.spec.stations[source.station].position_mm
+    out = np.array([x_mm, y_mm, 0.0]) / math.hypot(x_mm, y_mm)
+    up = np.array([0.0, 0.0, 1.0])
+    lip_mm = np.array([x_mm, y_mm, z_mm + source.mortar.height_mm + POURED_FROM_MM])
+    slant_mm = cell.spec.hand.sheet_radius_mm
+    half_rad = math.asin(cell.hand.cone_diameter_mm / 2.0 / slant_mm)
+    poses = []
+    for tilt_rad in map(math.radians, POURING_DEG):
+        generator = math.sin(tilt_rad + half_rad) * out + math.cos(tilt_rad + half_rad) * up
+        axis = math.sin(tilt_rad) * out + math.cos(tilt_rad) * up
+        poses.append(ApexPose((lip_mm - slant_mm * generator) / 1000, axis))
+    yield from cell.touch(poses, POURING_MM_PER_S, source.station)
+    yield from pause(cell, POURED_S)
+    held_mg = cell.believed.cone_mg
+    cell.believed.emptied()
+    cell.believed.returned(source.name, held_mg)
+    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+
+
 def put_away(cell: Cell) -> Steps[None]:
-    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded."""
-    source = cell.sources[cell.believed.cone_source or ""]
+    """What is in the cone goes where the recipe wants it; back into its mortar, unless it is to be discarded.
+
+    Over the lip, where the arm can; through the valve what a bridge may hold, open and shaken.
+    """
+    believed = cell.believed
+    source = cell.sources[believed.cone_source or ""]
     if source.leftover == "discard":
         yield from empty_at(cell, source.leftover_to or cell.spec.station_of_kind("waste").name)
-    else:
-        yield from cell.move_to(source.station)
+        return
+    yield from cell.move_to(source.station)
+    if not believed.is_load_doubted:
+        try:
+            yield from pour_back(cell, source)
+        except SkillFailed as failure:
+            if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
+                raise
+    if believed.cone_source is not None:
         yield from empty_into(cell, source)

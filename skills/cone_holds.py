@@ -4,6 +4,8 @@ from scuhand_bt.skill import Cell, Code, Condition, Milligrams, Powder, SkillFai
 
 LAST_SHARE = 1 / 3
 """Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
+FULL_SHARE = 0.75
+"""Of what the cone may carry, what a scoop brings that is to bring all of it, at the least."""
 
 
 class ConeHolds(Condition):
@@ -30,6 +32,8 @@ class ConeHolds(Condition):
             enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
             if self.wanted_mg > believed.used_up_from_mg:
                 enough_mg = 0.0  # and more than is believed may be there
+            if believed.load.came_mg == 0.0 and believed.cone_mg > FULL_SHARE * source.powder.load_limit_mg:
+                enough_mg = self.at_least_mg  # the next scoop would bring no more than this one
         if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")
         if believed.is_load_doubted:

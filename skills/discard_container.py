@@ -12,6 +12,7 @@ class DiscardContainer(Skill[None]):
     """Take the container off the pan to throw away what is in it: what was dosed into it is no dose of the sample."""
 
     devices = ("changer", "balance")
+    zones = ("pan",)
     typical_s = 9.0
     interrupted = "repeat"
 

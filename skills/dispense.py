@@ -88,6 +88,7 @@ class Dispense(Skill[Dose]):
         Code.SCOOP_NOTHING,
     )
     devices = ("hand", "balance")
+    zones = ("pan",)
     typical_s = 30.0
     interrupted = "reweigh"
 

@@ -21,6 +21,7 @@ class MoveOver(Skill[None]):
 
     raises = (Code.CONTAINER_MISSING,)
     devices = ("arm",)
+    zones = ("pan",)
     typical_s = 4.0
     interrupted = "repeat"
 

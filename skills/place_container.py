@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.cell.weighing import (
     changed,
     is_to_be_weighed_again,
@@ -22,8 +21,9 @@ from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, S
 class PlaceContainer(Skill[None]):
     """Put a container on the pan, taking away the one before, and check by weight that it is the right one."""
 
-    raises = (Code.ARM_IN_THE_WAY, Code.CONTAINER_MISSING, Code.CONTAINER_WRONG_MASS, Code.OPERATOR_REFUSED)
-    devices = ("changer", "balance", "arm")
+    raises = (Code.CONTAINER_MISSING, Code.CONTAINER_WRONG_MASS, Code.OPERATOR_REFUSED)
+    devices = ("changer", "balance")
+    zones = ("pan",)
     typical_s = 20.0
     interrupted = "repeat"
 
@@ -41,7 +41,11 @@ class PlaceContainer(Skill[None]):
         return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
 
     def run(self, cell: Cell) -> Steps[None]:
-        self._require_clear(cell)
+        changing = cell.right_of_way.unshaken(self._change(cell))
+        is_by_hand = cell.changer.needs_person or cell.believed.slots_used >= cell.spec.changer.slots
+        yield from cell.right_of_way.undisturbed(changing) if is_by_hand else changing
+
+    def _change(self, cell: Cell) -> Steps[None]:
         believed = cell.believed
         yield from self._refill(cell)
         bare = yield from take_container_away(cell)
@@ -94,8 +98,3 @@ class PlaceContainer(Skill[None]):
             if answer != "done":
                 raise SkillFailed(Code.OPERATOR_REFUSED, "the changer was not filled")
             believed.slots_refilled()
-
-    @staticmethod
-    def _require_clear(cell: Cell) -> None:
-        if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
-            raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")

@@ -12,6 +12,7 @@ class RemoveContainer(Skill[None]):
     """Take the container off the pan, and weigh the bare pan: that closes the bracket about what was dosed into it."""
 
     devices = ("changer", "balance")
+    zones = ("pan",)
     typical_s = 9.0
     interrupted = "repeat"
 

@@ -16,14 +16,12 @@ from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
 from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
-from scuhand_bt.motion import ApexPose
 from scuhand_bt.skill import (
     Cell,
     Code,
     Milligrams,
     Millimetres,
     MillimetresPerSecond,
-    Returned,
     Scooped,
     Skill,
     SkillFailed,
@@ -31,7 +29,7 @@ from scuhand_bt.skill import (
     Steps,
 )
 
-from ._emptying import empty_cone, put_away
+from ._emptying import is_over, leave_mortar, put_away
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -88,27 +86,8 @@ class Scoop(Skill[Milligrams]):
 
     def settle(self, cell: Cell) -> Steps[None]:
         """Out of the mortar, straight up; what the cone may hold goes back into it, so that nothing is unknown."""
-        source, believed = self.source, cell.believed
-        above_mm = cell.places_mm[source.station]
-        now = cell.apex()
-        if math.dist(cell.apex_mm()[:2], above_mm[:2]) > source.mortar.bore_mm:
-            return
-        believed.touched(source)
-        top_m = now.position_m.copy()
-        top_m[2] = max(top_m[2], above_mm[2] / 1000)
-        up = [ApexPose(top_m, now.axis, now.seam), ApexPose(top_m), cell.place(source.station)]
-        try:
-            yield from cell.touch(up, self.speed_mm_per_s, source.station)
-        except SkillFailed as failure:
-            if failure.code != Code.ARM_NO_PATH:
-                raise
-            yield from cell.move_to(source.station)  # it was above the mortar, on the way to its stroke
-        yield from cell.hand.morph(MOUNTED_DIAMETER_MM)
-        held_mg = believed.cone_mg
-        believed.cone_holds(source, source.powder.load_limit_mg)
-        yield from empty_cone(cell)
-        believed.returned(source.name, held_mg)
-        cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+        if is_over(cell, self.source):
+            yield from leave_mortar(cell, self.source)
 
     def _require_clean(self, cell: Cell) -> None:
         believed = cell.believed

@@ -5,12 +5,15 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import pytest
 
 from scuhand_bt import cli
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.cell import Cell
+from scuhand_bt.cell.right_of_way import RightOfWay
 from scuhand_bt.cell_spec import DEVICES
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.journal.events import JobStarted
@@ -182,6 +185,19 @@ class FakeCell:
     log: list[Any] = field(default_factory=list)
     believed: Believed = field(default_factory=Believed)
     record: Record = field(default_factory=Record)
+    spec: Any = field(default_factory=lambda: SimpleNamespace(zone_names=("pan",)))
+    right_of_way: RightOfWay = field(init=False)
+    entered: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        self.right_of_way = RightOfWay(cast(Cell, self))
+
+    @property
+    def arm(self) -> FakeDevice:
+        return self.devices["arm"]
+
+    def zones_entered(self) -> frozenset[str]:
+        return self.entered
 
     def device(self, name: str) -> FakeDevice:
         return self.devices[name]
@@ -233,7 +249,7 @@ class Bench:
             name: read_workflow(parse(text, name, "a workflow"), name, problems) for name, text in texts.items()
         }
         problems.raise_any()
-        library = Library(skills, workflows)  # type: ignore[arg-type]
+        library = Library(skills, workflows, zones=("pan",))  # type: ignore[arg-type]
         check_workflows(library, ["main"], problems)
         problems.raise_any()
         journal = Journal(self._folder / "journal.sqlite", durable=False)

@@ -52,7 +52,7 @@ def test_the_example_of_events_tells_of_every_action(
     monkeypatch.chdir(REPOSITORY)
     exec(compile(text, "python.md", "exec"), {})
     skills = [line.split()[1] for line in capsys.readouterr().out.splitlines()]
-    assert [skill for skill in skills if skill in ("tare", "scoop", "dispense")] == ["tare", "scoop", "dispense"]
+    assert [skill for skill in skills if skill in ("tare", "scoop", "dispense")] == ["scoop", "tare", "dispense"]
 
 
 def test_a_recipe_in_a_dict_is_checked_as_one_in_a_file_each_problem_by_its_keys(lab: api.OpenLab) -> None:

@@ -177,11 +177,11 @@ def test_a_persons_hand_hides_a_dead_time_and_nothing_else(tmp_path: Path, lab_f
     assert [placed["delay_s"] for placed in told(ran, "container")] == pytest.approx(4 * [0.6], abs=0.2)
 
 
-def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_is_scooped_for_it(tmp_path: Path) -> None:
+def test_a_balance_too_slow_to_dose_with_is_refused_before_powder_falls(tmp_path: Path) -> None:
     ran = dry_run(tmp_path, RECIPE, plant=f"{__name__}:FarSlower", controller="adaptive")
     assert ran.sample("a").true_mg == pytest.approx(500.0, abs=3.0)
     assert [sample.code for sample in ran.result.samples][1:] == 3 * ["balance.slow"]
-    assert [sample.scoops for sample in ran.result.samples][1:] == [0, 0, 0]
+    assert [ran.sample(name).true_mg for name in "bcd"] == [0.0, 0.0, 0.0]
     assert "it showed the container 3.6 s late; up to 3.2 s are dosed with" in (ran.sample("b").detail or "")
 
 
@@ -193,7 +193,7 @@ def test_a_sound_balance_and_one_that_is_a_little_slower_change_nothing(tmp_path
         assert told(ran, "balance_slower") == []
         delays_s = [placed["delay_s"] for placed in told(ran, "container")]
         assert delays_s[0] == pytest.approx(0.6, abs=0.1)
-        assert ran.session.cell.known_delay_s == pytest.approx(min(delays_s), rel=1e-3)
+        assert ran.session.cell.known_delay_s == pytest.approx(min(delays_s), rel=0.02)
 
 
 def test_a_delay_known_from_an_earlier_run_is_held_against_the_first_container(tmp_path: Path) -> None:
@@ -539,7 +539,7 @@ STILL = [5.0] * 8
         ([*STILL, 5.6, 6.2, 6.8], 0.0),
         ([*STILL, 4.4, 3.8, 3.2], 0.0),
         ([*STILL, 8.0, 8.4], 2.6),
-        ([*STILL, 5.6, 5.0], 0.6),
+        ([*STILL, 5.6, 5.0], 0.0),
         ([], 0.0),
     ],
 )

@@ -204,7 +204,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "dosing": {
             "began_s": 4.0,
             "pulses": 3,
-            "scoops": 0,
+            "scoops": 1,
             "vibration_s": 1.5,
             "target_mg": 50.0,
             "is_unweighed": True,
@@ -336,10 +336,10 @@ def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_until_the_end_of_one
     believed = Believed()
     assert believed.used_up_from_mg == math.inf, "there is none"
     believed.scooped(BEADS, 4000.0)
-    assert believed.used_up_from_mg == 400.0, "as much may be missing by chance"
+    assert believed.used_up_from_mg == 3600.0, "smaller ones end before it does"
     believed.dosing_ended(4500.0, 0.0)
     assert believed.yields == {"beads": pytest.approx(1.25 * 4500.0 / 4000.0)}
-    assert believed.used_up_from_mg == 400.0, "more has come than was in it: its end is still to be seen"
+    assert believed.used_up_from_mg == 1200.0, "more has come than was in it: its end is still to be seen"
     believed.gave_out(is_short=False)
     believed.scooped(BEADS, 4000.0)
     assert (believed.yields, believed.used_up_from_mg) == ({"beads": 4500.0 / 4000.0}, math.inf)
@@ -352,7 +352,7 @@ def test_what_earlier_runs_have_seen_of_scoops_is_believed_until_this_one_has_se
     believed.scooped(BEADS, 4000.0)
     assert (believed.cone_mg, believed.used_up_from_mg) == (2000.0, math.inf), "its end need not be seen again"
     believed.dosing_ended(3000.0, 0.0)
-    assert believed.used_up_from_mg == 400.0, "more has come than it should: so it is not believed any more"
+    assert believed.used_up_from_mg == 1200.0, "more has come than it should: so it is not believed any more"
     assert believed.seen_yields == {}, "how much there is, only its end will tell"
     believed.gave_out(is_short=False)
     assert believed.seen_yields == {"beads": 0.75}

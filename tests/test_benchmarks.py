@@ -187,7 +187,7 @@ def test_a_mutant_is_the_file_with_that_one_change() -> None:
 
 
 DEM = json.loads((Path(__file__).parent.parent / "benchmarks" / "dem_results.json").read_text())
-JUDGED = [name for name, row in DEM["cases"].items() if " g, " in name and not row["jams"]]
+JUDGED = [name for name, row in DEM["cases"].items() if name.endswith(" deg")]
 
 
 @pytest.mark.parametrize("name", JUDGED)
@@ -198,3 +198,24 @@ def test_the_height_field_collects_what_the_discrete_elements_do_within_a_fifth(
     found = collected_mg(Case(name, mortar, row["fill_mg"], *row["friction_deg"], (way,)), row["fill_mg"])
     assert found.collected_mg[0] == pytest.approx(row["collected_mg"][0], rel=0.2)
     assert found.collected_mg == pytest.approx(row["height_field_mg"], rel=0.01), "as the docs have it"
+
+
+STROKES = json.loads((Path(__file__).parent.parent / "benchmarks" / "strokes_results.json").read_text())
+
+
+def test_by_anothers_kinematics_the_lip_is_on_its_wall_and_the_apex_off_it() -> None:
+    assert len(STROKES["each"]) >= 20
+    assert {row["mortar"] for row in STROKES["each"]} == {"agate_mortar", "small_agate_mortar"}
+    assert min(row["looked_at"] for row in STROKES["each"]) > 100
+    assert max(row["lip_off_mm"] for row in STROKES["each"]) < 0.3
+    assert min(row["apex_mm"] for row in STROKES["each"]) > 3.0 - 0.01
+    assert max(row["attack_off_deg"] for row in STROKES["each"]) < 3.0
+
+
+@pytest.mark.parametrize("mortar", ["agate_mortar", "small_agate_mortar"])
+@pytest.mark.parametrize("way", ["dry run", "twins"])
+def test_arm_and_roller_were_beside_each_other(way: str, mortar: str) -> None:
+    row = STROKES[f"{way}, {mortar}"]
+    assert row["looked_at"] > 100
+    assert row["most_ms"] < 20.0
+    assert row["most_rim_mm"] < 1.0

@@ -173,7 +173,7 @@ def test_the_command_writes_and_reads_the_file_and_draws_the_tree(command: Call,
     path.write_text(xml, encoding="utf-8")
     shown = command("trees", "--from-xml", path).stdout
     texts = dict(re.findall(r"# trees/(\w+)\.yaml\n(.*?)(?=# trees/|\Z)", shown, re.S))
-    assert list(texts) == ["fill_crucible", "fill"]
+    assert list(texts) == ["fill_crucible", "place_and_scoop", "fill"]
     assert yaml.safe_load(texts["fill"])["workflow"] == "fill"
     picture = command("trees", "fill_crucible", "--svg").stdout
     drawing = ElementTree.fromstring(picture.encode())

@@ -8,6 +8,7 @@ from conftest import Call, Desk, LabFolder
 from running import dry_run
 
 from harness.own_workflow import RECIPE, TREE, write_own
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.findings import FINDINGS
 from scuhand_bt.lab import read_lab
 from scuhand_bt.recipe.plan import make_plan
@@ -111,7 +112,12 @@ def test_ways_that_were_found_are_not_looked_for_again_until_the_cell_changes(
     recipe = lab.folder / "recipes" / "one.yaml"
     assert check(read_lab(lab.folder), recipe).problems == ()
     looked: list[object] = []
-    monkeypatch.setattr("scuhand_bt.run.make_cell.prepared_motion", lambda *a, **k: looked.append(a))
+
+    def refused(*given: object, **_: object) -> None:
+        looked.append(given)
+        raise SkillFailed(Code.ARM_NO_PATH, "looked for")
+
+    monkeypatch.setattr("scuhand_bt.run.make_cell.prepared_motion", refused)
     check(read_lab(lab.folder), recipe)
     assert looked == []
     lab.replace("robot/cell.yaml", "[180 mm, 0 mm, 180 mm]", "[181 mm, 0 mm, 180 mm]")

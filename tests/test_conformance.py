@@ -241,7 +241,7 @@ def test_what_is_wrong_with_a_further_device_is_located(
 ) -> None:
     with_devices(lab_folder, ROOM.replace(*changed))
     (found,) = lab_folder.problems()
-    assert found.startswith("robot/cell.yaml:26:")
+    assert found.startswith("robot/cell.yaml:28:")
     assert problem in found
 
 

@@ -169,3 +169,10 @@ def test_of_coarse_grains_a_layer_is_left_that_they_pass_through_or_none() -> No
     gaps_mm = {chosen(bed, SHEET_MM, wanted_mg).gap_mm for wanted_mg in (100.0, 1000.0, 4000.0, 8000.0, 12_000.0)}
     assert min(gaps_mm) == LIP_GAP_MM
     assert min(gaps_mm - {LIP_GAP_MM}) >= 4.0
+
+
+def test_coarser_grains_are_kept_farther_from_the_edge() -> None:
+    fine = POWDERS["glass_beads"]
+    coarse = fine.model_copy(update={"grain_mm": 3.0})
+    ends_mm = [chosen(Bed(SMALL, 4000.0, powder), SHEET_MM, 4750.0).end_mm for powder in (fine, coarse)]
+    assert ends_mm[1] < ends_mm[0] - 2.0

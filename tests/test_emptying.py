@@ -52,8 +52,9 @@ def test_a_cone_that_empties_slowly_takes_several_pulses_and_each_is_one_that_th
         yield from pulse(opening_mm, dwell_s, vibration)
 
     cell.hand.pulse = noted  # type: ignore[method-assign]
-    skill: Any = starter.library.skills["scoop"]
-    carry_out(sys.modules[skill.__module__].empty_cone(cell), cast(Any, clock))
+    skill: Any = starter.library.skills["return_leftover"]
+    emptying = sys.modules[f"{skill.__module__.rpartition('.')[0]}._emptying"]
+    carry_out(emptying.empty_cone(cell), cast(Any, clock))
     assert len(dwells_s) == pulses
     assert dwells_s[:-1] == [cell.hand.longest_dwell_s] * (pulses - 1)
     assert cell.believed.cone_source is None

@@ -44,13 +44,13 @@ def test_a_copy_of_the_starter_lab_loads(lab_folder: LabFolder) -> None:
             "cell",
             "{name: table,        box:",
             "{name: table,        bx:",
-            "unknown key 'bx'; known: at, box, cylinder, frame, name",
+            "unknown key 'bx'; known: at, box, cylinder, frame, mesh",
         ),
         (
             "cell",
             "{name: table,        box: [1.2 m, 1.2 m, 20 mm], ",
             "{name: table, ",
-            "it has one shape: a box, or a cylinder",
+            "it has one shape: a box, a cylinder, or a mesh",
         ),
         (
             "powders",
@@ -100,14 +100,15 @@ def test_problems_of_all_files_are_said_at_once(lab_folder: LabFolder) -> None:
 
 def test_wrong_grammar_hides_no_wrong_wire_of_the_same_file(lab_folder: LabFolder) -> None:
     lab_folder.replace("trees/fill_xrd_holder.yaml", "duration: 30 min", "duration: 30 kg")
-    lab_folder.replace("trees/fill_xrd_holder.yaml", "    - tare:", "    - tare\n    - wait: {duration: $nothing}")
+    placing = "    - place_and_scoop: {source: $source, container: $container, mass: $mass}"
+    lab_folder.replace("trees/fill_xrd_holder.yaml", placing, "    - park\n    - wait: {duration: $nothing}")
     assert [problem.split(": ", 1)[0] for problem in lab_folder.problems()] == [
-        "trees/fill_xrd_holder.yaml:9:7",
-        "trees/fill_xrd_holder.yaml:12:19",  # and nothing of $nothing, which could be what was not read
+        "trees/fill_xrd_holder.yaml:8:7",
+        "trees/fill_xrd_holder.yaml:11:19",  # and nothing of $nothing, which could be what was not read
     ]
     lab_folder.replace("trees/fill.yaml", "attempts: 8", "attemps: 8")
     said = [problem.split(": ", 1)[0] for problem in lab_folder.problems()]
-    assert "trees/fill_xrd_holder.yaml:12:19" in said, "what is wrong here is so whatever is wrong with `fill`"
+    assert "trees/fill_xrd_holder.yaml:11:19" in said, "what is wrong here is so whatever is wrong with `fill`"
 
 
 def test_a_missing_or_empty_file_is_one_line(lab_folder: LabFolder) -> None:

@@ -97,7 +97,12 @@ def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_reco
         ({"beads": 1.0}, 4200.0, 1500.0, False),
         ({"beads": 1.0}, 20.0, 1700.0, True),
         ({"beads": 1.0}, 20.0, 1550.0, False),
-        ({}, 1000.0, 0.0, True),
+        ({"beads": 1.0}, 3000.0, 4200.0, True),  # full, and nothing has come of it yet
+        ({"beads": 1.0}, 3000.0, 3700.0, False),
+        ({}, 1500.0, 0.0, True),
+        ({}, 1500.0, 1900.0, True),
+        ({}, 1500.0, 2000.0, False),  # its end would come where the dose's is
+        ({}, 1000.0, 0.0, False),
         ({}, 20.0, 1550.0, False),
     ],
 )

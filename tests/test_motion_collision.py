@@ -222,9 +222,8 @@ def test_a_joint_with_a_narrower_window_is_free_only_within_it():
 
 
 def test_a_box_stands_as_it_is_turned():
-    lab = load_lab(starter_lab())
     long = Obstacle(name="rail", at_mm=(300, 0, 300), box_mm=(400, 10, 10), yaw_deg=90)
-    (solid,) = cell_solids.bench(lab.cell.model_copy(update={"geometry": (long,)}))
+    (solid,) = cell_solids.solids_of([long])
     corner = solid.placement().act(np.array([0.2, 0.005, 0.005]))
     assert corner == pytest.approx([0.295, 0.2, 0.305])
 
@@ -256,3 +255,51 @@ def test_why_the_security_margin_is_never_zero():
     # Should this fail some day, coal has been fixed, and the margin is only a margin.
     assert missed["default"] > 0
     assert deepest_m < -0.001
+
+
+CAMERA = '<collision><origin xyz="0.07 0 0.09" rpy="0 0 0"/><geometry>{}</geometry></collision></link>'
+
+
+def with_camera(shape, link="fore"):
+    head, tail = URDF.split(f'<link name="{link}">')
+    return f'{head}<link name="{link}">{tail.replace("</link>", CAMERA.format(shape), 1)}'
+
+
+def distances_m(seen, q, first, second):
+    """Of two shapes by their names, at configurations (n, 7): by coal, whatever pairs the scene looks at."""
+    data, found = seen.model.createData(), []
+    one, other = (
+        next(thing for thing in seen.shapes.geometryObjects if thing.name == name) for name in (first, second)
+    )
+    for each in q:
+        pin.forwardKinematics(seen.model, data, each)
+        placed = []
+        for thing in (one, other):
+            where = data.oMi[thing.parentJoint] * thing.placement
+            placed += [thing.geometry, coal.Transform3s(where.rotation, where.translation)]
+        found.append(coal.distance(*placed, coal.DistanceRequest(), coal.DistanceResult()))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("shape", ['<box size="0.06 0.04 0.04"/>', '<sphere radius="0.03"/>'])
+@pytest.mark.parametrize(("link", "other"), [("fore", "cone"), ("fore", "flange_0"), ("upper", "fore_0")])
+def test_a_camera_on_a_link_is_kept_from_what_comes_after_it_however_near(shape, link, other):
+    camera = Arm(with_camera(shape, link))
+    seen = Scene(camera, camera.with_sheet(HandSpec(), [90.0]), [], 0.005)
+    q = np.random.default_rng(8).uniform(LIMITS_RAD[0], LIMITS_RAD[1], (3000, 7))
+    apart_m = distances_m(seen, q, f"{link}_1", other)
+    assert (apart_m < 0).any(), "the camera is where it is in the way"
+    assert seen.hits(q[apart_m < 0.0049]).all()
+
+
+def test_a_shape_on_the_shoulder_that_does_not_turn_on_the_spot_is_kept_from_the_cell():
+    mast = Arm(with_camera('<box size="0.04 0.04 0.04"/>', "shoulder"))
+    stake = Solid("stake", (0.0, 0.08, 0.1), cylinder_m=(0.02, 0.4))
+    seen = Scene(mast, mast.with_sheet(HandSpec(), [90.0]), [stake], 0.005)
+    upright = np.array([0.0, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0])
+    assert seen.hits(np.array([upright, upright + np.pi / 2 * np.eye(7)[0]])).tolist() == [False, True]
+
+
+def test_the_arm_as_it_comes_has_no_pair_of_neighbours_to_look_at(arm):
+    for hand, rims_mm in ((HandSpec(), [90.0, 60.0]), (HandSpec(sheet_radius_mm=60.0), [112.0])):
+        assert arm.near_pairs(arm.with_sheet(hand, rims_mm)) == []

@@ -100,4 +100,4 @@ def test_a_forecast_that_breaks_is_said_where_the_skill_is_called(desk: Desk, la
         plan_of(desk)
     except Exception as error:
         said = str(error)
-    assert "scoop_and_dispense.yaml:12:7: the forecast of 'park' broke: ZeroDivisionError" in said
+    assert "scoop_and_dispense.yaml:11:7: the forecast of 'park' broke: ZeroDivisionError" in said

@@ -112,7 +112,7 @@ def test_poor_scoops_lose_no_sample_and_what_the_next_ones_will_bring_is_learnt(
 
 def test_a_source_that_gives_nothing_costs_two_scoops_and_its_other_samples_are_not_begun(tmp_path: Path) -> None:
     recipe = RECIPE.replace("POLICY", "skip_sample")
-    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller="adaptive")
+    ran = dry_run(tmp_path, recipe, plant=f"{__name__}:NoScoops", controller="adaptive", seed=2)
     assert ended(ran) == {
         "a": ("skipped", "scoop.nothing"),
         "b": ("not run", "scoop.nothing"),
@@ -174,7 +174,7 @@ class Case:
         found = None
         if journal is not None:
             found = resumable(journal, checked_history(journal), self.plan, self.lab, accept_changes=False)
-        simulation = DryRun(faults=parse_faults(NOTHING_TWICE, "f.yaml"))
+        simulation = DryRun(2, faults=parse_faults(NOTHING_TWICE, "f.yaml"))
         options = Options(simulation, "adaptive", self._folder)
         self.session = Session(self.plan, self.lab, options, shared_planner(self.plan, self.lab), resumes=found)
         if self._answer:

@@ -77,7 +77,7 @@ def test_the_motions_of_a_dry_run_are_in_the_page_job_by_job(made: Any) -> None:
     plan, _, page = made
     shown = packed(page, "shown")
     assert list(dict.fromkeys(one["job"] for one in shown["motions"])) == [job.name for job in plan.jobs]
-    assert {one["pan"] for one in shown["motions"]} == {"xrd_holder"}
+    assert {one["pan"] for one in shown["motions"]} == {None, "xrd_holder"}
     assert len(shown["scene"]["cones"]) > 1
 
 

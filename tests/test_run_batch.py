@@ -254,8 +254,8 @@ def test_every_action_is_in_the_journal_before_it_acts(tmp_path: Path) -> None:
     assert {row["outcome"] for row in actions} <= {"done", "failed"}
     assert [row["skill"] for row in actions if row["skill"] != "cone_holds"][:4] == [
         "place_container",
-        "tare",
         "scoop",
+        "tare",
         "move_over",
     ]
     assert len(read(ran.journal, "pulse")) >= ran.sample("a").pulses

@@ -91,6 +91,17 @@ def test_wider_gaps_than_a_grain_leave_what_is_below_them() -> None:
     assert lifted.take() < scraped.take() - 1000.0
 
 
+def test_grains_that_do_not_fit_under_the_lip_are_pushed_along() -> None:
+    taken_mg = {}
+    for grain_mm in (2.1, 2.4):
+        figures = BEADS.simulation.model_copy(update={"grain_mm": grain_mm, "film_mm": 0.0})
+        bench = Bench(6000.0)
+        bench.bed = HeightField(MORTAR, BEADS.model_copy(update={"simulation": figures}), gives_mm=0.0)
+        bench.go(stroke_path(Vessel.of(MORTAR), Stroke(84.0, 76.0, -45.0, gap_mm=2.0), Ladle()))
+        taken_mg[grain_mm] = bench.take()
+    assert taken_mg[2.1] < taken_mg[2.4] - 500.0
+
+
 def test_the_wall_keeps_its_film() -> None:
     filmed = BEADS.model_copy(update={"simulation": BEADS.simulation.model_copy(update={"film_mm": 0.2})})
     left_mg = {}

@@ -51,3 +51,14 @@ def test_a_fresh_sheets_cone_that_is_wider_than_the_usual_one_must_come_everywhe
     wide = "hand: {driver: hand_controller, port: /dev/ttyACM0, sheet_radius: 60 mm, options: {start_diameter: 112 mm}}"
     lab.replace("robot/cell.yaml", "hand: {driver: hand_controller, port: /dev/ttyACM0}", wide)
     assert any("wall" in message for message in blocked(lab))
+
+
+def test_a_hand_so_heavy_that_a_servo_gets_hot_is_warned_of_each_time(lab: LabFolder) -> None:
+    lab.replace("robot/cell.yaml", "hand: {driver: hand_controller,", "hand: {driver: hand_controller, mass: 480 g,")
+    for _ in range(2):
+        found = check(read_lab(lab.folder), lab.folder / "recipes" / "one.yaml").problems
+        (strained,) = [problem for problem in found if problem.code == "strained"]
+        assert strained.is_warning
+        assert "holds" in strained.message
+        assert "N m" in strained.message
+        assert strained.mark.line == 5

@@ -1,5 +1,6 @@
 """Weighing until it stays, and the bare pan behind a container: with a balance that shows what it is told to."""
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -11,6 +12,7 @@ from dose_bench import DISH, MORTAR, shipped_powders
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.places import CLEAR_MM
+from scuhand_bt.cell.right_of_way import RightOfWay
 from scuhand_bt.cell.weighing import (
     SCOOP_DOUBT,
     possible_mg,
@@ -50,6 +52,8 @@ class Shown:
                 spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1)),
                 balance=self,
                 arm=SimpleNamespace(was_limp=False),
+                device=lambda name: SimpleNamespace(is_stopped=True),
+                aside_of_pan_mm=lambda: math.inf,
                 believed=self.believed,
                 record=Record(self.events.append),
                 readings=deque(),
@@ -57,6 +61,7 @@ class Shown:
                 changer=SimpleNamespace(take_away=self._take_away, needs_person=True),
             ),
         )
+        self.cell.right_of_way = RightOfWay(self.cell)
 
     def stable_mean(self) -> Steps[StableMean]:
         self.now_s += TAKES_S

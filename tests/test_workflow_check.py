@@ -72,6 +72,27 @@ class Move(Base):
     devices = ("arm",)
 
 
+class Swing(Base):
+    """Command the changer, in the zone that the cell describes."""
+
+    devices = ("changer",)
+    zones = ("pan",)
+
+
+class Over(Base):
+    """Command the hand in the same zone."""
+
+    devices = ("hand",)
+    zones = ("pan",)
+
+
+class Beside(Base):
+    """Command the changer in a zone that the cell does not describe."""
+
+    devices = ("changer",)
+    zones = ("bench",)
+
+
 class Go(Base):
     """Take one value of every type."""
 
@@ -97,7 +118,17 @@ class Calm(Condition):
         pass
 
 
-SKILLS = {"weigh": Weigh, "fill": Fill, "maybe": Maybe, "move": Move, "go": Go, "calm": Calm}
+SKILLS = {
+    "weigh": Weigh,
+    "fill": Fill,
+    "maybe": Maybe,
+    "move": Move,
+    "swing": Swing,
+    "over": Over,
+    "beside": Beside,
+    "go": Go,
+    "calm": Calm,
+}
 
 
 def said(starter: Lab, tree: str, head: str = "", **others: str) -> list[str]:
@@ -105,7 +136,7 @@ def said(starter: Lab, tree: str, head: str = "", **others: str) -> list[str]:
     texts = {"main": f"workflow: main\n{head}tree: {tree}\n", **others}
     problems = Problems()
     workflows = {name: read_workflow(parse(text, f"{name}.yaml", "w"), name, problems) for name, text in texts.items()}
-    library = Library(SKILLS, {k: w for k, w in workflows.items() if w}, starter.library.powders)
+    library = Library(SKILLS, {k: w for k, w in workflows.items() if w}, starter.library.powders, zones=("pan",))
     if "main" in library.workflows:
         check_workflows(library, ["main"], problems)
     return [f"{p.mark.line}:{p.mark.column}: {p.message}" for p in SourceError(problems.found).problems]
@@ -115,6 +146,7 @@ def said(starter: Lab, tree: str, head: str = "", **others: str) -> list[str]:
     "tree",
     [
         "{sequence: [{weigh: {as: m}}, {fill: {mass: $m}}]}",
+        "{sequence: [{parallel: [{swing: }, {move: }]}, {parallel: [{beside: }, {weigh: }]}]}",
         "{sequence: [{fill: {mass: 50 mg, tolerance: 1 %, as: d}}, {go: {mass: $d.error, factor: $d.pulses}}]}",
         "{go: {mass: 5 g, duration: 2 h, angle: 3 deg, share: 5 %, count: 3, factor: 1.5, word: hi, flag: yes}}",
         "{go: {mode: slow, powder: glass_beads, source: ~, steps: [1, 2]}}",
@@ -168,6 +200,8 @@ def test_what_fits_together_has_no_problem(starter: Lab, tree: str) -> None:
         ("{retry: {attempts: 2, on: [hand.cone_emty], child: {move: }}}", "did you mean 'hand.cone_empty'?"),
         ("{while: {guards: [{move: }], child: {move: }}}", "'move' is no condition and cannot be a guard; known: calm"),
         ("{parallel: [{move: }, {move: }]}", "2:30: children 1 and 2 of 'parallel' both command the arm"),
+        ("{parallel: [{swing: }, {over: }]}", "2:31: children 1 and 2 of 'parallel' both move in the zone 'pan'"),
+        ("{parallel: [{beside: }, {move: }]}", "2:20: this moves in the zone 'bench' beside the arm"),
         ("{parallel: [{weigh: }, {retry: {attempts: 2, child: {fill: {mass: 1 g}}}}]}", "both command the balance"),
     ],
 )

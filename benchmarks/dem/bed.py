@@ -20,7 +20,7 @@ class Collected:
 def material(case: Case) -> Powder:
     """The case's grains, as the simulation has them."""
     grains = PowderFlowSpec(grain_mm=case.grain_mm, film_mm=0.0)
-    return powder((case.friction_deg, case.wall_friction_deg)).model_copy(update={"simulation": grains})
+    return powder((case.friction_deg, case.wall_friction_deg), case.grain_mm).model_copy(update={"simulation": grains})
 
 
 def collected_mg(case: Case, fill_mg: float) -> Collected:

@@ -1,11 +1,13 @@
 """The strokes that are judged, as the skill chooses them and arm and roller make them: poses over time.
 
-In two mortars with three fills each, through two kinds of beads; one after another; one that leaves a thick layer; and
-the stroke of the first version, which lifts nothing.
+In two mortars with three fills each, through two kinds of beads, all that lies there at once, as the skill does it that
+is told how coarse the beads are; such that leave a layer, of smaller beads, each of which stands for four grains of the
+powder that the skill is told of; and the stroke of the first version, which lifts nothing.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -18,14 +20,16 @@ from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner, Mount, apex
+from scuhand_bt.sim.bed import nipped_mm
 from scuhand_bt.specs import Mortar, Powder
 
 SLANT_MM = 50.0
 GRAIN_MM = 3.0
-FINE_GRAIN_MM = 2.0
-"""Where a layer of some millimetres is left: larger ones jam under the lip."""
+FINE_GRAINS_MM = (1.5, 2.0)
+"""Where a layer of some millimetres is left: larger ones would not pass under the lip."""
 GRAIN_DENSITY = 2.5
 """Of glass, in mg/mm^3."""
 FRICTIONS_DEG = ((25.0, 18.0), (37.0, 24.0))
@@ -35,7 +39,8 @@ MORTARS = (
     Mortar(name="small_agate_mortar", bore_mm=65.0, depth_mm=22.0, height_mm=36.0, outer_diameter_mm=85.0),
 )
 STATIONS = {"agate_mortar": "mortar_bay", "small_agate_mortar": "mortar_bay_2"}
-FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (2000.0, 4000.0, 8000.0)}
+FILLS_MG = {"agate_mortar": (4000.0, 8000.0, 12_000.0), "small_agate_mortar": (1000.0, 2000.0, 3000.0)}
+"""Of what the skill scoops at once: of more in the small mortar it leaves a layer, thinner than these grains."""
 REPOSE_DEG = {25.0: 22.0, 37.0: 25.0}
 """Of grains that roll, by the friction between them: nearly as steep with much of it as with little."""
 BULK_DENSITY = 1.48
@@ -43,8 +48,8 @@ BULK_DENSITY = 1.48
 LOAD_MG = 4750.0
 """What the skill aims at with beads, unless less is wanted."""
 LITTLE_MG = 1500.0
-HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0)
-"""From straight out from the arm's base, as the skill goes through them."""
+HEADINGS_DEG = (90.0, 270.0, 120.0, 240.0, 60.0, 300.0)
+"""From straight out from the arm's base, as the skill goes through them, without those in which the arm has no way."""
 LOOKED_S = 0.03
 """Between two poses that are kept of a motion."""
 ON_WALL_MM = 0.3
@@ -76,11 +81,8 @@ class Case:
 
     @property
     def jams(self) -> bool:
-        """Whether a layer is to be left that is too thin for these grains to pass under the lip.
-
-        The strokes are those for a powder of fine grains, for which these stand.
-        """
-        return LIP_GAP_MM < self.gap_mm < GRAINS_CLEAR * self.grain_mm
+        """Whether a layer is to be left that is too thin for these grains to pass under the lip."""
+        return LIP_GAP_MM < self.gap_mm < nipped_mm(self.grain_mm, self.wall_friction_deg)
 
     def written(self) -> dict[str, Any]:
         return {
@@ -96,25 +98,26 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The control, all at once, four strokes, the twelve of the height field, and one that leaves a layer."""
+    """The control, all at once, the twelve of the height field, and those that leave a layer: loads as the skill's."""
     agate, small = MORTARS
     beads = FRICTIONS_DEG[0]
     yield Case("upright control", agate, 12_000.0, *beads, (upright(agate),), (0.05, 1.0, 2.0, 3.0))
-    _, (everything,) = lip_led(agate, 12_000.0, math.inf, beads)
-    yield Case("all at once", agate, 12_000.0, *beads, (everything,), moments(everything))
-    gap_mm, strokes = lip_led(agate, 12_000.0, LOAD_MG, beads, HEADINGS_DEG)
-    yield Case("four strokes", agate, 12_000.0, *beads, strokes, gap_mm=gap_mm)
     for friction in FRICTIONS_DEG:
         for mortar in MORTARS:
             for fill_mg in FILLS_MG[mortar.name]:
-                gap_mm, strokes = lip_led(mortar, fill_mg, LOAD_MG, friction)
+                gap_mm, strokes = lip_led(mortar, fill_mg, math.inf, friction, GRAIN_MM)
                 name = f"{mortar.name}, {fill_mg / 1000:g} g, {friction[0]:g} deg"
                 is_shown = friction == beads and fill_mg == max(FILLS_MG[mortar.name])
                 shown_s = moments(strokes[0]) if is_shown else ()
                 yield Case(name, mortar, fill_mg, *friction, strokes, shown_s, gap_mm=gap_mm)
-    gap_mm, strokes = lip_led(small, 8000.0, LITTLE_MG, beads)
-    name = f"small_agate_mortar, 8 g, {LITTLE_MG / 1000:g} g wanted"
-    yield Case(name, small, 8000.0, *beads, strokes, grain_mm=FINE_GRAIN_MM, gap_mm=gap_mm)
+    fine_mm, medium_mm = FINE_GRAINS_MM
+    for mortar, fill_mg, wanted_mg, grain_mm, count, name in (
+        (agate, 8000.0, LOAD_MG, fine_mm, 1, f"agate_mortar, 8 g, {LOAD_MG / 1000:g} g wanted"),
+        (small, 8000.0, LITTLE_MG, medium_mm, 1, f"{small.name}, 8 g, {LITTLE_MG / 1000:g} g wanted"),
+        (agate, 12_000.0, LOAD_MG, medium_mm, 4, "four strokes"),
+    ):
+        gap_mm, strokes = lip_led(mortar, fill_mg, wanted_mg, beads, grain_mm / GRAINS_CLEAR, count)
+        yield Case(name, mortar, fill_mg, *beads, strokes, grain_mm=grain_mm, gap_mm=gap_mm)
 
 
 def lip_led(
@@ -122,31 +125,37 @@ def lip_led(
     fill_mg: float,
     wanted_mg: float,
     friction_deg: tuple[float, float],
-    headings_deg: Sequence[float] = HEADINGS_DEG[:1],
+    grain_mm: float,
+    count: int = 1,
 ) -> tuple[float, tuple[Way, ...]]:
     """Strokes one after another, as the skill chooses them where each brings what it is expected to; the first's gap.
 
-    Turned about the vertical so that the first goes along x.
+    `grain_mm` is what the skill takes the powder's to be. Turned about the vertical so that the first goes along x.
     """
     layer, left_mg, gaps_mm, ways = None, fill_mg, list[float](), list[Way]()
-    for heading_deg in headings_deg:
-        bed = Bed(mortar, left_mg, powder(friction_deg), layer)
+    headings_deg = iter(HEADINGS_DEG)
+    for _ in range(count):
+        bed = Bed(mortar, left_mg, powder(friction_deg, grain_mm), layer)
         stroke = chosen(bed, SLANT_MM, wanted_mg)
         gaps_mm.append(stroke.gap_mm)
-        ways.append(_planned(mortar, stroke, heading_deg, heading_deg - headings_deg[0]))
+        for heading_deg in headings_deg:
+            with suppress(SkillFailed):
+                ways.append(_planned(mortar, stroke, heading_deg, heading_deg - HEADINGS_DEG[0]))
+                break
         left_mg -= expected_mg(stroke, bed, SLANT_MM)
         layer = layer_left(stroke, bed, SLANT_MM)
     return gaps_mm[0], tuple(ways)
 
 
-def powder(friction_deg: tuple[float, float]) -> Powder:
-    """Beads of such frictions, as the skill knows them."""
+def powder(friction_deg: tuple[float, float], grain_mm: float) -> Powder:
+    """Beads of such frictions and of this size, as the skill knows them."""
     repose_deg, wall_friction_deg = REPOSE_DEG[friction_deg[0]], friction_deg[1]
     return Powder(
         name="beads",
         bulk_density_mg_per_mm3=BULK_DENSITY,
         repose_deg=repose_deg,
         wall_friction_deg=wall_friction_deg,
+        grain_mm=grain_mm,
         load_limit_mg=50_000.0,
     )
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
+from scuhand_bt.cell.load import HIDDEN, NEAR_END, SURPLUS, TELLING, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
@@ -110,11 +110,14 @@ class Believed:
     @property
     def used_up_from_mg(self) -> float:
         """Doses of more than this go on with the load until it gives out: nothing else tells what its source's scoops
-        bring, and they are large enough to show it. Infinite where that is known, unless this load was larger.
+        bring, they are large enough to show it, and the end of it is not where theirs is. Infinite where that is known,
+        unless this load was larger.
         """
         load = self.load
         is_known = self.cone_source in self.yields and not load.is_larger
-        return math.inf if is_known or load.scooped_mg == 0.0 else SURPLUS * load.scooped_mg
+        if is_known or load.scooped_mg == 0.0:
+            return math.inf
+        return max(TELLING * load.scooped_mg, self.cone_mg - NEAR_END * load.scooped_mg)
 
     @property
     def seen_yields(self) -> Masses:
@@ -322,8 +325,8 @@ class Believed:
     def tared(self, weighing: Gross) -> None:
         """The container on the pan weighs so much before its first powder. ValueError without one that was weighed."""
         bracket = self._open_bracket.tared(weighing)
-        self._set(pan_empty_mg=weighing.gross_mg, pan_gross_mg=weighing.gross_mg, bracket=bracket)
-        self.dose_began(weighing.time_s)
+        so_far = DoseSoFar(began_s=weighing.time_s, scoops=self.dosing.scoops)  # a scoop may have been made meanwhile
+        self._set(pan_empty_mg=weighing.gross_mg, pan_gross_mg=weighing.gross_mg, bracket=bracket, dosing=so_far)
 
     def zero_stepped(self, by_mg: float) -> None:
         """Weighings of one thing differ by so much, which neither chance nor powder explains; 0: by nothing."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.places import Position
+from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, taken
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
@@ -83,6 +84,11 @@ class Cell:
     """How the balance has shown the container that came last, in this process."""
     readings: deque[Reading] = field(default_factory=lambda: deque(maxlen=RECENT))
     """The balance's last ones, filled from where they arrive."""
+    right_of_way: RightOfWay = field(init=False)
+    """Who has which zone of it, and who needs stillness."""
+
+    def __post_init__(self) -> None:
+        self.right_of_way = RightOfWay(self)
 
     @property
     def balance_name(self) -> str:
@@ -123,9 +129,12 @@ class Cell:
     def move_to(self, place: str | ApexPose) -> Steps[None]:
         """Move to a named place or a pose; a loaded cone is carried within its spill angle (`motion/spill.py`).
 
-        SkillFailed arm.no_path, arm.unreachable, arm.start_in_collision, arm.joint_limit.
+        What does not go around the zones that others have waits for these. SkillFailed arm.no_path, arm.unreachable,
+        arm.start_in_collision, arm.joint_limit, arm.zone_taken.
         """
-        trajectory = self._planner().move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
+        trajectory = yield from self._planned(
+            lambda planner: planner.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
+        )
         yield from self._follow(trajectory)
 
     def lower_to(self, place: str, from_above_mm: float, speed_mm_per_s: float) -> Steps[None]:
@@ -133,9 +142,13 @@ class Cell:
 
         SkillFailed as `move_to`.
         """
-        planner, limit_deg = self._planner(), self._spill_limit_deg()
-        down = planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
-        yield from self._follow(planner.move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg))
+        limit_deg = self._spill_limit_deg()
+        down = yield from self._planned(
+            lambda planner: planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
+        )
+        yield from self._follow(
+            self._planner().move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg)
+        )
         yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
@@ -162,6 +175,7 @@ class Cell:
         try:
             forming = self._planner().forming(self.arm.positions, begin, rims_mm, self._roller_rad)
         except SkillFailed:
+            yield from self.right_of_way.go()
             yield from self.hand.morph(open_mm)
             yield from self._follow(self._planner().move(self.arm.positions, begin))
         else:
@@ -170,6 +184,7 @@ class Cell:
 
     def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
         """Arm and roller along a motion of both."""
+        yield from self.right_of_way.go()
         arm = self.arm.follow(of_arm(motion))
         self.hand.start_rolling(of_roller(motion))
         is_over = False
@@ -183,6 +198,7 @@ class Cell:
             arm.close()
             if not is_over:
                 self.hand.stop()
+        self.right_of_way.crossed()
 
     def form_upright(self, place: str, diameter_mm: float) -> Steps[None]:
         """To a named place, and there give the cone another size: the handle turns with it, so that it stays upright.
@@ -197,16 +213,39 @@ class Cell:
         return math.radians(Cone(rim_mm, self.spec.hand.sheet_radius_mm).roller_deg(self.spec.hand))
 
     def _planner(self) -> "MotionPlanner":
-        """The planner, told what the hand has formed and what stands on the pan: nobody else needs to tell it."""
-        pan = self.believed.pan
-        self.motion.set_geometry(self.hand.cone_diameter_mm / 1000, pan.kind if pan is not None else None)
+        """The planner, told what the hand has formed, what stands on the pan, and what others move in.
+
+        Nobody else needs to tell it.
+        """
+        pan, closed = self.believed.pan, self.right_of_way.crossing()
+        self.motion.set_geometry(self.hand.cone_diameter_mm / 1000, pan.kind if pan is not None else None, closed)
         return self.motion
+
+    def _planned(self, plan: "Callable[[MotionPlanner], StoppableTrajectory]") -> "Steps[StoppableTrajectory]":
+        """A motion around the zones that others have; where there is none, once they are free."""
+        deadline_s = self.clock.now_s + ZONE_TIMEOUT_S
+        while True:
+            freed = Wake.on(self.right_of_way.news, min(deadline_s, self.clock.now_s + LOOK_S))
+            try:
+                return plan(self._planner())
+            except SkillFailed:
+                if not (closed := self.right_of_way.closed):
+                    raise
+            if self.clock.now_s >= deadline_s:
+                raise taken(closed, ZONE_TIMEOUT_S)
+            yield freed
+
+    def zones_entered(self) -> frozenset[str]:
+        """The zones of the cell that the arm is in."""
+        return self.motion.entered(self.arm.positions) if self.spec.zones else frozenset()
 
     def _follow(self, trajectory: Trajectory) -> Steps[None]:
         planned_s = self.clock.now_s + PLANNING_S
         while self.clock.now_s < planned_s:
             yield Wake(planned_s)
+        yield from self.right_of_way.go()
         yield from self.arm.follow(trajectory)
+        self.right_of_way.crossed()
 
     def _spill_limit_deg(self) -> float | None:
         """None for an empty cone: it may be tilted as the way demands."""

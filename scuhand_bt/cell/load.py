@@ -7,6 +7,12 @@ BARREN_MG = 30.0
 
 SURPLUS = 0.1
 """A load of which more has come than was thought to be in it, by this share, is a larger one."""
+TELLING = 0.3
+"""Doses of more than this share of a load may use it up, where its end is expected early enough."""
+NEAR_END = 0.1
+"""A load's end comes before the target of a dose that leaves less than this share of it: what then flows badly does not
+overshoot, and is filled up from the next one.
+"""
 HIDDEN = 0.25
 """Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
 

@@ -7,6 +7,7 @@ from contextlib import closing
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import ClosedBracket
+from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, differ_mg, moved_mg, standing, total
@@ -56,7 +57,7 @@ def weigh_until_still(
         end_s = cell.clock.now_s + pause_s
         while cell.clock.now_s < end_s:
             yield Wake(end_s)
-        mean = yield from cell.balance.stable_mean()
+        mean = yield from cell.right_of_way.stable_mean()
         now = weighing_of(mean)
         changed_mg = now.gross_mg - last.gross_mg
         stepped_mg = moved_mg(last, now, digit_mg)
@@ -123,7 +124,7 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
         reading = yield from cell.balance.next_reading()
         if abs(reading.value_mg - was_mg) > CHANGED_MG:
             break
-    mean = yield from cell.balance.stable_mean()
+    mean = yield from cell.right_of_way.stable_mean()
     return mean
 
 
@@ -219,12 +220,21 @@ def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
 def take_container_away(cell: Cell) -> Steps[StableMean]:
     """Clear the pan, and weigh it bare: that closes the bracket about what was dosed into the container.
 
-    Whether it closes is for the batch to say of its sample.
+    Whether it closes is for the batch to say of its sample. A person who does it is not reached by the arm: it stands
+    still. SkillFailed arm.in_the_way where it stands over the pan.
     """
+    if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
+        raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")
+    taking = cell.right_of_way.unshaken(_taken_away(cell))
+    bare = yield from cell.right_of_way.undisturbed(taking) if cell.changer.needs_person else taking
+    return bare
+
+
+def _taken_away(cell: Cell) -> Steps[StableMean]:
     believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
     bracket, lifted = believed.bracket, None
     if bracket is not None and bracket.holds and bracket.lifted is None:
-        lifted = yield from cell.balance.stable_mean()
+        lifted = yield from cell.right_of_way.stable_mean()
         believed.lifted(weighing_of(lifted))
         cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes

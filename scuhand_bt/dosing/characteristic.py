@@ -96,13 +96,13 @@ def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
     """The most that a display has held back: it stood still, to the digit, and then jumped; 0 for one that follows.
 
     What it holds back at the end nobody sees. A filter of a tenth of a second or more makes a ramp of whatever falls:
-    the jump is what goes beyond the next change, which a flow that begins makes as well.
+    the jump is what goes beyond the next change, which a flow that begins makes as well, and a motor's noise.
     """
     digits = [round(mg / readability_mg) for mg in readings_mg]
     changes = [now - last for last, now in pairwise(digits)]
     held, still = 0, 1
     for change, following in zip(changes, (*changes[1:], 0), strict=False):
-        beyond = abs(change) - max(0, following if change > 0 else -following)
+        beyond = abs(change) - abs(following)
         if still >= HELD_READINGS and beyond > HELD_DIGITS:
             held = max(held, beyond)
         still = 1 if change else still + 1

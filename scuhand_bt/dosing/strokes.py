@@ -31,8 +31,8 @@ stays in the mortar: p cot phi / (cot phi + cot delta) of V, as what is dragged 
 friction on that (Dahlen, Annu. Rev. Earth Planet. Sci. 18, 1990). No stroke pushes so much that it would have to leave
 the wall before the sheet is level.
 
-Of a gap of a grain or two, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a layer
-of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
+Of a gap of less than a grain, grains jam under the lip, and it pushes all there is. So a stroke leaves nothing, or a
+layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
 """
 
 import math
@@ -55,9 +55,9 @@ CLOSING_MM = 12.0
 RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
 """Strokes differ by so much at least."""
 GRAINS_CLEAR = 4
-"""By discrete elements grains jam in a gap of two of them; of a gap of so many they are taken not to."""
+"""By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even."""
 NEAR_EDGE_MM = 1.0
-"""The heap before the lip is to be lower than the mortar's edge by this."""
+"""The heap before the lip is to be lower than the mortar's edge by this, or by a grain, which may roll on it."""
 ENDS = 60
 """Places on the wall that are looked at, from the lowest to the edge."""
 SLIPS = 0.033
@@ -177,7 +177,7 @@ def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:
     before_mm3 = volume_mm3 * np.array([_before_lip(steep, stroke, bed, sheet_radius_mm) for steep in steeps.tolist()])
     heap_mm = np.sqrt(2 * before_mm3 / stroke.closed_mm / (on_wall + beside))
     below_edge_mm = mortar.depth_mm - mortar.bowl_radius_mm * (1 - np.cos(steeps))
-    is_over = (heap_mm > THIN_MM) & (heap_mm > below_edge_mm - NEAR_EDGE_MM)
+    is_over = (heap_mm > THIN_MM) & (heap_mm > below_edge_mm - max(NEAR_EDGE_MM, bed.powder.grain_mm))
     if not is_over.any():
         return stroke
     return replace(stroke, end_mm=mortar.bowl_radius_mm * float(steeps[max(0, int(is_over.argmax()) - 1)]))

@@ -76,6 +76,8 @@ def _cell(lab: Lab) -> Json:
     properties = made["properties"]
     properties["stations"] = _named(_model(Station))
     properties.pop("own_options")
+    for key in ("geometry", "zones"):
+        properties[key]["items"]["properties"].pop("mesh_digest", None)  # which no file gives
     device = properties["devices"]["additionalProperties"]
     device["properties"]["options"] = {"type": "object", "description": "as its driver's `Options` have them"}
     named = {name: {**device, "properties": dict(device["properties"])} for name in lab.cell.devices}

@@ -8,9 +8,11 @@ Metres and radians, base frame.
 """
 
 import math
+from collections.abc import Iterable
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.cell_spec import Obstacle, Station
 from scuhand_bt.motion.collision import Solid
+from scuhand_bt.motion.meshes import read_mesh
 from scuhand_bt.specs import ContainerKind, Mortar
 
 _RINGS = 8
@@ -18,12 +20,12 @@ _SIDES = 24
 _CONTAINER_WALL_MM = 3.0
 
 
-def bench(cell: CellSpec) -> list[Solid]:
-    """The fixed geometry of `robot/cell.yaml`; ValueError for an obstacle that is not one shape."""
+def solids_of(obstacles: Iterable[Obstacle]) -> list[Solid]:
+    """What `robot/cell.yaml` describes; ValueError for an obstacle that is not one shape, or no sound mesh."""
     solids = []
-    for obstacle in cell.geometry:
-        if (obstacle.box_mm is None) == (obstacle.cylinder_mm is None):
-            raise ValueError(f"the obstacle {obstacle.name} needs either a box or a cylinder")
+    for obstacle in obstacles:
+        if (obstacle.box_mm, obstacle.cylinder_mm, obstacle.mesh).count(None) != 2:
+            raise ValueError(f"the obstacle {obstacle.name} needs one shape: a box, a cylinder, or a mesh")
         x, y, z = obstacle.at_mm
         centre_m = (x / 1e3, y / 1e3, z / 1e3)
         if obstacle.box_mm is not None:
@@ -33,6 +35,12 @@ def bench(cell: CellSpec) -> list[Solid]:
         elif obstacle.cylinder_mm is not None:
             diameter, length = obstacle.cylinder_mm
             solids.append(Solid(obstacle.name, centre_m, cylinder_m=(diameter / 1e3, length / 1e3)))
+        elif obstacle.mesh is not None:
+            try:
+                surface = read_mesh(obstacle.mesh, obstacle.mesh_unit_mm / 1e3, obstacle.mesh_digest)
+            except ValueError as error:
+                raise ValueError(f"the mesh of the obstacle {obstacle.name}: {error}") from None
+            solids.append(Solid(obstacle.name, centre_m, mesh=surface, yaw_rad=math.radians(obstacle.yaw_deg)))
     return solids
 
 

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, Mount, apex
+from scuhand_bt.motion.near_links import LINKS_APART, meeting, neighbours, turns_on_the_spot
 from scuhand_bt.motion.swept_bound import SweptBound
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -37,6 +38,7 @@ CONE = "cone"
 CLAMP_M = 0.02
 """How far the clamp reaches along the handle."""
 SMALLEST_MARGIN_M = 1e-4
+BALL_STEP_M = 0.004
 SHEET_M = 0.002
 """Sheet and play, added to the cone's radius."""
 _FIRST_SAMPLES = 12
@@ -53,24 +55,29 @@ CurveAt: TypeAlias = Callable[[Floats], Floats]
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A box (x, y, z) or an upright cylinder (diameter, length) standing in the cell, by its centre."""
+    """A box (x, y, z) or an upright cylinder (diameter, length) standing in the cell, by its centre; or a mesh."""
 
     name: str
     centre_m: tuple[float, float, float]
     box_m: tuple[float, float, float] | None = None
     cylinder_m: tuple[float, float] | None = None
     yaw_rad: float = 0.0
+    mesh: coal.BVHModelBase | coal.OcTree | None = None
 
     def shape(self) -> coal.CollisionGeometry:
         if self.box_m is not None:
             return coal.Box(*self.box_m)
         if self.cylinder_m is not None:
             return coal.Cylinder(self.cylinder_m[0] / 2, self.cylinder_m[1])
-        raise ValueError(f"{self.name} is neither a box nor a cylinder")
+        if self.mesh is not None:
+            return self.mesh
+        raise ValueError(f"{self.name} is neither a box nor a cylinder nor a mesh")
 
     @property
     def top_m(self) -> float:
         """How high it stands."""
+        if self.mesh is not None:
+            return self.centre_m[2] + float(self.mesh.aabb_local.max_[2])
         height_m = self.box_m[2] if self.box_m is not None else self.cylinder_m[1] if self.cylinder_m else 0.0
         return self.centre_m[2] + height_m / 2
 
@@ -116,6 +123,9 @@ class Arm:
             if not (thing.geometry.aabb_local.max_ - thing.geometry.aabb_local.min_ > 0).all():
                 raise ValueError(f"the URDF's collision shape {thing.name} has no size")
         self._check_closed_form()
+        own = range(self.shapes.ngeoms)
+        self._far: dict[frozenset[str], bool] = {}
+        self._meeting = meeting(self.model, self.shapes, list(neighbours(self.shapes, own, own)), self.limits_rad)
 
     def _check_closed_form(self) -> None:
         data = self.model.createData()
@@ -128,6 +138,31 @@ class Arm:
                 > 1e-9
             ):
                 raise ValueError("the URDF's joints do not stand where this arm's do: the closed form does not fit it")
+
+    def near_pairs(self, shapes: pin.GeometryModel) -> list[tuple[int, int]]:
+        """Of this arm's shapes with clamp and cones after them, the pairs of neighbouring links that may meet."""
+        own, sheet = range(self.shapes.ngeoms), range(self.shapes.ngeoms, shapes.ngeoms)
+        pairs = list(neighbours(shapes, own, sheet))
+        if not pairs or self._is_far(shapes):
+            return self._meeting
+        return [*self._meeting, *meeting(self.model, shapes, pairs, self.limits_rad)]
+
+    def _is_far(self, shapes: pin.GeometryModel) -> bool:
+        """Whether no cone of this hand, of any size, comes near those links: by a ball around them, once for a hand."""
+        around = pin.GeometryModel(self.shapes)
+        for held in shapes.geometryObjects.tolist()[self.shapes.ngeoms :]:
+            if held.name.startswith(CONE):
+                tip_m = held.placement.translation + held.geometry.halfLength * held.placement.rotation[:, 2]
+                slant_m = math.hypot(held.geometry.radius, 2 * held.geometry.halfLength)
+                ball = coal.Sphere(math.ceil(slant_m / BALL_STEP_M) * BALL_STEP_M)  # the same one for all sizes
+                held = pin.GeometryObject("ball", JOINTS, pin.SE3(np.eye(3), tip_m.round(6)), ball)
+            around.addGeometryObject(held)
+        added = around.geometryObjects.tolist()[self.shapes.ngeoms :]
+        key = frozenset(f"{one.geometry.radius} {one.placement}" for one in added)
+        if key not in self._far:
+            own, sheet = range(self.shapes.ngeoms), range(self.shapes.ngeoms, around.ngeoms)
+            self._far[key] = not meeting(self.model, around, list(neighbours(around, own, sheet)), self.limits_rad)
+        return self._far[key]
 
     def with_sheet(
         self, hand: HandSpec, diameters_mm: Sequence[float], margin_mm: float = 1e3 * SHEET_M
@@ -203,7 +238,7 @@ class Scene:
         for solid in solids:
             self.shapes.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
         touchable = set(may_touch)
-        for first, second in _pairs(self.shapes, moving, touchable):
+        for first, second in [*_pairs(self.shapes, moving, touchable), *arm.near_pairs(shapes)]:
             self.shapes.addCollisionPair(pin.CollisionPair(first, second))
         self._foremost = _foremost(shapes, [solid for solid in solids if solid.name not in touchable])
         # From here on the models are complete; only now may data be made of them.
@@ -346,10 +381,10 @@ def _pairs(shapes: pin.GeometryModel, moving: int, touchable: set[str]) -> Itera
     for first in range(moving):
         joint = objects[first].parentJoint
         for second in range(first + 1, moving):
-            # Neighbours overlap by construction and their limits keep them apart.
-            if objects[second].parentJoint - joint > 2:
+            if objects[second].parentJoint - joint > LINKS_APART:  # of the others, see `near_links`
                 yield first, second
         for second in range(moving, shapes.ngeoms):
-            # Base and shoulder stand or turn on the spot: the cell is built around them.
-            if joint > 1 and not (objects[first].name.startswith(CONE) and objects[second].name in touchable):
+            # The base stands, the shoulder turns on the spot: the cell is built around them.
+            moves = joint > 1 or (joint == 1 and not turns_on_the_spot(objects[first]))
+            if moves and not (objects[first].name.startswith(CONE) and objects[second].name in touchable):
                 yield first, second

@@ -51,8 +51,8 @@ class Places:
             raise KeyError(f"there is no place {name!r}; there are: {', '.join(self._poses) or 'none'}")
 
         def made() -> Floats:
-            if geometry.container is not None:
-                usual = self.posture(name, Geometry(geometry.cone_diameter_m))
+            if geometry != geometry.usual:
+                usual = self.posture(name, geometry.usual)
                 if not self._scenes.of(geometry).hits(usual[None, :])[0]:
                     return usual
             return self._canonical(name, geometry)

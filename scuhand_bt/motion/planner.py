@@ -21,6 +21,7 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TypeAlias, TypeVar
 
 import numpy as np
@@ -32,7 +33,10 @@ from scuhand_bt.motion.collision import Arm, Scene
 from scuhand_bt.motion.contact import contact_motion, with_seams
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
 from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
+from scuhand_bt.motion.occupancy import VOXEL_M, Occupancy
 from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.plan_store import PlanStore
+from scuhand_bt.motion.proof import is_whole
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, reform_motion
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
@@ -40,7 +44,8 @@ from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
-from scuhand_bt.motion.trajectory import JointTrajectory, beside, standing
+from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
+from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, beside, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -51,6 +56,8 @@ UNSLOWED = 1.001
 RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
 """The spill limits that loads are planned for, those up to a load's own; loads that differ a little share them."""
 
+SAME_RAD = 1e-9
+"""A plan begins and ends where it was asked for, but for rounding."""
 PLANS_KEPT = 256
 STROKES_KEPT = 64
 
@@ -61,9 +68,16 @@ Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None, Effort]
 def _seed(start: Floats, goals: Floats, geometry: Geometry, spill_limit_deg: float | None) -> int:
     """A seed that belongs to the request, so that its answer is the same on every run."""
     kind = geometry.container.name if geometry.container is not None else ""
-    words = f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}"
+    words = " ".join([f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}", *sorted(geometry.closed)])
     digest = hashlib.blake2b(start.tobytes() + goals.tobytes() + words.encode(), digest_size=16).digest()
     return int.from_bytes(digest, "big")
+
+
+def _written(request: Request) -> str:
+    """A request in words that are the same in every process."""
+    begin, goals, geometry, spill_limit_deg, effort = request
+    seen = f"{geometry.cone_diameter_m} {geometry.container!r} {sorted(geometry.closed)}"
+    return f"{begin!r} {goals!r} {seen} {spill_limit_deg} {effort!r}"
 
 
 Found = TypeVar("Found", bound=JointTrajectory)
@@ -77,15 +91,21 @@ def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
 class MotionPlanner:
     """Plans the arm's motions in one cell, and keeps what it has planned.
 
-    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name.
+    `urdf` is the text of the robot's URDF, `mortars` what stands at the mortar stations, by name. `plans` is the folder
+    in which plans are kept from one planner of the same geometry to the next; each is proven again.
     ValueError for a URDF or a cell that does not describe this arm, KeyError for an unknown station.
     """
 
-    def __init__(self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None) -> None:
+    def __init__(
+        self, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar] | None = None, plans: Path | None = None
+    ) -> None:
         self.urdf = urdf
+        self._store = None if plans is None else PlanStore(plans, urdf, cell, mortars or {})
         arm = Arm(urdf)
         self._cell, self._limits_rad = cell, arm.limits_rad
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
+        hand_kg = None if cell.hand.mass_mg is None else cell.hand.mass_mg / 1e6
+        self._torques = Torques(arm.model, cell.arm.torque_ratio, hand_kg)
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, self.rates, cell.hand)
@@ -96,16 +116,42 @@ class MotionPlanner:
 
     # What the cell looks like now -------------------------------------------------------------------
 
-    def set_geometry(self, cone_diameter_m: float = CONE_DIAMETER_M, container: ContainerKind | None = None) -> None:
-        """How wide the rim is, and which kind of container stands on the pan, in all that is asked from now on.
+    def set_geometry(
+        self,
+        cone_diameter_m: float = CONE_DIAMETER_M,
+        container: ContainerKind | None = None,
+        closed: frozenset[str] = frozenset(),
+    ) -> None:
+        """How wide the rim is, which kind of container stands on the pan, and which zones of the cell are closed.
 
-        ValueError for a rim that the sheet cannot make.
+        In all that is asked from now on. ValueError for a rim that the sheet cannot make.
         """
         rim_mm, widest_mm = 1e3 * cone_diameter_m, 2 * self._cell.hand.sheet_radius_mm
         if not 0 < rim_mm < widest_mm:
             raise ValueError(f"this sheet makes cones of less than {widest_mm:g} mm, not of {rim_mm:g} mm")
         is_usual = abs(cone_diameter_m - CONE_DIAMETER_M) <= SETTLED_DIAMETER_M
-        self._geometry = Geometry(CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4), container)
+        diameter_m = CONE_DIAMETER_M if is_usual else round(cone_diameter_m, 4)
+        self._geometry = Geometry(diameter_m, container, closed, self._geometry.occupied)
+
+    def set_occupied(self, points_m: Floats | None, voxel_m: float = VOXEL_M) -> None:
+        """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
+
+        The arm's own points are not to be among them. What is asked for from now on is planned for that; motions under
+        way are as they were, see `is_free`. ValueError for what is no points.
+        """
+        occupied = None if points_m is None else Occupancy.of(points_m, voxel_m)
+        self._geometry = replace(self._geometry, occupied=occupied)
+
+    def is_free(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
+        """Whether what is left of a motion is proven to touch nothing as the cell looks now; else stop it."""
+        left_s = max(motion.duration_s - from_s, 0.0)
+        acceleration = motion.extremes()[1][:JOINTS]
+        return self.scene(CLOSE_MARGIN_M).curve_free(partial(_later, arm_part(motion), from_s), left_s, acceleration)
+
+    def entered(self, q: Floats) -> frozenset[str]:
+        """The zones of the cell that the arm is in, at a configuration."""
+        one = (frozenset({zone}) for zone in self._cell.zone_names)
+        return frozenset[str]().union(*(z for z in one if self._scenes.of_zones(self._geometry, z).hits(q[None, :])[0]))
 
     def add_place(self, name: str, pose: ApexPose) -> None:
         """Name a pose the cell moves between; SkillFailed arm.unreachable if the arm cannot reach it."""
@@ -134,10 +180,15 @@ class MotionPlanner:
         """The configuration in which the arm stands at a place: shape (7,). SkillFailed arm.no_path where it cannot."""
         return self._posture(place).copy()
 
+    def held_at(self, place: str) -> Strain:
+        """What the arm's hardest joint holds while it stands at a place. SkillFailed arm.no_path where it cannot."""
+        return self._torques.strain(self._torques.holding(self._posture(place)[None, :]))
+
     def prepare(
         self, pans: Iterable[tuple[ContainerKind, str]] = (), carries: Iterable[tuple[str, str, float]] = ()
     ) -> None:
-        """Plan all pairs of places, with a bare pan and with each container on it, and polish them.
+        """Plan all pairs of places, with a bare pan and with each container on it, and polish them; so, too, around the
+        zones of the cell, between those that are in none.
 
         `pans` are those containers with the places over them, which are left out while another one stands there.
 
@@ -147,12 +198,18 @@ class MotionPlanner:
         over, carried = dict(pans), list(carries)
         for kind, place in ((None, None), *over.items()):
             names = [one for one in self._places.names if place in (None, one) or one not in over.values()]
-            with self._as_if(Geometry(self._geometry.cone_diameter_m, kind)):
+            with self._as_if(replace(self._geometry, container=kind)):
                 for first, second in itertools.combinations(names, 2):
                     self.move(self._posture(first), second)
                 for first, second, limit_deg in carried:
                     if first in names and second in names:
                         self.move(self._posture(first), second, spill_limit_deg=limit_deg)
+        if zones := frozenset(self._cell.zone_names):
+            with self._as_if(Geometry(self._geometry.cone_diameter_m)):
+                outside = [name for name in self._places.names if not self.entered(self._posture(name))]
+            with self._as_if(Geometry(self._geometry.cone_diameter_m, None, zones)):
+                for first, second in itertools.combinations(outside, 2):
+                    self.move(self._posture(first), second)
 
     def move(
         self,
@@ -201,7 +258,7 @@ class MotionPlanner:
         stretch = self.rates.stretch_for(motion)
         quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
         factor = spill_stretch(quick, self._mount, spill_limit_deg)
-        return None if factor is None else quick.stretched(factor).keeping(spill_limit_deg)
+        return None if factor is None else self._borne(quick.stretched(factor).keeping(spill_limit_deg))
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
@@ -219,21 +276,44 @@ class MotionPlanner:
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
                 there = self._kept(goals[0], begin[None, :], name, spill_limit_deg, effort)
                 return None if there is None else self._stoppable(there.reversed())
-            found = self._planned(begin, goals, name, spill_limit_deg, effort)
-            return None if found is None else self._stoppable(found)
+            found = self._from_store(key)
+            if found is None:
+                found = self._planned(begin, goals, name, spill_limit_deg, effort)
+                if found is not None and self._store is not None and self._geometry.occupied is None:
+                    self._store.keep(_written(key), found)
+            return None if found is None else self._stoppable(self._borne(found))
 
         return self._plans.of(key, made)
+
+    def keep_plans(self) -> None:
+        """Write what was planned to the folder of plans, if there is one."""
+        if self._store is not None:
+            self._store.write()
+
+    def _from_store(self, request: Request) -> JointTrajectory | None:
+        """The kept plan of a request, if it is all that a plan of it has to be."""
+        begin, goals, _, spill_limit_deg, _ = request
+        motion = self._store.found(_written(request), spill_limit_deg) if self._store is not None else None
+        if motion is None or not is_whole(motion, self.rates, self._mount, spill_limit_deg):
+            return None
+        ends = np.frombuffer(goals).reshape(-1, JOINTS) - motion.end
+        if max(np.abs(np.frombuffer(begin) - motion.start).max(), np.abs(ends).max(axis=1).min()) > SAME_RAD:
+            return None
+        scene = self.scene()
+        if scene.hits(np.stack([motion.start, motion.end])).any():
+            scene = self.scene(CLOSE_MARGIN_M)
+        return motion if scene.proves(motion) else None
 
     def _planned(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> JointTrajectory | None:
-        """Planned anew, but for what was planned over the bare pan and is free of a container there too."""
+        """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
         wanted, known, attempts = effort, None, transfer.ATTEMPTS
         if self._between_places(begin, goals):
             if spill_limit_deg is None:
                 wanted = POLISHED
-            if self._geometry.container is not None:
-                with self._as_if(Geometry(self._geometry.cone_diameter_m)):
+            if self._geometry != (bare := self._geometry.usual):
+                with self._as_if(bare):
                     over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
                 if over_bare_pan is not None and self.scene().proves(over_bare_pan):
                     return over_bare_pan
@@ -274,7 +354,7 @@ class MotionPlanner:
         if not waypoints:
             return self._stoppable(standing(begin))
         motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        return self._stoppable(motion)
+        return self._stoppable(self._borne(motion))
 
     def descent(
         self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None
@@ -288,15 +368,16 @@ class MotionPlanner:
         above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        return self._stoppable(up.reversed())
+        return self._stoppable(self._borne(up.reversed()))
 
     def forming(
         self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle
     ) -> StoppableTrajectory:
         """The empty cone's motion between two configurations, on which its rim becomes another: 8 columns.
 
-        Either half of it is proven with the rims of that half. SkillFailed as `move`, and arm.no_path where the cone
-        would touch something on the way.
+        Where the roller takes longer, the arm waits: it comes with the rim that is wanted there, or nearly. What it
+        stands with, and either half of its way, are proven with the rims of that while. SkillFailed as `move`, and
+        arm.no_path where the cone would touch something.
         """
         rates, last = (
             with_roller(self.rates, self._cell.hand),
@@ -305,14 +386,19 @@ class MotionPlanner:
         with self._as_if(last):
             way = self.move(start, goal)
         law = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
-        both = beside(way, law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm])))
-        half_s, quarters_mm = both.duration_s / 2, np.linspace(*rims_mm, 5).round(1).tolist()
-        for begin_s, three_mm in ((0.0, quarters_mm[:3]), (half_s, quarters_mm[2:])):
+        rolling = law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm]))
+        both = beside(begun_later(way, rolling.duration_s - way.duration_s), rolling)
+        leaves_s, comes_s = max(0.0, both.duration_s - way.duration_s), both.duration_s
+        turned_rad = rolling.end - rolling.start
+        for begin_s, end_s in itertools.pairwise((0.0, leaves_s, (leaves_s + comes_s) / 2, comes_s)):
+            rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, JOINTS] - rolling.start
+            shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is even with the roller's angle
+            three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
             scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
             course = partial(_later, arm_part(both), begin_s)
-            if not scene.curve_free(course, half_s, both.extremes()[1][:JOINTS]):
+            if not scene.curve_free(course, end_s - begin_s, both.extremes()[1][:JOINTS]):
                 raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
-        return StoppableTrajectory(both, rates, self._mount)
+        return self._stoppable(self._borne(both), rates)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
@@ -326,7 +412,8 @@ class MotionPlanner:
             scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
             mount, rates = Mount.of(hand, rims_mm[0]), with_roller(self.rates, hand)
             try:
-                return StoppableTrajectory(stroke_motion(begin, poses, scene, rates, mount), rates, mount)
+                motion = self._borne(stroke_motion(begin, poses, scene, rates, mount))
+                return StoppableTrajectory(motion, rates, mount, self._torques)
             except SkillFailed as failure:  # as expensive as a stroke that there is, and asked for as often
                 return failure
 
@@ -350,7 +437,7 @@ class MotionPlanner:
             three_mm = [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]]
             scene = self._scenes.of_stroke(self._geometry, three_mm, None, CLOSE_MARGIN_M)
             motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad)
-            return StoppableTrajectory(motion, rates, self._mount)
+            return self._stoppable(self._borne(motion), rates)
 
         return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
@@ -361,8 +448,25 @@ class MotionPlanner:
 
     # Within -----------------------------------------------------------------------------------------
 
-    def _stoppable(self, motion: JointTrajectory) -> StoppableTrajectory:
-        return StoppableTrajectory(motion, self.rates, self._mount)
+    def _stoppable(self, motion: JointTrajectory, rates: RateLimits | None = None) -> StoppableTrajectory:
+        return StoppableTrajectory(motion, rates or self.rates, self._mount, self._torques)
+
+    def _borne(self, motion: JointTrajectory) -> JointTrajectory:
+        """A motion as slow as the servos' torques ask; its path, and so its proof, is the same."""
+        try:
+            factor = self._torques.stretch(motion)
+        except TooHeavyError as error:
+            raise SkillFailed(Code.ARM_NO_PATH, f"the hand is too heavy for this way: {error}") from None
+        if factor == 1.0:
+            return motion
+        slower, limit_deg = motion.stretched(factor), motion.spill_limit_deg
+        if limit_deg is None:
+            return slower
+        # What acceleration made up for of a tilt, a slower motion does not.
+        again = spill_stretch(slower, self._mount, limit_deg)
+        if again is None:
+            raise SkillFailed(Code.ARM_NO_PATH, "a way as slow as the servos' torques ask for would spill the load")
+        return slower.stretched(again).keeping(limit_deg)
 
     def _resolved(self, start: Floats, goal: str | ApexPose | Floats) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""

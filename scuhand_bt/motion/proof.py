@@ -19,6 +19,27 @@ from scuhand_bt.motion.trajectory import JointTrajectory, through
 _GRID_S = 0.01
 _SLOWER = 8.0
 """A course that the joints must be so many times slower for turns the wrist past its singularity: it is not used."""
+_ROUNDING = 1e-6
+"""Of positions, speeds and accelerations where two cubics meet, and of limits that are just kept."""
+
+
+def is_whole(motion: JointTrajectory, rates: RateLimits, mount: Mount, spill_limit_deg: float | None) -> bool:
+    """Whether cubics of unknown origin are one motion of the joints from rest to rest within all its limits.
+
+    What they touch is looked at elsewhere.
+    """
+    if motion.coefficients.shape[2] != len(rates.speed) or rates.stretch_for(motion) > 1 + _ROUNDING:
+        return False
+    h = np.diff(motion.knots_s)[:, None]
+    c0, c1, c2, c3 = motion.coefficients
+    ends = c0 + h * (c1 + h * (c2 + h * c3)), c1 + h * (2 * c2 + 3 * h * c3), 2 * c2 + 6 * h * c3
+    jumps = [np.abs(end[:-1] - begin[1:]).max(initial=0.0) for end, begin in zip(ends, (c0, c1, 2 * c2), strict=True)]
+    if max(*jumps, np.abs(c1[0]).max(), np.abs(ends[1][-1]).max()) > _ROUNDING:
+        return False
+    if spill_limit_deg is None:
+        return True
+    slower = spill_stretch(motion, mount, spill_limit_deg + _ROUNDING)
+    return slower == 1.0
 
 
 class Prover:

@@ -12,6 +12,7 @@ from typing import TypeAlias
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.occupancy import Occupancy
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -25,10 +26,18 @@ SCENES_KEPT, STROKES_KEPT = 12, 2
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """What changes in the cell: the cone's rim, and what stands on the pan."""
+    """What changes in the cell: the cone's rim, what stands on the pan, and what else was seen."""
 
     cone_diameter_m: float = CONE_DIAMETER_M
     container: ContainerKind | None = None
+    closed: frozenset[str] = frozenset()
+    """The zones that the arm must keep out of."""
+    occupied: Occupancy | None = None
+
+    @property
+    def usual(self) -> "Geometry":
+        """The same cone over a bare pan, with no zone closed and nothing else to be seen."""
+        return Geometry(self.cone_diameter_m)
 
 
 _Asked: TypeAlias = tuple[Geometry, float, str | None, tuple[float, ...]]
@@ -41,9 +50,11 @@ class Scenes:
         self._arm = arm
         self._cell = cell
         self._mortars = {self._station(name).name: mortar for name, mortar in mortars.items()}
-        self._bench = cell_solids.bench(cell)
+        self._bench = cell_solids.solids_of(cell.geometry)
+        self._zones = {zone.name: cell_solids.solids_of([zone]) for zone in cell.zones}
         self._scenes: Recent[_Asked, Scene] = Recent(SCENES_KEPT)
         self._of_strokes: Recent[_Asked, Scene] = Recent(STROKES_KEPT)
+        self._entered: Recent[tuple[float, frozenset[str]], Scene] = Recent(SCENES_KEPT)
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
         """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
@@ -52,6 +63,16 @@ class Scenes:
     def of_stroke(self, geometry: Geometry, rims_mm: Sequence[float], station: str | None, margin_m: float) -> Scene:
         """The scene of a stroke at a station, or of none, in which the cone has each of these rims."""
         return self._kept(geometry, margin_m, station, tuple(rims_mm))
+
+    def of_zones(self, geometry: Geometry, zones: frozenset[str]) -> Scene:
+        """Nothing but these zones, to be entered."""
+
+        def made() -> Scene:
+            solids = [solid for zone in sorted(zones) for solid in self._zones[zone]]
+            shapes = self._arm.with_sheet(self._cell.hand, (1e3 * geometry.cone_diameter_m,))
+            return Scene(self._arm, shapes, solids, CLOSE_MARGIN_M)
+
+        return self._entered.of((geometry.cone_diameter_m, zones), made)
 
     def _kept(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: tuple[float, ...]) -> Scene:
         def made() -> Scene:
@@ -64,7 +85,7 @@ class Scenes:
     def _solids(self, geometry: Geometry, touching: str | None) -> tuple[list[Solid], list[str]]:
         if touching is not None and touching not in self._mortars:
             raise KeyError(f"no mortar stands at {touching!r}; there is one at: {', '.join(self._mortars) or 'none'}")
-        solids = list(self._bench)
+        solids = [*self._bench, *(solid for zone in sorted(geometry.closed) for solid in self._zones[zone])]
         touchable: list[str] = []
         for name, mortar in self._mortars.items():
             if name == touching:
@@ -73,6 +94,8 @@ class Scenes:
                 solids += parts
             else:
                 solids.append(cell_solids.full_mortar(self._station(name), mortar))
+        if geometry.occupied is not None:
+            solids.append(geometry.occupied.solid())
         if geometry.container is not None:
             solids.append(cell_solids.container(self._cell.station_of_kind("balance"), geometry.container))
         return solids, touchable

@@ -20,13 +20,14 @@ from functools import cached_property
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import Floats, Mount
+from scuhand_bt.motion.kinematics import JOINTS, Floats, Mount
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg, worst_spills_deg
 from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.torque import Torques
 from scuhand_bt.motion.trajectory import JointTrajectory
 
 HARDER = 2.0
-"""Acceleration a stop may use, over the plan's; 8.8 rad/s^2 takes about 1.5 of the servos' 4 to 10 N m."""
+"""Acceleration a stop may use, over the plan's; and no more torque than the servos give at a stall."""
 JERKIER = 4.0
 """Jerk a stop may use, over the plan's."""
 _DELAYS_S = np.arange(0.0, 0.61, 0.04)
@@ -38,15 +39,19 @@ _FIRST_LOOK = _SHARES[::7]
 _AT_ONCE, _FEW_AT_ONCE = 48, 8
 """Stops that are looked at together, and proven together: the soonest that keeps the limits is mostly among them."""
 _TOLERANCE = 1e-9
+_TORQUE_GRID_S = 0.01
 
 
 class StoppableTrajectory(JointTrajectory):
-    """A planned motion, with what its stops must keep: the joints' limits, and a load held so."""
+    """A planned motion, with what its stops must keep: the joints' limits, a load held so, the servos' stall torque."""
 
-    def __init__(self, motion: JointTrajectory, rates: RateLimits, mount: Mount) -> None:
+    def __init__(
+        self, motion: JointTrajectory, rates: RateLimits, mount: Mount, torques: Torques | None = None
+    ) -> None:
         super().__init__(motion.knots_s, motion.coefficients, motion.spill_limit_deg)
         self._rates = rates
         self._mount = mount
+        self._torques = torques
 
     def stopped_from(self, at_s: float) -> "Stop":
         """The same motion up to `at_s`, and from there its soonest stop along the path, within its limits.
@@ -68,9 +73,19 @@ class StoppableTrajectory(JointTrajectory):
             left = some[self._keeps(at_s, delays_s[some, None], brakings_s[some, None], is_proof=False)]
             for few in _parts(left, _FEW_AT_ONCE):
                 proven = few[self._keeps(at_s, delays_s[few, None], brakings_s[few, None], is_proof=True)]
-                if len(proven):
-                    return Stop(self, at_s, float(delays_s[proven[0]]), float(brakings_s[proven[0]]))
+                stops = (Stop(self, at_s, float(delays_s[one]), float(brakings_s[one])) for one in proven)
+                found = next((stop for stop in stops if self._bears(stop)), None)
+                if found is not None:
+                    return found
         return None
+
+    def _bears(self, stop: "Stop") -> bool:
+        """Whether the servos can give what a stop takes."""
+        if self._torques is None:
+            return True
+        times_s = np.linspace(stop.at_s, stop.duration_s, int((stop.duration_s - stop.at_s) / _TORQUE_GRID_S) + 2)
+        q, speed, acceleration, _ = (values[:, :JOINTS] for values in stop.at(times_s))
+        return bool((np.abs(self._torques.moving(q, speed, acceleration)) <= self._torques.stall_nm).all())
 
     def _keeps(self, at_s: float, delays_s: Floats, brakings_s: Floats, *, is_proof: bool) -> np.ndarray:
         """Which of n stops, delays and times (n, 1), keep all limits: shape (n,). No speed is above the motion's own.

@@ -49,6 +49,11 @@ class _Hull:
             points = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * shape.halfSide
         elif isinstance(shape, coal.Capsule):
             points, radius_m = np.array([[0.0, 0.0, -shape.halfLength], [0.0, 0.0, shape.halfLength]]), shape.radius
+        elif not isinstance(shape, coal.Cylinder | coal.Cone):  # a ball, a mesh: by the box around it
+            shape.computeLocalAABB()
+            corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+            low, high = np.array(shape.aabb_local.min_), np.array(shape.aabb_local.max_)
+            points = low + corners * (high - low)
         else:
             angles = np.arange(_RIM_SIDES) * 2 * math.pi / _RIM_SIDES
             outer_m = shape.radius / math.cos(math.pi / _RIM_SIDES)

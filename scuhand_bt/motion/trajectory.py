@@ -143,6 +143,14 @@ def joined(parts: Sequence[JointTrajectory]) -> JointTrajectory:
     return JointTrajectory(knots_s, np.concatenate([part.coefficients for part in parts], axis=1))
 
 
+def begun_later(motion: JointTrajectory, by_s: float) -> JointTrajectory:
+    """The same motion after so long a rest at its start; none where it is not more than 0."""
+    if by_s <= _SAME_S:
+        return motion
+    rest = standing(motion.start)
+    return joined([rest.stretched(by_s / rest.duration_s), motion])
+
+
 def beside(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
     """Two motions at once, as one of all their axes: the shorter is slowed until it lasts as long."""
     lasts_s = max(first.duration_s, second.duration_s)

@@ -88,6 +88,12 @@ def _surface_points_m(shape: coal.CollisionGeometry) -> Floats:
     if isinstance(shape, coal.Box):
         corners: Floats = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * shape.halfSide
         return corners
+    if isinstance(shape, coal.Sphere):
+        return _rings(
+            [(shape.radius * np.cos(a), shape.radius * np.sin(a)) for a in np.linspace(-1.5, 1.5, 2 * _RINGS)]
+        )
+    if isinstance(shape, coal.BVHModelBase):
+        return np.array([shape.vertex(k) for k in range(shape.num_vertices)])
     half_m = shape.halfLength
     if isinstance(shape, coal.Cylinder):
         return _rings([(shape.radius, -half_m), (shape.radius, half_m)])

@@ -107,8 +107,8 @@ def tree_of(now: Follower) -> list[Node]:
 def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
     """A leaf's state is its last action's; that of a node above, of the last that acted below it.
 
-    What stands behind the leaf at work, and acted before it, is to come again. What stands before the last that acted,
-    and did not act itself, was passed by.
+    What stands behind the leaf at work, not beside it, and acted before it, is to come again. What stands before the
+    last that acted, and did not act itself, was passed by.
     """
     last = {one.path: (seq, one) for seq, one in now.actions.items()}
     at_work = [place for place, node in enumerate(drawn) if node.path in last and last[node.path][1].outcome is None]
@@ -121,7 +121,7 @@ def _nodes(now: Follower, drawn: Sequence[TreeNode]) -> Iterator[Node]:
             if other.depth <= node.depth:
                 break
             below.append(other)
-        if at_work and place > at_work[-1]:
+        if at_work and place > at_work[-1] and not _is_beside(drawn, at_work[-1], place):
             began = last[drawn[at_work[-1]].path][0]
             acted = [last[one.path] for one in below if one.path in last and last[one.path][0] > began]
         else:

@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import scuhand_bt
 from scuhand_bt.dosing.verdict import LIKELY, chance_with_lumps
@@ -28,11 +29,16 @@ from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.grammar import Call, walk
 from scuhand_bt.tree.lint import Lint
 
+if TYPE_CHECKING:
+    from scuhand_bt.motion import MotionPlanner
+
 OF_ROOTS = ("no-container", "no-tare", "not-over-pan", "no-park", "on-failure-never", "unused-source")
 """Warnings that depend on what a recipe names."""
 PLANNED = "planned.json"
 """In the lab's state: cells whose ways were all found, by their hash."""
 MOST_PLANNED = 50
+LONG_HELD_SHARE = 0.5
+"""Of a servo's stall torque, what it may hold for the minutes of a dose; the shipped cell asks for 37 % at most."""
 
 
 @dataclass(frozen=True)
@@ -174,19 +180,40 @@ def _check_on_failure(recipe: Recipe, lint: Lint, used: Collection[str], problem
 def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
     """Find all ways between the plan's places, as a run does; what was found before is not looked for again."""
     key = _key(plan, lab)
-    if key in _planned(lab):
+    if (strained := _planned(lab).get(key)) is not None:
+        _warn_of_strain(strained, lab, problems)
         return
     from scuhand_bt.run.make_cell import prepared_motion
 
     try:
-        prepared_motion(plan, lab, for_real=True)
+        strained = _strained(prepared_motion(plan, lab, for_real=True))
     except SourceError as error:
         problems.found += error.problems
     except SkillFailed as failure:
         blocked = list(_blocked(plan, lab)) or [Problem(cell_mark(lab), failure.detail, "no-path")]
         problems.found += blocked
     else:
-        _note_planned(lab, key)
+        _note_planned(lab, key, strained)
+        _warn_of_strain(strained, lab, problems)
+
+
+def _strained(motion: "MotionPlanner") -> str:
+    """The place where the arm's hardest joint holds more than it should for long, in words; empty if there is none."""
+    held = {place: motion.held_at(place) for place in motion.places}
+    place = max(held, key=lambda one: held[one].share)
+    strain = held[place]
+    if strain.share <= LONG_HELD_SHARE:
+        return ""
+    return (
+        f"at '{place}' joint {strain.joint} of the arm holds {strain.torque_nm:.1f} N m, {strain.share:.0%} of its "
+        f"servo's stall torque: it gets hot, and sags"
+    )
+
+
+def _warn_of_strain(strained: str, lab: Lab, problems: Problems) -> None:
+    if strained:
+        remedy = f"a lighter hand, or the place nearer to the arm; up to {LONG_HELD_SHARE:.0%} is held for long"
+        problems.warn(cell_mark(lab, "hand", "mass"), strained, remedy, code="strained")
 
 
 def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
@@ -220,16 +247,19 @@ def _key(plan: Plan, lab: Lab) -> str:
     return hashlib.sha256(repr(depends).encode()).hexdigest()
 
 
-def _planned(lab: Lab) -> list[str]:
+def _planned(lab: Lab) -> dict[str, str]:
+    """What was found planned, with what was to be said of it."""
     with suppress(OSError, ValueError):
         found = json.loads((state_folder(lab) / PLANNED).read_text(encoding="utf-8"))
-        return [key for key in found if isinstance(key, str)] if isinstance(found, list) else []
-    return []
+        if isinstance(found, dict):
+            return {key: said for key, said in found.items() if isinstance(said, str)}
+    return {}
 
 
-def _note_planned(lab: Lab, key: str) -> None:
+def _note_planned(lab: Lab, key: str, strained: str) -> None:
     """For the next check; a lab that cannot be written is planned anew each time."""
     with suppress(OSError):
         folder = state_folder(lab)
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / PLANNED).write_text(json.dumps([*_planned(lab), key][-MOST_PLANNED:]), encoding="utf-8")
+        kept = [*_planned(lab).items(), (key, strained)][-MOST_PLANNED:]
+        (folder / PLANNED).write_text(json.dumps(dict(kept)), encoding="utf-8")

@@ -21,7 +21,7 @@ from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
 from scuhand_bt.drivers import NAMED_KINDS, NotPluggable, is_ours
 from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.lab import Lab, cell_mark, without_driver
+from scuhand_bt.lab import Lab, cell_mark, state_folder, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Plan
@@ -54,6 +54,8 @@ NOT_WITHOUT_A_RECIPE = {
     **NOT_WITHOUT_A_RUN,
 }
 """Faults that twins cannot show, and why."""
+PLANS = "plans"
+"""In the lab's state: the arm's plans, of which the next run is spared the search."""
 FAULTS = "faults.yaml"
 """What goes wrong on a rehearsal's twins, in their folder."""
 REHEARSED_ANSWER_S = 2.0
@@ -452,13 +454,14 @@ def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPl
         prepare_ways(motion, plan, lab.cell, container_kinds(plan))
     else:
         motion.prepare()
+    motion.keep_plans()
     return motion
 
 
 def motion_of(plan: Plan, lab: Lab) -> MotionPlanner:
     """The motion planner with every place of the plan, and no way planned yet."""
     mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
-    motion = lab.motion_planner(mortars)
+    motion = lab.motion_planner(mortars, state_folder(lab) / PLANS)
     for name, position_mm in places_of(plan, lab).items():
         motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
     return motion

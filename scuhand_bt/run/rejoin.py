@@ -44,14 +44,14 @@ def rejoin(
 def _return(journal: Journal, cell: Cell, replay: Replay, skill: Skill[Any], *, was_interrupted: bool) -> Steps[None]:
     """The arm back where it was, if this skill would not move it; the pan compared."""
     there = replay.joints_rad
-    if there is not None and "arm" not in skill.devices:
+    if there is not None and "arm" not in {*skill.devices, *replay.at_work}:  # what had the arm settles it itself
         moved_rad = float(np.abs(np.array(there) - cell.arm.positions).max())
         if moved_rad > MOVED_RAD:
             journal.event(ArmMoved(moved_rad=moved_rad))
             yield from cell.move_to(apex(np.array(there), Mount.of(cell.spec.hand, cell.hand.cone_diameter_mm)))
     gross_mg = cell.believed.pan_gross_mg
     weighs_itself = (was_interrupted and skill.interrupted == "reweigh") or cell.believed.dosing.is_unweighed
-    if gross_mg is not None and not weighs_itself and "changer" not in skill.devices:
+    if gross_mg is not None and not weighs_itself and "changer" not in {*skill.devices, *replay.at_work}:
         yield from _compare_pan(journal, cell, gross_mg)
 
 

@@ -30,7 +30,7 @@ from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes
 
 SAFE_TIMEOUT_S = 20.0
-"""How long the cell may take to stand still once it is told to: a carousel's swing takes 6 s, an arm's stop 1 s."""
+"""How long the cell may take to stand still once it is told to: a carousel's swing takes 2 s, an arm's stop 1 s."""
 UNREACHED_S = 2.0
 """The same for a device that cannot be told, nor tell that it stands: its own watchdog has long done it by then."""
 UNREACHED = frozenset({Code.DEVICE_LOST, Code.ARM_LIMP, Code.HAND_VALVE_LOST})
@@ -83,6 +83,9 @@ class Runner:
         """
         recorder, rejoins = _Recorder(self._journal), partial(rejoin, self._journal)
         shared = Ticking(self._cell, self._leases, recorder, replay, rejoins, self._substitutes, self._consent)
+        skills = self._library.skills
+        had = (skills[name].devices for name in replay.open_skills if name in skills)
+        replay.at_work = frozenset(device for devices in had for device in devices)
         tree = Tree(self._library.workflows[job.workflow], inputs, self._library, shared)
         if job.workflow not in self._drawn:
             self._drawn.add(job.workflow)

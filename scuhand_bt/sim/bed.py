@@ -64,6 +64,16 @@ def wall_mm(mortar: Mortar, radius_mm: Floats) -> Floats:
     return height
 
 
+def nipped_mm(grain_mm: float, wall_friction_deg: float) -> float:
+    """The least gap under a lip that passes over a grain; of a narrower one it pushes the grain along.
+
+    As between two rolls: a grain between two walls is held where they are no more than twice the angle of friction
+    inclined to each other. Where the lip's edge touches a grain of diameter D on a wall, its g from that, the angle is
+    arccos(2 g / D - 1); so g = D cos^2(delta).
+    """
+    return grain_mm * math.cos(math.radians(wall_friction_deg)) ** 2
+
+
 class HeightField:
     """The powder of one mortar, and of the cone while that is in it.
 
@@ -78,6 +88,7 @@ class HeightField:
         self._film_mm, self._grain_mm = figures.film_mm, figures.grain_mm
         self._steep = math.tan(math.radians(powder.repose_deg))
         self._slick = min(self._steep, math.tan(math.radians(powder.wall_friction_deg)))
+        self._nipped_mm = nipped_mm(self._grain_mm, powder.wall_friction_deg)
         reach = math.ceil((mortar.bore_mm / 2 + BESIDE_MM) / CELL_MM)
         line = CELL_MM * np.arange(-reach, reach + 1)
         self._x, self._y = np.meshgrid(line, line, indexing="ij")
@@ -248,7 +259,7 @@ class HeightField:
         rim = now.apex_mm + (points - now.apex_mm) * (now.height_mm / np.maximum(now.along_mm(points), 1e-6))[:, None]
         gap = rim[:, 2] - wall_mm(self._mortar, np.hypot(rim[:, 0], rim[:, 1]))
         gap = np.maximum(gap - self._gives_mm, 0.0)
-        gap *= np.clip(gap / self._grain_mm - 1.0, 0.0, 1.0)  # one grain jams, two pass
+        gap = np.where(gap >= self._nipped_mm, gap, 0.0)
         left = np.minimum(thick, np.maximum(gap, self._film_mm))
         middle = np.stack([x, y, wall + (left + thick) / 2], axis=1)
         through_mouth = before.along_mm(middle) >= before.height_mm - STEP_MM / 4

@@ -59,7 +59,7 @@ def simulated_cell(
         arm=arm,
         hand=hand,
         balance=balance,
-        changer=changer or SimulatedChanger(clock, world),
+        changer=changer or SimulatedChanger(clock, world, spec.changer.options.slot_s),
         operator=operator,
         motion=motion,
         sources=sources,

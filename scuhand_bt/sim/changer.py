@@ -5,18 +5,16 @@ from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.world import STEP_S, World
 from scuhand_bt.specs import Container
 
-BRING_S = 6.0
-TAKE_S = 4.0
-
 
 class SimulatedChanger:
-    """A carousel beside the balance; see `scuhand_bt.devices.interfaces.Changer`."""
+    """A carousel beside the balance, half a slot onwards in `swing_s`; see `scuhand_bt.devices.interfaces.Changer`."""
 
     needs_person = False
     fault = None
 
-    def __init__(self, clock: Clock, world: World) -> None:
+    def __init__(self, clock: Clock, world: World, swing_s: float) -> None:
         self._clock = clock
+        self._swing_s = swing_s
         self._world = world
 
     @property
@@ -38,13 +36,13 @@ class SimulatedChanger:
             raise SkillFailed(
                 Code.CONTAINER_MISSING, f"the pan is not free: '{self._world.pan.container_id}' stands on it"
             )
-        self._world.swing(self._clock.now_s + BRING_S, container)
+        self._world.swing(self._clock.now_s + self._swing_s, container)
         yield from self._rest()
 
     def take_away(self) -> Steps[None]:
         yield from self._rest()
         if self._world.pan.container_id is not None:
-            self._world.swing(self._clock.now_s + TAKE_S, None)
+            self._world.swing(self._clock.now_s + self._swing_s, None)
             yield from self._rest()
 
     def _rest(self) -> Steps[None]:

@@ -16,6 +16,7 @@ There is one world, as there is one cell: a process from which another has taken
 import mmap
 import os
 import struct
+from contextlib import suppress
 from pathlib import Path
 from zlib import crc32
 
@@ -85,8 +86,10 @@ class WorldFile:
         if len(state) + SLOT_HEAD_BYTES > self._slot_bytes:
             log_at = HEAD.size + 2 * self._slot_bytes
             log = os.pread(self._file, self._log_bytes, log_at)
-            self.close()
+            memory, file = self._memory, self._file
             self._move(state, log)
+            memory.close()
+            os.close(file)
             return
         self._generation += 1
         fields = FIELDS.pack(self._generation, len(state), self._log_bytes, self._log_sum)
@@ -103,9 +106,10 @@ class WorldFile:
         return any(generation > self._generation for generation, _ in _whole_slots(self._memory, self._slot_bytes))
 
     def remove(self) -> None:
-        """Close it, and take it away."""
+        """Close it, and take it away, where it still has its place."""
         self.close()
-        self._path.unlink(missing_ok=True)
+        with suppress(OSError):
+            self._path.unlink()
 
     def close(self) -> None:
         self._memory.close()

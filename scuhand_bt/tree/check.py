@@ -1,6 +1,6 @@
 """The static check of workflows: every wire's type, every name, every device, before anything runs."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -58,6 +58,8 @@ class Library:
     mortars: Mapping[str, Mortar] = field(default_factory=dict)
     facts: Mapping[str, SkillFacts] = field(default_factory=dict)
     """What the skills' files say of them."""
+    zones: Collection[str] = ()
+    """The spaces that `robot/cell.yaml` says only one may move in at a time."""
     broken: Broken = field(default_factory=Broken)
     """What its files name and cannot be used."""
     recorded: dict[Mark, Mapping[str, WireType]] = field(default_factory=dict)
@@ -140,18 +142,23 @@ def check_workflows(library: Library, names: Iterable[str], problems: Problems) 
         checker.result_of(name)
 
 
-def devices_of(node: TreeNode, library: Library, seen: set[str] | None = None) -> set[str]:
-    """The devices that a tree commands, through all that it calls (`seen`: workflows looked at already)."""
-    devices: set[str] = set()
+def devices_of(node: TreeNode, library: Library) -> set[str]:
+    """The devices that a tree commands, through all that it calls."""
+    return {device for skill in skills_of(node, library) for device in skill.devices}
+
+
+def skills_of(node: TreeNode, library: Library, seen: set[str] | None = None) -> set[type[Skill[Any]]]:
+    """The skills of a tree, through all that it calls (`seen`: workflows looked at already)."""
+    skills: set[type[Skill[Any]]] = set()
     seen = set() if seen is None else seen
     for part in walk(node):
         if isinstance(part, Call):
             if part.name in library.skills:
-                devices.update(library.skills[part.name].devices)
+                skills.add(library.skills[part.name])
             elif part.name in library.workflows and part.name not in seen:
                 seen.add(part.name)
-                devices |= devices_of(library.workflows[part.name].tree, library, seen)
-    return devices
+                skills |= skills_of(library.workflows[part.name].tree, library, seen)
+    return skills
 
 
 class _Checker:
@@ -232,14 +239,17 @@ class _Checker:
         self._check_codes(node.codes)
         outcomes = [self._check(child, defined) for child in node.children]
         if node.kind == "parallel":
-            self._check_devices(node)
+            self._check_disjoint(node)
             return defined.union(*outcomes)
         return frozenset.intersection(*outcomes) if outcomes else defined
 
-    def _check_devices(self, node: Branch) -> None:
+    def _check_disjoint(self, node: Branch) -> None:
+        """No two children command one device, or move in one zone; and what zone one moves in is known to the arm."""
         used: dict[str, int] = {}
+        entered: dict[str, int] = {}
         for number, child in enumerate(node.children, start=1):
-            for device in sorted(devices_of(child, self._library)):
+            skills = skills_of(child, self._library)
+            for device in sorted({device for skill in skills for device in skill.devices}):
                 if device in used:
                     self._problems.add(
                         child.mark,
@@ -248,6 +258,23 @@ class _Checker:
                         code="parallel-devices",
                     )
                 used.setdefault(device, number)
+            for zone in sorted({zone for skill in skills for zone in skill.zones}):
+                if zone in entered:
+                    self._problems.add(
+                        child.mark,
+                        f"children {entered[zone]} and {number} of 'parallel' both move in the zone '{zone}'",
+                        "one thing moves there at a time; use 'sequence'",
+                        code="parallel-zones",
+                    )
+                entered.setdefault(zone, number)
+        for zone, number in entered.items():
+            if used.get("arm", number) != number and zone not in self._library.zones:
+                self._problems.add(
+                    node.children[number - 1].mark,
+                    f"this moves in the zone '{zone}' beside the arm, and nothing keeps the arm out of it",
+                    f"`zones:` in robot/cell.yaml, with '{zone}' and its box; else 'sequence'",
+                    code="unknown-zone",
+                )
 
     def _check_decorator(self, node: Decorator, defined: frozenset[str]) -> frozenset[str]:
         for key, argument in node.arguments.items():

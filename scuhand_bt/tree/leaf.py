@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.leased import leased
+from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S, taken
 from scuhand_bt.clock import Signal, Steps, Wake
 from scuhand_bt.failures import CATALOGUE, Code
 from scuhand_bt.record import RecordLost
@@ -106,6 +107,8 @@ class Ticking:
         """Who lets each action begin, in single step."""
         self.acting: set[SkillLeaf] = set()
         """The leaves whose skill is at work."""
+        self.rejoining: SkillLeaf | None = None
+        """The leaf that brings the cell to where it was before an interruption: no other begins meanwhile."""
         self.is_pausing = False
         """No action may begin."""
         self.going_on = Signal()
@@ -152,7 +155,7 @@ class SkillLeaf(Behaviour):
         self._shared = shared
         self._steps: Steps[Any] | None = None
         self._wake: Wake | None = None
-        self._lease_deadline_s = self._rest_deadline_s = 0.0
+        self._began_waiting_s = self._rest_deadline_s = 0.0
         self._ended: tuple[str, Any] | None = None
         self._is_recorded = self._may_begin = False
         self._recorded: Recorded | None = None
@@ -163,7 +166,7 @@ class SkillLeaf(Behaviour):
         self._steps = self._wake = self._ended = None
         self._is_recorded = self._may_begin = False
         self._recorded = self._shared.replay.recorded(self.path, self.visits)
-        self._lease_deadline_s = self._shared.cell.clock.now_s + LEASE_TIMEOUT_S
+        self._began_waiting_s = self._shared.cell.clock.now_s
 
     @property
     def is_stuck(self) -> bool:
@@ -267,25 +270,30 @@ class SkillLeaf(Behaviour):
         if replay.is_replaying:
             return False
         now_s = shared.cell.clock.now_s
-        if shared.is_pausing:
-            self._lease_deadline_s = now_s + LEASE_TIMEOUT_S
+        if shared.is_pausing or shared.rejoining is not None:
+            self._began_waiting_s = now_s
             shared.wait(self, Wake.on(shared.going_on))
             return False
         inputs = self._arguments()
         if shared.consent is not None and not self._may_begin:
-            self._lease_deadline_s = now_s + LEASE_TIMEOUT_S
+            self._began_waiting_s = now_s
             if (asked := shared.consent.waits(self, inputs, shared)) is not None:
                 shared.wait(self, asked)
                 return False
             self._may_begin = True
-        own = self.skill.devices
+        own, zones = self.skill.devices, self.skill.zones
         devices = sorted({*own, *REJOINING}) if replay.is_to_rejoin else own
-        if not shared.leases.take(devices, self):
-            if now_s >= self._lease_deadline_s:
-                names = ", ".join(devices)
-                raise SkillFailed(Code.DEVICE_BUSY, f"{names} not free after {LEASE_TIMEOUT_S:g} s")
-            shared.wait(self, *shared.leases.wakes(devices, self._lease_deadline_s))
+        if not shared.leases.take(devices, self, zones):
+            missing = shared.leases.missing(devices, self, zones)
+            timeout_s = ZONE_TIMEOUT_S if set(missing) <= set(zones) else LEASE_TIMEOUT_S
+            if now_s >= self._began_waiting_s + timeout_s:
+                if set(missing) <= set(zones):
+                    raise taken(missing, timeout_s)
+                raise SkillFailed(Code.DEVICE_BUSY, f"{', '.join(devices)} not free after {timeout_s:g} s")
+            shared.wait(self, *shared.leases.wakes(devices, self._began_waiting_s + timeout_s))
             return False
+        if replay.is_to_rejoin:
+            shared.rejoining = self
         skill = made(self.name, self.skill, inputs)
         shared.listener.started(self, inputs)
         self._is_recorded = True
@@ -304,9 +312,14 @@ class SkillLeaf(Behaviour):
         shared, recorded = self._shared, self._recorded
         is_same = recorded is not None and recorded.skill == self.name and recorded.inputs == inputs
         rejoined = shared.rejoin(shared.cell, shared.replay, skill, self.name, recorded, is_same=is_same)
-        if not (yield from rejoined):
-            return None
-        shared.leases.give_back(self, keep=self.skill.devices)
+        try:
+            if not (yield from rejoined):
+                return None
+        finally:
+            if shared.rejoining is self:
+                shared.rejoining = None
+                shared.going_on.fire()
+        shared.leases.give_back_devices(self, keep=self.skill.devices)
         return (yield from steps)
 
     def _is_due(self, wake: Wake) -> bool:

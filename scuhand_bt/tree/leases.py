@@ -1,4 +1,4 @@
-"""Leases: one skill at a time commands a device, and the next one waits until it stands still."""
+"""Leases: one skill at a time commands a device, or moves in a zone, and the next one waits until that is free."""
 
 from collections.abc import Iterable
 
@@ -7,32 +7,47 @@ from scuhand_bt.clock import Wake
 
 
 class Leases:
-    """Who commands which device of a cell.
+    """Who commands which device of a cell, and has which of its zones.
 
     A lease ends in two steps: the skill ends or is halted (`give_back`), and the device reports that it
-    has stopped. Only then may another skill have it.
+    has stopped, or the arm is out of the zone. Only then may another skill have it.
     """
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
-        self._held: dict[str, object] = {}
+        self._way = cell.right_of_way
         self._stopping: set[str] = set()
 
-    def take(self, names: Iterable[str], owner: object) -> bool:
-        """Lease all of `names`, or none of them: False if one is held or has not stopped yet."""
-        names = tuple(names)
-        self._stopping = {name for name in self._stopping if not self._cell.device(name).is_stopped}
-        if any(name in self._held or name in self._stopping for name in names):
+    def take(self, devices: Iterable[str], owner: object, zones: Iterable[str] = ()) -> bool:
+        """Lease all of these, or none of them: False if one is held, or not free yet."""
+        devices, zones = tuple(devices), tuple(zones)
+        if self.missing(devices, owner, zones):
             return False
-        self._held.update(dict.fromkeys(names, owner))
+        self._way.commands.update(dict.fromkeys(devices, owner))
+        self._way.enter(zones, owner)
         return True
 
-    def give_back(self, owner: object, keep: Iterable[str] = ()) -> None:
-        """The owner has ended, or needs only `keep`: its devices are free once they have stopped."""
-        for name in [name for name, holder in self._held.items() if holder is owner and name not in keep]:
-            del self._held[name]
-            self._stopping.add(name)
+    def missing(self, devices: Iterable[str], owner: object, zones: Iterable[str] = ()) -> list[str]:
+        """Those that are not free."""
+        self._stopping = {name for name in self._stopping if not self._cell.device(name).is_stopped}
+        way = self._way
+        missing = [name for name in devices if name in way.commands or name in self._stopping]
+        return missing + [zone for zone in zones if way.holder(zone) is not None or way.is_crossed(zone, owner)]
+
+    def give_back(self, owner: object) -> None:
+        """The owner has ended: its devices are free once they have stopped, and its zones then, if the arm is out."""
+        self._way.leave(owner, self.give_back_devices(owner))
+
+    def give_back_devices(self, owner: object, keep: Iterable[str] = ()) -> list[str]:
+        """The owner needs of its devices only `keep`: the others, given, are free once they have stopped."""
+        way = self._way
+        gone = [name for name, holder in way.commands.items() if holder is owner and name not in keep]
+        for name in gone:
+            del way.commands[name]
+        self._stopping.update(gone)
+        return gone
 
     def wakes(self, names: Iterable[str], until_s: float) -> list[Wake]:
-        """Wakes for the news of these devices."""
-        return [Wake.on(self._cell.device(name).news, until_s) for name in names]
+        """Wakes for the news of these devices, and of what others give back."""
+        devices = [Wake.on(self._cell.device(name).news, until_s) for name in names]
+        return [*devices, Wake.on(self._way.news, until_s)]

@@ -281,7 +281,8 @@ class Lint:
                 for child in node.children:
                     ready = self._check_ready(child, ready)
                 return ready
-            return frozenset.intersection(*[self._check_ready(child, ready) for child in node.children])
+            ends = [self._check_ready(child, ready) for child in node.children]
+            return frozenset.union(*ends) if node.kind == "parallel" else frozenset.intersection(*ends)
         if isinstance(node, Choice):
             ends = [self._check_ready(child, ready) for child in children_of(node)]
             return frozenset.intersection(*ends) if node.is_exhaustive or node.kind == "switch" else ready

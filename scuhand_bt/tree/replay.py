@@ -52,8 +52,15 @@ class Replay:
     """True until nothing more can be replayed."""
     is_to_rejoin: bool = False
     """True until the first action has gone live."""
+    at_work: frozenset[str] = frozenset()
+    """The devices of all actions that had begun and not ended: several, within a `parallel`."""
     _idle_ticks: int = 0
     _ended: int = 0
+
+    @property
+    def open_skills(self) -> set[str]:
+        """The skills of the actions that had begun and not ended."""
+        return {one.skill for one in self.actions.values() if one.outcome not in (*ENDED, "halted")}
 
     def recorded(self, path: str, visit: int) -> Recorded | None:
         return self.actions.get((path, visit))

@@ -1,0 +1,98 @@
+"""Plans on disk: what was planned once for a cell is at hand for the next run in it.
+
+A file holds the plans of one geometry: its name is a hash of the URDF, the cell, the mortars, this package's own source
+and the libraries below it, so that a plan is looked for only where the same would be planned again. Nothing is believed
+because it was found: the planner proves every plan anew before it is used (`MotionPlanner`).
+"""
+
+import hashlib
+import importlib.metadata
+import os
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+
+import numpy as np
+
+from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.trajectory import JointTrajectory
+from scuhand_bt.specs import Mortar
+
+GEOMETRIES_KEPT = 16
+"""Files, the latest; each takes a megabyte or two."""
+_LIBRARIES = ("coal", "numpy", "pin", "ruckig", "scipy")
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+"""What reading a file that was cut off, or is none of these, raises."""
+
+
+class PlanStore:
+    """The kept plans of one geometry. A folder that cannot be read or written keeps nothing, and says nothing."""
+
+    def __init__(self, folder: Path, urdf: str, cell: CellSpec, mortars: Mapping[str, Mortar]) -> None:
+        depends = (_source(), urdf, repr(cell), sorted((name, repr(mortar)) for name, mortar in mortars.items()))
+        self._path = folder / f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.npz"
+        self._plans: dict[str, tuple[Floats, Floats]] = {}
+        self._is_new = False
+        with suppress(*_UNREADABLE), self._path.open("rb") as file, np.load(file, allow_pickle=False) as found:
+            names = [name.removesuffix(".knots") for name in found.files if name.endswith(".knots")]
+            self._plans = {name: (found[f"{name}.knots"], found[f"{name}.cubics"]) for name in names}
+        with suppress(OSError):
+            os.utime(self._path)  # what is in use is not the oldest
+
+    def found(self, request: str, spill_limit_deg: float | None) -> JointTrajectory | None:
+        """The plan of a request, unproven; None if there is none."""
+        kept = self._plans.get(_name(request))
+        if kept is None:
+            return None
+        knots_s, coefficients = kept
+        if coefficients.ndim != 3 or len(coefficients) != 4 or not np.isfinite(coefficients).all():
+            return None
+        with suppress(ValueError, IndexError):
+            return JointTrajectory(knots_s, coefficients, spill_limit_deg)
+        return None
+
+    def keep(self, request: str, motion: JointTrajectory) -> None:
+        """Remember a plan, until it is written."""
+        self._plans[_name(request)] = motion.knots_s, motion.coefficients
+        self._is_new = True
+
+    def write(self) -> None:
+        """All of them to the file, if there is a new one; the oldest geometries' files go."""
+        if not self._is_new:
+            return
+        arrays = {}
+        for name, (knots_s, coefficients) in self._plans.items():
+            arrays[f"{name}.knots"], arrays[f"{name}.cubics"] = knots_s, coefficients
+        with suppress(OSError):
+            folder = self._path.parent
+            folder.mkdir(parents=True, exist_ok=True)
+            with NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as part:
+                try:
+                    np.savez(part, allow_pickle=False, **arrays)
+                    part.close()
+                    Path(part.name).replace(self._path)  # so that none is ever read half written
+                except OSError:
+                    Path(part.name).unlink(missing_ok=True)
+                    raise
+            self._is_new = False
+            by_age = sorted(folder.glob("*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
+            for old in by_age[GEOMETRIES_KEPT:]:
+                old.unlink(missing_ok=True)
+
+
+def _name(request: str) -> str:
+    return hashlib.blake2b(request.encode(), digest_size=16).hexdigest()
+
+
+@cache
+def _source() -> str:
+    """What plans besides the cell: this package's source, and the versions of what it stands on."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    versions = [importlib.metadata.version(name) for name in _LIBRARIES]
+    return f"{digest.hexdigest()} {versions}"

@@ -1,0 +1,100 @@
+"""Plans on disk: found again where nothing has changed, and never believed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from harness.motion_audit import Audit
+from scuhand_bt.cell_spec import CellSpec, Obstacle
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.motion import ApexPose, MotionPlanner, transfer
+
+LAB = load_lab(starter_lab())
+AWAY = ApexPose(np.array([0.2, 0.24, 0.12]))
+POST = Obstacle(name="post", at_mm=(230.0, 120.0, 90.0), box_mm=(20.0, 20.0, 180.0))
+"""Between the park place and the other."""
+
+
+def planner(plans: Path, cell: CellSpec = LAB.cell) -> MotionPlanner:
+    made = MotionPlanner(LAB.urdf, cell, {}, plans)
+    made.add_place("away", AWAY)
+    return made
+
+
+def planned(plans: Path, cell: CellSpec = LAB.cell) -> list[tuple[bytes, bytes]]:
+    """An empty way and a load's, planned or found, and written."""
+    made = planner(plans, cell)
+    motions = [made.move(made.home(), "away"), made.move(made.home(), "away", spill_limit_deg=20.0)]
+    made.keep_plans()
+    return [(motion.knots_s.tobytes(), motion.coefficients.tobytes()) for motion in motions]
+
+
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Every search that is made."""
+    made, search = [], transfer.plan
+
+    def counted(*given, **named):
+        made.append(given)
+        return search(*given, **named)
+
+    monkeypatch.setattr(transfer, "plan", counted)
+    return made
+
+
+def test_the_next_planner_of_the_same_cell_searches_for_nothing_and_answers_the_same(
+    tmp_path: Path, searches: list[object]
+) -> None:
+    first = planned(tmp_path)
+    assert searches
+    searches.clear()
+    assert planned(tmp_path) == first
+    assert searches == []
+
+
+def test_a_cell_in_which_something_else_stands_is_planned_anew(tmp_path: Path, searches: list[object]) -> None:
+    planned(tmp_path)
+    searches.clear()
+    planned(tmp_path, LAB.cell.model_copy(update={"geometry": (*LAB.cell.geometry, POST)}))
+    assert searches
+    assert len(list(tmp_path.glob("*.npz"))) == 2
+
+
+def test_a_plan_that_would_touch_something_is_not_used_whatever_file_it_is_in(tmp_path: Path) -> None:
+    """The open cell's plans, under the name of those of the cell with a post in their way."""
+    crowded = LAB.cell.model_copy(update={"geometry": (*LAB.cell.geometry, POST)})
+    right = planned(tmp_path / "crowded", crowded)
+    planned(tmp_path / "open")
+    (mine,), (other,) = ((tmp_path / name).glob("*.npz") for name in ("crowded", "open"))
+    mine.write_bytes(other.read_bytes())
+    assert planned(tmp_path / "crowded", crowded) == right
+    found = planner(tmp_path / "crowded", crowded)
+    assert Audit(LAB.urdf, crowded, {}, None).of(found.move(found.home(), "away")).clearance_m > 0
+
+
+@pytest.mark.parametrize("what", ["too quick", "jumps", "not a number", "another end", "cut off", "no archive"])
+def test_a_file_that_was_changed_is_planned_anew(tmp_path: Path, searches: list[object], what: str) -> None:
+    right = planned(tmp_path)
+    (path,) = tmp_path.glob("*.npz")
+    if what in ("cut off", "no archive"):
+        path.write_bytes(path.read_bytes()[: 0 if what == "no archive" else 3000])
+    else:
+        with np.load(path) as kept:
+            arrays = dict(kept)
+        for name, values in arrays.items():
+            if what == "too quick" and name.endswith(".knots"):
+                half = name.removesuffix("knots") + "cubics"
+                arrays[name] = values / 2
+                arrays[half] = arrays[half] * np.array([1.0, 2.0, 4.0, 8.0])[:, None, None]
+            elif what == "jumps" and name.endswith(".cubics"):
+                values[0, len(values[0]) // 2 :] += 0.01
+                values[0, -1] -= 0.01
+            elif what == "not a number" and name.endswith(".cubics"):
+                values[1, 0, 0] = np.nan
+            elif what == "another end" and name.endswith(".cubics"):
+                values[0] += 0.02
+        np.savez(path, **arrays)
+    searches.clear()
+    assert planned(tmp_path) == right
+    assert searches

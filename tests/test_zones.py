@@ -1,0 +1,319 @@
+"""Two things at once in one cell: the arm keeps out of what another moves in, and still while something is weighed."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from running import make_lab, shared_planner
+
+from scuhand_bt.cell.places import all_places, over_balance
+from scuhand_bt.cell.right_of_way import ZONE_TIMEOUT_S
+from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.devices.interfaces import Operator
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.journal.reader import read
+from scuhand_bt.lab import Lab, load_lab
+from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.record import Record
+from scuhand_bt.run.batch import BatchObserver
+from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.session import Session
+from scuhand_bt.sim.cell import simulated_cell
+from scuhand_bt.sim.fault_rules import parse_faults
+from scuhand_bt.specs import Source
+
+ARM, CHANGER = object(), object()
+"""Who has the arm, and who the changer and the pan."""
+AT_MOST_S = 300.0
+
+
+@pytest.fixture(scope="module")
+def motion(starter: Lab) -> MotionPlanner:
+    """The starter lab's planner with its stations and the place over a holder."""
+    mortar = starter.library.mortars["agate_mortar"]
+    planner = starter.motion_planner({"mortar_bay": mortar, "mortar_bay_2": mortar})
+    sources = {
+        name: Source.model_construct(name=name, station=name, mortar=mortar) for name in ("mortar_bay", "mortar_bay_2")
+    }
+    holder = starter.library.containers["xrd_holder"]
+    for name, position_mm in all_places(starter.cell, sources, [holder]).items():
+        planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+    return planner
+
+
+class Bench:
+    """A simulated cell on which several go on at once."""
+
+    def __init__(self, lab: Lab, motion: MotionPlanner, sources: Mapping[str, Source] = {}) -> None:
+        self.clock = VirtualClock()
+        self.cell, self.world = simulated_cell(
+            lab.cell,
+            sources,
+            clock=self.clock,
+            record=Record(),
+            motion=motion,
+            operator=cast(Operator, None),
+            seed=1,
+            joints=motion.home(),
+        )
+        self.clock.process = self.world
+        self.way = self.cell.right_of_way
+        self.way.commands["arm"] = ARM
+        self.over = over_balance(lab.cell, lab.library.containers["xrd_holder"])[0]
+        self.seen: list[tuple[float, bool, bool]] = []
+        """At every step: when, whether the arm moves, whether it is in the zone."""
+
+    def have_the_pan(self) -> None:
+        self.way.commands["changer"] = CHANGER
+        self.way.enter(["pan"], CHANGER)
+
+    def later(self, after_s: float, then: Callable[[], None]) -> Steps[None]:
+        end_s = self.clock.now_s + after_s
+        while self.clock.now_s < end_s:
+            yield Wake(end_s)
+        then()
+
+    def do(self, *several: Steps[Any]) -> list[Any]:
+        """Carry them out side by side; what each has given."""
+        going = {number: (steps, Wake(0.0)) for number, steps in enumerate(several)}
+        given: dict[int, Any] = {}
+        while going:
+            assert self.clock.now_s < AT_MOST_S
+            for number, (steps, wake) in list(going.items()):
+                if not (wake.has_fired or self.clock.now_s >= wake.until_s):
+                    continue
+                try:
+                    going[number] = steps, next(steps)
+                except StopIteration as end:
+                    given[number] = end.value
+                    del going[number]
+            is_in = "pan" in self.cell.zones_entered()
+            self.seen.append((self.clock.now_s, not self.cell.arm.is_stopped, is_in))
+            if going:
+                self.clock.wait([Wake(self.clock.now_s + 0.1), *(wake for _, wake in going.values())])
+        return [given[number] for number in range(len(several))]
+
+
+@pytest.fixture
+def bench(starter: Lab, motion: MotionPlanner) -> Bench:
+    return Bench(starter, motion)
+
+
+def test_no_motion_goes_through_a_zone_that_another_has(bench: Bench) -> None:
+    bench.have_the_pan()
+    for place in ("mortar_bay", "mortar_bay_2", "waste", "sheet_swap", "mortar_bay_2", "park"):
+        bench.do(bench.cell.move_to(place))
+    assert any(moves for _, moves, _ in bench.seen)
+    assert not any(is_in for _, _, is_in in bench.seen)
+
+
+def test_a_move_into_a_zone_that_another_has_waits_until_it_is_free(bench: Bench) -> None:
+    bench.have_the_pan()
+    bench.do(bench.cell.move_to(bench.over), bench.later(20.0, lambda: bench.way.leave(CHANGER, ["changer"])))
+    assert min(now_s for now_s, moves, _ in bench.seen if moves) == pytest.approx(20.0, abs=0.3)
+    assert bench.seen[-1][2], "and then it went there"
+
+
+def test_a_move_into_a_zone_that_stays_taken_is_given_up(bench: Bench) -> None:
+    bench.have_the_pan()
+    with pytest.raises(SkillFailed, match=rf"arm.zone_taken: pan not free after {ZONE_TIMEOUT_S:g} s"):
+        bench.do(bench.cell.move_to(bench.over))
+    assert bench.clock.now_s == pytest.approx(ZONE_TIMEOUT_S, abs=0.2)
+    assert not any(moves for _, moves, _ in bench.seen)
+
+
+def test_a_motion_planned_before_keeps_the_zone_until_the_arm_is_out_of_it(bench: Bench) -> None:
+    bench.do(bench.cell.move_to(bench.over))
+    assert bench.way.is_crossed("pan", CHANGER), "it stands in there"
+    leaving = bench.cell.move_to("mortar_bay")
+    next(leaving)
+    assert bench.way.is_crossed("pan", CHANGER)
+    bench.do(leaving)
+    assert not bench.way.is_crossed("pan", CHANGER)
+
+
+def test_a_weighing_waits_for_the_arm_and_no_motion_begins_in_it(bench: Bench) -> None:
+    weighed_s: list[float] = []
+
+    def weigh() -> Steps[None]:
+        yield from bench.later(0.5, lambda: None)
+        mean = yield from bench.way.stable_mean()
+        weighed_s.extend(reading.time_s for reading in mean.readings)
+
+    def move() -> Steps[None]:
+        for place in ("mortar_bay", "waste", "park"):
+            yield from bench.cell.move_to(place)
+
+    bench.do(weigh(), move())
+    first_s, last_s = min(weighed_s), max(weighed_s)
+    assert first_s > 1.0, "a motion was under way"
+    assert not any(moves for now_s, moves, _ in bench.seen if first_s <= now_s < last_s)
+    assert any(moves for now_s, moves, _ in bench.seen if now_s > last_s), "and goes on then"
+
+
+def test_while_the_pan_comes_to_rest_the_arm_goes_on(bench: Bench) -> None:
+    """Until the balance calls a reading stable: five of those are weighed beside an arm that stands still."""
+    rests_s = 3.0
+    bench.cell.balance.faults.active["balance.unstable"] = 0.0
+
+    def move() -> Steps[None]:
+        for place in ("mortar_bay", "waste", "park", "waste", "mortar_bay", "park"):
+            yield from bench.cell.move_to(place)
+
+    def rest() -> None:
+        del bench.cell.balance.faults.active["balance.unstable"]
+
+    mean, _, _ = bench.do(bench.way.stable_mean(), move(), bench.later(rests_s, rest))
+    begins_s, ends_s = mean.readings[0].time_s, mean.readings[-1].time_s
+    assert begins_s > rests_s
+    moves_s = [now_s for now_s, moves, _ in bench.seen if moves]
+    assert any(1.5 < now_s < rests_s for now_s in moves_s), "another motion began"
+    assert not any(begins_s <= now_s < ends_s for now_s in moves_s)
+    assert max(moves_s) > ends_s
+
+
+def test_while_a_container_changes_the_arm_may_move_and_the_motor_does_not_begin_to_shake(bench: Bench) -> None:
+    changing = bench.way.unshaken(bench.later(5.0, lambda: None))
+    next(changing)
+    assert list(bench.way.go()) == []
+    assert next(bench.way.go(shaking=True)).until_s > AT_MOST_S
+    bench.do(changing)
+    assert list(bench.way.go(shaking=True)) == []
+
+
+def test_what_is_moved_all_the_same_in_a_weighing_lets_it_begin_again(bench: Bench) -> None:
+    """The hand itself waits for nobody: a lab's skill may shake it beside a weighing."""
+    shaken_s = 0.3
+
+    def shake() -> Steps[None]:
+        yield from bench.later(shaken_s, lambda: None)
+        yield from bench.cell.hand.pulse(0.0, 5.0, vibration=1.0)
+
+    mean, _ = bench.do(bench.way.stable_mean(), shake())
+    assert min(reading.time_s for reading in mean.readings) > shaken_s + 5.0
+
+
+def scooping_bench(starter: Lab, motion: MotionPlanner) -> tuple[Bench, Source]:
+    """A cell with beads in a mortar."""
+    library = starter.library
+    source = Source.model_construct(
+        name="beads",
+        station="mortar_bay",
+        container="agate_mortar",
+        mortar=library.mortars["agate_mortar"],
+        powder=library.powders["glass_beads"],
+        amount_mg=20_000.0,
+        lot="1",
+    )
+    bench = Bench(starter, motion, {"beads": source})
+    bench.cell.believed.source_holds("beads", 20_000.0)
+    bench.cell.places_mm = all_places(starter.cell, bench.cell.sources, [])
+    return bench, source
+
+
+@pytest.mark.parametrize("after_s", [3.5, 4.5, 5.5])
+def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
+    """On its way into the powder, along the wall, and as it turns upright."""
+    bench, source = scooping_bench(starter, motion)
+    cell = bench.cell
+    scoop, withdraw, park = (starter.library.skills[name] for name in ("scoop", "withdraw", "park"))
+    scooping = scoop(source=source).run(cell)
+    while bench.clock.now_s < after_s:
+        next(scooping)
+        bench.clock.wait([Wake(bench.clock.now_s + 0.1)])
+    scooping.close()
+    cell.hand.stop()
+    bench.do(bench.later(2.0, lambda: None))
+    with pytest.raises(SkillFailed, match=r"arm.start_in_collision"):
+        bench.do(park().run(cell))
+    bench.do(withdraw().run(cell))
+    bench.do(park().run(cell))
+    assert cell.believed.cone_mg == 0.0
+    left_mg = bench.world.masses_mg["source:beads"] + bench.world.masses_mg["sheet"]
+    assert left_mg == pytest.approx(20_000.0, abs=10.0)
+
+
+def test_a_scoop_pours_what_its_mortar_gave_before_back_over_the_lip(starter: Lab, motion: MotionPlanner) -> None:
+    """And no motor shakes meanwhile, so that it may be done while a container changes."""
+    bench, source = scooping_bench(starter, motion)
+    scoop = starter.library.skills["scoop"](source=source)
+    bench.do(scoop.run(bench.cell))
+    began_s = bench.clock.now_s
+    assert bench.world.masses_mg["cone"] > 1000.0
+    bench.do(bench.way.unshaken(scoop.run(bench.cell)))
+    assert bench.clock.now_s - began_s < 25.0
+    believed, masses_mg = bench.cell.believed, bench.world.masses_mg
+    assert masses_mg["spilled"] == 0.0
+    assert masses_mg["cone"] == pytest.approx(believed.cone_mg, rel=0.2), "of one scoop, not of two"
+    assert believed.cone_mg + believed.sources_mg["beads"] == pytest.approx(20_000.0)
+
+
+# --- in a run
+
+RECIPE = """
+recipe: two
+workflow: fill_crucible
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
+defaults: {source: beads, container: alumina_crucible, tolerance: 10 mg}
+samples:
+  - {id: a, mass: 500 mg}
+on_failure: {otherwise: skip_sample}
+"""
+
+
+def run_dry(folder: Path, lab: Lab, faults: str = "", recipe: str = RECIPE) -> tuple[Any, Path]:
+    path = lab.folder / "recipes" / "two.yaml"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(recipe, encoding="utf-8")
+    plan = make_plan(load_recipe(path, lab), lab)
+    wrong = parse_faults(faults, "faults") if faults else None
+    session = Session(plan, lab, Options(DryRun(1, faults=wrong), folder=folder), shared_planner(plan, lab))
+    try:
+        ran = session.run(BatchObserver())
+    finally:
+        session.close()
+    (journal,) = folder.glob("*.sqlite")
+    return ran, journal
+
+
+def spans(journal: Path) -> dict[str, tuple[float, float]]:
+    return {row["skill"]: (row["started_s"], row["ended_s"]) for row in read(journal, "action")}
+
+
+def test_the_scoop_is_made_while_the_container_changes(tmp_path: Path) -> None:
+    ran, journal = run_dry(tmp_path / "runs", load_lab(make_lab(tmp_path / "lab")))
+    assert [result.verdict for result in ran.samples] == ["in tolerance"]
+    assert ran.samples[0].scoops == 1
+    of = spans(journal)
+    assert of["scoop"][0] == of["place_container"][0]
+    assert of["scoop"][1] > of["place_container"][0] + 10.0
+    assert of["move_over"][0] >= max(of["scoop"][1], of["tare"][1])
+
+
+def test_the_arm_stands_still_while_a_person_changes_the_container(tmp_path: Path) -> None:
+    folder = make_lab(tmp_path / "lab")
+    cell = folder / "robot" / "cell.yaml"
+    cell.write_text(cell.read_text().replace("driver: carousel, slots: 24", "driver: operator"), encoding="utf-8")
+    _, journal = run_dry(tmp_path / "runs", load_lab(folder))
+    events = read(journal, "event")
+    asked_s = [event["time_s"] for event in events if event["kind"] == "asked" and "pan" in str(event["payload"])]
+    moves = [event for event in events if event["kind"] == "arm_moves"]
+    place_s, scoop_s = spans(journal)["place_container"], spans(journal)["scoop"]
+    assert asked_s
+    assert place_s[0] == scoop_s[0]
+    assert not [event for event in moves if place_s[0] < event["time_s"] < place_s[1]]
+
+
+def test_a_wrong_container_halts_the_scoop_and_the_cone_comes_out_of_its_mortar(tmp_path: Path) -> None:
+    lab = load_lab(make_lab(tmp_path / "lab"))
+    ran, journal = run_dry(tmp_path / "runs", lab, "faults:\n  - {fault: container.wrong, sample: a}\n")
+    assert [result.code for result in ran.samples] == ["container.wrong_mass"]
+    assert ran.exit_code == 1, "the run went on to its end"
+    outcomes = {row["skill"]: row["outcome"] for row in read(journal, "action")}
+    assert outcomes["withdraw"] == "done"
