@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,14 +15,18 @@ from hypothesis import strategies as st
 from running import make_lab
 
 from scuhand_bt.cell.places import over_balance
-from scuhand_bt.cell_spec import CellSpec, HandOptions, ValvePoint
+from scuhand_bt.cell_spec import CellSpec, HandOptions, HandSpec, ValvePoint
+from scuhand_bt.commissioning.coupling import ringing
 from scuhand_bt.commissioning.guide import carry_out, on_twins
 from scuhand_bt.commissioning.record import FILE, Done, Record, values_of
+from scuhand_bt.commissioning.roller import deg_per_mm
 from scuhand_bt.commissioning.servos import TURNS, turned
 from scuhand_bt.commissioning.step import Left, NotFound, Site
 from scuhand_bt.commissioning.steps import STEPS, commissioned, next_step
 from scuhand_bt.commissioning.valve import moved, opens_later_mm
+from scuhand_bt.commissioning.valve_map import equivalent_mm
 from scuhand_bt.devices.dynamixel.arm import arm_axes
+from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.lab import Lab, load_lab, state_folder
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
@@ -45,7 +50,8 @@ TRUTH: dict[Keys, Value] = {
     ("hand", "apex_aside"): ["2.5 mm", "-1.5 mm"],
     ("frames", "balance", "shift"): ["9 mm", "-8 mm", "0.5 mm"],
     ("frames", "balance", "yaw"): "3 deg",
-    ("hand", "options", "valve_map"): [{"count": 2081, "opening": "0 mm"}, {"count": 2341, "opening": "2.4 mm"}],
+    ("hand", "options", "valve_map"): [{"count": 2081, "opening": "0 mm"}, {"count": 2341, "opening": "2.7 mm"}],
+    ("hand", "roller_deg_per"): "12.1",
     ("frames", "table", "shift"): ["0 mm", "0 mm", "-2 mm"],
 }
 """How the cell was really built: ids, horns and a hand as nobody has written them down."""
@@ -65,8 +71,13 @@ class Hands:
     """A question that is answered with "stop"."""
     asked: list[str] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
+    led_to: Floats = field(default_factory=lambda: np.zeros(7))
+    """The joints as they were led to the last place."""
+    jogs: Iterator[str] = field(default_factory=lambda: iter(()))
     _rolled: float = 0.0
     """Counts by which the roller is turned, and not back yet."""
+    _before: Floats = field(default_factory=lambda: np.zeros(7))
+    """Where the joints stood before they turned by themselves."""
 
     def tell(self, text: str) -> None:
         self.told.append(text)
@@ -85,13 +96,29 @@ class Hands:
             self._touch(np.array([0.30, 0.05, 0.15]), leaning=True)
         elif "empty crucible" in question:
             crucible = self.bench_lab.library.containers["alumina_crucible"]
+            self.bench.world.remove()
             self.bench.world.place(Container.model_validate({**crucible.model_dump(), "id": "crucible"}))
-            self._touch(np.array(over_balance(self.truth, crucible)[1]) / 1e3, leaning=False)
+            self._touch(np.array(over_balance(self.truth, crucible)[1]) / 1e3, leaning=False, free=True)
         elif question.startswith("Empty the cone"):
             self.bench.world.swap_sheet()
             self.bench.world.remove()
-        elif "glass_beads into the cone" in question and self.bench.world.masses_mg["cone"] == 0.0:
+        elif "glass_beads into the cone" in question and self.bench.world.masses_mg["cone"] < 2000.0:
+            self.bench.world.refill("beads", 4000.0)
             self.bench.world.load_cone("beads", 4000.0)
+        elif "over the middle of the pan" in question:
+            holder = self.bench_lab.library.containers["xrd_holder"]
+            self._touch(np.array(over_balance(self.truth, holder)[1]) / 1e3, leaning=False, free=True)
+        elif "room all round" in question or "can be measured" in question:
+            self.led_to = self.bench_lab.motion_planner({}).home()
+            self._lead_to(self.led_to)
+        elif question.startswith("By itself, joint"):
+            self._before = self.bench.arm.joints
+        elif question.startswith("Has it done that"):
+            which = next(k for k, (what, _) in enumerate(TURNS) if what.split(": ")[1] in question)
+            turned_deg = np.degrees(self.bench.arm.joints - self._before)
+            return "yes" if self._is_only(which, turned_deg * TURNS[which][1]) else "no"
+        elif question.startswith("Jog a joint") and (jogs := next(self.jogs, None)):
+            return jogs
         elif "the mark of the" in question:
             name = question.split("mark of the ")[1].split(" at ")[0]
             frame = self.truth.frames[name]
@@ -99,12 +126,28 @@ class Hands:
             self._touch(np.array(frame.moved_mm(at)) / 1e3, leaning=False)
         return choices[0]
 
+    def measure(self, question: str) -> float:
+        self.asked.append(question)
+        if "pin" in question:
+            opening_mm = self.bench.hand.twin.opening_mm
+            while opening_mm < 2.0:  # it opens yet
+                opening_mm = self.bench.hand.twin.opening_mm
+            time.sleep(0.5)
+            return round(self.bench.hand.twin.opening_mm, 1)
+        return round(self.bench.rim_mm + self.rng.uniform(-0.3, 0.3), 1)
+
+    @staticmethod
+    def _is_only(which: int, turned_deg: Floats) -> bool:
+        others = np.delete(turned_deg, which)
+        return bool(turned_deg[which] > 2.0 and np.abs(others).max() < 0.5)
+
     @property
     def _roller(self) -> Servo:
         return self.bench.bus.twin.servos[self.truth.hand.options.roller_id]
 
     def _lead_to(self, joints: Floats) -> None:
-        assert not any(servo.has_torque for servo in self.bench.bus.twin.servos.values()), (
+        servos = self.bench.bus.twin.servos
+        assert not any(servos[servo].has_torque for servo in self.truth.arm.options.servo_ids), (
             "an arm that holds is not led"
         )
         self.bench.arm.stand_at(joints)
@@ -119,15 +162,18 @@ class Hands:
             self._rolled = by_rad * COUNTS_PER_RAD
             self._roller.position += self._rolled
 
-    def _touch(self, point_m: Floats, *, leaning: bool) -> None:
+    def _touch(self, point_m: Floats, *, leaning: bool, free: bool = False) -> None:
         mount = Mount.of(self.truth.hand)
         met_m = point_m + self.rng.uniform(-1, 1, 3) * TOUCHED_WITHIN_M
         while True:
             lean = self.rng.uniform(-0.4, 0.4, 2) if leaning else np.zeros(2)
             axis = np.array([*lean, 1.0])
             found = solutions(ApexPose(met_m, axis / np.linalg.norm(axis)), mount)
+            if free and len(found):
+                found = found[~self.bench_lab.motion_planner({}).scene().hits(found)]
             if len(found):
-                return self._lead_to(found[self.rng.integers(len(found))])
+                self.led_to = found[self.rng.integers(len(found))]
+                return self._lead_to(self.led_to)
 
 
 @dataclass
@@ -181,7 +227,7 @@ def factory(tmp_path: Path) -> Iterator[Factory]:
         station="mortar_bay",
         mortar=library.mortars["agate_mortar"],
         powder=library.powders["glass_beads"],
-        amount_mg=8000.0,
+        amount_mg=1.0,
     )
     with bench_of(truth, sources={"beads": beads}) as bench:
         folder = make_lab(tmp_path / "lab")
@@ -189,7 +235,7 @@ def factory(tmp_path: Path) -> Iterator[Factory]:
         ports: dict[Keys, Value] = {
             (name, "port"): getattr(bench.spec, name).port for name in ("arm", "hand", "balance")
         }
-        ports |= {("arm", "options"): {"latency": "40 ms"}, ("changer",): {"driver": "operator"}}
+        ports |= {("arm", "options"): {"latency": "100 ms"}, ("changer",): {"driver": "operator"}}
         cell.write_text(edited(cell.read_text(encoding="utf-8"), ports), encoding="utf-8")
         yield Factory(folder, truth, bench, Hands(bench, truth.cell, np.random.default_rng(1), truth))
 
@@ -353,3 +399,66 @@ def test_a_valve_whose_zero_is_off_by_0_3_mm_is_mended_by_weighing(factory: Fact
 def test_what_only_a_run_can_show_is_not_taken_for_done_without_one(factory: Factory, step: str) -> None:
     with pytest.raises(NotFound, match=r"scuhand-bt run recipes/\w+.yaml --step --slow 20%"):
         factory.do(step)
+
+
+@pytest.mark.real_time
+def test_a_joint_that_does_not_do_what_is_described_ends_the_jog(factory: Factory) -> None:
+    factory.do("servos", "zero")
+    cell = factory.lab_folder / "robot" / "cell.yaml"
+    ways: dict[Keys, Value] = {("arm", "options", "directions"): [1, -1, 1, -1, 1, 1, 1]}
+    cell.write_text(edited(cell.read_text(encoding="utf-8"), ways), encoding="utf-8")
+    with pytest.raises(NotFound, match=r"joint 2 .* does not turn as it is described"):
+        factory.do("jog")
+
+
+@pytest.mark.real_time
+def test_the_arm_is_jogged_where_the_person_wants_it(factory: Factory) -> None:
+    factory.do("servos", "zero")
+    factory.hands.jogs = iter(["1+", "1+", "7-"])
+    factory.do("jog")
+    jogged_deg = np.degrees(factory.bench.arm.joints - factory.hands.led_to)
+    assert jogged_deg[[0, 6]] == pytest.approx([4.0, -2.0], abs=0.3)
+    assert np.abs(jogged_deg[1:6]).max() < 0.3
+    factory.do("zero")
+    assert factory.hands._roller.has_torque, "who leads the arm does not let go of the sheet"
+
+
+@given(st.floats(8.0, 16.0), st.floats(46.0, 60.0))
+def test_the_roller_is_known_by_measured_rims_whatever_the_sheets_radius(per_mm: float, radius_mm: float) -> None:
+    hand = HandSpec(roller_deg_per_mm=per_mm, sheet_radius_mm=radius_mm)
+    rims_mm = [90.0, 78.0, 66.0, 54.0]
+    found, off_mm = deg_per_mm([Cone(rim_mm, radius_mm).roller_deg(hand) for rim_mm in rims_mm], rims_mm)
+    assert found == pytest.approx(per_mm, rel=1e-6)
+    assert off_mm < 1e-6
+    with pytest.raises(ValueError, match="narrower"):
+        deg_per_mm([0.0, 100.0, 200.0], [60.0, 70.0, 80.0])
+
+
+@given(st.floats(20.0, 120.0), st.floats(1.8, 3.2))
+def test_openings_are_known_to_each_other_by_what_flows(c: float, widest_mm: float) -> None:
+    real_mm = [0.3 * widest_mm, 0.7 * widest_mm, widest_mm]
+    flows = [c * (opening_mm - 0.05) ** 2.5 for opening_mm in real_mm]
+    assert equivalent_mm(flows, 0.05, widest_mm) == pytest.approx(real_mm)
+    with pytest.raises(ValueError, match="no more flows"):
+        equivalent_mm([20.0, 19.0, 30.0], 0.05, widest_mm)
+
+
+def rung(decay_s: float) -> list[tuple[float, float]]:
+    """Two seconds of a disturbance of 5 mg that then dies away about 20 mg, and 8 s more."""
+    times_s = np.arange(0.0, 10.0, 0.1)
+    return [
+        (t, 20.0 + 5.0 * math.cos(10.0 * math.pi * t) * math.exp(-max(0.0, t - 2.0) / decay_s))
+        for t in times_s.tolist()
+    ]
+
+
+def test_how_long_a_balance_rings_is_counted_from_the_end_of_what_has_disturbed_it() -> None:
+    quick, slow = ringing(rung(0.2), 2.0, 0.4), ringing(rung(0.6), 2.0, 0.4)
+    assert quick.rings_s == pytest.approx(0.2 * math.log(5.0 / 0.4), abs=0.15)
+    assert slow.rings_s == pytest.approx(0.6 * math.log(5.0 / 0.4), abs=0.15)
+    assert quick.apart_mg == pytest.approx(5.0, abs=0.1)
+    assert ringing([(t, 20.0) for t, _ in rung(1.0)], 2.0, 0.4).rings_s == 0.0
+    with pytest.raises(ValueError, match="still goes"):
+        ringing(rung(30.0), 2.0, 0.4)
+    with pytest.raises(ValueError, match="too few"):
+        ringing(rung(0.2)[:20], 2.0, 0.4)

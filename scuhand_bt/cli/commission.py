@@ -1,5 +1,6 @@
 """The command that leads through a new cell to its first dose."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
@@ -23,18 +24,34 @@ class AtTerminal:
         out.print(Text(text), soft_wrap=True)
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> str:
-        from scuhand_bt.commissioning import Left
-
         while True:
-            try:
-                said: str = typer.prompt(f"{question} [{'/'.join(choices)}]")
-            except typer.Abort:  # Ctrl-C, or nobody there
-                raise Left from None
-            if (answer := said.strip().lower()) == "stop":
-                raise Left
+            answer = self._said(f"{question} [{'/'.join(choices)}]")
             if answer in choices:
                 return answer
             self.tell(f"'{answer}' is no answer; there are: {', '.join(choices)}")
+
+    def measure(self, question: str) -> float:
+        while True:
+            answer = self._said(f"{question} (or stop)")
+            try:
+                value = float(answer)
+            except ValueError:
+                value = math.nan
+            if 0.0 <= value < math.inf:
+                return value
+            self.tell(f"'{answer}' is no number; there is, for example: 88.5")
+
+    @staticmethod
+    def _said(prompt: str) -> str:
+        from scuhand_bt.commissioning import Left
+
+        try:
+            said: str = typer.prompt(prompt)
+        except typer.Abort:  # Ctrl-C, or nobody there
+            raise Left from None
+        if (answer := said.strip().lower()) == "stop":
+            raise Left
+        return answer
 
 
 def _list(record: "Record", lab: "Lab", *, as_json: bool) -> None:

@@ -38,14 +38,17 @@ class LimpArm:
 
 
 @contextmanager
-def limp(spec: ArmSpec, person: Dialogue) -> Iterator[LimpArm]:
-    """All servos on the arm's bus, without torque once the person holds the arm. SkillFailed device.lost."""
+def limp(spec: ArmSpec, person: Dialogue, but: int | None = None) -> Iterator[LimpArm]:
+    """All servos on the arm's bus, without torque once the person holds the arm. SkillFailed device.lost.
+
+    `but` is the id of one that keeps what torque it has: a roller that was let go is taken to have lost its turns.
+    """
     bus = bus_of(spec)
     try:
         bus.open()
         with closing(bus), bus.patience():
             models = bus.scan()
-            held = [servo for servo in models if bus.read(servo, r.TORQUE_ENABLE)]
+            held = [servo for servo in models if servo != but and bus.read(servo, r.TORQUE_ENABLE)]
             if held:
                 person.ask("Hold the arm with both hands: its servos let go now. Do you hold it?")
             for servo in held:

@@ -90,7 +90,7 @@ def find_zero(site: Site) -> Found:
     """Where every servo stands with the arm straight up; its own window is moved along."""
     axes = arm_axes(site.cell.arm)
     ids = [axis.servo for axis in axes]
-    with limp(site.cell.arm, site.person) as arm:
+    with limp(site.cell.arm, site.person, site.cell.hand.options.roller_id) as arm:
         if missing := [servo for servo in ids if servo not in arm.models]:
             raise NotFound(f"servo {_listed(missing)} does not answer; `scuhand-bt commission servos` finds the ids")
         site.person.ask(

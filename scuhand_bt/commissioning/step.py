@@ -33,6 +33,10 @@ class Dialogue(Protocol):
         """Ask, and wait for one of the choices; `Left` for "stop"."""
         ...
 
+    def measure(self, question: str) -> float:
+        """Ask for a number that the person reads off, 0 or more; `Left` for "stop"."""
+        ...
+
 
 @dataclass(frozen=True)
 class Site:

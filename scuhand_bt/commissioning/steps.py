@@ -3,21 +3,26 @@
 from collections.abc import Iterator
 
 from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.commissioning.coupling import find_coupling
+from scuhand_bt.commissioning.jog import find_jog
 from scuhand_bt.commissioning.record import Done, Record
+from scuhand_bt.commissioning.roller import find_roller
 from scuhand_bt.commissioning.runs import find_balance, find_first_dose
 from scuhand_bt.commissioning.servos import find_servos, find_zero
 from scuhand_bt.commissioning.step import Step
 from scuhand_bt.commissioning.touch import find_apex, find_frame
 from scuhand_bt.commissioning.valve import find_valve_zero
+from scuhand_bt.commissioning.valve_map import find_valve_map
 from scuhand_bt.devices.doctor import Finding, judged
 from scuhand_bt.lab import Lab, state_folder
 
 SERVOS = ("arm.options.servo_ids", "arm.options.directions", "hand.options.roller_id", "hand.options.roller_direction")
 ZERO = (*SERVOS[:2], "arm.options.home_counts")
 APEX = (*ZERO, "hand.apex_offset", "hand.apex_aside", "hand.sheet_radius", "hand.mount")
+ROLLER = (*SERVOS[2:], "hand.roller_deg_per", "hand.options.start_diameter", "hand.sheet_radius")
 VALVE = ("hand.options.valve_map", "hand.max_opening")
 BALANCE = ("balance.driver", "balance.port", "balance.readability", "balance.maximum", "frames.balance")
-EVERYTHING = (*APEX, "frames", "stations", *VALVE, *BALANCE[:-1])
+EVERYTHING = (*APEX, *ROLLER, "frames", "stations", *VALVE, *BALANCE[:-1])
 
 STEPS = (
     Step("servos", "which servo turns which joint, and which way", SERVOS, find_servos),
@@ -30,8 +35,12 @@ STEPS = (
         (*APEX, "frames.balance"),
         find_frame("balance"),
     ),
+    Step("jog", "every joint by itself, a little: that it follows, and the right way", ZERO, find_jog),
+    Step("roller", "how far the roller turns for a millimetre of sheet, by measured rims", ROLLER, find_roller),
     Step("valve", "where the valve begins to open, by weighing glass beads", VALVE, find_valve_zero),
+    Step("valve_map", "how far the valve is open at which position, by weighing and a gauge", VALVE, find_valve_map),
     Step("balance", "who the balance is, and what it is worth beside a moving arm", BALANCE, find_balance),
+    Step("coupling", "how long the balance rings after arm and motor", BALANCE, find_coupling),
     Step("first_dose", "a dose of glass beads, slow and in single step", EVERYTHING, find_first_dose),
 )
 """Each rests on those before it."""

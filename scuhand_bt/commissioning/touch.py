@@ -32,7 +32,7 @@ TILT_DEG = 1.0
 
 def find_apex(site: Site) -> Found:
     """The apex in the flange's frame, sideways too, and what the joints' marks are off by."""
-    with limp(site.cell.arm, site.person) as arm:
+    with limp(site.cell.arm, site.person, site.cell.hand.options.roller_id) as arm:
         site.person.tell("Put something with a sharp point firmly on the table, some 30 cm in front of the arm.")
         met = []
         postures = [f"the cone {how}, {elbow}" for elbow in ELBOWS for how in HOWS]
@@ -84,7 +84,7 @@ def find_frame(name: str) -> Callable[[Site], Found]:
                 f"the cell has no frame '{name}' with `landmarks`, three points that can be touched; the starter lab's "
                 "robot/cell.yaml shows one"
             )
-        with limp(site.cell.arm, site.person) as arm:
+        with limp(site.cell.arm, site.person, site.cell.hand.options.roller_id) as arm:
             touched = [_touched_mm(site, arm, name, point_mm) for point_mm in frame.landmarks_mm]
         try:
             found = standing(np.array(frame.landmarks_mm), np.array(touched), np.array(frame.pivot_mm))

@@ -6,24 +6,26 @@ Beverloo's law (docs/calibration.md), of an opening that really is `later` less 
 
 k is what the powder needs to flow at all (`belief.threshold` in `robot/powders.yaml`). W is the mass that a longer
 pulse brings more than a shorter one, by how much longer it is: what comes while the valve opens and shuts is in both.
-The scale of the map (mm a count) cannot be told from C', which nobody knows beforehand: it stays the rack's.
+The scale of the map (mm a count) cannot be told from C', which nobody knows: the step `valve_map` has it from a gauge.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 
-from scuhand_bt.cell_spec import CellSpec, ChangerSpec, ValvePoint
+from scuhand_bt.cell_spec import HandSpec, ValvePoint
 from scuhand_bt.clock import carried_out
-from scuhand_bt.commissioning.limp_arm import limp
+from scuhand_bt.commissioning.held_arm import held, led
 from scuhand_bt.commissioning.step import Found, NotFound, Site
-from scuhand_bt.devices.connect import Devices, connect_cell_devices
+from scuhand_bt.devices.connect import Devices
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.yaml_edit import Path as Keys
 from scuhand_bt.yaml_edit import Value
 
 POWDER = "glass_beads"
+OVER_CRUCIBLE = "Put an empty crucible on the pan, and lead the apex over its middle, 5 to 10 cm above the pan."
+FILL = f"Put 3 to 5 g of dry {POWDER} into the cone, or see that as much is in it."
+EMPTY = "Empty the cone, and take the crucible off the pan."
 OPENINGS_MM = (0.9, 1.3, 1.7, 2.1)
 DWELLS_S = (0.4, 1.4)
 LEAST_MG = 3.0
@@ -33,6 +35,8 @@ UNEVEN_MM = 0.12
 CLOSER_MM = (0.0, 0.25, 0.5, 0.75)
 """By how much a valve that leaks is shut further, until it does not."""
 STILL_S = 20.0
+TRIES = 3
+"""A pulse that the hand's dead-man has cut short, as a busy computer was silent, is given again and weighed alone."""
 MOST_LATER_MM = 1.5
 
 
@@ -65,17 +69,13 @@ def find_valve_zero(site: Site) -> Found:
     if (powder := site.lab.library.powders.get(POWDER)) is None:
         raise NotFound(f"the zero is found with '{POWDER}', which robot/powders.yaml does not have")
     threshold_mm, points = powder.belief.threshold_mm, site.cell.hand.options.valve_map
-    with limp(site.cell.arm, site.person):
-        site.person.ask(
-            "Put an empty crucible on the pan, and lead the apex over its middle, 5 to 10 cm above the pan."
-        )
-        site.person.ask("The servos hold the arm from now on. May they?")
+    led(site, OVER_CRUCIBLE)
     try:
         for closer_mm in CLOSER_MM:
             told = moved(points, -closer_mm)
-            with _held(site, told) as devices:
-                site.person.ask(f"Put 3 to 5 g of dry {POWDER} into the cone, or see that as much is in it.")
-                flows = _flows(devices, site)
+            with held(site, with_map(site.cell.hand, told)) as devices:
+                site.person.ask(FILL)
+                flows = weighed_flows(devices, site, OPENINGS_MM)
             if flows is not None:
                 break
             site.person.tell("Powder runs though the valve is shut: it is shut a quarter of a millimetre further.")
@@ -88,43 +88,56 @@ def find_valve_zero(site: Site) -> Found:
         new = moved(points, later_mm)
     except ValueError as error:
         raise NotFound(f"{error}; is the powder dry, the cone full enough, and nothing in the valve?") from None
-    site.person.ask("Empty the cone, and take the crucible off the pan.")
-    listed: list[Value] = [{"count": point.count, "opening": f"{point.opening_mm:g} mm"} for point in new]
-    values: dict[Keys, Value] = {("hand", "options", "valve_map"): listed} if new != points else {}
+    site.person.ask(EMPTY)
+    values = as_written(new) if new != points else {}
     rates = ", ".join(f"{flow:.0f} mg/s at {opening_mm:g} mm" for opening_mm, flow in found)
     return Found({"the valve opens later by": f"{later_mm:+.2f} mm", "flow": rates}, values)
 
 
-@contextmanager
-def _held(site: Site, points: tuple[ValvePoint, ...]) -> Iterator[Devices]:
-    """The devices of the cell, the arm held where it is, the valve by this map."""
-    options = site.cell.hand.options.model_copy(update={"valve_map": points})
-    hand = site.cell.hand.model_copy(update={"options": options})
-    changer = ChangerSpec(driver="operator")
-    spec: CellSpec = site.cell.model_copy(update={"hand": hand, "changer": changer, "devices": {}})
-    devices = connect_cell_devices(spec, site.clock)
-    try:
-        yield devices
-    finally:
-        devices.close()
+def with_map(hand: HandSpec, points: Sequence[ValvePoint]) -> HandSpec:
+    """The hand with another map of its valve."""
+    options = hand.options.model_copy(update={"valve_map": tuple(points)})
+    return hand.model_copy(update={"options": options})
 
 
-def _flows(devices: Devices, site: Site) -> list[float] | None:
-    """The flow at each of `OPENINGS_MM` [mg/s], 0 where next to nothing came; None where powder runs all the time."""
+def as_written(points: Sequence[ValvePoint]) -> dict[Keys, Value]:
+    """The map as the cell's file has it."""
+    listed: list[Value] = [{"count": point.count, "opening": f"{point.opening_mm:g} mm"} for point in points]
+    return {("hand", "options", "valve_map"): listed}
+
+
+def weighed_flows(
+    devices: Devices, site: Site, openings_mm: Sequence[float], dwells_s: tuple[float, float] = DWELLS_S
+) -> list[float] | None:
+    """The flow at each of these openings [mg/s], 0 where next to nothing came; None where powder runs all the time."""
     try:
         gross_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
         flows = []
-        for opening_mm in OPENINGS_MM:
+        for opening_mm in openings_mm:
             masses_mg = []
-            for dwell_s in DWELLS_S:
-                carried_out(devices.hand.pulse(opening_mm, dwell_s), site.clock)
-                now_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
-                masses_mg.append(now_mg - gross_mg)
-                gross_mg = now_mg
+            for dwell_s in dwells_s:
+                brought_mg, gross_mg = _weighed(devices, site, opening_mm, dwell_s, gross_mg)
+                masses_mg.append(brought_mg)
             more_mg = masses_mg[1] - masses_mg[0]
-            flows.append(more_mg / (DWELLS_S[1] - DWELLS_S[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
+            flows.append(more_mg / (dwells_s[1] - dwells_s[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
         return flows
     except SkillFailed as failure:
         if failure.code == Code.BALANCE_UNSTABLE:
             return None
         raise
+
+
+def _weighed(devices: Devices, site: Site, opening_mm: float, dwell_s: float, gross_mg: float) -> tuple[float, float]:
+    """What one pulse brings [mg], and what the balance shows then; SkillFailed."""
+    left = TRIES
+    while True:
+        left -= 1
+        try:
+            carried_out(devices.hand.pulse(opening_mm, dwell_s), site.clock)
+        except SkillFailed as failure:
+            if failure.code != Code.DEVICE_LOST or not left:
+                raise
+            gross_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
+        else:
+            now_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
+            return now_mg - gross_mg, now_mg

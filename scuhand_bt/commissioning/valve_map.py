@@ -1,0 +1,90 @@
+"""Which opening belongs to which position of the valve's servo: its shape by weighing, its scale by one gauge.
+
+The opening is what powder flows through, not what the rack moves. By Beverloo's law (`commissioning/valve.py`)
+
+    W^0.4 = C'^0.4 (D - k)
+
+so the openings at several positions are known to each other, whatever C' is; the widest of them, measured with pins or
+drill shanks of known diameters, gives the scale. Where nobody has measured it, it stays what the map has said.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from scuhand_bt.cell_spec import ValvePoint
+from scuhand_bt.commissioning.held_arm import held, led
+from scuhand_bt.commissioning.step import Found, NotFound, Site
+from scuhand_bt.commissioning.valve import EMPTY, FILL, OVER_CRUCIBLE, POWDER, as_written, weighed_flows
+from scuhand_bt.devices.connect import Devices
+
+SHARES = (0.3, 0.45, 0.6, 0.8, 1.0)
+"""Where the flow is weighed, of the widest opening."""
+DWELLS_S = (0.2, 0.7)
+"""Short, as the widest opening empties the cone, and the last of a load flows slower."""
+STRAIGHT_MM = 0.06
+"""Openings that differ less from the present map leave it as it is: the flow at one opening varies by as much."""
+MOST_OFF = 0.4
+"""No valve's opening differs from its map by a larger share."""
+
+
+def equivalent_mm(flows_mg_per_s: Sequence[float], threshold_mm: float, widest_mm: float) -> list[float]:
+    """The openings that let so much flow, the last of which is `widest_mm`. ValueError for flows that do not rise."""
+    roots = np.array(flows_mg_per_s, dtype=float) ** 0.4
+    if (np.diff(roots) <= 0.0).any() or roots[0] <= 0.0:
+        raise ValueError("no more flows where the valve opens wider")
+    openings_mm: list[float] = (threshold_mm + (widest_mm - threshold_mm) * roots / roots[-1]).tolist()
+    return openings_mm
+
+
+def find_valve_map(site: Site) -> Found:
+    """The valve's map by points, where weighing and a gauge tell another than it has."""
+    if (powder := site.lab.library.powders.get(POWDER)) is None:
+        raise NotFound(f"the map is found with '{POWDER}', which robot/powders.yaml does not have")
+    hand = site.cell.hand
+    points = hand.options.valve_map
+    told_mm = [round(share * hand.max_opening_mm, 2) for share in SHARES]
+    led(site, OVER_CRUCIBLE)
+    with held(site) as devices:
+        site.person.ask(FILL)
+        flows = weighed_flows(devices, site, told_mm, DWELLS_S)
+        site.person.ask(EMPTY)
+        gauged_mm = _gauged_mm(devices, site)
+    if flows is None:
+        raise NotFound("powder runs though the valve is shut: `scuhand-bt commission valve` first")
+    try:
+        openings_mm = equivalent_mm(flows, powder.belief.threshold_mm, gauged_mm or told_mm[-1])
+    except ValueError as error:
+        raise NotFound(f"{error}; is the powder dry, the cone full enough, and nothing in the valve?") from None
+    pairs = list(zip(told_mm, openings_mm, strict=True))
+    if any(abs(is_mm - opening_mm) > MOST_OFF * opening_mm for opening_mm, is_mm in pairs):
+        found = ", ".join(f"{is_mm:.2f} mm at {opening_mm:g} mm" for opening_mm, is_mm in pairs)
+        raise NotFound(f"the valve would be open {found}: no valve is so; weigh again, and look what is in it")
+    words = {
+        "the valve is open": ", ".join(f"{is_mm:.2f} mm at {opening_mm:g} mm" for opening_mm, is_mm in pairs),
+        "its scale": f"{gauged_mm:g} mm by a gauge" if gauged_mm else "as the map had it; nobody has measured one",
+    }
+    if max(abs(is_mm - opening_mm) for opening_mm, is_mm in pairs) < STRAIGHT_MM:
+        return Found(words | {"the map": "as it was"})
+    counts = [round(float(np.interp(mm, [p.opening_mm for p in points], [p.count for p in points]))) for mm in told_mm]
+    new = [points[0]] + [
+        ValvePoint(count=count, opening_mm=round(is_mm, 2)) for count, is_mm in zip(counts, openings_mm, strict=True)
+    ]
+    values = as_written(new)
+    if new[-1].opening_mm < hand.max_opening_mm:
+        values["hand", "max_opening"] = f"{new[-1].opening_mm:g} mm"
+    return Found(words, values)
+
+
+def _gauged_mm(devices: Devices, site: Site) -> float:
+    """The widest opening as a person measures it; 0 where that is not done."""
+    hand, widest_mm = devices.hand, site.cell.hand.max_opening_mm
+    if not site.cell.hand.streaming:
+        return 0.0
+    hand.set_opening(widest_mm)
+    try:
+        return site.person.measure(
+            f"The valve is open as far as {widest_mm:g} mm. Which is the thickest pin to pass? [mm; 0: none at hand]"
+        )
+    finally:
+        hand.set_opening(0.0)
