@@ -405,9 +405,9 @@ def test_what_only_a_run_can_show_is_not_taken_for_done_without_one(factory: Fac
 def test_a_joint_that_does_not_do_what_is_described_ends_the_jog(factory: Factory) -> None:
     factory.do("servos", "zero")
     cell = factory.lab_folder / "robot" / "cell.yaml"
-    ways: dict[Keys, Value] = {("arm", "options", "directions"): [1, -1, 1, -1, 1, 1, 1]}
+    ways: dict[Keys, Value] = {("arm", "options", "directions"): [1, 1, 1, -1, 1, 1, -1]}
     cell.write_text(edited(cell.read_text(encoding="utf-8"), ways), encoding="utf-8")
-    with pytest.raises(NotFound, match=r"joint 2 .* does not turn as it is described"):
+    with pytest.raises(NotFound, match=r"joint 7 .* does not turn as it is described"):
         factory.do("jog")
 
 
