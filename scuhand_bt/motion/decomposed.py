@@ -254,6 +254,20 @@ class DecomposedArm:
 
     # The cone's axis by the last two joints ---------------------------------------------------------
 
+    def is_bent_alike(self, q: Floats, to: Floats, mount: "Mount") -> NDArray[np.bool_]:
+        """Which of configurations (..., n) hold the cone with the wrist bent as `to` (n,) does.
+
+        From the one to the other a load would have to tip over.
+        """
+        alike: NDArray[np.bool_] = self.wrist_lean(q, mount) * self.wrist_lean(to, mount) > 0
+        return alike
+
+    def wrist_lean(self, q: Floats, mount: "Mount") -> Floats:
+        """gamma of configurations (..., n)."""
+        k1, k2 = self.last_axes
+        held: Floats = _rotations(k2, q[..., -1].ravel()) @ self.axis_held(mount) @ np.cross(k1, k2)
+        return held.reshape(q.shape[:-1])
+
     @cached_property
     def last_axes(self) -> tuple[Floats, Floats]:
         """The last two joints' axes, seen from the one before the last where both are at zero: k1, k2."""
@@ -284,17 +298,11 @@ class AxisLevel:
         self.scatter = np.append(np.ones(self._arm.joints - 2), [0.0, 0.0])
         self._k1, self._k2 = self._arm.last_axes
         self._b, self._across = self._arm.axis_held(mount), np.cross(self._k1, self._k2)
-        self._branch = 1.0
-        self._branch = float(np.sign(self._leaning(start[None, :])[0]) or 1.0)
-
-    def _leaning(self, q: Floats) -> Floats:
-        """gamma of configurations (m, n): its sign is their branch."""
-        leaning: Floats = (_rotations(self._k2, q[:, -1]) @ self._b) @ self._across
-        return leaning
+        self._start = start
+        self._branch = float(np.sign(self._arm.wrist_lean(start, mount)) or 1.0)
 
     def covers(self, q: Floats) -> NDArray[np.bool_]:
-        covered: NDArray[np.bool_] = self._branch * self._leaning(q) > 0
-        return covered
+        return self._arm.is_bent_alike(q, self._start, self._mount)
 
     def of(self, q: Floats) -> Floats:
         c = q.copy()

@@ -59,6 +59,8 @@ def courses(
     q = branches_of(positions_m, axes, seams, grid, mount)
     if q is None or not (open_ := within_limits(q, mount)).any(axis=(1, 2)).all():
         raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach all of it")
+    if mount.arm is not None and ends is None:
+        open_[-1] &= mount.arm.is_bent_alike(q[-1], near, mount)
     if ends is not None:
         for k, end in zip((0, -1), ends, strict=True):
             open_[k] &= np.abs(q[k] - end).max(axis=2) < NEXT_RAD
