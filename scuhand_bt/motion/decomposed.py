@@ -228,7 +228,8 @@ class DecomposedArm:
     @property
     def shoulder_m(self) -> Floats:
         """Where the first joint is."""
-        return self._offsets_m[0]
+        shoulder_m: Floats = self._offsets_m[0]
+        return shoulder_m
 
     def along(
         self, positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, q_start: Floats, mount: "Mount"
@@ -275,10 +276,11 @@ class DecomposedArm:
 
     def before_last(self, q: Floats) -> Floats:
         """The turns (m, 3, 3) of what the last two joints stand on."""
-        turns = np.broadcast_to(np.eye(3), (len(q), 3, 3))
+        turns: Floats = np.broadcast_to(np.eye(3), (len(q), 3, 3))
         for joint in range(self.joints - 2):
             turns = turns @ (self._turns[joint] @ _rotations(self.axes[joint], q[:, joint]))
-        return turns @ self._turns[-2]
+        stood_on: Floats = turns @ self._turns[-2]
+        return stood_on
 
     def axis_held(self, mount: "Mount") -> Floats:
         """The cone's axis where the last joint is at zero, seen from there: b."""

@@ -411,7 +411,8 @@ def nearest_configuration(q: Floats, pose: ApexPose, mount: Mount) -> Floats:
     found = branches_of(pose.position_m[None], pose.axis[None], pose.seam[None], swivel, mount)
     if found is None:
         return np.empty((0, JOINTS))
-    four = found[0, 0][within_limits(found[0, 0], mount)]
+    four = found[0, 0] if mount.arm is None else mount.arm.nearest_turns(found[0, 0], q)
+    four = four[within_limits(four, mount)]
     nearest: Floats = four[np.argsort(np.abs(four - q).max(axis=1), kind="stable")[:1]]
     return nearest
 
