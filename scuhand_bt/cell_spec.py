@@ -25,7 +25,7 @@ from scuhand_bt.quantity import (
     Seconds,
     plain_name,
 )
-from scuhand_bt.specs import NotNegative, Positive, Spec
+from scuhand_bt.specs import NOT_WRITTEN, NotNegative, Positive, Spec
 
 Point = Annotated[tuple[Millimetres, Millimetres, Millimetres], Field(description="x, y, z in the base frame")]
 
@@ -81,8 +81,8 @@ class Obstacle(Spec):
     """An STL or OBJ file, beside cell.yaml; its z is up. An absolute path once the lab is loaded."""
     mesh_unit_mm: Size = 1.0
     """What one unit of the file is."""
-    mesh_digest: str = ""
-    """Of the file's bytes, once the lab is loaded; written by nobody."""
+    mesh_digest: Annotated[str, NOT_WRITTEN] = ""
+    """Of the file's bytes, once the lab is loaded."""
     yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
     """By how much a box or a mesh is turned about its upright axis, against the clock seen from above."""
     frame: str | None = None
@@ -132,6 +132,9 @@ class ArmSpec(Spec):
     """Of another arm: its joints as it stands before a place straight ahead; unset, the middles of its windows."""
     windows_deg: dict[str, tuple[Degrees, Degrees]] = Field(default_factory=dict)
     """By the URDF's names of joints: a narrower window than it tells, from and to."""
+    may_touch: tuple[tuple[str, str], ...] = ()
+    """Pairs that are not looked at, as bounding shapes that meet where what they bound does not: each a link of the
+    URDF, one shape of it (`upper_0`), the cone or the clamp, and another of these or an obstacle."""
     speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
     torque_ratio: Annotated[Ratio, Field(ge=0.1, le=1)] = 0.8
     """Of its servos' stall torque (the URDF's `effort`), what a motion may take; one that would take more is slower."""

@@ -332,10 +332,12 @@ def _find_meshes(cell: CellSpec, root: Entries, folder: Path, problems: Problems
             problems.add(root.keys["zones"], what, "write it as a box or a cylinder", code="bad-value")
     nodes = root.get("geometry")
     for number, obstacle in enumerate(cell.geometry):
+        node = nodes.items[number] if isinstance(nodes, Items) else root
+        if isinstance(node, Entries) and "mesh_digest" in node.keys:
+            problems.add(node.keys["mesh_digest"], "unknown key 'mesh_digest'", "leave it out", code="unknown-key")
         if obstacle.mesh is None:
             continue
         path = (folder / obstacle.mesh).resolve()
-        node = nodes.items[number] if isinstance(nodes, Items) else root
         mark = node.values["mesh"].mark if isinstance(node, Entries) and "mesh" in node.values else node.mark
         if path.suffix.lower() not in MESHES:
             problems.add(mark, f"'{shorten(obstacle.mesh)}' is no STL and no OBJ file", code="bad-value")

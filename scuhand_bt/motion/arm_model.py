@@ -7,7 +7,7 @@ Positions in metres, configurations in radians, shape (n, 7).
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import coal
 import numpy as np
@@ -68,6 +68,7 @@ class Arm:
             if not (thing.geometry.aabb_local.max_ - thing.geometry.aabb_local.min_ > 0).all():
                 raise ValueError(f"the URDF's collision shape {thing.name} has no size")
         self._check_closed_form()
+        self.may_touch = [frozenset(pair) for pair in spec.may_touch]
         own = range(self.shapes.ngeoms)
         self._far: dict[frozenset[str], bool] = {}
         self._meeting = meeting(self.model, self.shapes, list(neighbours(self.shapes, own, own)), self.limits_rad)
@@ -88,6 +89,23 @@ class Arm:
     def _last(self) -> int:
         """The joint that carries the hand."""
         return int(self.model.njoints) - 1
+
+    def require_names(self, obstacles: Sequence[str]) -> None:
+        """ValueError where a pair of `may_touch` names what is neither the arm's nor one of these obstacles."""
+        own = {name for thing in self.shapes.geometryObjects for name in _called(thing.name)} | {CONE, "clamp"}
+        for pair in self.may_touch:
+            if len(pair) == 1 or not pair & own:
+                raise ValueError(f"'may_touch' pairs something of the arm with something else, not {_listed(pair)}")
+            if unknown := pair - own - set(obstacles):
+                known = _listed([*own, *obstacles])
+                raise ValueError(f"'may_touch' names {_listed(unknown)}, which is not there; there are {known}")
+
+    def is_looked_at(self, first: str, second: str) -> bool:
+        """Whether two shapes by these names must not touch."""
+        return not any(
+            (one in _called(first) and other in _called(second)) or (other in _called(first) and one in _called(second))
+            for one, other in map(tuple, self.may_touch)
+        )
 
     def near_pairs(self, shapes: pin.GeometryModel) -> list[tuple[int, int]]:
         """Of this arm's shapes with clamp and cones after them, the pairs of neighbouring links that may meet."""
@@ -132,6 +150,15 @@ class Arm:
             name = f"{CONE} {k}" if k else CONE
             shapes.addGeometryObject(pin.GeometryObject(name, self._last, self.tool * placed, cone))
         return shapes
+
+
+def _called(name: str) -> tuple[str, ...]:
+    """What a shape can be called in a cell: its name, its link's, and every cone's."""
+    return (name, name.rsplit("_", 1)[0], name.split(" ")[0])
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"'{name}'" for name in sorted(names))
 
 
 def _with_z(z: Floats) -> Floats:

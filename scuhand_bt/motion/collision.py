@@ -105,8 +105,9 @@ class Scene:
             self.shapes.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
         touchable = set(may_touch)
         for first, second in [*_pairs(self.shapes, moving, touchable), *arm.near_pairs(shapes)]:
-            self.shapes.addCollisionPair(pin.CollisionPair(first, second))
-        self._foremost = _foremost(shapes, [solid for solid in solids if solid.name not in touchable])
+            if not arm.may_touch or arm.is_looked_at(*(self.shapes.geometryObjects[k].name for k in (first, second))):
+                self.shapes.addCollisionPair(pin.CollisionPair(first, second))
+        self._foremost = _foremost(arm, shapes, [solid for solid in solids if solid.name not in touchable])
         # From here on the models are complete; only now may data be made of them.
         self._data = self.model.createData()
         self._shape_data = pin.GeometryData(self.shapes)
@@ -226,7 +227,7 @@ class Scene:
         raise ValueError("the curve jumps: no sampling proves it")
 
 
-def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:
+def _foremost(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:
     """The foremost shapes against the tallest solids alone: the walls around the balance."""
     few = pin.GeometryModel()
     for thing in shapes.geometryObjects:
@@ -238,7 +239,8 @@ def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.Geometr
             few.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
     for first in range(moving):
         for second in range(moving, few.ngeoms):
-            few.addCollisionPair(pin.CollisionPair(first, second))
+            if arm.is_looked_at(few.geometryObjects[first].name, few.geometryObjects[second].name):
+                few.addCollisionPair(pin.CollisionPair(first, second))
     return few
 
 

@@ -103,6 +103,7 @@ class MotionPlanner:
         self.urdf = urdf
         self._store = None if plans is None else PlanStore(plans, urdf, cell, mortars or {})
         arm = Arm(urdf, cell.arm)
+        arm.require_names([solid.name for solid in (*cell.geometry, *cell.zones)] + list(mortars or {}))
         self._cell, self._limits_rad, self._arm = cell, arm.limits_rad, arm.decomposed
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         hand_kg = None if cell.hand.mass_mg is None else cell.hand.mass_mg / 1e6
