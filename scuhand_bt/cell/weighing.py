@@ -137,12 +137,13 @@ def changed(cell: Cell, changing: Steps[None], shown: StableMean) -> Steps[tuple
 
 
 def is_to_be_weighed_again(cell: Cell) -> bool:
-    """Whether no container of this run has told yet whether the zero steps: then one does that is weighed twice.
+    """Whether no container of this run has told yet whether the zero steps, or every one is to, as the cell has it.
 
     A zero that is elsewhere while a lone container is dosed, and back by the next weighing, is told by nothing else.
     No person is asked to put back what was just taken away.
     """
-    return not cell.believed.has_closed and not cell.changer.needs_person
+    is_asked = cell.spec.balance.weighed_twice == "every" or not cell.believed.has_closed
+    return is_asked and not cell.changer.needs_person
 
 
 def note_again(
