@@ -63,7 +63,7 @@ FELL_NOISES = 5.0
 RINGS_S = 1.0
 """So long after the motor has stopped readings may still be of when it went."""
 LOOK_S = 4.0
-"""A drift by weighings sooner after each other may be chance, which counts over all of the dose: it is looked at anew."""
+"""A drift by weighings sooner after each other may be chance, over all of the dose: it is looked at anew."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 
