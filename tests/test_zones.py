@@ -217,7 +217,7 @@ def scooping_bench(starter: Lab, motion: MotionPlanner) -> tuple[Bench, Source]:
     return bench, source
 
 
-@pytest.mark.parametrize("after_s", [3.5, 4.5, 5.5])
+@pytest.mark.parametrize("after_s", [2.5, 3.5, 4.5])
 def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
     """On its way into the powder, along the wall, and as it turns upright."""
     bench, source = scooping_bench(starter, motion)
