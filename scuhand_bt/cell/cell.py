@@ -17,7 +17,7 @@ from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, tak
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
-from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
+from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Joints, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
@@ -157,27 +157,39 @@ class Cell:
         return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
 
     def plan_stroke(self, path: StrokePath, source: Source) -> "StoppableTrajectory":
-        """The motion of arm and roller along a stroke in a source's mortar.
+        """The motion of arm and roller along a stroke in a source's mortar, as near to the mortar's place as it can be.
 
         SkillFailed arm.no_path, arm.unreachable.
         """
-        return planned_stroke(self.motion, self.arm.positions, path, self.spec, source.station, source.mortar)
+        near = self._planner().standing_at(source.station)
+        return planned_stroke(self.motion, near, path, self.spec, source.station, source.mortar)
 
-    def make_stroke(self, motion: "StoppableTrajectory", open_mm: float) -> Steps[None]:
-        """To where a stroke begins, its cone formed, and along it: arm and roller in one motion, both or none.
+    def make_stroke(self, motion: "StoppableTrajectory", open_mm: float, station: str) -> Steps[None]:
+        """To where a stroke at a mortar's station begins, its cone formed, and along it: arm and roller in one motion.
 
-        The cone is formed on the way, where nothing is in its way there; else before.
+        The cone is formed on the way there: from where the arm stands, or, where something is in its way, from the
+        mortar's place; and where it is there, too, before that way.
         """
-        begin, rims_mm = motion.start[:-1], (self.hand.cone_diameter_mm, open_mm)
-        try:
-            forming = self._planner().forming(self.arm.positions, begin, rims_mm, self._roller_rad)
-        except SkillFailed:
+        begin = motion.start[:-1]
+        forming = self._forming(begin, open_mm)
+        if forming is None:
+            yield from self.move_to(station)
+            forming = self._forming(begin, open_mm)
+        if forming is None:
             yield from self.right_of_way.go()
             yield from self.hand.morph(open_mm)
             yield from self._follow(self._planner().move(self.arm.positions, begin))
         else:
             yield from self._together(forming)
         yield from self._together(motion)
+
+    def _forming(self, goal: Joints, rim_mm: float) -> "StoppableTrajectory | None":
+        """From here to a configuration with a cone of this size, empty; None where something is in the way."""
+        rims_mm = (self.hand.cone_diameter_mm, rim_mm)
+        try:
+            return self._planner().forming(self.arm.positions, goal, rims_mm, self._roller_rad)
+        except SkillFailed:
+            return None
 
     def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
         """Arm and roller along a motion of both."""

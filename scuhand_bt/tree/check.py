@@ -247,26 +247,18 @@ class _Checker:
         """No two children command one device, or move in one zone; and what zone one moves in is known to the arm."""
         used: dict[str, int] = {}
         entered: dict[str, int] = {}
+        rules = (
+            (used, "devices", "both command the {}", "one device does one thing at a time", "parallel-devices"),
+            (entered, "zones", "both move in the zone '{}'", "one thing moves there at a time", "parallel-zones"),
+        )
         for number, child in enumerate(node.children, start=1):
             skills = skills_of(child, self._library)
-            for device in sorted({device for skill in skills for device in skill.devices}):
-                if device in used:
-                    self._problems.add(
-                        child.mark,
-                        f"children {used[device]} and {number} of 'parallel' both command the {device}",
-                        "one device does one thing at a time; use 'sequence'",
-                        code="parallel-devices",
-                    )
-                used.setdefault(device, number)
-            for zone in sorted({zone for skill in skills for zone in skill.zones}):
-                if zone in entered:
-                    self._problems.add(
-                        child.mark,
-                        f"children {entered[zone]} and {number} of 'parallel' both move in the zone '{zone}'",
-                        "one thing moves there at a time; use 'sequence'",
-                        code="parallel-zones",
-                    )
-                entered.setdefault(zone, number)
+            for first, kind, clash, why, code in rules:
+                for name in sorted({name for skill in skills for name in getattr(skill, kind)}):
+                    if name in first:
+                        what = f"children {first[name]} and {number} of 'parallel' {clash.format(name)}"
+                        self._problems.add(child.mark, what, f"{why}; use 'sequence'", code=code)
+                    first.setdefault(name, number)
         for zone, number in entered.items():
             if used.get("arm", number) != number and zone not in self._library.zones:
                 self._problems.add(
