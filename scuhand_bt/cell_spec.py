@@ -23,6 +23,7 @@ from scuhand_bt.quantity import (
     MillimetresPerSecond,
     Ratio,
     Seconds,
+    plain_name,
 )
 from scuhand_bt.specs import NotNegative, Positive, Spec
 
@@ -115,17 +116,38 @@ class ArmOptions(Spec):
 
 
 class ArmSpec(Spec):
-    """The CRANE-X7 as this cell uses it."""
+    """The arm as this cell uses it: the CRANE-X7, or another of six or seven joints."""
 
     driver: Annotated[str, driver_name("arm")] = "dynamixel"
     port: str = ""
     options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
+    kinematics: Literal["crane_x7", "decomposed"] = "crane_x7"
+    """How poses become joints: by the CRANE-X7's closed form, or another arm's as EAIK finds it from its axes."""
+    tool_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Of another arm: along which axis of its last joint's frame the handle goes on."""
+    flange_mm: Point = (0.0, 0.0, 0.0)
+    """Of another arm: where in that frame the hand is screwed on."""
+    relaxed_deg: tuple[Degrees, ...] = ()
+    """Of another arm: its joints as it stands before a place straight ahead; unset, the middles of its windows."""
+    windows_deg: dict[str, tuple[Degrees, Degrees]] = Field(default_factory=dict)
+    """By the URDF's names of joints: a narrower window than it tells, from and to."""
     speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
     torque_ratio: Annotated[Ratio, Field(ge=0.1, le=1)] = 0.8
     """Of its servos' stall torque (the URDF's `effort`), what a motion may take; one that would take more is slower."""
     gentle_deg: Annotated[Degrees, Field(gt=0, le=90)] = 90.0
     """The largest spill angle a loaded cone is carried at; its powder's own limit where that is smaller."""
+
+    @model_validator(mode="after")
+    def _describes_another_arm_only(self) -> Self:
+        if self.kinematics == "crane_x7":
+            given = {"tool_axis", "flange_mm", "relaxed_deg"} & self.model_fields_set
+            if given:
+                what = plain_name(min(given))
+                raise ValueError(f"'{what}' is told of another arm than the CRANE-X7: 'kinematics: decomposed'")
+        elif math.hypot(*self.tool_axis) < 1e-6:
+            raise ValueError("'tool_axis' has no direction")
+        return self
 
 
 class ValveErrorSpec(Spec):

@@ -20,7 +20,7 @@ from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, load, read_text
 
 if TYPE_CHECKING:
-    from scuhand_bt.motion import MotionPlanner
+    from scuhand_bt.motion import MotionPlanner, Mount
 
 S = TypeVar("S", bound=Spec)
 
@@ -62,6 +62,18 @@ class Lab:
             return MotionPlanner(self.urdf, self.cell, mortars, plans)
         except ValueError as error:
             raise SourceError([Problem(Mark(str(self._urdf_path)), str(error))]) from None
+
+
+def read_mount(lab: Lab) -> "Mount":
+    """How the lab's hand holds the cone that loads are carried in, and what arm holds the hand.
+
+    SourceError where the URDF of an arm other than the CRANE-X7 is not what the cell says.
+    """
+    from scuhand_bt.motion import Mount
+
+    if lab.cell.arm.kinematics == "crane_x7":
+        return Mount.of(lab.cell.hand)
+    return lab.motion_planner({}).mount()
 
 
 def starter_lab() -> Path:

@@ -26,13 +26,14 @@ from typing import TypeAlias, TypeVar
 
 import numpy as np
 
-from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import explain, transfer
-from scuhand_bt.motion.collision import Arm, Scene
+from scuhand_bt.motion.arm_model import Arm
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import contact_motion, with_seams
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
-from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.occupancy import VOXEL_M, Occupancy
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.plan_store import PlanStore
@@ -101,14 +102,15 @@ class MotionPlanner:
     ) -> None:
         self.urdf = urdf
         self._store = None if plans is None else PlanStore(plans, urdf, cell, mortars or {})
-        arm = Arm(urdf)
-        self._cell, self._limits_rad = cell, arm.limits_rad
+        arm = Arm(urdf, cell.arm)
+        self._cell, self._limits_rad, self._arm = cell, arm.limits_rad, arm.decomposed
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         hand_kg = None if cell.hand.mass_mg is None else cell.hand.mass_mg / 1e6
         self._torques = Torques(arm.model, cell.arm.torque_ratio, hand_kg)
+        self.tool = arm.tool
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
-        self._places = Places(self._scenes, self.rates, cell.hand)
+        self._places = Places(self._scenes, cell.hand, arm.decomposed)
         self._plans: Recent[Request, StoppableTrajectory | None] = Recent(PLANS_KEPT)
         self._carries: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
@@ -145,8 +147,8 @@ class MotionPlanner:
     def is_free(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
         """Whether what is left of a motion is proven to touch nothing as the cell looks now; else stop it."""
         left_s = max(motion.duration_s - from_s, 0.0)
-        acceleration = motion.extremes()[1][:JOINTS]
-        return self.scene(CLOSE_MARGIN_M).curve_free(partial(_later, arm_part(motion), from_s), left_s, acceleration)
+        arm = arm_part(motion) if motion.start.size > self.joints else motion
+        return self.scene(CLOSE_MARGIN_M).curve_free(partial(_later, arm, from_s), left_s, arm.extremes()[1])
 
     def entered(self, q: Floats) -> frozenset[str]:
         """The zones of the cell that the arm is in, at a configuration."""
@@ -296,7 +298,7 @@ class MotionPlanner:
         motion = self._store.found(_written(request), spill_limit_deg) if self._store is not None else None
         if motion is None or not is_whole(motion, self.rates, self._mount, spill_limit_deg):
             return None
-        ends = np.frombuffer(goals).reshape(-1, JOINTS) - motion.end
+        ends = np.frombuffer(goals).reshape(-1, self.joints) - motion.end
         if max(np.abs(np.frombuffer(begin) - motion.start).max(), np.abs(ends).max(axis=1).min()) > SAME_RAD:
             return None
         scene = self.scene()
@@ -385,18 +387,18 @@ class MotionPlanner:
         )
         with self._as_if(last):
             way = self.move(start, goal)
-        law = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
+        law = TimeLaw(RateLimits(rates.speed[-1:], rates.acceleration[-1:], rates.jerk[-1:]))
         rolling = law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm]))
         both = beside(begun_later(way, rolling.duration_s - way.duration_s), rolling)
         leaves_s, comes_s = max(0.0, both.duration_s - way.duration_s), both.duration_s
         turned_rad = rolling.end - rolling.start
         for begin_s, end_s in itertools.pairwise((0.0, leaves_s, (leaves_s + comes_s) / 2, comes_s)):
-            rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, JOINTS] - rolling.start
+            rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, -1] - rolling.start
             shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is even with the roller's angle
             three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
             scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
             course = partial(_later, arm_part(both), begin_s)
-            if not scene.curve_free(course, end_s - begin_s, both.extremes()[1][:JOINTS]):
+            if not scene.curve_free(course, end_s - begin_s, both.extremes()[1][:-1]):
                 raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
         return self._stoppable(self._borne(both), rates)
 
@@ -410,7 +412,7 @@ class MotionPlanner:
 
         def made() -> StoppableTrajectory | SkillFailed:
             scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
-            mount, rates = Mount.of(hand, rims_mm[0]), with_roller(self.rates, hand)
+            mount, rates = self.mount(rims_mm[0]), with_roller(self.rates, hand)
             try:
                 motion = self._borne(stroke_motion(begin, poses, scene, rates, mount))
                 return StoppableTrajectory(motion, rates, mount, self._torques)
@@ -436,7 +438,7 @@ class MotionPlanner:
         def made() -> StoppableTrajectory:
             three_mm = [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]]
             scene = self._scenes.of_stroke(self._geometry, three_mm, None, CLOSE_MARGIN_M)
-            motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad)
+            motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad, self._arm)
             return self._stoppable(self._borne(motion), rates)
 
         return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
@@ -444,7 +446,16 @@ class MotionPlanner:
     @property
     def _mount(self) -> Mount:
         """How the hand holds the cone of the present geometry."""
-        return Mount.of(self._cell.hand, 1e3 * self._geometry.cone_diameter_m)
+        return self.mount(1e3 * self._geometry.cone_diameter_m)
+
+    @property
+    def joints(self) -> int:
+        """How many joints the arm has."""
+        return len(self._limits_rad[0])
+
+    def mount(self, diameter_mm: float = MOUNTED_DIAMETER_MM) -> Mount:
+        """How this cell's hand holds a cone with a rim of this diameter, and what holds the hand."""
+        return Mount.of(self._cell.hand, diameter_mm, self._arm)
 
     # Within -----------------------------------------------------------------------------------------
 
@@ -480,6 +491,8 @@ class MotionPlanner:
             explain.require_reachable(goal, "the pose", self._mount, self.scene())
         _, with_seam = with_seams(apex(begin, self._mount), [goal])
         goals = np.vstack([nearest_configuration(begin, with_seam, self._mount), goals])
+        if self._arm is not None:
+            goals = self._arm.nearest_turns(goals, begin)
         return begin, goals, f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
 
     def _posture(self, place: str) -> Floats:

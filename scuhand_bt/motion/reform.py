@@ -15,7 +15,8 @@ import numpy as np
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex
+from scuhand_bt.motion.decomposed import DecomposedArm
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
 from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, sampled
 from scuhand_bt.motion.swivels import courses
@@ -38,19 +39,20 @@ def reform_motion(
     rates: RateLimits,
     hand: HandSpec,
     roller_rad: RollerAngle,
+    arm: DecomposedArm | None = None,
 ) -> JointTrajectory:
     """The motion (8 columns) between two configurations (7,) whose cones, of these rims, are upright; proven.
 
     SkillFailed arm.no_path.
     """
-    mounts = [Mount.of(hand, rim_mm) for rim_mm in rims_mm]
+    mounts = [Mount.of(hand, rim_mm, arm) for rim_mm in rims_mm]
     first, last = apex(begin, mounts[0]), apex(end, mounts[1])
     why: SkillFailed | None = None
     for yaw_turn in _ways(_yaw(first), _yaw(last)):
         poses_of_turn = _poses(first, last, yaw_turn, rims_mm, hand, roller_rad)
         times_s, positions_m, axes, seams, rolled_rad = sampled(poses_of_turn)
         try:
-            poses, speed = (positions_m, axes, seams), rates.speed[:JOINTS]
+            poses, speed = (positions_m, axes, seams), rates.speed[:-1]
             for course in courses(poses, begin, scene, speed, mounts[0], ends=(begin, end)):
                 course[0], course[-1] = begin, end
                 motion = slowed(times_s, np.column_stack([course, rolled_rad]), rates)
