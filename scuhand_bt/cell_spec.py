@@ -25,7 +25,8 @@ from scuhand_bt.quantity import (
     Seconds,
     plain_name,
 )
-from scuhand_bt.specs import NOT_WRITTEN, NotNegative, Positive, Spec
+from scuhand_bt.specs import NotNegative, Positive, Spec
+from scuhand_bt.validation import NOT_WRITTEN
 
 Point = Annotated[tuple[Millimetres, Millimetres, Millimetres], Field(description="x, y, z in the base frame")]
 

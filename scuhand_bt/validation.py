@@ -4,13 +4,14 @@ import typing
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from scuhand_bt.problems import Problems, shorten
-from scuhand_bt.specs import NOT_WRITTEN
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, plain
 
 M = TypeVar("M", bound=BaseModel)
+NOT_WRITTEN = Field(json_schema_extra={"written": False})
+"""Of a field that the engine fills in: no file gives it."""
 
 
 def validate(model: type[M], node: Node, problems: Problems, known: str = "", **extra: Any) -> M | None:
