@@ -109,8 +109,9 @@ def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
                 nested = (info.annotation, *typing.get_args(info.annotation))
                 model = next((t for t in nested if isinstance(t, type) and issubclass(t, BaseModel)), model)
                 break
-    return [
-        info.alias or name
-        for name, info in model.model_fields.items()
-        if info.json_schema_extra != NOT_WRITTEN.json_schema_extra
-    ]
+    return [info.alias or name for name, info in model.model_fields.items() if _is_written(info.json_schema_extra)]
+
+
+def _is_written(extra: object) -> bool:
+    """Whether a field stands in files, by what its schema says besides (`specs.NOT_WRITTEN`)."""
+    return not (isinstance(extra, dict) and extra.get("written") is False)
