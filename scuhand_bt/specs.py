@@ -36,8 +36,6 @@ class Spec(BaseModel):
     )
 
 
-NOT_WRITTEN = Field(json_schema_extra={"written": False})
-"""Of a field that the engine fills in: no file gives it."""
 Positive = Field(gt=0)
 NotNegative = Field(ge=0)
 
