@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.places import over_balance, over_mortar
-from scuhand_bt.cell_spec import CellSpec, Obstacle
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_sections import own_options
 from scuhand_bt.problems import Broken, Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.skill_files.load import load_skills

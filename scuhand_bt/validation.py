@@ -4,14 +4,13 @@ import typing
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from scuhand_bt.problems import Problems, shorten
+from scuhand_bt.quantity import NOT_WRITTEN
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, plain
 
 M = TypeVar("M", bound=BaseModel)
-NOT_WRITTEN = Field(json_schema_extra={"written": False})
-"""Of a field that the engine fills in: no file gives it."""
 
 
 def validate(model: type[M], node: Node, problems: Problems, known: str = "", **extra: Any) -> M | None:
@@ -109,9 +108,4 @@ def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
                 nested = (info.annotation, *typing.get_args(info.annotation))
                 model = next((t for t in nested if isinstance(t, type) and issubclass(t, BaseModel)), model)
                 break
-    return [info.alias or name for name, info in model.model_fields.items() if _is_written(info.json_schema_extra)]
-
-
-def _is_written(extra: object) -> bool:
-    """Whether a field stands in files, by what its schema says besides (`specs.NOT_WRITTEN`)."""
-    return not (isinstance(extra, dict) and extra.get("written") is False)
+    return [info.alias or name for name, info in model.model_fields.items() if info.json_schema_extra != NOT_WRITTEN]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import LabFolder, problems_of
 
-from scuhand_bt.cell_spec import Obstacle
+from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.lab import load_lab, read_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.kinematics import LIMITS_RAD

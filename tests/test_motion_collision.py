@@ -5,7 +5,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from scuhand_bt.cell_spec import ArmSpec, HandSpec, Obstacle
+from scuhand_bt.bench_spec import Obstacle
+from scuhand_bt.cell_spec import ArmSpec, HandSpec
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import SMALLEST_MARGIN_M, Arm, Scene, Solid

@@ -14,7 +14,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.kit.cases import SUCCESS, Expectation, Substituted
 from scuhand_bt.lab import TEST_SUFFIX, Lab

@@ -15,14 +15,13 @@ Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillF
 arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
 """
 
-import hashlib
 import itertools
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -39,14 +38,15 @@ from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.plan_store import PlanStore
 from scuhand_bt.motion.proof import is_whole
 from scuhand_bt.motion.recent import Recent
-from scuhand_bt.motion.reform import RollerAngle, reform_motion
+from scuhand_bt.motion.reform import RollerAngle, forming_motion, reform_motion
+from scuhand_bt.motion.requests import Request
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
-from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, beside, standing
+from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -57,36 +57,10 @@ UNSLOWED = 1.001
 RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
 """The spill limits that loads are planned for, those up to a load's own; loads that differ a little share them."""
 
-SAME_RAD = 1e-9
-"""A plan begins and ends where it was asked for, but for rounding."""
 PLANS_KEPT = 256
 STROKES_KEPT = 64
 
-Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None, Effort]
-"""Start and goals as their bytes, geometry, spill limit, effort: what a plan is kept by."""
-
-
-def _seed(start: Floats, goals: Floats, geometry: Geometry, spill_limit_deg: float | None) -> int:
-    """A seed that belongs to the request, so that its answer is the same on every run."""
-    kind = geometry.container.name if geometry.container is not None else ""
-    words = " ".join([f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}", *sorted(geometry.closed)])
-    digest = hashlib.blake2b(start.tobytes() + goals.tobytes() + words.encode(), digest_size=16).digest()
-    return int.from_bytes(digest, "big")
-
-
-def _written(request: Request) -> str:
-    """A request in words that are the same in every process."""
-    begin, goals, geometry, spill_limit_deg, effort = request
-    seen = f"{geometry.cone_diameter_m} {geometry.container!r} {sorted(geometry.closed)}"
-    return f"{begin!r} {goals!r} {seen} {spill_limit_deg} {effort!r}"
-
-
 Found = TypeVar("Found", bound=JointTrajectory)
-
-
-def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
-    """Where a motion is at times counted from one of its moments."""
-    return motion.at(begin_s + times_s)
 
 
 class MotionPlanner:
@@ -149,7 +123,7 @@ class MotionPlanner:
         """Whether what is left of a motion is proven to touch nothing as the cell looks now; else stop it."""
         left_s = max(motion.duration_s - from_s, 0.0)
         arm = arm_part(motion) if motion.start.size > self.joints else motion
-        return self.scene(CLOSE_MARGIN_M).curve_free(partial(_later, arm, from_s), left_s, arm.extremes()[1])
+        return self.scene(CLOSE_MARGIN_M).curve_free(later(arm, from_s), left_s, arm.extremes()[1])
 
     def entered(self, q: Floats) -> frozenset[str]:
         """The zones of the cell that the arm is in, at a configuration."""
@@ -228,7 +202,7 @@ class MotionPlanner:
             return self._found(self._kept(begin, goals, name, None, effort), begin, goals, name)
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
-        key = begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg, effort
+        key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
         return self._carries.of(
             key, lambda: self._stoppable(self._carried(begin, goals, name, spill_limit_deg, effort))
         )
@@ -270,10 +244,10 @@ class MotionPlanner:
 
         Between two configurations it is made in one direction only.
         """
-        key = begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg, effort
+        key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
 
         def made() -> StoppableTrajectory | None:
-            is_reversed = len(goals) == 1 and key[1] < key[0]
+            is_reversed = len(goals) == 1 and key.goals < key.begin
             if is_reversed:
                 self._require_free_ends(begin, goals, name)
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
@@ -283,7 +257,7 @@ class MotionPlanner:
             if found is None:
                 found = self._planned(begin, goals, name, spill_limit_deg, effort)
                 if found is not None and self._store is not None and self._geometry.occupied is None:
-                    self._store.keep(_written(key), found)
+                    self._store.keep(key.written, found)
             return None if found is None else self._stoppable(self._borne(found))
 
         return self._plans.of(key, made)
@@ -295,12 +269,11 @@ class MotionPlanner:
 
     def _from_store(self, request: Request) -> JointTrajectory | None:
         """The kept plan of a request, if it is all that a plan of it has to be."""
-        begin, goals, _, spill_limit_deg, _ = request
-        motion = self._store.found(_written(request), spill_limit_deg) if self._store is not None else None
-        if motion is None or not is_whole(motion, self.rates, self._mount, spill_limit_deg):
+        limit_deg = request.spill_limit_deg
+        motion = self._store.found(request.written, limit_deg) if self._store is not None else None
+        if motion is None or not is_whole(motion, self.rates, self._mount, limit_deg):
             return None
-        ends = np.frombuffer(goals).reshape(-1, self.joints) - motion.end
-        if max(np.abs(np.frombuffer(begin) - motion.start).max(), np.abs(ends).max(axis=1).min()) > SAME_RAD:
+        if not request.has_ends_of(motion):
             return None
         scene = self.scene()
         if scene.hits(np.stack([motion.start, motion.end])).any():
@@ -388,19 +361,13 @@ class MotionPlanner:
         )
         with self._as_if(last):
             way = self.move(start, goal)
-        law = TimeLaw(RateLimits(rates.speed[-1:], rates.acceleration[-1:], rates.jerk[-1:]))
-        rolling = law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm]))
-        both = beside(begun_later(way, rolling.duration_s - way.duration_s), rolling)
-        leaves_s, comes_s = max(0.0, both.duration_s - way.duration_s), both.duration_s
-        turned_rad = rolling.end - rolling.start
-        for begin_s, end_s in itertools.pairwise((0.0, leaves_s, (leaves_s + comes_s) / 2, comes_s)):
-            rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, -1] - rolling.start
-            shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is even with the roller's angle
-            three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
-            scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
-            course = partial(_later, arm_part(both), begin_s)
-            if not scene.curve_free(course, end_s - begin_s, both.extremes()[1][:-1]):
-                raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
+        both = forming_motion(
+            way,
+            rims_mm,
+            rates,
+            roller_rad,
+            partial(self._scenes.of_stroke, last, station=None, margin_m=CLOSE_MARGIN_M),
+        )
         return self._stoppable(self._borne(both), rates)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
@@ -522,7 +489,8 @@ class MotionPlanner:
         if np.abs(ranked.free[0] - begin).max() < 1e-9:
             return standing(begin)
         task = transfer.Task(begin, ranked, scene, self.rates, self._mount, spill_limit_deg)
-        return transfer.plan(task, effort, _seed(begin, goals, self._geometry, spill_limit_deg), known, attempts)
+        seed = Request.of(begin, goals, self._geometry, spill_limit_deg, effort).seed
+        return transfer.plan(task, effort, seed, known, attempts)
 
     def _require_free_ends(self, begin: Floats, goals: Floats, name: str) -> None:
         if not self.scene().hits(np.vstack([begin, goals])).any():

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from scuhand_bt.cell_spec import Station
+from scuhand_bt.bench_spec import Station
 from scuhand_bt.lab import Lab, read_mount
 from scuhand_bt.motion import ApexPose, Mount, solutions
 from scuhand_bt.motion.kinematics import Floats
