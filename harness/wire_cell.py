@@ -37,7 +37,6 @@ from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session
 from scuhand_bt.run.twins import FOLDER, say
-from scuhand_bt.sim.wire.scene import LATENCY_S
 from scuhand_bt.specs import Container
 from scuhand_bt.yaml_edit import Path as Keys
 from scuhand_bt.yaml_edit import Value, edited
@@ -54,6 +53,8 @@ samples:
   - {id: large, mass: 120 mg, tolerance: 4 mg}
 on_failure: {dose.overshoot: flag, dose.not_reached: flag, container.changed: flag, otherwise: stop}
 """
+ON_BUSY_S = 0.1
+"""Latency of the servos' lines on a computer that does much else: what answers late there is not without power."""
 BEGIN_S = 60.0
 """A run has begun within this, and twins have."""
 LIMP = "limp"
@@ -78,7 +79,7 @@ class WireCell:
         return self.lab.folder / ".scuhand" / "runs"
 
 
-def make_lab(folder: Path, latency_s: float = LATENCY_S) -> tuple[Lab, Plan, MotionPlanner]:
+def make_lab(folder: Path, latency_s: float = ON_BUSY_S) -> tuple[Lab, Plan, MotionPlanner]:
     """A copy of the starter lab whose devices are at the ports of its twins, and the ways of its recipe.
 
     `latency_s` of the servos' lines: a computer that is busy with other things too needs more than one that is not.
