@@ -24,6 +24,7 @@ from scuhand_bt.commissioning.guide import carry_out
 from scuhand_bt.commissioning.record import Record
 from scuhand_bt.commissioning.step import NotFound
 from scuhand_bt.commissioning.steps import next_step
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, state_folder
 from scuhand_bt.motion.kinematics import Mount, apex
 from scuhand_bt.recipe.plan import make_plan
@@ -38,7 +39,7 @@ from scuhand_bt.specs import Container
 
 SLOW_RATIO = 0.5
 RUNS = {"balance": "start_of_day", "first_dose": "first_dose"}
-TRIES = 3
+TRIES = 6
 """A step or a run that a busy computer has ended is begun again."""
 
 
@@ -71,7 +72,7 @@ def commissioned(factory: Factory) -> dict[str, Any]:
             done = carry_out(step, factory.site())
             assert done is not None
             said["steps"][step.name] = dict(done.found)
-        except NotFound as error:
+        except (NotFound, SkillFailed) as error:
             said["again"].append(f"{step.name}: {error}")
             print(f"  {error}", file=sys.stderr, flush=True)
             if tried[step.name] >= TRIES:

@@ -93,7 +93,7 @@ class Hands:
             self.bench.world.place(Container.model_validate({**crucible.model_dump(), "id": "crucible"}))
             self._touch(np.array(over_balance(self.truth, crucible)[1]) / 1e3, leaning=False, free=True)
         elif question.startswith("Empty the cone"):
-            self.bench.world.swap_sheet()
+            self.bench.world.swap_sheet()  # as it is mounted, whatever was made of the one before
             self.bench.world.remove()
         elif "glass_beads into the cone" in question and self.bench.world.masses_mg["cone"] < 2000.0:
             self.bench.world.refill("beads", 4000.0)
@@ -127,6 +127,7 @@ class Hands:
                 opening_mm = self.bench.hand.twin.opening_mm
             time.sleep(0.5)
             return round(self.bench.hand.twin.opening_mm, 1)
+        time.sleep(0.5)  # reading a rim off takes a moment, and the twins' world one to be there
         return round(self.bench.rim_mm + self.rng.uniform(-0.3, 0.3), 1)
 
     @staticmethod
