@@ -231,7 +231,9 @@ def test_an_ablation_changes_a_constant_wherever_the_law_uses_it(monkeypatch: py
     assert {module.RISK for module in using} == {0.1}
 
 
-@pytest.mark.parametrize("text", ["constraint.RISKS=0.1", "valve.GRAIN_S=0.1", "constraint.chance=1", "constraint.RISK=x"])
+@pytest.mark.parametrize(
+    "text", ["constraint.RISKS=0.1", "valve.GRAIN_S=0.1", "constraint.chance=1", "constraint.RISK=x"]
+)
 def test_an_ablation_of_what_is_no_constant_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="no constant|no value"):
+    with pytest.raises(ValueError, match=r"no constant|no value"):
         read_variant(text)
