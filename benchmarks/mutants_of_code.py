@@ -66,9 +66,11 @@ class Target:
 TARGETS = (
     Target("verdict", "scuhand_bt/dosing/verdict.py", (), ("verdict", "dispense")),
     Target("bracket", "scuhand_bt/dosing/bracket.py", (), ("bracket",)),
-    Target("weighing", "scuhand_bt/cell/weighing.py", (), ("weighing",)),
+    Target("weighing", "scuhand_bt/cell/weighing.py", (), ("weighing", "zero_steps")),
     Target("outcome", "scuhand_bt/run/outcome.py", (), ("outcome",)),
-    Target("dispense", "skills/dispense.py", ("Dispense._dose", "Dispense._raise_failure"), ("dispense",)),
+    Target(
+        "dispense", "skills/dispense.py", ("Dispense.run", "Dispense._dose", "Dispense._raise_failure"), ("dispense",)
+    ),
     Target("verdict of a controller", "scuhand_bt/dosing/knowledge.py", ("Knowledge.verdict",), ("dispense",)),
     Target("dose loop", "scuhand_bt/cell/dose_loop.py", (), ("dose_loop",)),
     Target("guards", "scuhand_bt/run/guards.py", (), ("guard_limits", "guards")),

@@ -8,6 +8,8 @@ from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.motion import ApexPose
 from scuhand_bt.skill import Cell, Code, Discarded, Returned, SkillFailed, Source, Steps, pause
 
+from ._opening import open_to_let_out
+
 SHAKE_S = 3.0
 SPARE = 2.0
 """Times as long as the flow that was learnt would need: it differs from load to load."""
@@ -50,6 +52,7 @@ def empty_into(cell: Cell, source: Source) -> Steps[None]:
 
 def empty_at(cell: Cell, station: str) -> Steps[None]:
     """Empty the cone into the vessel at a station, from which nothing is scooped."""
+    yield from open_to_let_out(cell)
     yield from cell.move_to(station)
     held_mg, source = cell.believed.cone_mg, cell.believed.cone_source
     yield from empty_cone(cell)
@@ -123,6 +126,7 @@ def put_away(cell: Cell) -> Steps[None]:
     if source.leftover == "discard":
         yield from empty_at(cell, source.leftover_to or cell.spec.station_of_kind("waste").name)
         return
+    yield from open_to_let_out(cell)
     yield from cell.move_to(source.station)
     if not believed.is_load_doubted:
         try:

@@ -10,6 +10,7 @@ from scuhand_bt.cell.believed import BARREN_LOADS
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import (
+    PAUSE_S,
     SCOOP_DOUBT,
     note_moved,
     possible_mg,
@@ -26,7 +27,9 @@ from scuhand_bt.dosing.bracket import (
     dose_between,
     drift_between,
     fallen_mg,
+    is_hardly_chance,
     significant,
+    together,
     watch_s,
 )
 from scuhand_bt.dosing.characteristic import held_mg, is_frozen
@@ -59,6 +62,8 @@ FELL_NOISES = 5.0
 """In sound dry runs the readings of a dose that is not shaken never fall by more than two digits."""
 RINGS_S = 1.0
 """So long after the motor has stopped readings may still be of when it went."""
+LOOK_S = 4.0
+"""A drift by weighings sooner after each other may be chance, over all of the dose: it is looked at anew."""
 ROUNDS = 4
 """How often a dose that its controller took for done, and that was watched and is not, is gone on with."""
 
@@ -107,6 +112,10 @@ class Dispense(Skill[Dose]):
             yield from self.settle(cell)
             bracket = cell.believed.bracket
         earlier, mean = yield from weigh_until_still(cell, bracket.last, self._allowed_mg)
+        drift = drift_between(earlier, weighing_of(mean), cell.spec.balance.readability_mg)
+        if mean.time_s - earlier.time_s < LOOK_S and is_hardly_chance(drift):
+            both, allowed_mg = together(earlier, weighing_of(mean)), self._allowed_mg * LOOK_S / PAUSE_S
+            earlier, mean = yield from weigh_until_still(cell, both, allowed_mg, LOOK_S)
         for _ in range(ROUNDS):
             run, earlier, mean = yield from self._dose(cell, earlier, mean)
             dose = self._judged(cell, run)

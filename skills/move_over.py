@@ -10,6 +10,8 @@ from scuhand_bt.cell.weighing import require_unchanged
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.skill import Cell, Code, Container, Forecast, Millimetres, Skill, SkillFailed, Steps
 
+from ._opening import open_to_let_out
+
 LOWERING_MM_PER_S = 60.0
 
 
@@ -20,7 +22,7 @@ class MoveOver(Skill[None]):
     """
 
     raises = (Code.CONTAINER_MISSING,)
-    devices = ("arm",)
+    devices = ("arm", "hand")
     zones = ("pan",)
     typical_s = 4.0
     interrupted = "repeat"
@@ -41,6 +43,7 @@ class MoveOver(Skill[None]):
         if pan is None or pan.id != self.container.id:
             there = f"'{pan.id}'" if pan is not None else "nothing"
             raise SkillFailed(Code.CONTAINER_MISSING, f"'{self.container.id}' is not on the pan; there is {there}")
+        yield from open_to_let_out(cell)
         place, _ = over_balance(cell.spec, self.container)
         if self.from_above_mm > 0:
             yield from cell.lower_to(place, self.from_above_mm, LOWERING_MM_PER_S)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.dosing.sheet import LIP_FORCE_LIMIT_N, lip_force_n
 from scuhand_bt.dosing.strokes import Bed, chosen, expected_mg, layer_left
 from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, stroke_path
@@ -55,7 +54,7 @@ class Scoop(Skill[Milligrams]):
 
     raises = (Code.HAND_WRONG_POWDER, Code.SOURCE_EMPTY, Code.ARM_NO_PATH)
     devices = ("arm", "hand")
-    typical_s = 18.0
+    typical_s = 12.0
     interrupted = "repeat"
 
     source: Source
@@ -74,14 +73,13 @@ class Scoop(Skill[Milligrams]):
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")
-        yield from cell.move_to(source.station)
         believed.touched(source)
         bed = self._bed(cell)
         stroke, motion = self._planned(cell, self._chosen(cell, bed, in_mortar_mg))
-        yield from cell.make_stroke(motion, stroke.open_mm)
+        yield from cell.make_stroke(motion, stroke.open_mm, source.station)
         cell.strokes_made[source.name] = cell.strokes_made.get(source.name, 0) + 1
         held_mg = self._believe(cell, stroke, motion.duration_s, bed)
-        yield from cell.form_upright(source.station, MOUNTED_DIAMETER_MM)
+        yield from cell.move_to(source.station)
         return held_mg
 
     def settle(self, cell: Cell) -> Steps[None]:
@@ -109,7 +107,10 @@ class Scoop(Skill[Milligrams]):
         wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg / max(1.0, yielded)
         if self.wanted_mg is not None:
             wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / yielded
-        stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
+        try:
+            stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
+        except NoStrokeError as error:
+            raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
         if stroke.gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
             most_mm = LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand)
             stroke = replace(stroke, gap_mm=-min(self.over_travel_mm, most_mm))

@@ -240,6 +240,27 @@ def test_a_zero_that_stepped_between_tare_and_dose_is_not_in_the_dose(rig: Rig) 
     assert rig.cell.believed.zero_stepped_mg == pytest.approx(3.0), "and is remembered"
 
 
+@pytest.mark.parametrize("number", [2, 3], ids=["the container's", "the one before the dose"])
+def test_a_weighing_that_is_off_by_chance_makes_no_drift_over_a_long_dose(rig: Rig, number: int) -> None:
+    rig.balance.uncertainty_mg = 0.035
+    off_s = number * WEIGHING_S
+    rig.balance.zero_mg = lambda time_s: 0.19 if abs(time_s - off_s) < 0.5 else 0.0
+    if number == 2:
+        rig.bench.drive(rig._skill("tare").run(rig.cell))
+    dose = rig.dispense(TARGET_MG)
+    assert rig.kept(DoseWeighed)[0].before.gross_mg == 25_000.0, "it was looked at anew"
+    assert rig.kept(DoseWeighed)[0].drift_mg_per_s == 0.0
+    assert dose.dispensed_mg == pytest.approx(TARGET_MG)
+
+
+def test_a_drift_that_shows_before_the_dose_is_looked_at_anew_and_taken_out(rig: Rig) -> None:
+    rig.balance.uncertainty_mg = 0.03
+    rig.balance.zero_mg = lambda time_s: 0.08 * min(time_s, 7.0)
+    rig.dispense(TARGET_MG)
+    assert rig.kept(DoseWeighed)[0].before.gross_mg == pytest.approx(25_000.56), "7 s after the dish was put down"
+    assert rig.kept(DoseWeighed)[0].drift_mg_per_s == pytest.approx(0.08, abs=0.002)
+
+
 @pytest.mark.parametrize(("by_mg", "remembered_mg"), [(-1.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
 def test_after_a_dose_what_is_lost_is_the_zeros_and_what_comes_may_be_powder(
     rig: Rig, by_mg: float, remembered_mg: float

@@ -49,7 +49,7 @@ class Shown:
             Cell,
             SimpleNamespace(
                 clock=self,
-                spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1)),
+                spec=SimpleNamespace(balance=SimpleNamespace(readability_mg=0.1, weighed_twice="first")),
                 balance=self,
                 arm=SimpleNamespace(was_limp=False),
                 device=lambda name: SimpleNamespace(is_stopped=True),

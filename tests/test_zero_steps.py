@@ -239,6 +239,13 @@ def test_the_first_container_of_a_run_is_weighed_twice_as_it_goes_and_later_ones
     assert told_again(rig) == []
 
 
+def test_every_container_is_weighed_twice_where_the_cell_has_it_so(rig: Rig) -> None:
+    balance = rig.cell.spec.balance.model_copy(update={"weighed_twice": "every"})
+    rig.cell = replace(rig.cell, spec=rig.cell.spec.model_copy(update={"balance": balance}))
+    assert rig.remove()
+    assert [again.container for again in told_again(rig)] == [DISH.id]
+
+
 @pytest.mark.parametrize("by_mg", [-3.0, 3.0])
 def test_a_zero_that_is_elsewhere_until_the_filled_container_has_gone_is_told_by_putting_it_back(
     first: Rig, by_mg: float

@@ -17,15 +17,14 @@ from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, tak
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import DEVICES, CellSpec
 from scuhand_bt.clock import Clock, Steps, Wake
-from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Operator, Reading, Trajectory
+from scuhand_bt.devices.interfaces import Arm, Balance, Changer, Device, Hand, Joints, Operator, Reading, Trajectory
 from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
+from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
-from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
@@ -116,7 +115,7 @@ class Cell:
 
     def apex(self) -> ApexPose:
         """The pose of the cone's apex now."""
-        return apex(self.arm.positions, Mount.of(self.spec.hand, self.hand.cone_diameter_mm))
+        return apex(self.arm.positions, self.motion.mount(self.hand.cone_diameter_mm))
 
     def aside_of_pan_mm(self) -> float:
         """How far the cone's apex is from the middle of the pan, seen from above."""
@@ -146,9 +145,7 @@ class Cell:
         down = yield from self._planned(
             lambda planner: planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
         )
-        yield from self._follow(
-            self._planner().move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg)
-        )
+        yield from self._follow(self._planner().move(self.arm.positions, down.start, spill_limit_deg=limit_deg))
         yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
@@ -160,27 +157,39 @@ class Cell:
         return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
 
     def plan_stroke(self, path: StrokePath, source: Source) -> "StoppableTrajectory":
-        """The motion of arm and roller along a stroke in a source's mortar.
+        """The motion of arm and roller along a stroke in a source's mortar, as near to the mortar's place as it can be.
 
         SkillFailed arm.no_path, arm.unreachable.
         """
-        return planned_stroke(self.motion, self.arm.positions, path, self.spec, source.station, source.mortar)
+        near = self._planner().standing_at(source.station)
+        return planned_stroke(self.motion, near, path, self.spec, source.station, source.mortar)
 
-    def make_stroke(self, motion: "StoppableTrajectory", open_mm: float) -> Steps[None]:
-        """To where a stroke begins, its cone formed, and along it: arm and roller in one motion, both or none.
+    def make_stroke(self, motion: "StoppableTrajectory", open_mm: float, station: str) -> Steps[None]:
+        """To where a stroke at a mortar's station begins, its cone formed, and along it: arm and roller in one motion.
 
-        The cone is formed on the way, where nothing is in its way there; else before.
+        The cone is formed on the way there: from where the arm stands, or, where something is in its way, from the
+        mortar's place; and where it is there, too, before that way.
         """
-        begin, rims_mm = motion.start[:JOINTS], (self.hand.cone_diameter_mm, open_mm)
-        try:
-            forming = self._planner().forming(self.arm.positions, begin, rims_mm, self._roller_rad)
-        except SkillFailed:
+        begin = motion.start[:-1]
+        forming = self._forming(begin, open_mm)
+        if forming is None:
+            yield from self.move_to(station)
+            forming = self._forming(begin, open_mm)
+        if forming is None:
             yield from self.right_of_way.go()
             yield from self.hand.morph(open_mm)
             yield from self._follow(self._planner().move(self.arm.positions, begin))
         else:
             yield from self._together(forming)
         yield from self._together(motion)
+
+    def _forming(self, goal: Joints, rim_mm: float) -> "StoppableTrajectory | None":
+        """From here to a configuration with a cone of this size, empty; None where something is in the way."""
+        rims_mm = (self.hand.cone_diameter_mm, rim_mm)
+        try:
+            return self._planner().forming(self.arm.positions, goal, rims_mm, self._roller_rad)
+        except SkillFailed:
+            return None
 
     def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
         """Arm and roller along a motion of both."""

@@ -96,6 +96,12 @@ def moved_mg(before: Gross, after: Gross, readability_mg: float) -> float:
     return difference_mg if abs(difference_mg) > AGREEMENT * apart_mg(before, after, readability_mg) else 0.0
 
 
+def together(first: Gross, again: Gross) -> Gross:
+    """Two weighings of one thing as one, midway between them: a steady drift is in it as it was then."""
+    u_mg = math.hypot(first.uncertainty_mg, again.uncertainty_mg) / 2.0
+    return Gross((first.gross_mg + again.gross_mg) / 2.0, u_mg, (first.time_s + again.time_s) / 2.0)
+
+
 def settled_from(looks: Sequence[Gross], readability_mg: float) -> Gross:
     """Which weighing of one thing, at like intervals, the last is to be held against for a drift.
 
@@ -138,11 +144,16 @@ def drift_between(before: Gross, after: Gross, readability_mg: float) -> Drift:
     return Drift((after.gross_mg - before.gross_mg) / duration_s, apart_mg(before, after, readability_mg) / duration_s)
 
 
+def is_hardly_chance(drift: Drift) -> bool:
+    """Whether chance makes one drift in twenty as large as this."""
+    return abs(drift.rate) > HARDLY * drift.uncertainty
+
+
 def significant(drift: Drift, readability_mg: float) -> Drift:
     """A drift that may be chance is none; where chance would hardly make it, the balance is not taken for sound."""
     if abs(drift.rate) > SURELY * drift.uncertainty:
         return drift
-    if abs(drift.rate) > HARDLY * drift.uncertainty:
+    if is_hardly_chance(drift):
         return Drift(0.0, drift.uncertainty)
     return Drift(0.0, min(drift.uncertainty, SOUND_DIGITS_PER_S * readability_mg))
 

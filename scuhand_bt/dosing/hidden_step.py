@@ -26,8 +26,6 @@ TAIL_MG = 100.0
 """So much of the load is still shown where the fit begins."""
 BEND_SHARE = 0.25
 """Of a curve's second differences: how far it may be off between readings (a parabola by an eighth)."""
-UNEVEN_S = 0.005
-"""How far apart from their times readings arrive."""
 CLEARER = 30.0
 """A step that explains so many times the variance that stays is one; tried on the filters of its tests, not derived."""
 LIKE = 3.0
@@ -56,8 +54,7 @@ def _stepped_mg(sound: Step, step: Step, readability_mg: float) -> float:
     expected_mg = mass_mg * _missing(sound, times_s - EARLIER_S[:, None])  # (D, N)
     bends_mg = np.abs(np.diff(expected_mg, n=2, axis=1, append=np.zeros((len(EARLIER_S), 2))))
     bends_mg = np.maximum(bends_mg, np.maximum(np.roll(bends_mg, 1, axis=1), np.roll(bends_mg, -1, axis=1)))
-    falls_mg = UNEVEN_S * np.gradient(expected_mg, times_s, axis=1)
-    off_mg, variances = shown_mg - expected_mg, readability_mg**2 + (BEND_SHARE * bends_mg) ** 2 + falls_mg**2
+    off_mg, variances = shown_mg - expected_mg, readability_mg**2 + (BEND_SHARE * bends_mg) ** 2
     misfits = off_mg**2 / variances
     misfit, until = misfits.sum(axis=1), misfits.cumsum(axis=1)
     late = float((until.min(axis=0) + (misfit[:, None] - until).min(axis=0)).min())
