@@ -205,10 +205,11 @@ NOT_WRITTEN: dict[str, Any] = {"written": False}
 
 
 def plain_name(field_name: str) -> str:
-    """The name a user writes for a field: `mass_mg` is `mass` in YAML."""
+    """The name a user writes for a field: `mass_mg` is `mass` in YAML; a number per unit keeps it, `deg_per_mm`."""
     for suffix in SUFFIXES:
-        if field_name.endswith(suffix):
-            return field_name.removesuffix(suffix)
+        plain = field_name.removesuffix(suffix)
+        if plain != field_name and not plain.endswith("_per"):
+            return plain
     return field_name
 
 

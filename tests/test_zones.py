@@ -292,7 +292,7 @@ def test_the_scoop_is_made_while_the_container_changes(tmp_path: Path) -> None:
     assert ran.samples[0].scoops == 1
     of = spans(journal)
     assert of["scoop"][0] == of["place_container"][0]
-    assert of["scoop"][1] > of["place_container"][0] + 10.0
+    assert of["scoop"][1] > of["place_container"][0] + 5.0
     assert of["move_over"][0] >= max(of["scoop"][1], of["tare"][1])
 
 

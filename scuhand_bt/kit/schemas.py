@@ -27,8 +27,8 @@ from scuhand_bt.recipe.sources import SourceText
 from scuhand_bt.sim.fault_rules import KINDS, Rule
 from scuhand_bt.skill import Condition
 from scuhand_bt.specs import Container, ContainerKind, Mortar, Powder, Source
-from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.grammar import COMPOSITES, DECORATOR_KEYS, PARAMETERS, RECORD
+from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.wires import INPUT_TYPES, WireType
 
 Json = dict[str, Any]

@@ -83,7 +83,10 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
     """A stroke in some direction, and from its end to where loads are carried from."""
     hand, mortar = cell.hand, source.mortar
-    stroke = chosen(Bed(mortar, bed_mg, source.powder), hand.sheet_radius_mm, source.powder.load_limit_mg)
+    try:
+        stroke = chosen(Bed(mortar, bed_mg, source.powder), hand.sheet_radius_mm, source.powder.load_limit_mg)
+    except NoStrokeError as error:
+        raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
     x_mm, y_mm, _ = cell.stations[source.station].position_mm
     across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
     begin, why = motion.standing_at(source.station), ""
