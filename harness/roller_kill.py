@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Client, Connection, Listener
@@ -233,6 +233,13 @@ class Hands:
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
         return choices[0]
+
+    def ask_until(
+        self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
+    ) -> Steps[str]:
+        answer = yield from self.ask(question, choices)
+        does()
+        return answer
 
 
 class OfSession(BatchObserver):

@@ -15,6 +15,7 @@ from scuhand_bt.cell.weighing import (
     weighing_of,
 )
 from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.devices.interfaces import StableMean
 from scuhand_bt.skill import Cell, Code, Container, ContainerPlaced, Forecast, Skill, SkillFailed, Steps
 
 
@@ -41,15 +42,12 @@ class PlaceContainer(Skill[None]):
         return Forecast(60.0 if by_hand else cls.typical_s, what if by_hand else None)
 
     def run(self, cell: Cell) -> Steps[None]:
-        changing = cell.right_of_way.unshaken(self._change(cell))
-        is_by_hand = cell.changer.needs_person or cell.believed.slots_used >= cell.spec.changer.slots
-        yield from cell.right_of_way.undisturbed(changing) if is_by_hand else changing
+        yield from cell.right_of_way.unshaken(self._change(cell))
 
     def _change(self, cell: Cell) -> Steps[None]:
-        believed = cell.believed
-        yield from self._refill(cell)
-        bare = yield from take_container_away(cell)
-        yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
+        believed, exchanging = cell.believed, self._exchanged(cell)
+        is_by_hand = cell.changer.needs_person or believed.slots_used >= cell.spec.changer.slots
+        bare = yield from cell.right_of_way.undisturbed(exchanging) if is_by_hand else exchanging
         brought_s = cell.clock.now_s
         believed.brought(self.container, from_changer=not cell.changer.needs_person)
         loaded = yield from weigh_changed(cell, bare.value_mg)
@@ -86,6 +84,13 @@ class PlaceContainer(Skill[None]):
         if step is not None:
             require_known_delay(cell, step)
         believed.placed(weighing_of(bare), weighing_of(loaded))
+
+    def _exchanged(self, cell: Cell) -> Steps[StableMean]:
+        """The container on the pan; what the pan weighed bare before it came."""
+        yield from self._refill(cell)
+        bare = yield from take_container_away(cell, self.container)
+        yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
+        return bare
 
     @staticmethod
     def _refill(cell: Cell) -> Steps[None]:

@@ -18,14 +18,19 @@ from scuhand_bt.dosing.bracket import (
     Reference,
     apart_mg,
     close,
+    differ_mg,
     dose_between,
     drift_between,
     drift_of_dose,
     fallen_mg,
     held,
     moved_mg,
+    settled_from,
     significant,
     standing,
+    together,
+    total,
+    unseen_mg,
     walk_mg,
     watch_s,
 )
@@ -404,3 +409,46 @@ def test_readings_that_fall_and_stay_below_while_powder_comes_tell_a_step_of_the
     assert fallen_mg(lump_mg) == 0.0
     assert fallen_mg([9.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0]) == 0.0, "too few to tell"
     assert fallen_mg([5.0] * 5 + [4.0] * 5) == 1.0
+
+
+# --- small rules that others stand on
+
+
+@pytest.mark.parametrize(
+    ("shown_mg", "first"),
+    [
+        ((0.0, 2.0, 2.9, 3.2), 2),  # a filter: each rise is less than half of the one before
+        ((0.0, 2.0, 3.0, 3.4), 2),
+        ((0.0, 2.0, 3.1, 3.2), 0),  # rises on by more than half as much
+        ((0.0, -2.0, -2.1, -2.1), 0),  # what falls is no filter
+        ((0.0, 0.0, 0.0, 0.0), 0),
+        ((0.0, 2.0), 0),  # nobody can tell yet
+    ],
+)
+def test_a_drift_is_told_from_where_a_filter_has_come_to_rest(shown_mg: tuple[float, ...], first: int) -> None:
+    looks = [Gross(EMPTY_MG + mg, 0.05, 8.0 * number) for number, mg in enumerate(shown_mg)]
+    assert settled_from(looks, READABILITY_MG) is looks[first]
+
+
+def test_what_was_seen_counts_for_what_was_not_as_two_observations_do() -> None:
+    """4.30 is Student's t of two degrees of freedom at 95 %."""
+    assert unseen_mg(0.0, 0.0, 20.0) == 0.0
+    assert unseen_mg(2.0, 0.0, 20.0) == pytest.approx(4.3)
+    assert unseen_mg(0.0, 0.1, 20.0) == pytest.approx(4.3)
+    assert unseen_mg(3.0, 0.2, 20.0) == pytest.approx(5.0 * 2.15)
+
+
+def test_two_results_of_one_thing_may_be_apart_by_four_standard_deviations() -> None:
+    assert differ_mg(Net(10.0, 0.3), Net(12.5, 0.4)) == (2.5, pytest.approx(2.0))
+
+
+def test_two_weighings_together_are_one_midway_that_is_surer() -> None:
+    assert together(Gross(10.0, 0.3, 4.0), Gross(12.0, 0.4, 8.0)) == Gross(11.0, 0.25, 6.0)
+
+
+def test_parts_that_share_no_weighing_add_up() -> None:
+    assert total([Net(10.0, 0.3), Net(2.0, 0.4)]) == Net(12.0, 0.5)
+
+
+def test_what_took_no_time_is_watched_for_the_shortest() -> None:
+    assert watch_s(Gross(0.0, 0.05, 3.0), Gross(0.0, 0.05, 3.0), 2.0) == 0.5

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scuhand_bt.dosing.verdict import acceptance_mg, judge
+from scuhand_bt.dosing.verdict import acceptance_mg, chance_with_lumps, judge
 
 masses = st.floats(-50.0, 5000.0)
 tolerances = st.floats(0.1, 50.0)
@@ -47,3 +47,10 @@ def test_what_is_not_accepted_is_named_by_its_side(
     verdict = judge(target_mg, tolerance_mg, target_mg + error_mg, uncertainty_mg)
     if abs(error_mg) > acceptance_mg(tolerance_mg, uncertainty_mg) + 1e-9:
         assert verdict == ("over" if target_mg + error_mg > target_mg else "under")
+
+
+def test_a_lump_of_tau_mg_ends_within_a_tolerance_with_this_chance() -> None:
+    """Of lumps that weigh 4 mg on average, 1 - 1/e are lighter than the 4 mg from 48 to 52."""
+    assert chance_with_lumps(2.0, 4.0) == pytest.approx(0.632, abs=1e-3)
+    assert chance_with_lumps(2.0, 1e-6) == pytest.approx(1.0)
+    assert chance_with_lumps(2.0, 0.0) == 1.0

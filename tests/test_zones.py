@@ -217,7 +217,7 @@ def scooping_bench(starter: Lab, motion: MotionPlanner) -> tuple[Bench, Source]:
     return bench, source
 
 
-@pytest.mark.parametrize("after_s", [3.5, 4.5, 5.5])
+@pytest.mark.parametrize("after_s", [2.5, 3.5, 4.5])
 def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
     """On its way into the powder, along the wall, and as it turns upright."""
     bench, source = scooping_bench(starter, motion)
@@ -292,7 +292,7 @@ def test_the_scoop_is_made_while_the_container_changes(tmp_path: Path) -> None:
     assert ran.samples[0].scoops == 1
     of = spans(journal)
     assert of["scoop"][0] == of["place_container"][0]
-    assert of["scoop"][1] > of["place_container"][0] + 10.0
+    assert of["scoop"][1] > of["place_container"][0] + 5.0
     assert of["move_over"][0] >= max(of["scoop"][1], of["tare"][1])
 
 
@@ -302,12 +302,16 @@ def test_the_arm_stands_still_while_a_person_changes_the_container(tmp_path: Pat
     cell.write_text(cell.read_text().replace("driver: carousel, slots: 24", "driver: operator"), encoding="utf-8")
     _, journal = run_dry(tmp_path / "runs", load_lab(folder))
     events = read(journal, "event")
-    asked_s = [event["time_s"] for event in events if event["kind"] == "asked" and "pan" in str(event["payload"])]
-    moves = [event for event in events if event["kind"] == "arm_moves"]
+    (asked_s, answered_s) = (
+        next(event["time_s"] for event in events if event["kind"] == kind and "pan" in str(event["payload"]))
+        for kind in ("asked", "answered")
+    )
+    moves_s = [event["time_s"] for event in events if event["kind"] == "arm_moves"]
     place_s, scoop_s = spans(journal)["place_container"], spans(journal)["scoop"]
-    assert asked_s
     assert place_s[0] == scoop_s[0]
-    assert not [event for event in moves if place_s[0] < event["time_s"] < place_s[1]]
+    assert not [move_s for move_s in moves_s if place_s[0] < move_s < answered_s]
+    assert [move_s for move_s in moves_s if answered_s <= move_s < place_s[1]], "but not while the pan comes to rest"
+    assert answered_s - asked_s > 10.0
 
 
 def test_a_wrong_container_halts_the_scoop_and_the_cone_comes_out_of_its_mortar(tmp_path: Path) -> None:

@@ -9,13 +9,14 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.interfaces import Reading, StableMean
+from scuhand_bt.devices.interfaces import Hands, Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, differ_mg, moved_mg, standing, total
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
 from scuhand_bt.dosing.identification import balance_of
 from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerAgain, ContainerLifted, LotDosed
 from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.specs import Container
 
 PATIENCE_S = 60.0
 """So long two weighings in a row may go on differing."""
@@ -218,20 +219,21 @@ def possible_mg(cell: Cell, chance_mg: float) -> tuple[float, float]:
     return -chance_mg, believed.seen_mg + believed.cone_mg + doubt_mg + chance_mg
 
 
-def take_container_away(cell: Cell) -> Steps[StableMean]:
-    """Clear the pan, and weigh it bare: that closes the bracket about what was dosed into the container.
+def take_container_away(cell: Cell, to: Container | None = None) -> Steps[StableMean]:
+    """Clear the pan, for the container that comes next, and weigh it bare: that closes the bracket about what was
+    dosed into the one before.
 
     Whether it closes is for the batch to say of its sample. A person who does it is not reached by the arm: it stands
     still. SkillFailed arm.in_the_way where it stands over the pan.
     """
     if (aside_mm := cell.aside_of_pan_mm()) < CLEAR_MM:
         raise SkillFailed(Code.ARM_IN_THE_WAY, f"the cone's apex is {aside_mm:.0f} mm from the middle of the pan")
-    taking = cell.right_of_way.unshaken(_taken_away(cell))
+    taking = cell.right_of_way.unshaken(_taken_away(cell, to))
     bare = yield from cell.right_of_way.undisturbed(taking) if cell.changer.needs_person else taking
     return bare
 
 
-def _taken_away(cell: Cell) -> Steps[StableMean]:
+def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
     bracket, lifted = believed.bracket, None
     if bracket is not None and bracket.holds and bracket.lifted is None:
@@ -245,10 +247,14 @@ def _taken_away(cell: Cell) -> Steps[StableMean]:
     bracket = believed.bracket
     container = believed.pan
     believed.changing_container()
-    taking = cell.changer.take_away()
-    yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
-    took_s = cell.clock.now_s
-    bare = yield from weigh_changed(cell, was_mg)
+    if to is not None and bracket is not None and isinstance(cell.changer, Hands):
+        bare = yield from _handed_over(cell, cell.changer, to, bracket.bare.gross_mg, was_mg)
+        took_s = cell.clock.now_s
+    else:
+        taking = cell.changer.take_away()
+        yield from taking if bracket is None or bracket.lifted is None else watched(cell, taking, bracket.lifted)
+        took_s = cell.clock.now_s
+        bare = yield from weigh_changed(cell, was_mg)
     if lifted is not None and container is not None and is_to_be_weighed_again(cell):
         back, _ = yield from changed(cell, cell.changer.bring(container), bare)
         again, _ = yield from changed(cell, cell.changer.take_away(), back)
@@ -283,6 +289,22 @@ def _taken_away(cell: Cell) -> Steps[StableMean]:
             bare=bare.written(),
         )
     )
+    return bare
+
+
+def _handed_over(cell: Cell, hands: Hands, to: Container, bare_mg: float, was_mg: float | None) -> Steps[StableMean]:
+    """The pan as a person has cleared it for the next container; again where that stood there before it was weighed."""
+
+    def is_bare() -> bool:
+        reading = cell.balance.latest
+        return reading is not None and abs(reading.value_mg - bare_mg) < CHANGED_MG
+
+    yield from hands.hand_over(to, is_bare)
+    bare = yield from weigh_changed(cell, was_mg)
+    if abs(bare.value_mg - bare_mg) < CHANGED_MG:
+        return bare
+    yield from hands.clear()
+    bare = yield from cell.right_of_way.stable_mean()
     return bare
 
 

@@ -11,7 +11,7 @@ about. tests/test_contract_*.py hold every implementation to what stands here.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -302,6 +302,22 @@ class Changer(Device, Protocol):
         ...
 
 
+@runtime_checkable
+class Hands(Protocol):
+    """A changer that is a person's hands, which are asked once for an exchange: one off the pan, the next one on it."""
+
+    def hand_over(self, to: Container, is_bare: Callable[[], bool]) -> Steps[None]:
+        """Clear the pan for this container, that `bring` puts there next: nobody has to say so once the pan is bare.
+
+        SkillFailed operator.refused.
+        """
+        ...
+
+    def clear(self) -> Steps[None]:
+        """Clear the pan, whatever is believed to stand there; SkillFailed operator.refused."""
+        ...
+
+
 T_co = TypeVar("T_co", covariant=True)
 
 
@@ -417,9 +433,22 @@ class Site:
     """What the engine's own arm and hand share."""
 
 
+SEEN = "seen"
+"""What was asked for has shown by itself, before anybody answered."""
+
+
 class Operator(Protocol):
     """The person at the cell, if there is one."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         """Ask and wait for one of `choices`; SkillFailed operator.absent when nobody is there."""
+        ...
+
+    def ask_until(
+        self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
+    ) -> Steps[str]:
+        """Ask for what shows by itself: one of `choices`, or SEEN once it `is_seen`, and nobody needs to answer.
+
+        `does` lets a simulation follow, where the first of `choices` is given or a simulated person does it.
+        """
         ...

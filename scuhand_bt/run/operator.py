@@ -8,7 +8,7 @@ from getpass import getpass
 from typing import Protocol
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
-from scuhand_bt.devices.interfaces import Operator
+from scuhand_bt.devices.interfaces import SEEN, Operator
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.events import Answered, Asked, Trouble
 from scuhand_bt.problems import harmless
@@ -19,7 +19,11 @@ from scuhand_bt.specs import Container
 Tell = Callable[[Asked | Answered | Trouble], None]
 """Writes a question, its answer, or a wrong PIN into the journal."""
 ANSWER_S = 60.0
-"""Run time that a simulated person takes to do what is asked."""
+"""Run time that a simulated person takes to come, do what is asked, and say so."""
+AT_HAND = 1 / 3
+"""The share of it that is doing it and saying so: what one takes who stands at the cell already."""
+LOOK_S = 0.1
+"""So often it is looked whether what was asked for has shown."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +53,39 @@ class SimulatedOperator:
         self._faults: Chances = faults or Faults()
         self.sees: Callable[[], Collection[str]] = tuple
         """What it answers where it is asked about what it can see."""
+        self._is_there = False
+        """It stands at the cell, waiting for what it is asked next."""
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         self._tell(Asked(question=question, choices=list(choices)))
-        ready_s = self._clock.now_s + self._answer_s
+        yield from self._pass(self._answer_s * AT_HAND if self._is_there else self._answer_s)
+        self._is_there = False
+        return self._answered(question, choices)
+
+    def ask_until(
+        self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
+    ) -> Steps[str]:
+        self._tell(Asked(question=question, choices=list(choices)))
+        yield from self._pass(self._answer_s * (1.0 - AT_HAND))
+        if self._faults.comes("operator.refuses", self._clock.now_s):
+            self._tell(Answered(question=question, answer=choices[-1]))
+            return choices[-1]
+        does()
+        self._is_there = True
+        given_up_s = self._clock.now_s + self._answer_s
+        while self._clock.now_s < given_up_s:
+            if is_seen():
+                self._tell(Answered(question=question, answer=SEEN))
+                return SEEN
+            yield Wake(min(given_up_s, self._clock.now_s + LOOK_S))
+        return self._answered(question, choices)
+
+    def _pass(self, duration_s: float) -> Steps[None]:
+        ready_s = self._clock.now_s + duration_s
         while self._clock.now_s < ready_s:
             yield Wake(ready_s)
+
+    def _answered(self, question: str, choices: Sequence[str]) -> str:
         refuses = self._faults.comes("operator.refuses", self._clock.now_s)
         seen = self.sees()
         answer = choices[-1] if refuses else next((one for one in choices if one in seen), choices[0])
@@ -67,6 +98,11 @@ class Nobody:
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
         raise SkillFailed(Code.OPERATOR_ABSENT, f"the run is unattended; it was to be asked: {question}")
+
+    def ask_until(
+        self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
+    ) -> Steps[str]:
+        return self.ask(question, choices)
 
 
 class PersonOperator:
@@ -90,6 +126,18 @@ class PersonOperator:
         return self._questions.waiting is not None
 
     def ask(self, question: str, choices: Sequence[str] = ("done", "stop")) -> Steps[str]:
+        answer = yield from self._ask(question, choices, None)
+        return answer
+
+    def ask_until(
+        self, question: str, choices: Sequence[str], is_seen: Callable[[], bool], does: Callable[[], None]
+    ) -> Steps[str]:
+        answer = yield from self._ask(question, choices, is_seen)
+        if answer == choices[0]:
+            does()
+        return answer
+
+    def _ask(self, question: str, choices: Sequence[str], is_seen: Callable[[], bool] | None) -> Steps[str]:
         questions = self._questions
         asked = questions.ask(question, choices)
         try:
@@ -97,11 +145,14 @@ class PersonOperator:
             self._terminal.show(asked)
             self._listener.listen()
             while True:
-                news = Wake.on(questions.news, self._clock.now_s + 60.0)
+                news = Wake.on(questions.news, self._clock.now_s + (60.0 if is_seen is None else LOOK_S))
                 for note in questions.take_notes():
                     self._tell(Trouble(what=note))
                 if (given := questions.given()) is not None:
                     break
+                if is_seen is not None and is_seen():
+                    self._tell(Answered(question=question, answer=SEEN))
+                    return SEEN
                 yield news
         finally:
             questions.withdraw()
@@ -227,9 +278,29 @@ class OperatorChanger:
     def take_away(self) -> Steps[None]:
         if self._on_pan is not None:
             yield from self._do("Take the container off the pan.")
-            self._remove()
-            self._on_pan = None
-            self.news.fire()
+            self._removed()
+
+    def hand_over(self, to: Container, is_bare: Callable[[], bool]) -> Steps[None]:
+        # The answers are no others': one given a moment too late is not taken for that to the next question.
+        off = f"'{self._on_pan}'" if self._on_pan else "the container"
+        request = (
+            f"Take {off} off the pan; the bare pan is then weighed by itself, and you are told to put the {to.name} "
+            f"'{to.id}' there. No answer is needed."
+        )
+        answer = yield from self._operator.ask_until(request, ("off", "stop"), is_bare, self._remove)
+        if answer == "stop":
+            raise SkillFailed(Code.OPERATOR_REFUSED, request)
+        self._on_pan = None
+        self.news.fire()
+
+    def clear(self) -> Steps[None]:
+        yield from self._do("The pan has to be weighed bare: take what stands there off it.")
+        self._removed()
+
+    def _removed(self) -> None:
+        self._remove()
+        self._on_pan = None
+        self.news.fire()
 
     def _do(self, request: str) -> Steps[None]:
         answer = yield from self._operator.ask(request)

@@ -12,6 +12,7 @@ from scuhand_bt.clock import Signal, wall_time
 MEANINGS: Mapping[str, str] = {
     "go": "the action begins",
     "done": "it is done: the run goes on",
+    "off": "it is off the pan, which the balance has not shown by itself",
     "stop": "it is not done: what the recipe says of `operator.refused`, else the run stops and can be resumed",
     "flag": "the dose is kept and marked; the batch goes on",
     "redo": "the sample is done once more in a new container, then flagged",

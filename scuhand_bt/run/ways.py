@@ -24,7 +24,6 @@ from scuhand_bt.dosing.swing import Ladle, NoStrokeError, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
-from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.specs import ContainerKind, Source
 
@@ -55,7 +54,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
         begin, limit_deg = motion.standing_at(demand.source.station), limits_deg[demand.source.name]
         for from_above_mm in sorted(above_mm for over, above_mm in plan.descents if over == place):
             down = motion.descent(place, from_above_mm / 1000, LOWERING_M_PER_S, limit_deg)
-            motion.move(begin, down.start[:JOINTS], spill_limit_deg=limit_deg)
+            motion.move(begin, down.start, spill_limit_deg=limit_deg)
     motion.set_geometry()
     for demand in scooped:
         left_mg = demand.source.amount_mg - demand.needed_mg
@@ -112,7 +111,7 @@ def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg
             turned = replace(stroke, heading_deg=(across_deg + turn_deg) % 360.0)
             path = stroke_path(Vessel.of(mortar), turned, Ladle.of(hand))
             swing = planned_stroke(motion, begin, path, cell, source.station, mortar)
-            _out_of_mortar(motion, cell, source, swing.end[:JOINTS], float(path.rim_mm[-1]))
+            _out_of_mortar(motion, cell, source, swing.end[:-1], float(path.rim_mm[-1]))
         except (NoStrokeError, SkillFailed) as error:
             why = why or str(error)
         else:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol
 from pydantic_core import to_json
 
 from scuhand_bt.problems import SourceError
-from scuhand_bt.sim.plain_state import Misplaced, Plain, read, written
+from scuhand_bt.sim.plain_state import Misplaced, Plain, read, written, written_all
 from scuhand_bt.sim.world_file import WorldFile, broken
 
 
@@ -70,7 +70,7 @@ class Memory:
         """Save the state of all, and this beside it."""
         assert self._file is not None
         try:
-            values = [[written(value) for value in getter(thing)] for getter, thing in self._getters]
+            values = [written_all(getter(thing)) for getter, thing in self._getters]
             state = _json([written(beside), values])
         except Exception as error:  # of somebody's plant
             self._give_up(f"the state of {self._plant} cannot be written down ({type(error).__name__}: {error})")

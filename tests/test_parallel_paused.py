@@ -1,0 +1,125 @@
+"""A run that is paused, or stopped and resumed, while a container changes beside a scoop."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from running import Watching, make_lab, shared_planner
+
+from scuhand_bt.events import Event, Note
+from scuhand_bt.journal.events import Paused
+from scuhand_bt.journal.reader import read
+from scuhand_bt.lab import load_lab
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.resume import checked_history, resumable
+from scuhand_bt.run.session import Session
+
+RECIPE = """
+recipe: one
+workflow: fill_crucible
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
+samples:
+  - {id: a, source: beads, container: alumina_crucible, mass: 500 mg, tolerance: 10 mg}
+"""
+SWINGS_S, IN_THE_MORTAR_S, SETTLES_S = 1.0, 5.5, 7.5
+"""When the wheel swings and the arm goes to the mortar; when the lip is on its wall; when the pan comes to rest."""
+
+
+class Wishing(Watching):
+    """Wishes something at a time of the run, once."""
+
+    def __init__(self, wish: str, at_s: float) -> None:
+        super().__init__()
+        self.wish, self.at_s = wish, at_s
+
+    def ticked(self, root: Any) -> None:
+        assert self.session is not None
+        if self.wish and self.session.cell.clock.now_s >= self.at_s:
+            self.session.control.wish(self.wish)  # type: ignore[arg-type]
+            self.wish = ""
+
+
+class Desk:
+    """A lab with one recipe, run and resumed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.lab = load_lab(make_lab(folder / "lab"))
+        recipe = self.lab.folder / "recipes" / "one.yaml"
+        recipe.parent.mkdir()
+        recipe.write_text(RECIPE, encoding="utf-8")
+        self.plan = make_plan(load_recipe(recipe, self.lab), self.lab)
+        self.runs = folder / "runs"
+
+    @property
+    def journal(self) -> Path:
+        (journal,) = self.runs.glob("*.sqlite")
+        return journal
+
+    def go(self, wishing: Wishing, *, resumes: bool = False) -> Any:
+        found = None
+        if resumes:
+            found = resumable(self.journal, checked_history(self.journal), self.plan, self.lab, accept_changes=False)
+        motion = shared_planner(self.plan, self.lab)
+        session = Session(self.plan, self.lab, Options(DryRun(1), None, self.runs), motion, resumes=found)
+        wishing.session = session
+        heard = session.journal.heard
+
+        def hear(event: Event | Note) -> None:
+            heard(event)
+            if isinstance(event, Paused):
+                session.control.wish("continue")
+
+        session.journal.heard = hear
+        try:
+            return session.run(wishing)
+        finally:
+            session.close()
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    return Desk(tmp_path)
+
+
+def outcomes(journal: Path, skill: str) -> list[str]:
+    return [row["outcome"] for row in read(journal, "action") if row["skill"] == skill]
+
+
+def require_one_sound_dose(desk: Desk, result: Any) -> None:
+    """What was begun anew leaves one container, one load that is known, and no powder elsewhere."""
+    (sample,) = result.samples
+    assert (result.exit_code, sample.verdict) == (0, "in tolerance")
+    assert sample.true_mg == pytest.approx(500.0, abs=10.0)
+    matter = [event["payload"] for event in read(desk.journal, "event") if event["kind"] == "matter"][-1]
+    assert matter["spilled"] == 0.0
+    assert matter["source:beads"] == pytest.approx(20_000.0 - sample.true_mg, abs=30.0)
+    placed = [event for event in read(desk.journal, "event") if event["kind"] == "container"]
+    assert len(placed) == 1
+
+
+@pytest.mark.parametrize("at_s", [SWINGS_S, IN_THE_MORTAR_S, SETTLES_S])
+def test_both_are_halted_by_a_pause_settled_and_begun_again(desk: Desk, at_s: float) -> None:
+    require_one_sound_dose(desk, desk.go(Wishing("pause_now", at_s)))
+    kinds = [event["kind"] for event in read(desk.journal, "event")]
+    assert kinds.index("paused") < kinds.index("continued")
+    assert outcomes(desk.journal, "place_container") == ["interrupted", "done"]
+    assert outcomes(desk.journal, "scoop") == ["interrupted", "done"]
+
+
+def test_both_come_to_their_end_before_a_pause_that_halts_none(desk: Desk) -> None:
+    require_one_sound_dose(desk, desk.go(Wishing("pause", IN_THE_MORTAR_S)))
+    assert outcomes(desk.journal, "place_container") == ["done"]
+    assert outcomes(desk.journal, "scoop") == ["done"]
+    events = read(desk.journal, "event")
+    paused_s = next(event["time_s"] for event in events if event["kind"] == "paused")
+    ended_s = [row["ended_s"] for row in read(desk.journal, "action") if row["skill"] in ("place_container", "scoop")]
+    assert max(ended_s) <= paused_s
+
+
+@pytest.mark.parametrize("at_s", [SWINGS_S, IN_THE_MORTAR_S])
+def test_a_run_that_was_stopped_there_is_resumed_to_its_end(desk: Desk, at_s: float) -> None:
+    assert desk.go(Wishing("stop_now", at_s)).exit_code == 130
+    require_one_sound_dose(desk, desk.go(Wishing("", 0.0), resumes=True))
