@@ -52,6 +52,8 @@ def main() -> None:
             end="",
             file=sys.stderr,
         )
+        if given.json:  # after each batch: a rehearsal takes its time, and may be ended
+            given.json.write_text(json.dumps(asdict(tally), indent=1) + "\n", encoding="utf-8")
     print(file=sys.stderr)
     print(
         f"{tally.kills} kills of {given.recipe.name}: {tally.while_dosing} in a dose, {tally.while_resuming} resuming"
@@ -64,8 +66,6 @@ def main() -> None:
     print(f"worst imbalance of mass: {tally.worst_imbalance_mg:.1e} mg")
     for problem in tally.problems:
         print(problem)
-    if given.json:
-        given.json.write_text(json.dumps(asdict(tally), indent=1) + "\n", encoding="utf-8")
     sys.exit(bool(tally.problems))
 
 

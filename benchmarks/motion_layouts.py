@@ -1,4 +1,5 @@
-"""Cells that nobody drew: `python -m benchmarks.motion_layouts [--layouts N] [--first SEED] [--tasks N] [--json FILE]`.
+"""Cells that nobody drew: `python -m benchmarks.motion_layouts [--layouts N] [--first SEED] [--tasks N] [--arm xarm7]
+[--json FILE]`.
 
 Each seed is a bench (`harness/motion_layouts.py`). In each the arm goes between its places and to poses near them,
 empty and with loads that may lean by 10, 15, 20 and 31.8 degrees, every load over the same ways. Each motion is judged
@@ -11,16 +12,20 @@ import json
 import time
 from collections import Counter
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from benchmarks.figures import spread
+from harness.example_labs import example_lab
 from harness.motion_audit import Audit
-from harness.motion_layouts import CONTAINER, LAB, LIMITS_DEG, Layout, carries, layouts, tasks
+from harness.motion_layouts import CONTAINER, LIMITS_DEG, STARTER, Bench, Layout, carries, layouts, tasks
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import MotionPlanner
 
+WIDER = {"xarm7": 1.4}
+"""Times as far as from the CRANE-X7 everything stands from the arms of examples/."""
 SLOWER = 1.01
 """A motion is not monotone where it takes more than this over one with a stricter limit."""
 
@@ -94,11 +99,21 @@ def main() -> None:
     parser.add_argument("--tasks", type=int, default=40, help="empty transfers per layout")
     parser.add_argument("--carries", type=int, default=15, help="loaded ways per layout, each at every limit")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--arm", choices=["crane_x7", *WIDER], default="crane_x7", help="whose lab, of examples/")
     given = parser.parse_args()
+    with TemporaryDirectory() as folder:
+        bench = STARTER
+        if given.arm in WIDER:
+            bench = Bench(example_lab(given.arm, Path(folder)), WIDER[given.arm])
+        measure(given, bench)
+
+
+def measure(given: argparse.Namespace, bench: Bench) -> None:
+    """All of it on one kind of bench."""
     measured = Measured()
-    for layout in layouts(given.layouts, given.first):
+    for layout in layouts(given.layouts, given.first, bench):
         planner = layout.planner()
-        audit = Audit(LAB.urdf, layout.cell, layout.mortars, CONTAINER)
+        audit = Audit(layout.lab.urdf, layout.cell, layout.mortars, CONTAINER)
         for task in tasks(layout, given.tasks):
             measured.moved(layout, planner, audit, task, None)
         for task in carries(layout, given.carries):

@@ -15,10 +15,11 @@ import numpy as np
 import yaml
 
 from benchmarks.oracle import run_oracle
+from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.weighing import require_known_delay, shown_step, weigh_changed, weighing_of
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
+from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import CONTROLLERS, new_controller

@@ -71,21 +71,35 @@ class Audit:
             for name in ("lower", "upper", "velocity", "acceleration", "jerk")
         }
         self._limits["velocity"] = self._limits["velocity"] * cell.arm.speed_ratio
-        names = ["base", *(str(one.find("child").attrib["link"]) for one in root.findall("joint"))]  # type: ignore[union-attr]
+        base = {str(link.get("name")) for link in root.findall("link")}
+        base -= {str(one.find("child").attrib["link"]) for one in root.findall("joint")}  # type: ignore[union-attr]
+        names = [*base, *(str(one.find("child").attrib["link"]) for one in root.findall("joint"))]  # type: ignore[union-attr]
         links = {str(link.get("name")): link for link in root.findall("link")}
         self._parts = [
             _part(k, f"{name} {j}", collision)
             for k, name in enumerate(names)
             for j, collision in enumerate(links[name].findall("collision"))
         ]
-        self._apex = np.array([0.0, 0.0, cell.hand.apex_offset_mm / 1e3])
+        for k, joint in enumerate(root.findall("joint")):
+            low_deg, high_deg = cell.arm.windows_deg.get(str(joint.get("name")), (-1e9, 1e9))
+            self._limits["lower"][k] = max(self._limits["lower"][k], math.radians(low_deg))
+            self._limits["upper"][k] = min(self._limits["upper"][k], math.radians(high_deg))
+        self._last = len(self._joints)
+        assert cell.arm.tool_axis == (0.0, 0.0, 1.0), "a hand beside the last joint's z has not been needed yet"
+        self._apex = np.array([0.0, 0.0, cell.hand.apex_offset_mm / 1e3]) + np.array(cell.arm.flange_mm) / 1e3
         slant_m, radius_m = cell.hand.sheet_radius_mm / 1e3, diameter_mm / 2e3
         lean, turn = math.asin(radius_m / slant_m), math.radians(cell.hand.mount.azimuth_deg)
         self._up = np.array([math.sin(lean) * math.cos(turn), math.sin(lean) * math.sin(turn), -math.cos(lean)])
         self._parts.append(self._cone(slant_m * math.cos(lean), radius_m))
         clamp = np.array([0.0, 0.0, self._apex[2] - slant_m])
         self._parts.append(
-            Part(7, "clamp", _cylinder_points(cell.hand.mount.clamp_radius_mm / 1e3, 0.02) + clamp, 0.0, _nowhere)
+            Part(
+                self._last,
+                "clamp",
+                _cylinder_points(cell.hand.mount.clamp_radius_mm / 1e3, 0.02) + clamp,
+                0.0,
+                _nowhere,
+            )
         )
         self._solids = dict(_solids(cell, mortars, container))
 
@@ -118,7 +132,7 @@ class Audit:
         rim = np.outer(np.cos(turns), x) + np.outer(np.sin(turns), y)
         rings = [self._apex + share * (depth_m * self._up + radius_m * rim) for share in np.linspace(0, 1, 12)]
         lid = [self._apex + depth_m * self._up + share * radius_m * rim for share in (0.0, 0.25, 0.5, 0.75)]
-        return Part(7, "cone", np.vstack([*rings, *lid]), 0.0, _nowhere)
+        return Part(self._last, "cone", np.vstack([*rings, *lid]), 0.0, _nowhere)
 
     def _frames(self, q: Floats) -> list[Floats]:
         """The links' frames at configurations (n, 7): (n, 4, 4) each."""
@@ -145,7 +159,7 @@ class Audit:
 
     def _spill_deg(self, motion: JointTrajectory) -> float:
         times_s = np.arange(0.0, motion.duration_s, RATE_STEP_S)
-        flanges = self._frames(motion.at(times_s[::2]))[7]
+        flanges = self._frames(motion.at(times_s[::2]))[self._last]
         positions = flanges[:, :3, :3] @ self._apex + flanges[:, :3, 3]
         ups = flanges[:, :3, :3] @ self._up
         if len(positions) < 3:
@@ -202,6 +216,9 @@ def _part(link: int, name: str, collision: ET.Element) -> Part:
         half = _numbers(shape.get("size")) / 2
         corners = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3))) * half
         return of(corners, 0.0, _box(half))
+    if shape.tag == "sphere":
+        radius_m = float(shape.attrib["radius"])
+        return of(np.zeros((1, 3)), radius_m, _capsule(radius_m, 0.0))
     radius_m, length_m = (float(shape.attrib[key]) for key in ("radius", "length"))
     if shape.tag == "cylinder":
         return of(_cylinder_points(radius_m, length_m), 0.0, _cylinder(radius_m, length_m / 2))

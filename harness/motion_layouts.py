@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.places import over_balance, over_mortar
-from scuhand_bt.cell_spec import CellSpec, Obstacle
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.specs import Mortar
 
@@ -25,9 +26,21 @@ CONTAINER = LAB.library.containers["alumina_crucible"]
 
 
 @dataclass(frozen=True)
+class Bench:
+    """What is drawn: the lab whose arm stands there, and how many times farther from it all is than from a CRANE-X7."""
+
+    lab: Lab
+    wider: float = 1.0
+
+
+STARTER = Bench(LAB)
+
+
+@dataclass(frozen=True)
 class Layout:
     """One bench."""
 
+    lab: Lab
     seed: int
     cell: CellSpec
     mortars: Mapping[str, Mortar]
@@ -35,14 +48,14 @@ class Layout:
 
     def planner(self) -> MotionPlanner:
         """A planner that has planned nothing; SkillFailed where the arm cannot stand at one of the places."""
-        planner = MotionPlanner(LAB.urdf, self.cell, self.mortars)
+        planner = MotionPlanner(self.lab.urdf, self.cell, self.mortars)
         planner.set_geometry(container=CONTAINER)
         for name, pose in self.places.items():
             planner.add_place(name, pose)
         return planner
 
 
-def drawn(seed: int) -> Layout:
+def drawn(seed: int, bench: Bench = STARTER) -> Layout:
     """The layout of a seed; not every one lets the arm stand at all of its places."""
     rng = np.random.default_rng(seed)
     pan_x, pan_y, pan_z = rng.uniform(290, 350), rng.uniform(-50, 50), rng.uniform(40, 75)
@@ -57,21 +70,23 @@ def drawn(seed: int) -> Layout:
         "sheet_swap": (rng.uniform(20, 90), -rng.uniform(290, 340), rng.uniform(120, 220)),
         "park": (rng.uniform(160, 210), rng.uniform(-30, 30), rng.uniform(170, 240)),
     }
+    at = {name: (bench.wider * x, bench.wider * y, z) for name, (x, y, z) in at.items()}
     stations = {
         name: LAB.cell.stations[name].model_copy(update={"position_mm": tuple(round(float(v), 1) for v in position)})
         for name, position in at.items()
     }
-    cell = LAB.cell.model_copy(update={"stations": stations, "geometry": tuple(_geometry(rng, at, wide, deep, high))})
+    geometry = tuple(_geometry(rng, at, wide, deep, high, bench.wider))
+    cell = bench.lab.cell.model_copy(update={"stations": stations, "geometry": geometry})
     kinds = sorted(LAB.library.mortars)
     mortars = {name: LAB.library.mortars[str(rng.choice(kinds))] for name in ("mortar_bay", "mortar_bay_2")}
-    return Layout(seed, cell, mortars, dict(_places(cell, mortars)))
+    return Layout(bench.lab, seed, cell, mortars, dict(_places(cell, mortars)))
 
 
 def _geometry(
-    rng: np.random.Generator, at: Mapping[str, Any], wide: float, deep: float, high: float
+    rng: np.random.Generator, at: Mapping[str, Any], wide: float, deep: float, high: float, wider: float
 ) -> Iterator[Obstacle]:
     x, y, z = at["balance"]
-    yield Obstacle(name="table", box_mm=(1200, 1200, 20), at_mm=(300, 0, -10))
+    yield Obstacle(name="table", box_mm=(1200 * wider, 1200 * wider, 20), at_mm=(300, 0, -10))
     yield Obstacle(name="balance_body", box_mm=(deep + 20, wide, z - 2), at_mm=(x + 20, y, (z - 2) / 2))
     for name, side in (("shield_left", 1), ("shield_right", -1)):
         yield Obstacle(name=name, box_mm=(deep, 6, high), at_mm=(x + 20, y + side * (wide / 2 + 3), z - 2 + high / 2))
@@ -80,7 +95,7 @@ def _geometry(
     yield Obstacle(name="waste_bin", cylinder_mm=(80, bz), at_mm=(bx, by, bz / 2))
     for k in range(int(rng.integers(0, 3))):  # a post beside the way
         angle, tall = np.radians(rng.uniform(20, 160)) * rng.choice([1, -1]), rng.uniform(100, 350)
-        away = rng.uniform(330, 420)
+        away = wider * rng.uniform(330, 420)
         place = (away * np.cos(angle), away * np.sin(angle), tall / 2)
         yield Obstacle(name=f"post {k}", cylinder_mm=(30, tall), at_mm=place)
     if rng.uniform() < 0.3:
@@ -100,11 +115,11 @@ def _places(cell: CellSpec, mortars: Mapping[str, Mortar]) -> Iterator[tuple[str
         yield station, pose((x, y, z + (25 if station == "waste" else 0)))
 
 
-def layouts(count: int, first: int) -> Iterator[Layout]:
+def layouts(count: int, first: int, bench: Bench = STARTER) -> Iterator[Layout]:
     """So many layouts in which the arm can stand at every place, from a seed on."""
     seed = first
     while count:
-        layout = drawn(seed)
+        layout = drawn(seed, bench)
         seed += 1
         try:
             planner = layout.planner()

@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from scuhand_bt.bench_spec import Frame, Obstacle, Point, Station
 from scuhand_bt.drivers import driver_name, known_driver
 from scuhand_bt.quantity import (
     Degrees,
@@ -23,76 +24,9 @@ from scuhand_bt.quantity import (
     MillimetresPerSecond,
     Ratio,
     Seconds,
+    plain_name,
 )
 from scuhand_bt.specs import NotNegative, Positive, Spec
-
-Point = Annotated[tuple[Millimetres, Millimetres, Millimetres], Field(description="x, y, z in the base frame")]
-
-
-class Frame(Spec):
-    """What stands on the bench as one thing, moved from where the file's other figures have it; measured by touching.
-
-    A point p of it really is at  pivot + shift + Rz(yaw) (p - pivot).
-    """
-
-    pivot_mm: Point = (0.0, 0.0, 0.0)
-    """About which it is turned."""
-    shift_mm: Point = (0.0, 0.0, 0.0)
-    yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
-    landmarks_mm: tuple[Point, Point, Point] | None = None
-    """Three points of it that the apex can touch, by the same figures as the others; not on one line."""
-
-    def moved_mm(self, point_mm: Point) -> Point:
-        """Where a point of it really is."""
-        yaw_rad = math.radians(self.yaw_deg)
-        x, y, z = (p - pivot for p, pivot in zip(point_mm, self.pivot_mm, strict=True))
-        turned = (
-            x * math.cos(yaw_rad) - y * math.sin(yaw_rad),
-            x * math.sin(yaw_rad) + y * math.cos(yaw_rad),
-            z,
-        )
-        x, y, z = (sum(parts) for parts in zip(self.pivot_mm, self.shift_mm, turned, strict=True))
-        return x, y, z
-
-
-class Station(Spec):
-    """A named place of the cell. `position` is the table point of a mortar, the pan's centre, …"""
-
-    name: str
-    kind: Literal["mortar", "balance", "waste", "service", "park"]
-    position_mm: Point
-    frame: str | None = None
-    """What it belongs to, of `frames`; None once `position_mm` is where it really is."""
-
-
-Size = Annotated[Millimetres, Field(gt=0)]
-
-
-class Obstacle(Spec):
-    """A box or an upright cylinder, by its centre, or a mesh, by its origin, that the arm must not touch."""
-
-    name: str
-    at_mm: Point
-    box_mm: tuple[Size, Size, Size] | None = None
-    cylinder_mm: tuple[Size, Size] | None = None
-    """Diameter and length."""
-    mesh: str | None = None
-    """An STL or OBJ file, beside cell.yaml; its z is up. An absolute path once the lab is loaded."""
-    mesh_unit_mm: Size = 1.0
-    """What one unit of the file is."""
-    mesh_digest: str = ""
-    """Of the file's bytes, once the lab is loaded; written by nobody."""
-    yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
-    """By how much a box or a mesh is turned about its upright axis, against the clock seen from above."""
-    frame: str | None = None
-    """As a station's."""
-
-    @model_validator(mode="after")
-    def _has_one_shape(self) -> Self:
-        if (self.box_mm, self.cylinder_mm, self.mesh).count(None) != 2:
-            raise ValueError("it has one shape: a box, a cylinder, or a mesh")
-        return self
-
 
 Seven = Field(min_length=7, max_length=7)
 Direction = Annotated[Literal[1, -1], BeforeValidator(lambda value: {"1": 1, "-1": -1}.get(value, value))]
@@ -115,17 +49,41 @@ class ArmOptions(Spec):
 
 
 class ArmSpec(Spec):
-    """The CRANE-X7 as this cell uses it."""
+    """The arm as this cell uses it: the CRANE-X7, or another of six or seven joints."""
 
     driver: Annotated[str, driver_name("arm")] = "dynamixel"
     port: str = ""
     options: ArmOptions = ArmOptions()
     urdf: str = "crane_x7_scuhand_sv.urdf"
+    kinematics: Literal["crane_x7", "decomposed"] = "crane_x7"
+    """How poses become joints: by the CRANE-X7's closed form, or another arm's as EAIK finds it from its axes."""
+    tool_axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Of another arm: along which axis of its last joint's frame the handle goes on."""
+    flange_mm: Point = (0.0, 0.0, 0.0)
+    """Of another arm: where in that frame the hand is screwed on."""
+    relaxed_deg: tuple[Degrees, ...] = ()
+    """Of another arm: its joints as it stands before a place straight ahead; unset, the middles of its windows."""
+    windows_deg: dict[str, tuple[Degrees, Degrees]] = Field(default_factory=dict)
+    """By the URDF's names of joints: a narrower window than it tells, from and to."""
+    may_touch: tuple[tuple[str, str], ...] = ()
+    """Pairs that are not looked at, as bounding shapes that meet where what they bound does not: each a link of the
+    URDF, one shape of it (`upper_0`), the cone or the clamp, and another of these or an obstacle."""
     speed_ratio: Annotated[Ratio, Field(ge=0.01, le=1)] = 1.0
     torque_ratio: Annotated[Ratio, Field(ge=0.1, le=1)] = 0.8
     """Of its servos' stall torque (the URDF's `effort`), what a motion may take; one that would take more is slower."""
     gentle_deg: Annotated[Degrees, Field(gt=0, le=90)] = 90.0
     """The largest spill angle a loaded cone is carried at; its powder's own limit where that is smaller."""
+
+    @model_validator(mode="after")
+    def _describes_another_arm_only(self) -> Self:
+        if self.kinematics == "crane_x7":
+            given = {"tool_axis", "flange_mm", "relaxed_deg"} & self.model_fields_set
+            if given:
+                what = plain_name(min(given))
+                raise ValueError(f"'{what}' is told of another arm than the CRANE-X7: 'kinematics: decomposed'")
+        elif math.hypot(*self.tool_axis) < 1e-6:
+            raise ValueError("'tool_axis' has no direction")
+        return self
 
 
 class ValveErrorSpec(Spec):

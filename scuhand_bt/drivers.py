@@ -32,6 +32,8 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     "capper": {},
 }
 """By kind, the engine's own drivers; `operator` is none, but a person."""
+BESIDE: Mapping[str, Mapping[str, str]] = {"arm": {"ros2": "scuhand_bt.devices.ros2_arm:DRIVER"}}
+"""And those that stand to the engine as another package's do: on no servo bus of ours, without a twin."""
 NAMED_KINDS = ("sensor", "scanner", "ioniser", "capper")
 """Kinds of which a cell has any number, each under a name of its own."""
 PLUGGED = re.compile(r"[A-Za-z_]\w*(\.\w+)*:[A-Za-z_]\w*")
@@ -86,8 +88,8 @@ def is_ours(kind: str, driver: str) -> bool:
 
 
 def _installed(kind: str) -> dict[str, str]:
-    """What installed packages offer."""
-    return {point.name: point.value for point in entry_points(group=f"scuhand_bt.{kind}")}
+    """What installed packages offer, and ours beside the engine."""
+    return dict(BESIDE.get(kind, {})) | {point.name: point.value for point in entry_points(group=f"scuhand_bt.{kind}")}
 
 
 def is_known(kind: str, driver: str) -> bool:

@@ -170,8 +170,9 @@ CATALOGUE: Mapping[str, Failure] = {
         ("run",),
     ),
     Code.BALANCE_OVERLOAD: Failure(
-        "The load is beyond the balance's maximum.",
-        "Take the load off; use a lighter container or insert.",
+        "The load is beyond the balance's range.",
+        "Take the load off; use a lighter container or insert. In underload: put the pan in place; or, if it was "
+        "switched on with something on it, clear the pan and switch it off and on.",
         ("devices",),
     ),
     Code.CONTAINER_MISSING: Failure(

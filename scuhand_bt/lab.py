@@ -8,19 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.device_sections import own_options
 from scuhand_bt.problems import Broken, Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.skill_files.load import load_skills
 from scuhand_bt.specs import ContainerKind, Mortar, Powder, Spec
-from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.grammar import KEYWORDS, RECORD, Workflow, read_workflow
+from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.record import Record
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, load, read_text
 
 if TYPE_CHECKING:
-    from scuhand_bt.motion import MotionPlanner
+    from scuhand_bt.motion import MotionPlanner, Mount
 
 S = TypeVar("S", bound=Spec)
 
@@ -62,6 +63,18 @@ class Lab:
             return MotionPlanner(self.urdf, self.cell, mortars, plans)
         except ValueError as error:
             raise SourceError([Problem(Mark(str(self._urdf_path)), str(error))]) from None
+
+
+def read_mount(lab: Lab) -> "Mount":
+    """How the lab's hand holds the cone that loads are carried in, and what arm holds the hand.
+
+    SourceError where the URDF of an arm other than the CRANE-X7 is not what the cell says.
+    """
+    from scuhand_bt.motion import Mount
+
+    if lab.cell.arm.kinematics == "crane_x7":
+        return Mount.of(lab.cell.hand)
+    return lab.motion_planner({}).mount()
 
 
 def starter_lab() -> Path:
@@ -320,10 +333,12 @@ def _find_meshes(cell: CellSpec, root: Entries, folder: Path, problems: Problems
             problems.add(root.keys["zones"], what, "write it as a box or a cylinder", code="bad-value")
     nodes = root.get("geometry")
     for number, obstacle in enumerate(cell.geometry):
+        node = nodes.items[number] if isinstance(nodes, Items) else root
+        if isinstance(node, Entries) and "mesh_digest" in node.keys:
+            problems.add(node.keys["mesh_digest"], "unknown key 'mesh_digest'", "leave it out", code="unknown-key")
         if obstacle.mesh is None:
             continue
         path = (folder / obstacle.mesh).resolve()
-        node = nodes.items[number] if isinstance(nodes, Items) else root
         mark = node.values["mesh"].mark if isinstance(node, Entries) and "mesh" in node.values else node.mark
         if path.suffix.lower() not in MESHES:
             problems.add(mark, f"'{shorten(obstacle.mesh)}' is no STL and no OBJ file", code="bad-value")

@@ -200,12 +200,16 @@ Ratio = Annotated[float, RATIO]
 
 SUFFIXES = ("_mg_per_mm3", "_mm_per_s", "_mm3", "_deg", "_mg", "_mm", "_s", "_ratio")
 
+NOT_WRITTEN: dict[str, Any] = {"written": False}
+"""The `json_schema_extra` of a field that the engine fills in: no file gives it."""
+
 
 def plain_name(field_name: str) -> str:
-    """The name a user writes for a field: `mass_mg` is `mass` in YAML."""
+    """The name a user writes for a field: `mass_mg` is `mass` in YAML; a number per unit keeps it, `deg_per_mm`."""
     for suffix in SUFFIXES:
-        if field_name.endswith(suffix):
-            return field_name.removesuffix(suffix)
+        plain = field_name.removesuffix(suffix)
+        if plain != field_name and not plain.endswith("_per"):
+            return plain
     return field_name
 
 

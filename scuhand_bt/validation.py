@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from scuhand_bt.problems import Problems, shorten
+from scuhand_bt.quantity import NOT_WRITTEN
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -107,4 +108,4 @@ def _keys_at(model: type[BaseModel], path: Sequence[Any]) -> list[str]:
                 nested = (info.annotation, *typing.get_args(info.annotation))
                 model = next((t for t in nested if isinstance(t, type) and issubclass(t, BaseModel)), model)
                 break
-    return [info.alias or name for name, info in model.model_fields.items()]
+    return [info.alias or name for name, info in model.model_fields.items() if info.json_schema_extra != NOT_WRITTEN]

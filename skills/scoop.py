@@ -107,7 +107,10 @@ class Scoop(Skill[Milligrams]):
         wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg / max(1.0, yielded)
         if self.wanted_mg is not None:
             wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / yielded
-        stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
+        try:
+            stroke = chosen(bed, cell.spec.hand.sheet_radius_mm, min(wanted_mg, most_mg))
+        except NoStrokeError as error:
+            raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
         if stroke.gap_mm <= LIP_GAP_MM and in_mortar_mg < PRESSED_BELOW_MG:
             most_mm = LIP_FORCE_LIMIT_N / lip_force_n(1.0, cell.spec.hand)
             stroke = replace(stroke, gap_mm=-min(self.over_travel_mm, most_mm))

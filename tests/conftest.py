@@ -31,8 +31,9 @@ from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.runner import Runner
 from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.tree.build import Tree
-from scuhand_bt.tree.check import Library, check_workflows
+from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.grammar import read_workflow
+from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.yaml_source import parse
 

@@ -7,10 +7,11 @@ from typing import cast
 import numpy as np
 import yaml
 
+from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.dose_loop import DoseRun, run_dose
 from scuhand_bt.cell.weighing import weighing_of
-from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec, Station
+from scuhand_bt.cell_spec import BalanceSpec, CellSpec, HandSpec
 from scuhand_bt.clock import Steps, T
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import DoseRequest, new_controller

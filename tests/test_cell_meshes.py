@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import LabFolder, problems_of
 
-from scuhand_bt.cell_spec import Obstacle
+from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.lab import load_lab, read_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.motion.kinematics import LIMITS_RAD
@@ -132,3 +132,14 @@ def test_a_file_that_is_no_mesh_of_a_fixtures_size_ends_planning_in_words(
     lab_folder.write("robot/cell.yaml", cell.read_text(encoding="utf-8") + LINE.format(mesh="fixture.stl", more=more))
     (message,) = problems_of(lambda: read_lab(lab_folder.folder).motion_planner({}))
     assert said in message
+
+
+def test_the_digest_of_a_mesh_is_no_key_of_the_file(lab_folder):
+    lab_folder.replace(
+        "robot/cell.yaml", "box: [220 mm, 200 mm, 58 mm],", "box: [220 mm, 200 mm, 58 mm], mesh_digest: x,"
+    )
+    assert any("unknown key 'mesh_digest'" in one for one in lab_folder.problems())
+    lab_folder.replace("robot/cell.yaml", "mesh_digest: x", "mash: x.stl")
+    (told,) = (one for one in lab_folder.problems() if "mash" in one)
+    assert "mesh" in told
+    assert "mesh_digest" not in told

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import Call
+from dose_bench import Bench, Setting
 from hypothesis import given
 from hypothesis import strategies as st
 from running import make_lab
@@ -24,10 +25,11 @@ from scuhand_bt.commissioning.servos import TURNS, turned
 from scuhand_bt.commissioning.step import Left, NotFound, Site
 from scuhand_bt.commissioning.steps import STEPS, commissioned, next_step
 from scuhand_bt.commissioning.valve import moved, opens_later_mm
-from scuhand_bt.commissioning.valve_map import equivalent_mm
+from scuhand_bt.commissioning.valve_map import ROUNDS, SHARES, equivalent_mm, weighed_round
+from scuhand_bt.devices.connect import Devices
 from scuhand_bt.devices.dynamixel.arm import arm_axes
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.lab import Lab, load_lab, state_folder
+from scuhand_bt.lab import Lab, load_lab, starter_lab, state_folder
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
 from scuhand_bt.problems import SourceError
@@ -51,7 +53,7 @@ TRUTH: dict[Keys, Value] = {
     ("frames", "balance", "shift"): ["9 mm", "-8 mm", "0.5 mm"],
     ("frames", "balance", "yaw"): "3 deg",
     ("hand", "options", "valve_map"): [{"count": 2081, "opening": "0 mm"}, {"count": 2341, "opening": "2.7 mm"}],
-    ("hand", "roller_deg_per"): "12.1",
+    ("hand", "roller_deg_per_mm"): "12.1",
     ("frames", "table", "shift"): ["0 mm", "0 mm", "-2 mm"],
 }
 """How the cell was really built: ids, horns and a hand as nobody has written them down."""
@@ -441,6 +443,28 @@ def test_openings_are_known_to_each_other_by_what_flows(c: float, widest_mm: flo
     assert equivalent_mm(flows, 0.05, widest_mm) == pytest.approx(real_mm)
     with pytest.raises(ValueError, match="no more flows"):
         equivalent_mm([20.0, 19.0, 30.0], 0.05, widest_mm)
+
+
+@pytest.mark.parametrize("speed_mm_per_s", [4.0, 3.2])
+def test_weighing_tells_every_opening_whatever_single_pulses_bring(speed_mm_per_s: float) -> None:
+    lab = load_lab(starter_lab())
+    beads = lab.library.powders["glass_beads"]
+    told_mm = [round(share * lab.cell.hand.max_opening_mm, 2) for share in SHARES]
+    worst_mm = []
+    for seed in range(4):
+        built = HandSpec(valve_speed_mm_per_s=speed_mm_per_s)
+        bench = Bench(beads, seed=seed, dose=seed, setting=Setting(hand=built))
+        devices = Devices(bench.cell.arm, bench.cell.hand, bench.cell.balance, None, {}, lambda: None)
+        site = Site(lab, Hands.__new__(Hands), Path(), Person("Ada"), clock=bench.clock)
+        rounds = []
+        for _ in range(ROUNDS):
+            bench.world.load_cone("store", max(0.0, 4000.0 - bench.world.masses_mg["cone"]))
+            bench.world.refill("store", 4000.0)
+            rounds.append(weighed_round(devices, site, told_mm, beads.belief.threshold_mm))
+        flows = np.median(rounds, axis=0).tolist()
+        found_mm = equivalent_mm(flows, beads.belief.threshold_mm, told_mm[-1])
+        worst_mm.append(float(np.abs(np.subtract(found_mm, told_mm)).max()))
+    assert max(worst_mm) < 0.12
 
 
 def rung(decay_s: float) -> list[tuple[float, float]]:

@@ -6,7 +6,8 @@ from typing import Any, cast
 import pytest
 from device_benches import DeviceBench
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.failures import SkillFailed

@@ -129,6 +129,10 @@ def test_every_yaml_example_is_accepted(text: str, lab_folder: LabFolder) -> Non
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^hand: .*$", text, cell, flags=re.M))
         assert [point.count for point in lab_folder.load().cell.hand.options.valve_map] == [2048, 2120, 2330]
+    elif kind == "arm":
+        cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
+        lab_folder.write("robot/cell.yaml", re.sub(r"^arm: .*\nhand: .*$", text.strip(), cell, flags=re.M))
+        assert lab_folder.load().cell.arm.driver == "ros2"
     elif kind in ("changer", "devices"):
         cell = (lab_folder.folder / "robot" / "cell.yaml").read_text(encoding="utf-8")
         lab_folder.write("robot/cell.yaml", re.sub(r"^changer: .*$", text, cell, flags=re.M))

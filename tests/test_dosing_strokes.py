@@ -1,5 +1,6 @@
 """Which stroke is made of a mortar's bed, and what it is expected to bring; held against the height field."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -8,8 +9,8 @@ from dose_bench import shipped_powders
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left
-from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, Stroke, least_attack_deg, stroke_path
+from scuhand_bt.dosing.strokes import GRAINS_CLEAR, Bed, Layer, chosen, expected_mg, layer_left, most_mg
+from scuhand_bt.dosing.swing import LIP_GAP_MM, Ladle, NoStrokeError, Stroke, least_attack_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.sim.bed import HeightField
 from scuhand_bt.specs import Mortar
@@ -48,7 +49,7 @@ def test_no_more_is_expected_than_is_wanted_or_there(in_mortar_mg: float, wanted
         clear_mm = GRAINS_CLEAR * BEADS.grain_mm
         assert stroke.gap_mm >= clear_mm
         deeper = replace(stroke, gap_mm=stroke.gap_mm - 0.25 if stroke.gap_mm - 0.25 >= clear_mm else LIP_GAP_MM)
-        assert expected_mg(deeper, bed, SHEET_MM) > wanted_mg, "a deeper one would have brought too much"
+        assert most_mg(deeper, bed, SHEET_MM) > wanted_mg, "a deeper one would have brought too much"
     else:
         assert expected_mg(stroke, bed, SHEET_MM) > 0.8 * in_mortar_mg or stroke.gap_mm == LIP_GAP_MM
 
@@ -95,14 +96,13 @@ def test_of_a_bowl_that_the_sheet_is_too_large_for_less_is_expected_and_a_thicke
 ) -> None:
     bed = Bed(SMALL, 4000.0, BEADS)
     stroke = chosen(bed, sheet_mm, 1500.0)
-    brought_mg, above_mg = expected_mg(replace(stroke, end_mm=math.inf), bed, sheet_mm), bed.above_mg(stroke.gap_mm)
+    brought_mg = expected_mg(replace(stroke, end_mm=math.inf), bed, sheet_mm)
+    above_mg = bed.above_mg(stroke.gap_mm - 0.7 * BEADS.grain_mm)
     assert 2 / 3 * above_mg < brought_mg <= above_mg
     assert (brought_mg < 0.9 * above_mg) == (slip_mm > 0.0)
     layer = layer_left(stroke, bed, sheet_mm)
-    assert layer is not None
-    assert layer.gap_mm == pytest.approx(stroke.gap_mm + slip_mm, abs=0.01)
+    assert layer.gap_mm == pytest.approx(stroke.gap_mm - 0.7 * BEADS.grain_mm + slip_mm, abs=0.01)
     assert layer.mass_mg == pytest.approx(4000.0 - brought_mg)
-    assert layer_left(replace(stroke, gap_mm=LIP_GAP_MM), bed, sheet_mm) is None
 
 
 @pytest.mark.parametrize(
@@ -169,6 +169,38 @@ def test_of_coarse_grains_a_layer_is_left_that_they_pass_through_or_none() -> No
     gaps_mm = {chosen(bed, SHEET_MM, wanted_mg).gap_mm for wanted_mg in (100.0, 1000.0, 4000.0, 8000.0, 12_000.0)}
     assert min(gaps_mm) == LIP_GAP_MM
     assert min(gaps_mm - {LIP_GAP_MM}) >= 4.0
+
+
+def test_of_grains_as_coarse_as_the_bed_is_thick_a_thinner_layer_is_left_but_never_is_nothing_expected() -> None:
+    coarse = BEADS.model_copy(update={"grain_mm": 3.0})
+    for mortar, fill_mg in itertools.product((MORTAR, SMALL), (6000.0, 8000.0, 12_000.0)):
+        bed = Bed(mortar, fill_mg, coarse)
+        stroke = chosen(bed, SHEET_MM, 4750.0)
+        assert LIP_GAP_MM < stroke.gap_mm < 4 * 3.0
+        assert stroke.gap_mm > 3.0, "a grain passes"
+        assert expected_mg(stroke, bed, SHEET_MM) > 30.0
+    pebbles = BEADS.model_copy(update={"grain_mm": 15.0})
+    with pytest.raises(NoStrokeError, match="less thick than one of them"):
+        chosen(Bed(MORTAR, 6000.0, pebbles), SHEET_MM, 2000.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "mortar", "fill_mg", "strokes", "left"),
+    [("glass_beads", MORTAR, 12_000.0, 4, 0.02), ("monosodium_glutamate", SMALL, 6000.0, 8, 0.03)],
+)
+def test_a_few_strokes_leave_next_to_nothing_and_less_is_believed_to_be_there_only_as_it_is(
+    name: str, mortar: Mortar, fill_mg: float, strokes: int, left: float
+) -> None:
+    powder = POWDERS[name]
+    field, layer, there_mg, believed_mg = HeightField(mortar, powder), None, fill_mg, fill_mg
+    for heading_deg in (*ACROSS_DEG, 60.0, 300.0, 30.0, 330.0)[:strokes]:
+        bed = Bed(mortar, believed_mg, powder, layer)
+        stroke = replace(chosen(bed, SHEET_MM, 4750.0), heading_deg=heading_deg)
+        in_cone_mg, lost_mg = through(stroke, field, there_mg, mortar)
+        there_mg -= in_cone_mg + lost_mg
+        layer, believed_mg = layer_left(stroke, bed, SHEET_MM), believed_mg - expected_mg(stroke, bed, SHEET_MM)
+        assert abs(believed_mg - there_mg) < 0.05 * fill_mg
+    assert there_mg < left * fill_mg
 
 
 def test_coarser_grains_are_kept_farther_from_the_edge() -> None:

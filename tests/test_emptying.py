@@ -6,7 +6,8 @@ from typing import Any, cast
 import pytest
 from wire_helpers import carry_out
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps
 from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.lab import Lab

@@ -4,7 +4,7 @@ import pytest
 
 from harness.motion_audit import Audit
 from harness.motion_layouts import CONTAINER, LAB, LIMITS_DEG, drawn
-from scuhand_bt.cell_spec import Obstacle
+from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import Mount, apex
 

@@ -5,7 +5,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from scuhand_bt.cell_spec import HandSpec, Obstacle
+from scuhand_bt.bench_spec import Obstacle
+from scuhand_bt.cell_spec import ArmSpec, HandSpec
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import cell_solids
 from scuhand_bt.motion.collision import SMALLEST_MARGIN_M, Arm, Scene, Solid
@@ -303,3 +304,23 @@ def test_a_shape_on_the_shoulder_that_does_not_turn_on_the_spot_is_kept_from_the
 def test_the_arm_as_it_comes_has_no_pair_of_neighbours_to_look_at(arm):
     for hand, rims_mm in ((HandSpec(), [90.0, 60.0]), (HandSpec(sheet_radius_mm=60.0), [112.0])):
         assert arm.near_pairs(arm.with_sheet(hand, rims_mm)) == []
+
+
+def test_pairs_that_may_touch_are_told_by_the_cell_and_names_that_are_none_are_refused():
+    arm = Arm(URDF, ArmSpec(may_touch=(("clamp", "rod"), ("wrist", "rod"))))
+    rod = Solid("rod", (0.0, 0.0, 0.72), cylinder_m=(0.3, 0.02))
+
+    strict, loose = (Scene(one, one.with_sheet(HandSpec(), [90.0]), [rod], 0.001) for one in (Arm(URDF), arm))
+    pairs = [
+        {one.shapes.geometryObjects[k].name for k in (pair.first, pair.second)}
+        for one in (strict, loose)
+        for pair in one.shapes.collisionPairs
+    ]
+    assert pairs.count({"clamp", "rod"}) == pairs.count({"wrist_0", "rod"}) == 1
+    assert pairs.count({"cone", "rod"}) == 2
+
+    arm.require_names(["rod"])
+    with pytest.raises(ValueError, match=r"names 'rod', which is not there; there are .*'wrist'"):
+        arm.require_names(["post"])
+    with pytest.raises(ValueError, match="pairs something of the arm"):
+        Arm(URDF, ArmSpec(may_touch=(("rod", "post"),))).require_names(["rod", "post"])

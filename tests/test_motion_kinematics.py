@@ -199,7 +199,7 @@ def test_a_joint_beyond_its_limit_is_named():
     with pytest.raises(SkillFailed, match="joint 4") as failed:
         checked_joints(q)
     assert failed.value.code == "arm.joint_limit"
-    with pytest.raises(ValueError, match="seven finite angles"):
+    with pytest.raises(ValueError, match="7 finite angles"):
         checked_joints(np.full(7, math.nan))
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from harness.motion_audit import Audit
-from scuhand_bt.cell_spec import CellSpec, Obstacle
+from scuhand_bt.bench_spec import Obstacle
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, transfer
 

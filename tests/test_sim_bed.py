@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from scuhand_bt.dosing.swing import Ladle, Stroke, StrokePath, headings_deg, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
-from scuhand_bt.sim.bed import CELL_MM, HeightField
+from scuhand_bt.sim.bed import CELL_MM, HeightField, passing_mm
 from scuhand_bt.sim.cone_over import ConePose, Floats
 from scuhand_bt.specs import Mortar, Powder
 
@@ -210,3 +210,10 @@ def test_a_leaning_cone_is_as_low_as_the_lowest_of_its_apex_and_its_rim(tilt_deg
     lean = math.radians(tilt_deg)
     pose = ConePose(np.array([1.0, 2.0, 30.0]), np.array([math.sin(lean), 0.0, math.cos(lean)]), 80.0, 50.0)
     assert pose.lowest_mm == pytest.approx(pose.outline_mm(3600)[:, 2].min(), abs=1e-3)
+
+
+def test_a_lip_takes_grains_whose_tops_are_above_it_and_passes_one_layer_of_them() -> None:
+    """As by discrete elements: 2.27 mm of 2 mm beads stayed under a lip at 3.5 mm, 1.38 mm of 1.5 mm ones at 1.5 mm."""
+    assert passing_mm(np.array([3.5]), 2.0)[0] == pytest.approx(2.27, rel=0.1)
+    assert passing_mm(np.array([1.5]), 1.5)[0] == pytest.approx(1.38, rel=0.1)
+    assert passing_mm(np.array([3.5]), 0.1)[0] == pytest.approx(3.43)

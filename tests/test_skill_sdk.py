@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from scuhand_bt.failures import CATALOGUE, Failure, SkillFailed
 from scuhand_bt.lab import Lab
 from scuhand_bt.skill import Condition, Milligrams, Seconds, Skill, Steps, pause
-from scuhand_bt.tree.check import Library
+from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.wires import of_field
 
 

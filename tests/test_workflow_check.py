@@ -23,8 +23,9 @@ from scuhand_bt.skill import (
     Source,
     Steps,
 )
-from scuhand_bt.tree.check import Library, check_workflows
+from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.grammar import read_workflow
+from scuhand_bt.tree.library import Library
 from scuhand_bt.yaml_source import parse
 
 

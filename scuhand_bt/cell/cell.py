@@ -23,9 +23,8 @@ from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
 from scuhand_bt.failures import SkillFailed
-from scuhand_bt.motion import ApexPose, Mount, apex, spill_limit_deg
+from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
-from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.record import Record
 from scuhand_bt.specs import BalanceBelief, BalanceFigure, Powder, PowderBelief, Source
 
@@ -116,7 +115,7 @@ class Cell:
 
     def apex(self) -> ApexPose:
         """The pose of the cone's apex now."""
-        return apex(self.arm.positions, Mount.of(self.spec.hand, self.hand.cone_diameter_mm))
+        return apex(self.arm.positions, self.motion.mount(self.hand.cone_diameter_mm))
 
     def aside_of_pan_mm(self) -> float:
         """How far the cone's apex is from the middle of the pan, seen from above."""
@@ -146,9 +145,7 @@ class Cell:
         down = yield from self._planned(
             lambda planner: planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
         )
-        yield from self._follow(
-            self._planner().move(self.arm.positions, down.start[:JOINTS], spill_limit_deg=limit_deg)
-        )
+        yield from self._follow(self._planner().move(self.arm.positions, down.start, spill_limit_deg=limit_deg))
         yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
@@ -173,7 +170,7 @@ class Cell:
         The cone is formed on the way there: from where the arm stands, or, where something is in its way, from the
         mortar's place; and where it is there, too, before that way.
         """
-        begin = motion.start[:JOINTS]
+        begin = motion.start[:-1]
         forming = self._forming(begin, open_mm)
         if forming is None:
             yield from self.move_to(station)

@@ -5,7 +5,8 @@ One place for these heights, so that `check`, the planner and the skills mean th
 
 from collections.abc import Iterable, Mapping
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.specs import ContainerKind, Mortar, Source
 
 Position = tuple[float, float, float]

@@ -78,7 +78,7 @@ def find_roller(site: Site) -> Found:
             f"{per_mm:.2f}° per mm is not this hand's roller; robot/cell.yaml has {hand.roller_deg_per_mm:g}"
         )
     per_mm = round(per_mm, 3)
-    values: dict[Keys, Value] = {("hand", "roller_deg_per"): f"{per_mm:g}"}
+    values: dict[Keys, Value] = {("hand", "roller_deg_per_mm"): f"{per_mm:g}"}
     changes: dict[str, object] = {"roller_deg_per_mm": per_mm}
     if abs(first_mm - mounted_mm) > NOTED_MM:
         values["hand", "options", "start_diameter"] = f"{first_mm:g} mm"

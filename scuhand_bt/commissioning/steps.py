@@ -19,7 +19,7 @@ from scuhand_bt.lab import Lab, state_folder
 SERVOS = ("arm.options.servo_ids", "arm.options.directions", "hand.options.roller_id", "hand.options.roller_direction")
 ZERO = (*SERVOS[:2], "arm.options.home_counts")
 APEX = (*ZERO, "hand.apex_offset", "hand.apex_aside", "hand.sheet_radius", "hand.mount")
-ROLLER = (*SERVOS[2:], "hand.roller_deg_per", "hand.options.start_diameter", "hand.sheet_radius")
+ROLLER = (*SERVOS[2:], "hand.roller_deg_per_mm", "hand.options.start_diameter", "hand.sheet_radius")
 VALVE = ("hand.options.valve_map", "hand.max_opening")
 BALANCE = ("balance.driver", "balance.port", "balance.readability", "balance.maximum", "frames.balance")
 EVERYTHING = (*APEX, *ROLLER, "frames", "stations", *VALVE, *BALANCE[:-1])

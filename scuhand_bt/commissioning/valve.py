@@ -106,20 +106,18 @@ def as_written(points: Sequence[ValvePoint]) -> dict[Keys, Value]:
     return {("hand", "options", "valve_map"): listed}
 
 
-def weighed_flows(
-    devices: Devices, site: Site, openings_mm: Sequence[float], dwells_s: tuple[float, float] = DWELLS_S
-) -> list[float] | None:
+def weighed_flows(devices: Devices, site: Site, openings_mm: Sequence[float]) -> list[float] | None:
     """The flow at each of these openings [mg/s], 0 where next to nothing came; None where powder runs all the time."""
     try:
         gross_mg = carried_out(devices.balance.stable_mean(STILL_S), site.clock).value_mg
         flows = []
         for opening_mm in openings_mm:
             masses_mg = []
-            for dwell_s in dwells_s:
-                brought_mg, gross_mg = _weighed(devices, site, opening_mm, dwell_s, gross_mg)
+            for dwell_s in DWELLS_S:
+                brought_mg, gross_mg = weighed_pulse(devices, site, opening_mm, dwell_s, gross_mg)
                 masses_mg.append(brought_mg)
             more_mg = masses_mg[1] - masses_mg[0]
-            flows.append(more_mg / (dwells_s[1] - dwells_s[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
+            flows.append(more_mg / (DWELLS_S[1] - DWELLS_S[0]) if masses_mg[1] >= LEAST_MG and more_mg > 0.0 else 0.0)
         return flows
     except SkillFailed as failure:
         if failure.code == Code.BALANCE_UNSTABLE:
@@ -127,7 +125,9 @@ def weighed_flows(
         raise
 
 
-def _weighed(devices: Devices, site: Site, opening_mm: float, dwell_s: float, gross_mg: float) -> tuple[float, float]:
+def weighed_pulse(
+    devices: Devices, site: Site, opening_mm: float, dwell_s: float, gross_mg: float
+) -> tuple[float, float]:
     """What one pulse brings [mg], and what the balance shows then; SkillFailed."""
     left = TRIES
     while True:

@@ -213,6 +213,9 @@ class HandController:
             self.refused = SkillFailed(Code.DEVICE_LOST, f"the hand controller did not take '{said}': {why}")
 
     def _lose(self, why: str) -> None:
+        if self.report is not None and not self.report.is_safe:
+            # Its dead-man shuts the valve; a board without power does not, and the servo goes where it was told.
+            why += "; the valve was not shut when it was last heard: look whether it is"
         self.report = None
         self.trouble = SkillFailed(Code.DEVICE_LOST, why)
         self.news.fire()

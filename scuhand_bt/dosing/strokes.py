@@ -36,7 +36,7 @@ layer of `GRAINS_CLEAR` grains at least. Masses in mg, lengths in mm.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, count
@@ -54,9 +54,19 @@ CLOSING_MM = 12.0
 """How much the rim closes around the powder, which lifts the handle's clamp over the mortar's edge."""
 RIM_GRID_MM, GAP_GRID_MM = 2.0, 0.25
 """Strokes differ by so much at least."""
-GRAINS_CLEAR = 4
-"""By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even."""
-NEAR_EDGE_MM = 1.0
+GRAINS_CLEAR, GRAINS_LEAST = 4.0, 1.25
+"""By discrete elements round grains jam in a gap of half of one, and pass in one of one; others are less even. Where a
+layer of so many leaves less than `LITTLE_SHARE` of what is wanted to be taken, it is thinner."""
+LITTLE_SHARE = 0.25
+SWEPT_SHARE = 0.6
+"""A stroke that takes all there is begins so far up the wall at least: what others have left lies beside them."""
+REACHED, REACHED_BELOW_EDGE = 0.85, 0.65
+"""Of what others have left, the share that a stroke finds: what lies beside its rim it does not, and less where its lip
+leaves the wall below the edge. By the height field; ours."""
+LOOSE_GRAINS = 0.7
+"""Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
+the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
+NEAR_EDGE_MM = 1.2
 """The heap before the lip is to be lower than the mortar's edge by this, or by a grain, which may roll on it."""
 ENDS = 60
 """Places on the wall that are looked at, from the lowest to the edge."""
@@ -68,7 +78,10 @@ THIN_MM = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """What the last stroke has left on a mortar's wall: no thicker than that, and so much."""
+    """What the last stroke has left on a mortar's wall: no thicker than that, and so much.
+
+    With a lip on the wall, it lies wherever the stroke has not reached it.
+    """
 
     gap_mm: float
     mass_mg: float
@@ -88,8 +101,9 @@ class Bed:
             thick_mm: Floats = np.maximum(level_mm - radius_mm * (1 - cosine), 0.0) * cosine
             return thick_mm
 
+        self.was_scooped_from = layer is not None
         self._thick_mm: Floats = np.zeros(RINGS)
-        if layer is not None:
+        if layer is not None and layer.gap_mm > LIP_GAP_MM:
             self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), layer.mass_mg)
             self._thick_mm *= min(1.0, mass_mg / max(layer.mass_mg, THIN_MM))
         left_mm = self._thick_mm
@@ -123,6 +137,14 @@ class Bed:
 
 def expected_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What a stroke is expected to bring into the cone."""
+    reached = 1.0
+    if stroke.gap_mm <= LIP_GAP_MM and bed.was_scooped_from:
+        reached = REACHED if math.isinf(stroke.end_mm) else REACHED_BELOW_EDGE
+    return reached * most_mg(stroke, bed, sheet_radius_mm)
+
+
+def most_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+    """What a stroke brings that finds all that it may."""
     return (1.0 - _falls_back(stroke, bed, sheet_radius_mm)) * _pushed_mg(stroke, bed, sheet_radius_mm)
 
 
@@ -131,26 +153,46 @@ def slip_mm(stroke: Stroke, mortar: Mortar, sheet_radius_mm: float) -> float:
     return SLIPS * max(0.0, sheet_radius_mm - mortar.bowl_radius_mm) if stroke.gap_mm > LIP_GAP_MM else 0.0
 
 
-def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer | None:
-    """What a stroke is expected to leave; none where it takes all there is. What falls back lies on it."""
+def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
+    """What a stroke is expected to leave; what falls back lies on it."""
     if stroke.gap_mm <= LIP_GAP_MM:
-        return None
+        return Layer(LIP_GAP_MM, bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm))
     left_mg = bed.mass_mg - _pushed_mg(stroke, bed, sheet_radius_mm)
-    return Layer(stroke.gap_mm + slip_mm(stroke, bed.mortar, sheet_radius_mm), left_mg)
+    return Layer(_left_mm(stroke, bed.powder) + slip_mm(stroke, bed.mortar, sheet_radius_mm), left_mg)
 
 
 def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
-    """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be."""
+    """The stroke that brings so much and no more, or the most that it may push: the widest, as deep as it has to be.
+
+    NoStrokeError where grains are so coarse that all that may be taken is less than one of them is thick.
+    """
     deepest = across(bed.mortar, bed.radius_mm, sheet_radius_mm)
+    swept_mm = SWEPT_SHARE * bed.mortar.bowl_radius_mm * math.asin(bed.mortar.bore_mm / 2 / bed.mortar.bowl_radius_mm)
+    whole = replace(deepest, begin_mm=min(deepest.begin_mm, -_on_grid(swept_mm, RIM_GRID_MM)))
     level_mm = bed.mortar.bowl_radius_mm * math.radians(_attack_deg(deepest, bed.mortar, sheet_radius_mm))
-    clear = math.ceil(GRAINS_CLEAR * bed.powder.grain_mm / GAP_GRID_MM)
-    gaps_mm = chain([LIP_GAP_MM], (steps * GAP_GRID_MM for steps in count(clear)))
-    strokes = (_ended(replace(deepest, gap_mm=gap_mm), bed, sheet_radius_mm) for gap_mm in gaps_mm)
-    return next(
-        stroke
-        for stroke in strokes
-        if stroke.end_mm >= level_mm and expected_mg(stroke, bed, sheet_radius_mm) <= wanted_mg
-    )
+
+    def first(strokes: Iterable[Stroke]) -> Stroke:
+        ended = (_ended(stroke, bed, sheet_radius_mm) for stroke in strokes)
+        return next(
+            stroke
+            for stroke in ended
+            if stroke.end_mm >= level_mm and most_mg(stroke, bed, sheet_radius_mm) <= wanted_mg
+        )
+
+    def layered(grains: float) -> Iterator[Stroke]:
+        clear = math.ceil(grains * bed.powder.grain_mm / GAP_GRID_MM)
+        return (replace(deepest, gap_mm=steps * GAP_GRID_MM) for steps in count(clear))
+
+    stroke = first(chain([whole], layered(GRAINS_CLEAR)))
+    little_mg = LITTLE_SHARE * min(wanted_mg, bed.mass_mg)
+    if most_mg(stroke, bed, sheet_radius_mm) < little_mg:
+        stroke = first(layered(GRAINS_LEAST))
+    if most_mg(stroke, bed, sheet_radius_mm) <= 0.0:
+        raise NoStrokeError(
+            f"{bed.mass_mg / 1000:.1f} g of grains of {bed.powder.grain_mm:g} mm lie less thick than one of them, and "
+            f"no more than {wanted_mg / 1000:.1f} g may be taken at once"
+        )
+    return stroke
 
 
 def across(mortar: Mortar, bed_radius_mm: float, sheet_radius_mm: float) -> Stroke:
@@ -165,7 +207,12 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What comes before the lip of a stroke, and into the mouth."""
     u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
     strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
-    return strip * bed.above_mg(max(0.0, stroke.gap_mm), slip_mm(stroke, bed.mortar, sheet_radius_mm))
+    return strip * bed.above_mg(_left_mm(stroke, bed.powder), slip_mm(stroke, bed.mortar, sheet_radius_mm))
+
+
+def _left_mm(stroke: Stroke, powder: Powder) -> float:
+    """How much passes under the lip, as the thickness that it has at its bulk density."""
+    return stroke.gap_mm - LOOSE_GRAINS * powder.grain_mm if stroke.gap_mm > LIP_GAP_MM else max(0.0, stroke.gap_mm)
 
 
 def _ended(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Stroke:

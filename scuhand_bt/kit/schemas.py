@@ -14,7 +14,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.dosing import CONTROLLERS
 from scuhand_bt.kit.cases import SUCCESS, Expectation, Substituted
 from scuhand_bt.lab import TEST_SUFFIX, Lab
@@ -26,8 +27,8 @@ from scuhand_bt.recipe.sources import SourceText
 from scuhand_bt.sim.fault_rules import KINDS, Rule
 from scuhand_bt.skill import Condition
 from scuhand_bt.specs import Container, ContainerKind, Mortar, Powder, Source
-from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.grammar import COMPOSITES, DECORATOR_KEYS, PARAMETERS, RECORD
+from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.wires import INPUT_TYPES, WireType
 
 Json = dict[str, Any]

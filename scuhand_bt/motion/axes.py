@@ -7,7 +7,7 @@ Angles [rad], times [s].
 
 from typing import Protocol
 
-from scuhand_bt.motion.kinematics import JOINTS, Floats
+from scuhand_bt.motion.kinematics import Floats
 
 
 class Course(Protocol):
@@ -45,9 +45,9 @@ class SomeAxes:
 
 def of_arm(whole: Course) -> SomeAxes:
     """What the arm does in a stroke."""
-    return SomeAxes(whole, slice(0, JOINTS))
+    return SomeAxes(whole, slice(0, -1))
 
 
 def of_roller(whole: Course) -> SomeAxes:
     """What the roller does in a stroke, counted from the flat sheet."""
-    return SomeAxes(whole, slice(JOINTS, JOINTS + 1))
+    return SomeAxes(whole, slice(-1, None))

@@ -10,7 +10,7 @@ Metres and radians, base frame.
 import math
 from collections.abc import Iterable
 
-from scuhand_bt.cell_spec import Obstacle, Station
+from scuhand_bt.bench_spec import Obstacle, Station
 from scuhand_bt.motion.collision import Solid
 from scuhand_bt.motion.meshes import read_mesh
 from scuhand_bt.specs import ContainerKind, Mortar

@@ -5,8 +5,7 @@ arm passes within m of where it was at one of them (`swept_bound`), no point is 
 it has been proven free: *nothing can touch in between*. A curve over time sampled every h seconds may
 miss the line between its samples by a h^2/8 per joint (a: its acceleration), which is added.
 
-This module also holds every trap of the libraries below it. Pinocchio reads `<capsule>` only from
-URDF version 1.1 and drops it silently otherwise: shapes are counted. Unknown names give no error:
+This module and `arm_model` also hold every trap of the libraries below them. Unknown names give no error:
 look-ups here raise. Data made before a model changed ends the process: models are complete before
 their data. With a security margin of zero coal misses real penetrations: the margin is never zero.
 Pools copy their models: a scene is built anew for new geometry and never edited.
@@ -15,7 +14,6 @@ Positions in metres, configurations in radians, shape (n, 7).
 """
 
 import math
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,21 +24,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from scuhand_bt.cell_spec import HandSpec
-from scuhand_bt.motion.kinematics import JOINTS, LIMITS_RAD, Floats, Mount, apex
-from scuhand_bt.motion.near_links import LINKS_APART, meeting, neighbours, turns_on_the_spot
+from scuhand_bt.motion.arm_model import CONE, Arm
+from scuhand_bt.motion.kinematics import Floats
+from scuhand_bt.motion.near_links import LINKS_APART, turns_on_the_spot
 from scuhand_bt.motion.swept_bound import SweptBound
-from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
 
-CONE = "cone"
-"""What the sheet's shapes are named after."""
-CLAMP_M = 0.02
-"""How far the clamp reaches along the handle."""
 SMALLEST_MARGIN_M = 1e-4
-BALL_STEP_M = 0.004
-SHEET_M = 0.002
-"""Sheet and play, added to the cone's radius."""
 _FIRST_SAMPLES = 12
 _FOREMOST = (CONE, "fore_0")
 """The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
@@ -86,130 +76,6 @@ class Solid:
         return pin.SE3(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(self.centre_m))
 
 
-class Arm:
-    """The arm and hand of a URDF, checked: joints, limits, shapes, and its closed form.
-
-    ValueError, with what is wrong, for a URDF that is not this arm.
-    """
-
-    def __init__(self, urdf: str) -> None:
-        try:
-            root = ET.fromstring(urdf)
-        except ET.ParseError as error:
-            raise ValueError(f"the URDF is not XML: {error}") from None
-        self.rates = _rates(root)
-        self.model = pin.buildModelFromXML(urdf)
-        if self.model.nq != JOINTS or self.model.nv != JOINTS:
-            raise ValueError(f"the URDF has {self.model.nq} coordinates, this arm has {JOINTS} revolute joints")
-        self.limits_rad = np.stack([self.model.lowerPositionLimit, self.model.upperPositionLimit])
-        beyond = np.maximum(LIMITS_RAD[0] - self.limits_rad[0], self.limits_rad[1] - LIMITS_RAD[1])
-        if beyond.max() > 1e-9 or (self.limits_rad[0] >= self.limits_rad[1]).any():
-            joint = int(np.argmax(np.where(self.limits_rad[0] >= self.limits_rad[1], np.inf, beyond)))
-            low, high = np.degrees(LIMITS_RAD[:, joint])
-            window = f"{low:g} to {high:g} deg"
-            raise ValueError(f"the URDF's limits of joint {joint + 1} are not within its servo's, {window}")
-        self.shapes = pin.buildGeomFromUrdfString(self.model, urdf, pin.GeometryType.COLLISION)
-        written = len(root.findall("link/collision"))
-        if self.shapes.ngeoms != written:
-            raise ValueError(
-                f"Pinocchio loaded {self.shapes.ngeoms} of the URDF's {written} collision shapes "
-                "(a <capsule> needs version 1.1)"
-            )
-        bare = [link.get("name") for link in root.findall("link") if link.find("collision") is None]
-        if bare:
-            raise ValueError(f"the URDF's link {bare[0]} has no collision shape")
-        for thing in self.shapes.geometryObjects:
-            thing.geometry.computeLocalAABB()
-            if not (thing.geometry.aabb_local.max_ - thing.geometry.aabb_local.min_ > 0).all():
-                raise ValueError(f"the URDF's collision shape {thing.name} has no size")
-        self._check_closed_form()
-        own = range(self.shapes.ngeoms)
-        self._far: dict[frozenset[str], bool] = {}
-        self._meeting = meeting(self.model, self.shapes, list(neighbours(self.shapes, own, own)), self.limits_rad)
-
-    def _check_closed_form(self) -> None:
-        data = self.model.createData()
-        for q in np.linspace(LIMITS_RAD[0] * 0.9, LIMITS_RAD[1] * 0.7, 5):
-            pin.forwardKinematics(self.model, data, q)
-            flange = data.oMi[JOINTS]
-            pose = apex(q, Mount(0.0, 0.0))
-            if (
-                max(np.abs(flange.translation - pose.position_m).max(), np.abs(flange.rotation[:, 2] + pose.axis).max())
-                > 1e-9
-            ):
-                raise ValueError("the URDF's joints do not stand where this arm's do: the closed form does not fit it")
-
-    def near_pairs(self, shapes: pin.GeometryModel) -> list[tuple[int, int]]:
-        """Of this arm's shapes with clamp and cones after them, the pairs of neighbouring links that may meet."""
-        own, sheet = range(self.shapes.ngeoms), range(self.shapes.ngeoms, shapes.ngeoms)
-        pairs = list(neighbours(shapes, own, sheet))
-        if not pairs or self._is_far(shapes):
-            return self._meeting
-        return [*self._meeting, *meeting(self.model, shapes, pairs, self.limits_rad)]
-
-    def _is_far(self, shapes: pin.GeometryModel) -> bool:
-        """Whether no cone of this hand, of any size, comes near those links: by a ball around them, once for a hand."""
-        around = pin.GeometryModel(self.shapes)
-        for held in shapes.geometryObjects.tolist()[self.shapes.ngeoms :]:
-            if held.name.startswith(CONE):
-                tip_m = held.placement.translation + held.geometry.halfLength * held.placement.rotation[:, 2]
-                slant_m = math.hypot(held.geometry.radius, 2 * held.geometry.halfLength)
-                ball = coal.Sphere(math.ceil(slant_m / BALL_STEP_M) * BALL_STEP_M)  # the same one for all sizes
-                held = pin.GeometryObject("ball", JOINTS, pin.SE3(np.eye(3), tip_m.round(6)), ball)
-            around.addGeometryObject(held)
-        added = around.geometryObjects.tolist()[self.shapes.ngeoms :]
-        key = frozenset(f"{one.geometry.radius} {one.placement}" for one in added)
-        if key not in self._far:
-            own, sheet = range(self.shapes.ngeoms), range(self.shapes.ngeoms, around.ngeoms)
-            self._far[key] = not meeting(self.model, around, list(neighbours(around, own, sheet)), self.limits_rad)
-        return self._far[key]
-
-    def with_sheet(
-        self, hand: HandSpec, diameters_mm: Sequence[float], margin_mm: float = 1e3 * SHEET_M
-    ) -> pin.GeometryModel:
-        """The arm's shapes with the clamp that holds the sheet, and cones of these rims, all that a motion forms."""
-        apex_m, slant_m = hand.apex_offset_mm / 1e3, hand.sheet_radius_mm / 1e3
-        shapes = pin.GeometryModel(self.shapes)
-        x_m, y_m = (beside_mm / 1e3 for beside_mm in hand.apex_aside_mm)
-        held = pin.SE3(np.eye(3), np.array([x_m, y_m, apex_m - slant_m]))
-        clamp = coal.Cylinder(hand.mount.clamp_radius_mm / 1e3, CLAMP_M)
-        shapes.addGeometryObject(pin.GeometryObject("clamp", JOINTS, held, clamp))
-        for k, diameter_mm in enumerate(diameters_mm):
-            mount = Mount.of(hand, diameter_mm)
-            depth_m = slant_m * math.cos(mount.lean_rad)
-            placed = pin.SE3(_with_z(-mount.axis), np.array([x_m, y_m, apex_m]) + depth_m / 2 * mount.axis)
-            cone = coal.Cone((diameter_mm / 2 + margin_mm) / 1e3, depth_m)
-            shapes.addGeometryObject(pin.GeometryObject(f"{CONE} {k}" if k else CONE, JOINTS, placed, cone))
-        return shapes
-
-
-def _with_z(z: Floats) -> Floats:
-    """A turn whose third column this is."""
-    other = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    y = np.cross(z, other)
-    y /= np.linalg.norm(y)
-    return np.column_stack([np.cross(y, z), y, z])
-
-
-def _rates(root: ET.Element) -> RateLimits:
-    """Speed, acceleration and jerk limits of the URDF's joints."""
-    rows = []
-    for joint in root.findall("joint"):
-        limit = joint.find("limit")
-        try:
-            if limit is None:
-                raise KeyError("limit")
-            row = [float(limit.attrib[name]) for name in ("velocity", "acceleration", "jerk")]
-        except (KeyError, ValueError):
-            raise ValueError(f"joint {joint.get('name')} needs a limit with velocity, acceleration and jerk") from None
-        if not all(math.isfinite(value) and value > 0 for value in row):
-            raise ValueError(f"joint {joint.get('name')}'s velocity, acceleration and jerk must be above zero")
-        rows.append(row)
-    if len(rows) != JOINTS:
-        raise ValueError(f"the URDF has {len(rows)} joints, this arm has {JOINTS}")
-    return RateLimits(*np.array(rows).T.copy())
-
-
 class Scene:
     """The arm with one size of cone in one state of the cell; immutable.
 
@@ -239,8 +105,9 @@ class Scene:
             self.shapes.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
         touchable = set(may_touch)
         for first, second in [*_pairs(self.shapes, moving, touchable), *arm.near_pairs(shapes)]:
-            self.shapes.addCollisionPair(pin.CollisionPair(first, second))
-        self._foremost = _foremost(shapes, [solid for solid in solids if solid.name not in touchable])
+            if not arm.may_touch or arm.is_looked_at(*(self.shapes.geometryObjects[k].name for k in (first, second))):
+                self.shapes.addCollisionPair(pin.CollisionPair(first, second))
+        self._foremost = _foremost(arm, shapes, [solid for solid in solids if solid.name not in touchable])
         # From here on the models are complete; only now may data be made of them.
         self._data = self.model.createData()
         self._shape_data = pin.GeometryData(self.shapes)
@@ -360,7 +227,7 @@ class Scene:
         raise ValueError("the curve jumps: no sampling proves it")
 
 
-def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:
+def _foremost(arm: Arm, shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.GeometryModel:
     """The foremost shapes against the tallest solids alone: the walls around the balance."""
     few = pin.GeometryModel()
     for thing in shapes.geometryObjects:
@@ -372,7 +239,8 @@ def _foremost(shapes: pin.GeometryModel, solids: Sequence[Solid]) -> pin.Geometr
             few.addGeometryObject(pin.GeometryObject(solid.name, 0, solid.placement(), solid.shape()))
     for first in range(moving):
         for second in range(moving, few.ngeoms):
-            few.addCollisionPair(pin.CollisionPair(first, second))
+            if arm.is_looked_at(few.geometryObjects[first].name, few.geometryObjects[second].name):
+                few.addCollisionPair(pin.CollisionPair(first, second))
     return few
 
 

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from scuhand_bt.motion.decomposed import AxisLevel
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, Mount, apex_positions_m
 from scuhand_bt.motion.timelaw import RateLimits
 
@@ -54,10 +55,10 @@ class Coordinates(Protocol):
 class JointCoordinates:
     """The joints themselves; random points are level where `level` coordinates are given to draw them."""
 
-    def __init__(self, rates: RateLimits, level: "LevelCoordinates | None" = None) -> None:
+    def __init__(self, rates: RateLimits, limits_rad: Floats, level: Coordinates | None = None) -> None:
         self.rates = rates
-        self.scatter = np.ones(7)
-        self._level = level
+        self.scatter = np.ones(len(rates.speed))
+        self._limits_rad, self._level = limits_rad, level
 
     def joints(self, c: Floats) -> Floats:
         return c
@@ -72,8 +73,13 @@ class JointCoordinates:
         if self._level is not None:
             level: Floats = self._level.joints(self._level.draw(rng)[None, :])[0]
             return level
-        c: Floats = rng.uniform(LIMITS_RAD[0], LIMITS_RAD[1])
+        c: Floats = rng.uniform(self._limits_rad[0], self._limits_rad[1])
         return c
+
+
+def level_coordinates(rates: RateLimits, mount: Mount, start: Floats) -> Coordinates:
+    """Those in which a straight line keeps the cone level, for an arm that begins at `start` (7,)."""
+    return LevelCoordinates(rates, mount) if mount.arm is None else AxisLevel(rates, mount, start)
 
 
 class LevelCoordinates:

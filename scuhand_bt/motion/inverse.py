@@ -262,6 +262,9 @@ def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floa
     for one whose yaw is free; where those find none, every 5 deg of yaw and the middle of each arc of swivels.
     """
     seams = seams_of(pose, mount, YAWS // 2)
+    if mount.arm is not None:
+        found = mount.arm.solutions(pose, seams, mount, limits)
+        return found if len(found) or pose.seam is not None else _more_closely(pose, mount, limits)
     swivels = _even_swivels()[:: 1 if len(seams) == 1 else 2]
     found = _on_grid(pose, seams, swivels, mount, limits)
     if not len(found):
@@ -269,6 +272,13 @@ def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floa
         found = np.vstack([np.zeros((0, JOINTS)), *(_in_arcs(c, limits) for c in circles if not isinstance(c, str))])
         found = _turned_within(found, pose.axis, mount, limits)
     return found
+
+
+def _more_closely(pose: ApexPose, mount: Mount, limits: Floats) -> Floats:
+    """For an arm of another kind: at all yaws, and as finely as where the yaw is not free."""
+    assert mount.arm is not None
+    seams = seams_of(pose, mount)
+    return np.vstack([mount.arm.solutions(pose, seam[None, :], mount, limits) for seam in seams])
 
 
 def _on_grid(pose: ApexPose, seams: Floats, swivels: Floats, mount: Mount, limits: Floats) -> Floats:
@@ -338,6 +348,8 @@ def unreachable_reason(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD
     if len(solutions(pose, mount, limits)):
         return None
     seams = seams_of(pose, mount)
+    if mount.arm is not None:
+        return mount.arm.unreachable_reason(pose, seams, mount, limits)
     wrists_m = mount.wrists_m(pose.position_m, pose.axis, seams) - (0.0, 0.0, SHOULDER_Z_M)
     distances_m = np.linalg.norm(wrists_m, axis=1)
     off_m = np.maximum(distances_m - 2 * LINK_M, 2 * LINK_M * math.cos(LIMITS_RAD[0, 3] / 2) - distances_m)
@@ -356,7 +368,9 @@ def unreachable_reason(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD
 
 
 def swivel_of(q: Floats, mount: Mount) -> float:
-    """The elbow's swivel angle phi of a configuration."""
+    """The elbow's swivel angle phi of a configuration; the held joint's of an arm of another kind."""
+    if mount.arm is not None:
+        return mount.arm.swivel_of(q)
     pose = apex(q, mount)
     assert pose.seam is not None  # every configuration has one
     circle = _circle(pose.position_m, pose.axis, pose.seam, mount)
@@ -374,10 +388,13 @@ def _swivel_on(circle: _Circle, q: Floats) -> float:
 def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Floats, mount: Mount) -> Floats | None:
     """All configurations of poses (n, 3) three times, at each of m swivels: (n, m, 4, 7), limits ignored.
 
-    None where a pose is beyond the arm.
+    None where a pose is beyond the arm. For an arm of another kind (n, m, 8, joints), not a number where there is none.
     """
     n, m = len(positions_m), len(swivels)
     each = [np.repeat(one, m, axis=0) for one in (positions_m, axes, seams)]
+    if mount.arm is not None:
+        found = mount.arm.branches(each[0], each[1], each[2], np.tile(swivels, n), mount)
+        return found.reshape(n, m, *found.shape[1:])
     if (circles := _circles(each[0], each[1], each[2], mount)) is None:
         return None
     branches = _branches(circles, np.tile(swivels, n)).reshape(-1, JOINTS)
@@ -394,14 +411,22 @@ def nearest_configuration(q: Floats, pose: ApexPose, mount: Mount) -> Floats:
     found = branches_of(pose.position_m[None], pose.axis[None], pose.seam[None], swivel, mount)
     if found is None:
         return np.empty((0, JOINTS))
-    four = found[0, 0][within_limits(found[0, 0])]
+    four = found[0, 0] if mount.arm is None else mount.arm.nearest_turns(found[0, 0], q)
+    four = four[within_limits(four, mount)]
     nearest: Floats = four[np.argsort(np.abs(four - q).max(axis=1), kind="stable")[:1]]
     return nearest
 
 
-def within_limits(q: Floats) -> NDArray[np.bool_]:
+def within_limits(q: Floats, mount: Mount) -> NDArray[np.bool_]:
     """Which configurations (..., 7) keep the joints' limits."""
-    return _within(q, LIMITS_RAD)
+    return _within(q, mount.limits_rad)
+
+
+def swivel_grid(mount: Mount, begin: float) -> Floats:
+    """Swivel angles evenly over a turn from this one on; one where the arm has none to spare."""
+    if mount.arm is not None and mount.arm.held is None:
+        return np.zeros(1)
+    return begin + 2 * math.pi * np.arange(SWIVELS) / SWIVELS
 
 
 def along(
@@ -412,6 +437,8 @@ def along(
     The axes may lean from the seams as the cone's size along the course has it. None where a pose is beyond the arm,
     or a joint would leave its limits or jump.
     """
+    if mount.arm is not None:
+        return mount.arm.along(positions_m, axes, seams, swivels, q_start, mount)
     if (circles := _circles(positions_m, axes, seams, mount)) is None:
         return None
     branches = _branches(circles, swivels)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
+from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.proof import Prover
 from scuhand_bt.motion.timelaw import RateLimits, legs, rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
@@ -43,6 +43,8 @@ _TURN_RAD = np.array([0.3, 0.3, 0.3, 0.2, 0.3, 0.3, 0.3])
 """The standard deviation of a turning point about its joint's straight way."""
 _LIFT_RAD = np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.0, 0.0])
 """And by how much it lies beside it: the elbow's towards the stretched arm."""
+_ANY_TURNING, _ANY_TURN_RAD = 0.75, 0.3
+"""The first two for every joint of an arm of another kind, of whose elbow nothing is known."""
 _FIRST_UPTO = 2.0
 """Times the least bound, what the first round looks at; a half more in every round that finds nothing."""
 _QUICKER = 0.985
@@ -108,6 +110,10 @@ class ScheduleSearch:
     def __init__(self, prover: Prover, limits: RateLimits, start: Floats, goals: Floats, bounds_s: Floats) -> None:
         self._prover, self._limits = prover, limits
         self._start, self._goals, self._bounds_s = start, goals, bounds_s
+        self._habits = (_TURNING, _TURN_RAD, _LIFT_RAD)
+        if prover.mount.arm is not None:
+            same = np.ones(len(start))
+            self._habits = (_ANY_TURNING * same, _ANY_TURN_RAD * same, 0 * same)
 
     def quickest(
         self, known: JointTrajectory | None, rng: np.random.Generator, rounds: int, good_s: float
@@ -131,9 +137,10 @@ class ScheduleSearch:
         durations_s = least_s + (most_s - least_s) * rng.uniform(size=count)
         reachable = np.searchsorted(self._bounds_s, durations_s, side="right")
         goals = self._goals[(rng.uniform(size=count) * np.maximum(reachable, 1)).astype(int)]
-        turning = rng.uniform(size=goals.shape) < _TURNING * rng.choice((0.4, 1.0), (count, 1))
+        turning_of, turn_rad, lift_rad = self._habits
+        turning = rng.uniform(size=goals.shape) < turning_of * rng.choice((0.4, 1.0), (count, 1))
         between = self._start + rng.uniform(size=goals.shape) * (goals - self._start)
-        turns = np.where(turning, between + _LIFT_RAD + _TURN_RAD * rng.normal(size=goals.shape), goals)
+        turns = np.where(turning, between + lift_rad + turn_rad * rng.normal(size=goals.shape), goals)
         shares = rng.exponential(size=(*goals.shape, 5)) ** 2
         shares /= shares.sum(axis=2, keepdims=True)
         return Schedules(goals, durations_s, self._within(turns), shares)
@@ -142,13 +149,13 @@ class ScheduleSearch:
         """Part of the fresh ones replaced by changes of the parent."""
         count = int(_NEAR_PART * len(fresh))
         size = rng.uniform(0.05, 0.6, (count, 1))
-        goals = np.broadcast_to(parent.goals, (count, 7)).copy()
+        goals = np.repeat(parent.goals, count, axis=0)
         durations_s = most_s - (most_s - self._bound_s(parent)) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
         turns = np.broadcast_to(parent.turns, goals.shape)
         turns = np.where(turns != goals, turns + size * 0.5 * rng.normal(size=goals.shape), turns)
         back = rng.uniform(size=goals.shape) < 0.1
         turns = np.where(back, goals, turns)
-        shares = parent.shares * np.exp(3 * size[..., None] * rng.normal(size=(count, 7, 5)))
+        shares = parent.shares * np.exp(3 * size[..., None] * rng.normal(size=(*goals.shape, 5)))
         shares = shares / shares.sum(axis=2, keepdims=True)
         kept = fresh.taken(np.arange(count, len(fresh)))
         return Schedules(
@@ -163,7 +170,7 @@ class ScheduleSearch:
         return float(rest_to_rest_s(schedule.goals[0] - self._start, self._limits))
 
     def _within(self, q: Floats) -> Floats:
-        inside: Floats = np.clip(q, LIMITS_RAD[0], LIMITS_RAD[1])
+        inside: Floats = np.clip(q, *self._prover.mount.limits_rad)
         return inside
 
     def _first_proven(self, some: Schedules, best: JointTrajectory | None) -> tuple[JointTrajectory, Schedules] | None:

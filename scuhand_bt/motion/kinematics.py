@@ -18,13 +18,16 @@ radians, numpy only.
 
 import math
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, HandSpec
 from scuhand_bt.failures import Code, SkillFailed
+
+if TYPE_CHECKING:
+    from scuhand_bt.motion.decomposed import DecomposedArm
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -51,12 +54,22 @@ class Mount:
     azimuth_rad: float = 0.0
     aside_m: tuple[float, float] = (0.0, 0.0)
     """The apex beside the j7 axis, along x and y of the flange."""
+    arm: "DecomposedArm | None" = None
+    """What holds the hand, where it is not the CRANE-X7."""
 
     @classmethod
-    def of(cls, hand: HandSpec, diameter_mm: float = MOUNTED_DIAMETER_MM) -> "Mount":
+    def of(
+        cls, hand: HandSpec, diameter_mm: float = MOUNTED_DIAMETER_MM, arm: "DecomposedArm | None" = None
+    ) -> "Mount":
         """This hand's, with a rim of this diameter; ValueError for one that the sheet cannot make."""
-        sine = diameter_mm / (2 * hand.sheet_radius_mm)
-        return cls(hand.apex_offset_mm / 1e3, math.asin(sine), math.radians(hand.mount.azimuth_deg), _in_metres(hand))
+        lean_rad = math.asin(diameter_mm / (2 * hand.sheet_radius_mm))
+        azimuth_rad = math.radians(hand.mount.azimuth_deg)
+        return cls(hand.apex_offset_mm / 1e3, lean_rad, azimuth_rad, _in_metres(hand), arm)
+
+    @property
+    def limits_rad(self) -> Floats:
+        """The windows of the arm's joints, shape (2, 7)."""
+        return LIMITS_RAD if self.arm is None else self.arm.limits_rad
 
     @property
     def length_m(self) -> float:
@@ -133,6 +146,8 @@ def _in_metres(hand: HandSpec) -> tuple[float, float]:
 
 def apex(q: ArrayLike, mount: Mount) -> ApexPose:
     """The apex pose of a configuration q [rad], shape (7,), seam included: a few microseconds of plain floats."""
+    if mount.arm is not None:
+        return mount.arm.apex(np.asarray(q, dtype=float), mount)
     q1, q2, q3, q4, q5, q6, q7 = map(float, np.asarray(q, dtype=float).tolist())
     c1, s1, c3, s3, c5, s5 = math.cos(q1), math.sin(q1), math.cos(q3), math.sin(q3), math.cos(q5), math.sin(q5)
     c2, s2, c4, s4, c6, s6 = math.cos(q2), math.sin(q2), math.cos(q4), math.sin(q4), math.cos(q6), math.sin(q6)
@@ -172,6 +187,8 @@ def apex_positions_m(q: Floats, mount: Mount) -> tuple[Floats, Floats]:
 
 def apex_frames(q: Floats, mount: Mount) -> tuple[Floats, Floats, Floats]:
     """Apex positions [m], cone axes and seams of many configurations: (n, 7) to three times (n, 3)."""
+    if mount.arm is not None:
+        return mount.arm.frames(q, mount)
     c, s = np.cos(q), np.sin(q)
     h = np.stack([-s[:, 5] * c[:, 4], -s[:, 5] * s[:, 4], c[:, 5]], axis=1)
     p = h * mount.length_m + (0.0, 0.0, LINK_M)
@@ -217,8 +234,8 @@ def _turned(v: Floats, c: Floats, s: Floats, joint: int) -> Floats:
 def checked_joints(q: ArrayLike, limits: Floats = LIMITS_RAD) -> Floats:
     """A configuration as a fresh (7,) float array; ValueError or SkillFailed arm.joint_limit if it is none."""
     joints = np.array(q, dtype=float)
-    if joints.shape != (JOINTS,) or not np.isfinite(joints).all():
-        raise ValueError(f"a configuration is seven finite angles in radians, not {q!r}")
+    if joints.shape != limits[0].shape or not np.isfinite(joints).all():
+        raise ValueError(f"a configuration is {len(limits[0])} finite angles in radians, not {q!r}")
     excess = np.maximum(limits[0] - joints, joints - limits[1])
     joint = int(np.argmax(excess))
     if excess[joint] > COUNT_RAD:

@@ -23,7 +23,8 @@ _STEADY_M = 0.0015
 """A distance that changes by less is of a shape that turns on the spot."""
 _ALWAYS_M, _FAR_M = 0.005, 0.03
 _LOOSE = {"upper_0", "fore_0"}
-"""Two capsules that bound the CRANE-X7's links loosely: bent the most, they meet, and the arm does not."""
+"""Two capsules that bound the CRANE-X7's links loosely: bent the most, they meet, and the arm does not. What else need
+not be looked at is told by the cell (`may_touch`)."""
 
 
 def meeting(

@@ -9,6 +9,8 @@ from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.inverse import seams_of, solutions
 from scuhand_bt.motion.kinematics import LINK_M, SHOULDER_Z_M, ApexPose, Floats, Mount
 
+_YAWS = 12
+"""Of an arm of another kind, which is looked at more coarsely."""
 _LOOKED_AT = 16
 """Of a pose's configurations, about how many are looked at for one that is free."""
 
@@ -21,14 +23,15 @@ def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | 
     """
 
     def reached(position_m: Floats) -> bool:
-        q = solutions(ApexPose(position_m, pose.axis, pose.seam), mount, scene.limits_rad)
+        there = ApexPose(position_m, pose.axis, pose.seam)
+        if mount.arm is None:
+            q = solutions(there, mount, scene.limits_rad)
+        else:
+            q = mount.arm.solutions(there, seams_of(there, mount, _YAWS), mount, scene.limits_rad)
         return len(q) > 0 and not scene.hits(q[:: max(1, len(q) // _LOOKED_AT)]).all()
 
     wanted_m = pose.position_m
-    to_wrists_m = mount.wrists_m(wanted_m, pose.axis, seams_of(pose, mount)) - (0.0, 0.0, SHOULDER_Z_M)
-    to_wrist_m = min(to_wrists_m, key=lambda way_m: float(way_m @ way_m))
-    too_far = max(0.0, 1 - 2 * LINK_M / float(np.linalg.norm(to_wrist_m)))
-    around_m = wanted_m - to_wrist_m * too_far
+    around_m = wanted_m - _beyond_m(pose, mount)
     shells = (around_m + radius_m * _directions(60) for radius_m in np.geomspace(0.002, 0.6, 20))
     met = next((best for shell in shells if (best := _first_reached(shell, wanted_m, reached)) is not None), None)
     if met is None:
@@ -44,6 +47,17 @@ def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | 
         else:
             met, distance_m = best, float(np.linalg.norm(best - wanted_m))
     return ApexPose(met, pose.axis, pose.seam)
+
+
+def _beyond_m(pose: ApexPose, mount: Mount) -> Floats:
+    """By how much a pose is farther than the arm, stretched towards it, ends: (3,)."""
+    if mount.arm is not None:
+        way_m, longest_m = pose.position_m - mount.arm.shoulder_m, mount.arm.reach_m(mount)
+    else:
+        ways_m = mount.wrists_m(pose.position_m, pose.axis, seams_of(pose, mount)) - (0.0, 0.0, SHOULDER_Z_M)
+        way_m, longest_m = min(ways_m, key=lambda one_m: float(one_m @ one_m)), 2 * LINK_M
+    beyond_m: Floats = way_m * max(0.0, 1 - longest_m / max(float(np.linalg.norm(way_m)), 1e-9))
+    return beyond_m
 
 
 def _first_reached(positions_m: Floats, wanted_m: Floats, reached: Callable[[Floats], bool]) -> Floats | None:

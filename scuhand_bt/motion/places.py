@@ -8,15 +8,15 @@ Configurations [rad] (7,).
 import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.motion.decomposed import DecomposedArm
 from scuhand_bt.motion.explain import goal_blocked, require_reachable
 from scuhand_bt.motion.inverse import solutions
 from scuhand_bt.motion.kinematics import COUNT_RAD, ApexPose, Floats, Mount, apex
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.scenes import Geometry, Scenes
-from scuhand_bt.motion.timelaw import RateLimits
 
 RELAXED_RAD = (0.0, -0.2, 0.0, -1.9, 0.0, 0.0, 0.0)
-"""What postures are chosen near to, j1 from where the place is."""
+"""What the CRANE-X7's postures are chosen near to, j1 from where the place is; another arm's are told by the cell."""
 SETTLED_RAD = 2 * COUNT_RAD
 """How far an arm at rest may report to be from where it was sent."""
 POSTURES_KEPT = 128
@@ -27,8 +27,9 @@ BESIDE_M = 0.02
 class Places:
     """Places by name, and their postures."""
 
-    def __init__(self, scenes: Scenes, rates: RateLimits, hand: HandSpec) -> None:
-        self._scenes, self._rates, self._hand = scenes, rates, hand
+    def __init__(self, scenes: Scenes, hand: HandSpec, arm: DecomposedArm | None) -> None:
+        self._scenes, self._hand, self._arm = scenes, hand, arm
+        self._relaxed_rad = RELAXED_RAD if arm is None else arm.relaxed_rad
         self._poses: dict[str, ApexPose] = {}
         self._postures: Recent[tuple[str, Geometry], Floats] = Recent(POSTURES_KEPT)
 
@@ -38,7 +39,7 @@ class Places:
 
     def add(self, name: str, pose: ApexPose) -> None:
         """Name a pose, or another from now on; SkillFailed arm.unreachable if the arm cannot reach it."""
-        require_reachable(pose, name, Mount.of(self._hand), self._scenes.of(Geometry()))
+        require_reachable(pose, name, Mount.of(self._hand, arm=self._arm), self._scenes.of(Geometry()))
         self._poses[name] = pose
         self._postures = Recent(POSTURES_KEPT)
 
@@ -65,7 +66,7 @@ class Places:
 
     def settled(self, q: Floats, geometry: Geometry) -> Floats:
         """The posture that the arm was sent to, where it reports to be within its own error of one."""
-        at_m = apex(q, Mount.of(self._hand, 1e3 * geometry.cone_diameter_m)).position_m
+        at_m = apex(q, Mount.of(self._hand, 1e3 * geometry.cone_diameter_m, self._arm)).position_m
         for name, pose in self._poses.items():
             if np.abs(pose.position_m - at_m).max() > BESIDE_M:
                 continue
@@ -76,7 +77,7 @@ class Places:
 
     def _canonical(self, name: str, geometry: Geometry) -> Floats:
         pose, scene = self._poses[name], self._scenes.of(geometry)
-        mount = Mount.of(self._hand, 1e3 * geometry.cone_diameter_m)
+        mount = Mount.of(self._hand, 1e3 * geometry.cone_diameter_m, self._arm)
         for looked_at in (reaching_out(pose, mount), pose):
             q = solutions(looked_at, mount, scene.limits_rad)
             free = q[~scene.hits(q)]
@@ -85,7 +86,7 @@ class Places:
         else:
             raise goal_blocked(scene, name, q)
         azimuth_rad = float(np.arctan2(pose.position_m[1], pose.position_m[0]))
-        relaxed = np.array(RELAXED_RAD)
+        relaxed = np.array(self._relaxed_rad)
         relaxed[0] += azimuth_rad
         chosen: Floats = free[np.argmin(np.linalg.norm(free - relaxed, axis=1))]
         return chosen

@@ -15,37 +15,38 @@ Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillF
 arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
 """
 
-import hashlib
 import itertools
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-from scuhand_bt.cell_spec import CellSpec
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import explain, transfer
-from scuhand_bt.motion.collision import Arm, Scene
+from scuhand_bt.motion.arm_model import Arm
+from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import contact_motion, with_seams
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
-from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex, checked_joints
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.occupancy import VOXEL_M, Occupancy
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.plan_store import PlanStore
 from scuhand_bt.motion.proof import is_whole
 from scuhand_bt.motion.recent import Recent
-from scuhand_bt.motion.reform import RollerAngle, reform_motion
+from scuhand_bt.motion.reform import RollerAngle, forming_motion, reform_motion
+from scuhand_bt.motion.requests import Request
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
-from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, beside, standing
+from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -56,36 +57,10 @@ UNSLOWED = 1.001
 RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
 """The spill limits that loads are planned for, those up to a load's own; loads that differ a little share them."""
 
-SAME_RAD = 1e-9
-"""A plan begins and ends where it was asked for, but for rounding."""
 PLANS_KEPT = 256
 STROKES_KEPT = 64
 
-Request: TypeAlias = tuple[bytes, bytes, Geometry, float | None, Effort]
-"""Start and goals as their bytes, geometry, spill limit, effort: what a plan is kept by."""
-
-
-def _seed(start: Floats, goals: Floats, geometry: Geometry, spill_limit_deg: float | None) -> int:
-    """A seed that belongs to the request, so that its answer is the same on every run."""
-    kind = geometry.container.name if geometry.container is not None else ""
-    words = " ".join([f"{geometry.cone_diameter_m} {kind} {spill_limit_deg}", *sorted(geometry.closed)])
-    digest = hashlib.blake2b(start.tobytes() + goals.tobytes() + words.encode(), digest_size=16).digest()
-    return int.from_bytes(digest, "big")
-
-
-def _written(request: Request) -> str:
-    """A request in words that are the same in every process."""
-    begin, goals, geometry, spill_limit_deg, effort = request
-    seen = f"{geometry.cone_diameter_m} {geometry.container!r} {sorted(geometry.closed)}"
-    return f"{begin!r} {goals!r} {seen} {spill_limit_deg} {effort!r}"
-
-
 Found = TypeVar("Found", bound=JointTrajectory)
-
-
-def _later(motion: JointTrajectory, begin_s: float, times_s: Floats) -> Floats:
-    """Where a motion is at times counted from one of its moments."""
-    return motion.at(begin_s + times_s)
 
 
 class MotionPlanner:
@@ -101,14 +76,16 @@ class MotionPlanner:
     ) -> None:
         self.urdf = urdf
         self._store = None if plans is None else PlanStore(plans, urdf, cell, mortars or {})
-        arm = Arm(urdf)
-        self._cell, self._limits_rad = cell, arm.limits_rad
+        arm = Arm(urdf, cell.arm)
+        arm.require_names([solid.name for solid in (*cell.geometry, *cell.zones)] + list(mortars or {}))
+        self._cell, self._limits_rad, self._arm = cell, arm.limits_rad, arm.decomposed
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         hand_kg = None if cell.hand.mass_mg is None else cell.hand.mass_mg / 1e6
         self._torques = Torques(arm.model, cell.arm.torque_ratio, hand_kg)
+        self.tool = arm.tool
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
-        self._places = Places(self._scenes, self.rates, cell.hand)
+        self._places = Places(self._scenes, cell.hand, arm.decomposed)
         self._plans: Recent[Request, StoppableTrajectory | None] = Recent(PLANS_KEPT)
         self._carries: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
@@ -145,8 +122,8 @@ class MotionPlanner:
     def is_free(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
         """Whether what is left of a motion is proven to touch nothing as the cell looks now; else stop it."""
         left_s = max(motion.duration_s - from_s, 0.0)
-        acceleration = motion.extremes()[1][:JOINTS]
-        return self.scene(CLOSE_MARGIN_M).curve_free(partial(_later, arm_part(motion), from_s), left_s, acceleration)
+        arm = arm_part(motion) if motion.start.size > self.joints else motion
+        return self.scene(CLOSE_MARGIN_M).curve_free(later(arm, from_s), left_s, arm.extremes()[1])
 
     def entered(self, q: Floats) -> frozenset[str]:
         """The zones of the cell that the arm is in, at a configuration."""
@@ -225,7 +202,7 @@ class MotionPlanner:
             return self._found(self._kept(begin, goals, name, None, effort), begin, goals, name)
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
-        key = begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg, effort
+        key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
         return self._carries.of(
             key, lambda: self._stoppable(self._carried(begin, goals, name, spill_limit_deg, effort))
         )
@@ -267,10 +244,10 @@ class MotionPlanner:
 
         Between two configurations it is made in one direction only.
         """
-        key = begin.tobytes(), goals.tobytes(), self._geometry, spill_limit_deg, effort
+        key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
 
         def made() -> StoppableTrajectory | None:
-            is_reversed = len(goals) == 1 and key[1] < key[0]
+            is_reversed = len(goals) == 1 and key.goals < key.begin
             if is_reversed:
                 self._require_free_ends(begin, goals, name)
                 # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
@@ -280,7 +257,7 @@ class MotionPlanner:
             if found is None:
                 found = self._planned(begin, goals, name, spill_limit_deg, effort)
                 if found is not None and self._store is not None and self._geometry.occupied is None:
-                    self._store.keep(_written(key), found)
+                    self._store.keep(key.written, found)
             return None if found is None else self._stoppable(self._borne(found))
 
         return self._plans.of(key, made)
@@ -292,12 +269,11 @@ class MotionPlanner:
 
     def _from_store(self, request: Request) -> JointTrajectory | None:
         """The kept plan of a request, if it is all that a plan of it has to be."""
-        begin, goals, _, spill_limit_deg, _ = request
-        motion = self._store.found(_written(request), spill_limit_deg) if self._store is not None else None
-        if motion is None or not is_whole(motion, self.rates, self._mount, spill_limit_deg):
+        limit_deg = request.spill_limit_deg
+        motion = self._store.found(request.written, limit_deg) if self._store is not None else None
+        if motion is None or not is_whole(motion, self.rates, self._mount, limit_deg):
             return None
-        ends = np.frombuffer(goals).reshape(-1, JOINTS) - motion.end
-        if max(np.abs(np.frombuffer(begin) - motion.start).max(), np.abs(ends).max(axis=1).min()) > SAME_RAD:
+        if not request.has_ends_of(motion):
             return None
         scene = self.scene()
         if scene.hits(np.stack([motion.start, motion.end])).any():
@@ -385,19 +361,13 @@ class MotionPlanner:
         )
         with self._as_if(last):
             way = self.move(start, goal)
-        law = TimeLaw(RateLimits(rates.speed[JOINTS:], rates.acceleration[JOINTS:], rates.jerk[JOINTS:]))
-        rolling = law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm]))
-        both = beside(begun_later(way, rolling.duration_s - way.duration_s), rolling)
-        leaves_s, comes_s = max(0.0, both.duration_s - way.duration_s), both.duration_s
-        turned_rad = rolling.end - rolling.start
-        for begin_s, end_s in itertools.pairwise((0.0, leaves_s, (leaves_s + comes_s) / 2, comes_s)):
-            rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, JOINTS] - rolling.start
-            shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is even with the roller's angle
-            three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
-            scene = self._scenes.of_stroke(last, three_mm, None, CLOSE_MARGIN_M)
-            course = partial(_later, arm_part(both), begin_s)
-            if not scene.curve_free(course, end_s - begin_s, both.extremes()[1][:JOINTS]):
-                raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
+        both = forming_motion(
+            way,
+            rims_mm,
+            rates,
+            roller_rad,
+            partial(self._scenes.of_stroke, last, station=None, margin_m=CLOSE_MARGIN_M),
+        )
         return self._stoppable(self._borne(both), rates)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
@@ -410,7 +380,7 @@ class MotionPlanner:
 
         def made() -> StoppableTrajectory | SkillFailed:
             scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
-            mount, rates = Mount.of(hand, rims_mm[0]), with_roller(self.rates, hand)
+            mount, rates = self.mount(rims_mm[0]), with_roller(self.rates, hand)
             try:
                 motion = self._borne(stroke_motion(begin, poses, scene, rates, mount))
                 return StoppableTrajectory(motion, rates, mount, self._torques)
@@ -436,7 +406,7 @@ class MotionPlanner:
         def made() -> StoppableTrajectory:
             three_mm = [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]]
             scene = self._scenes.of_stroke(self._geometry, three_mm, None, CLOSE_MARGIN_M)
-            motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad)
+            motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad, self._arm)
             return self._stoppable(self._borne(motion), rates)
 
         return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
@@ -444,7 +414,16 @@ class MotionPlanner:
     @property
     def _mount(self) -> Mount:
         """How the hand holds the cone of the present geometry."""
-        return Mount.of(self._cell.hand, 1e3 * self._geometry.cone_diameter_m)
+        return self.mount(1e3 * self._geometry.cone_diameter_m)
+
+    @property
+    def joints(self) -> int:
+        """How many joints the arm has."""
+        return len(self._limits_rad[0])
+
+    def mount(self, diameter_mm: float = MOUNTED_DIAMETER_MM) -> Mount:
+        """How this cell's hand holds a cone with a rim of this diameter, and what holds the hand."""
+        return Mount.of(self._cell.hand, diameter_mm, self._arm)
 
     # Within -----------------------------------------------------------------------------------------
 
@@ -480,6 +459,8 @@ class MotionPlanner:
             explain.require_reachable(goal, "the pose", self._mount, self.scene())
         _, with_seam = with_seams(apex(begin, self._mount), [goal])
         goals = np.vstack([nearest_configuration(begin, with_seam, self._mount), goals])
+        if self._arm is not None:
+            goals = self._arm.nearest_turns(goals, begin)
         return begin, goals, f"({', '.join(f'{1e3 * x:.0f}' for x in goal.position_m)}) mm"
 
     def _posture(self, place: str) -> Floats:
@@ -508,7 +489,8 @@ class MotionPlanner:
         if np.abs(ranked.free[0] - begin).max() < 1e-9:
             return standing(begin)
         task = transfer.Task(begin, ranked, scene, self.rates, self._mount, spill_limit_deg)
-        return transfer.plan(task, effort, _seed(begin, goals, self._geometry, spill_limit_deg), known, attempts)
+        seed = Request.of(begin, goals, self._geometry, spill_limit_deg, effort).seed
+        return transfer.plan(task, effort, seed, known, attempts)
 
     def _require_free_ends(self, begin: Floats, goals: Floats, name: str) -> None:
         if not self.scene().hits(np.vstack([begin, goals])).any():

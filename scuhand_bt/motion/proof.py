@@ -52,7 +52,7 @@ class Prover:
         self.space = space
         self.law = TimeLaw(space.coordinates.rates)
         self._rates = rates
-        self._mount = mount
+        self.mount = mount
         self._spill_deg = spill_limit_deg
 
     def proven(self, course: JointTrajectory, quicker_than_s: float = np.inf) -> JointTrajectory | None:
@@ -68,7 +68,7 @@ class Prover:
         if motion.duration_s >= quicker_than_s:
             return None
         if self._spill_deg is not None:
-            factor = spill_stretch(motion, self._mount, self._spill_deg)
+            factor = spill_stretch(motion, self.mount, self._spill_deg)
             if factor is None:
                 return None
             motion = motion.stretched(factor).keeping(self._spill_deg)

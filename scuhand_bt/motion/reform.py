@@ -6,6 +6,7 @@ either way round; the handle's slope is the cone's half-angle at every rim.
 Positions [m], angles [rad], times [s].
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import TypeAlias
@@ -15,12 +16,13 @@ import numpy as np
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.kinematics import JOINTS, ApexPose, Floats, Mount, apex
+from scuhand_bt.motion.decomposed import DecomposedArm
+from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
 from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, sampled
 from scuhand_bt.motion.swivels import courses
-from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import JointTrajectory
+from scuhand_bt.motion.timelaw import RateLimits, TimeLaw
+from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, beside, later
 
 RollerAngle: TypeAlias = Callable[[float], float]
 """The roller's angle [rad] at a rim of so many mm, counted from the flat sheet."""
@@ -38,19 +40,20 @@ def reform_motion(
     rates: RateLimits,
     hand: HandSpec,
     roller_rad: RollerAngle,
+    arm: DecomposedArm | None = None,
 ) -> JointTrajectory:
     """The motion (8 columns) between two configurations (7,) whose cones, of these rims, are upright; proven.
 
     SkillFailed arm.no_path.
     """
-    mounts = [Mount.of(hand, rim_mm) for rim_mm in rims_mm]
+    mounts = [Mount.of(hand, rim_mm, arm) for rim_mm in rims_mm]
     first, last = apex(begin, mounts[0]), apex(end, mounts[1])
     why: SkillFailed | None = None
     for yaw_turn in _ways(_yaw(first), _yaw(last)):
         poses_of_turn = _poses(first, last, yaw_turn, rims_mm, hand, roller_rad)
         times_s, positions_m, axes, seams, rolled_rad = sampled(poses_of_turn)
         try:
-            poses, speed = (positions_m, axes, seams), rates.speed[:JOINTS]
+            poses, speed = (positions_m, axes, seams), rates.speed[:-1]
             for course in courses(poses, begin, scene, speed, mounts[0], ends=(begin, end)):
                 course[0], course[-1] = begin, end
                 motion = slowed(times_s, np.column_stack([course, rolled_rad]), rates)
@@ -59,6 +62,31 @@ def reform_motion(
         except SkillFailed as error:
             why = why or error
     raise SkillFailed(Code.ARM_NO_PATH, f"the cone cannot be given another size on the way: {why}")
+
+
+def forming_motion(
+    way: JointTrajectory,
+    rims_mm: tuple[float, float],
+    rates: RateLimits,
+    roller_rad: RollerAngle,
+    scene_of: Callable[[list[float]], Scene],
+) -> JointTrajectory:
+    """A way of the arm with the roller's beside it (8 columns), on which the rim becomes another; proven.
+
+    `scene_of` gives the scene in which the cone has each of some rims. SkillFailed arm.no_path.
+    """
+    law = TimeLaw(RateLimits(rates.speed[-1:], rates.acceleration[-1:], rates.jerk[-1:]))
+    rolling = law.straight(np.array([[roller_rad(rim_mm)] for rim_mm in rims_mm]))
+    both = beside(begun_later(way, rolling.duration_s - way.duration_s), rolling)
+    leaves_s, comes_s = max(0.0, both.duration_s - way.duration_s), both.duration_s
+    turned_rad = rolling.end - rolling.start
+    for begin_s, end_s in itertools.pairwise((0.0, leaves_s, (leaves_s + comes_s) / 2, comes_s)):
+        rolled_rad = both.at(np.linspace(begin_s, end_s, 3))[:, -1] - rolling.start
+        shares = rolled_rad / turned_rad if turned_rad else np.zeros(3)  # the rim is even with the roller's angle
+        three_mm = (rims_mm[0] + shares * (rims_mm[1] - rims_mm[0])).round(1).tolist()
+        if not scene_of(three_mm).curve_free(later(arm_part(both), begin_s), end_s - begin_s, both.extremes()[1][:-1]):
+            raise SkillFailed(Code.ARM_NO_PATH, f"a cone that becomes {rims_mm[1]:g} mm wide would touch something")
+    return both
 
 
 def _yaw(pose: ApexPose) -> float:

@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
 from scuhand_bt.motion import cell_solids
-from scuhand_bt.motion.collision import Arm, Scene, Solid
+from scuhand_bt.motion.arm_model import Arm
+from scuhand_bt.motion.collision import Scene, Solid
 from scuhand_bt.motion.occupancy import Occupancy
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.specs import ContainerKind, Mortar

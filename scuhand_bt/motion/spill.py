@@ -62,6 +62,8 @@ def spill_limit_deg(
 
 def apex_motion(q: Floats, speed: Floats, acceleration: Floats, mount: Mount) -> tuple[Floats, Floats]:
     """Cone axes and apex accelerations [m/s^2] of joint motions, all (n, 7): (n, 3) each."""
+    if mount.arm is not None:
+        return mount.arm.apex_motion(q, speed, acceleration, mount)
     n = len(q)
     frame = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
     turning, twisting = np.zeros((n, 3)), np.zeros((n, 3))

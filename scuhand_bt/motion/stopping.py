@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import JOINTS, Floats, Mount
+from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg, worst_spills_deg
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.torque import Torques
@@ -81,11 +81,12 @@ class StoppableTrajectory(JointTrajectory):
 
     def _bears(self, stop: "Stop") -> bool:
         """Whether the servos can give what a stop takes."""
-        if self._torques is None:
+        torques = self._torques
+        if torques is None:
             return True
         times_s = np.linspace(stop.at_s, stop.duration_s, int((stop.duration_s - stop.at_s) / _TORQUE_GRID_S) + 2)
-        q, speed, acceleration, _ = (values[:, :JOINTS] for values in stop.at(times_s))
-        return bool((np.abs(self._torques.moving(q, speed, acceleration)) <= self._torques.stall_nm).all())
+        q, speed, acceleration, _ = (values[:, : torques.joints] for values in stop.at(times_s))
+        return bool((np.abs(torques.moving(q, speed, acceleration)) <= torques.stall_nm).all())
 
     def _keeps(self, at_s: float, delays_s: Floats, brakings_s: Floats, *, is_proof: bool) -> np.ndarray:
         """Which of n stops, delays and times (n, 1), keep all limits: shape (n,). No speed is above the motion's own.

@@ -18,7 +18,7 @@ from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import AVERAGED_S, KEPT, STEP_S
-from scuhand_bt.motion.kinematics import JOINTS, Floats, Mount
+from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.swivels import courses
 from scuhand_bt.motion.timelaw import RateLimits
@@ -68,7 +68,7 @@ def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLim
     `rates` are those of eight axes, `mount` the hand's as the stroke begins. SkillFailed arm.unreachable, arm.no_path.
     """
     times_s, positions_m, axes, seams, roller_rad = sampled(poses)
-    for course in courses((positions_m, axes, seams), near, scene, rates.speed[:JOINTS], mount):
+    for course in courses((positions_m, axes, seams), near, scene, rates.speed[:-1], mount):
         motion = slowed(times_s, np.column_stack([course, roller_rad]), rates)
         if scene.proves(arm_part(motion)):
             return motion
@@ -76,8 +76,8 @@ def stroke_motion(near: Floats, poses: StrokePoses, scene: Scene, rates: RateLim
 
 
 def arm_part(motion: JointTrajectory) -> JointTrajectory:
-    """The joints' cubics of a stroke."""
-    return JointTrajectory(motion.knots_s, motion.coefficients[:, :, :JOINTS], motion.spill_limit_deg)
+    """The joints' cubics of a motion of arm and roller."""
+    return JointTrajectory(motion.knots_s, motion.coefficients[:, :, :-1], motion.spill_limit_deg)
 
 
 def sampled(poses: StrokePoses) -> tuple[Floats, ...]:

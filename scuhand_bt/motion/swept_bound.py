@@ -17,7 +17,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from scuhand_bt.motion.kinematics import JOINTS, Floats
+from scuhand_bt.motion.decomposed import joint_axes
+from scuhand_bt.motion.kinematics import Floats
 
 _RIM_SIDES = 12
 
@@ -66,9 +67,9 @@ class _Hull:
 
 def _reach_m(hulls: list[_Hull], model: pin.Model) -> Floats:
     """rho_j of every joint: the farthest point beyond it from its axis, over all configurations."""
-    offsets_m = [np.asarray(model.jointPlacements[j].translation) for j in range(1, JOINTS + 1)]
-    axes = [np.array([0.0, 0.0, 1.0]) if j % 2 == 0 else np.array([0.0, 1.0, 0.0]) for j in range(JOINTS)]
-    reach_m = np.zeros(JOINTS)
+    offsets_m = [np.asarray(model.jointPlacements[j + 1].translation) for j in range(model.nq)]
+    axes = joint_axes(model)
+    reach_m = np.zeros(model.nq)
     for hull in hulls:
         for j in range(hull.joint):
             here = hull.points if hull.joint == j + 1 else offsets_m[j + 1][None, :]

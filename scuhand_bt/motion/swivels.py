@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.explain import closest_pair
-from scuhand_bt.motion.inverse import along, branches_of, swivel_of, within_limits
+from scuhand_bt.motion.inverse import along, branches_of, swivel_grid, swivel_of, within_limits
 from scuhand_bt.motion.kinematics import Floats, Mount
 
-SWIVELS = 72
 LOOKED_AT = 32
 """Poses of a course whose configurations are looked at."""
 SWING = 4
@@ -55,11 +54,13 @@ def courses(
     """
     n = len(poses[0])
     at = np.unique(np.linspace(0, n - 1, LOOKED_AT).round().astype(int))
-    grid = 2 * math.pi * np.arange(SWIVELS) / SWIVELS + (swivel_of(ends[0], mount) if ends is not None else 0.0)
+    grid = swivel_grid(mount, swivel_of(ends[0], mount) if ends is not None else 0.0)
     positions_m, axes, seams = (part[at] for part in poses)
     q = branches_of(positions_m, axes, seams, grid, mount)
-    if q is None or not (open_ := within_limits(q)).any(axis=(1, 2)).all():
+    if q is None or not (open_ := within_limits(q, mount)).any(axis=(1, 2)).all():
         raise SkillFailed(Code.ARM_UNREACHABLE, "the arm cannot reach all of it")
+    if mount.arm is not None and ends is None:
+        open_[-1] &= mount.arm.is_bent_alike(q[-1], near, mount)
     if ends is not None:
         for k, end in zip((0, -1), ends, strict=True):
             open_[k] &= np.abs(q[k] - end).max(axis=2) < NEXT_RAD
@@ -67,7 +68,7 @@ def courses(
     why, tries = "a joint would jump or leave its limits", TRIES
     while tries and (found := _quickest(q, open_, near, speed)) is not None:
         swivels, way = found
-        phi = np.interp(np.arange(n), at, grid[0] + swivels * (grid[1] - grid[0]))
+        phi = np.interp(np.arange(n), at, grid[0] + swivels * (2 * math.pi / len(grid)))
         if ends is not None:  # the last swivel of the grid is near to the wanted one
             phi += np.linspace(0.0, math.remainder(swivel_of(ends[1], mount) - phi[-1], 2 * math.pi), n)
         course = along(*poses, _evened(phi, EVENED * n // LOOKED_AT | 1), way[0], mount)
@@ -85,7 +86,7 @@ def courses(
                     looked_at[touched] = True
                     continue
         k = int(np.argmin(np.abs(at - worst)))
-        open_[k, np.arange(swivels[k] - GIVEN_UP, swivels[k] + GIVEN_UP + 1) % SWIVELS] = False
+        open_[k, np.arange(swivels[k] - GIVEN_UP, swivels[k] + GIVEN_UP + 1) % len(grid)] = False
         tries -= 1
     raise SkillFailed(Code.ARM_NO_PATH, why)
 
@@ -106,10 +107,10 @@ def _quickest(
     """The swivels (k,) of the quickest way through q (k, S, 4, 7), counted on beyond a turn, and the way (k, 7)."""
     states = [q[k][open_[k]] for k in range(len(q))]
     swivels = [np.nonzero(open_[k])[0] for k in range(len(q))]
-    cost = (np.abs(states[0] - near) / speed).max(axis=1)
+    cost, around = (np.abs(states[0] - near) / speed).max(axis=1), q.shape[1]
     came: list[NDArray[np.int_]] = []
     for k in range(1, len(q)):
-        to, of = np.nonzero(np.abs(_steps(swivels[k][:, None] - swivels[k - 1])) <= SWING)
+        to, of = np.nonzero(np.abs(_steps(swivels[k][:, None] - swivels[k - 1], around)) <= SWING)
         turns = np.abs(states[k][to] - states[k - 1][of])
         total = np.full((len(states[k]), len(states[k - 1])), math.inf)
         total[to, of] = np.where((turns <= JUMP_RAD).all(axis=1), (turns / speed).max(axis=1) + cost[of], math.inf)
@@ -125,13 +126,13 @@ def _quickest(
         way.append(int(choices[way[-1]]))
     way.reverse()
     chosen = np.array([swivels[k][i] for k, i in enumerate(way)])
-    chosen[1:] = chosen[0] + np.cumsum(_steps(np.diff(chosen)))
+    chosen[1:] = chosen[0] + np.cumsum(_steps(np.diff(chosen), around))
     return chosen, np.array([states[k][i] for k, i in enumerate(way)])
 
 
-def _steps(apart: NDArray[np.int_]) -> NDArray[np.int_]:
-    """By how many steps of their circle swivels are apart, the shorter way."""
-    return (apart + SWIVELS // 2) % SWIVELS - SWIVELS // 2
+def _steps(apart: NDArray[np.int_], around: int) -> NDArray[np.int_]:
+    """By how many steps of their circle, `around` of them, swivels are apart, the shorter way."""
+    return (apart + around // 2) % around - around // 2
 
 
 def _evened(phi: Floats, width: int) -> Floats:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from scuhand_bt.motion.kinematics import JOINTS, Floats
+from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.trajectory import JointTrajectory
 
 _GRID_S = 0.02
@@ -51,7 +51,7 @@ class Torques:
 
     def __init__(self, model: pin.Model, share: float = 1.0, hand_kg: float | None = None) -> None:
         self._model = pin.Model(model)
-        for joint in range(1, JOINTS + 1):
+        for joint in range(1, model.njoints):
             if not self._model.inertias[joint].mass > 0:
                 raise ValueError(f"the URDF gives no mass to what joint {joint} carries: its torque cannot be told")
         self.stall_nm: Floats = np.array(self._model.effortLimit)
@@ -59,11 +59,16 @@ class Torques:
             joint = int(np.argmin(np.isfinite(self.stall_nm) & (self.stall_nm > 0))) + 1
             raise ValueError(f"the URDF's joint {joint} needs a limit with an effort above zero, its stall torque")
         if hand_kg is not None:
-            hand = self._model.inertias[JOINTS]
+            hand = self._model.inertias[model.njoints - 1]
             heavier = hand_kg / hand.mass
-            self._model.inertias[JOINTS] = pin.Inertia(hand_kg, hand.lever, heavier * hand.inertia)
+            self._model.inertias[model.njoints - 1] = pin.Inertia(hand_kg, hand.lever, heavier * hand.inertia)
         self.limits_nm: Floats = share * self.stall_nm
         self._data = self._model.createData()
+
+    @property
+    def joints(self) -> int:
+        """How many joints there are: the first columns of a motion."""
+        return int(self._model.nq)
 
     def holding(self, q: Floats) -> Floats:
         """What is held at rest in configurations (n, 7): (n, 7)."""
@@ -86,7 +91,7 @@ class Torques:
         TooHeavyError where holding the arm up breaks them.
         """
         times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / _GRID_S) + 2)
-        q, speed, acceleration = (motion.at(times_s, k)[:, :JOINTS] for k in range(3))
+        q, speed, acceleration = (motion.at(times_s, k)[:, : self.joints] for k in range(3))
         whole = self.moving(q, speed, acceleration)
         if (np.abs(whole) <= self.limits_nm).all():
             return 1.0

@@ -8,7 +8,7 @@ motion can be stretched, reversed and joined without sampling it.
 """
 
 import bisect
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -168,3 +168,8 @@ def through(times_s: Floats, positions: Floats) -> JointTrajectory:
 
     spline = CubicSpline(times_s, positions, axis=0, bc_type="clamped")
     return JointTrajectory(times_s, np.ascontiguousarray(spline.c[::-1]))
+
+
+def later(motion: JointTrajectory, begin_s: float) -> Callable[[Floats], Floats]:
+    """Where a motion is, by times counted from one of its moments."""
+    return lambda times_s: motion.at(begin_s + times_s)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.coordinates import JointCoordinates, LevelCoordinates
+from scuhand_bt.motion.coordinates import JointCoordinates, level_coordinates
 from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.joint_schedules import ScheduleSearch
 from scuhand_bt.motion.kinematics import Floats, Mount
@@ -123,14 +123,15 @@ class Task:
     def spaces(self) -> list[Space]:
         """The spaces to plan in, each in its coordinates; the one whose motions are quicker first."""
         if self.spill_limit_deg is None:
-            return [Space(JointCoordinates(self.rates), self.scene, self.mount)]
-        level = LevelCoordinates(self.rates, self.mount)
+            return [Space(JointCoordinates(self.rates, self.mount.limits_rad), self.scene, self.mount)]
+        level = level_coordinates(self.rates, self.mount, self.start)
         tilt_deg = _TILT_SHARE * self.spill_limit_deg
         # Between two axes that lean little enough a straight line of the level coordinates leans no more.
         covered = bool(level.covers(self.start[None, :])[0])
         spaces = [Space(level, self.scene, self.mount)] if covered else []
         if tilt_deg > _LEAST_LEAN_DEG or not covered:
-            spaces.insert(0, Space(JointCoordinates(self.rates, level), self.scene, self.mount, tilt_deg))
+            joints = JointCoordinates(self.rates, self.mount.limits_rad, level)
+            spaces.insert(0, Space(joints, self.scene, self.mount, tilt_deg))
         return spaces
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.recipe.flow import Pour
 from scuhand_bt.recipe.sample import Ask, Sample
-from scuhand_bt.tree.check import Library
+from scuhand_bt.tree.library import Library
 
 
 def check_asked(samples: Sequence[Sample], library: Library, problems: Problems) -> None:

@@ -20,7 +20,6 @@ from scuhand_bt.problems import Mark, Problems
 from scuhand_bt.skill import Condition, SkillFailed
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
-from scuhand_bt.tree.check import Library, Percent, literal, resolve_percent
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
 from scuhand_bt.tree.grammar import (
     PARAMETERS,
@@ -33,6 +32,7 @@ from scuhand_bt.tree.grammar import (
     Value,
     references_of,
 )
+from scuhand_bt.tree.library import Library, Percent, literal, resolve_percent
 from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from scuhand_bt.failures import Code
-from scuhand_bt.lab import Lab
-from scuhand_bt.problems import Mark, Problems, shorten
+from scuhand_bt.lab import Lab, read_mount
+from scuhand_bt.problems import Mark, Problems, SourceError, shorten
 from scuhand_bt.recipe.asked import check_asked
 from scuhand_bt.recipe.compose import COMPOSE, Composer, takes_composed
 from scuhand_bt.recipe.expansion import MAX_SAMPLES, expand
@@ -24,8 +24,9 @@ from scuhand_bt.recipe.sample import Sample, check_demand, check_reach, check_sa
 from scuhand_bt.recipe.sources import SourcesReader
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import bound_inputs
-from scuhand_bt.tree.check import Percent, check_workflows, literal
+from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.grammar import RECIPE_WORDS, Workflow
+from scuhand_bt.tree.library import Percent, literal
 from scuhand_bt.tree.wires import WireType
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, from_plain, parse, read_text
 
@@ -186,7 +187,12 @@ class _Reader:
         check_asked([s for s in samples if self._is_sound(s.workflow)], self.lab.library, self.problems)
         check_demand(samples, sources, self.source_marks, self.problems)
         if self.lab.has_cell:
-            check_reach(samples, sources, self.lab.cell, self.source_marks, self.problems)
+            try:
+                mount = read_mount(self.lab)
+            except SourceError as error:
+                self.problems.found += error.problems
+            else:
+                check_reach(samples, sources, self.lab.cell, mount, self.source_marks, self.problems)
         self._check_unused(samples)
         whole = tuple(samples)
         return Recipe(self.path, self.text, name, order, controller, sources, whole, on_failure, limit, self.marks)

@@ -261,6 +261,7 @@ def check_reach(
     samples: Sequence[Sample],
     sources: Mapping[str, Source],
     cell: CellSpec,
+    mount: Mount,
     marks: Mapping[str, Mark],
     problems: Problems,
 ) -> None:
@@ -273,7 +274,7 @@ def check_reach(
     anywhere = samples[0].mark if samples else next(iter(marks.values()), Mark("recipe"))
     for place, position_mm in places.all_places(cell, sources, containers).items():
         pose = ApexPose(np.array(position_mm) / 1000)
-        reason = unreachable_reason(pose, Mount.of(cell.hand))
+        reason = unreachable_reason(pose, mount)
         if reason is not None:
             what = f"the arm cannot reach '{place}' of robot/cell.yaml with the cone upright"
             problems.add(place_marks.get(place, anywhere), what, reason, code="out-of-reach")

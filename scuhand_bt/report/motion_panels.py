@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, Mount
+from scuhand_bt.motion.kinematics import Floats, Mount
 from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -41,7 +41,7 @@ def panels(motion: JointTrajectory, rates: RateLimits, mount: Mount) -> list[Pan
     spill = spill_angles_deg(*apex_motion(q, speed, acceleration, mount))[:, None]
     limits = [] if motion.spill_limit_deg is None else [(motion.spill_limit_deg, "")]
     return [
-        Panel("joint position [deg]", times_s, np.degrees(q), _by_value(*np.degrees(LIMITS_RAD))),
+        Panel("joint position [deg]", times_s, np.degrees(q), _by_value(*np.degrees(mount.limits_rad))),
         Panel("joint speed [rad/s]", times_s, speed, _both_ways(rates.speed)),
         Panel("joint acceleration [rad/s²]", times_s, acceleration, _both_ways(rates.acceleration)),
         Panel("joint jerk [rad/s³]", times_s, jerk, _both_ways(rates.jerk)),

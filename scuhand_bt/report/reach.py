@@ -9,10 +9,10 @@ from functools import cache
 
 import numpy as np
 
-from scuhand_bt.cell_spec import Station
-from scuhand_bt.lab import Lab
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.lab import Lab, read_mount
 from scuhand_bt.motion import ApexPose, Mount, solutions
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
+from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.scenes import CONE_DIAMETER_M
 from scuhand_bt.report import viewer
 from scuhand_bt.report.page import rendered
@@ -25,7 +25,7 @@ _X_MM, _Y_MM = (-500, 540), (-600, 600)
 
 def reach_page(lab: Lab) -> str:
     """A self-contained HTML page: the cell in 3D with what is reached, and a table of its stations."""
-    cell, mount = lab.cell, Mount.of(lab.cell.hand)
+    cell, mount = lab.cell, read_mount(lab)
     heights_mm = {
         station.name: [z for z in range(round(station.position_mm[2]), 500, 5) if _reaches(station, z, mount)]
         for station in cell.stations.values()
@@ -67,7 +67,7 @@ def _reaches(station: Station, z_mm: float, mount: Mount) -> bool:
 
 
 def _solvable(x_mm: float, y_mm: float, z_mm: float, mount: Mount) -> bool:
-    low, high = LIMITS_RAD[:, 0]
+    low, high = mount.limits_rad[:, 0]
     turned = math.atan2(y_mm, x_mm) + _first_joints(round(math.hypot(x_mm, y_mm)), round(z_mm), mount)
     turned = (turned + math.pi) % (2 * math.pi) - math.pi
     return bool(((turned >= low) & (turned <= high)).any())
@@ -76,7 +76,7 @@ def _solvable(x_mm: float, y_mm: float, z_mm: float, mount: Mount) -> bool:
 @cache
 def _first_joints(out_mm: int, z_mm: int, mount: Mount) -> Floats:
     """Joint 1 of all solutions straight ahead, as if it had no limits: elsewhere they are the same, turned by it."""
-    limits = LIMITS_RAD.copy()
+    limits = mount.limits_rad.copy()
     limits[:, 0] = -math.pi, math.pi
     joints: Floats = solutions(ApexPose(np.array([out_mm, 0.0, z_mm]) / 1e3), mount, limits)[:, 0]
     return joints

@@ -48,7 +48,7 @@ def scene_values(
         "places": [{"name": name, "at": _plain(place)} for name, place in places_m.items()],
         "dots": [{"at": _plain(at), "tone": "good" if is_good else "bad"} for at, is_good in dots],
         "home": _plain(planner.home()),
-        "apex": [0.0, 0.0, apex_offset_m],
+        "apex": _plain(planner.tool.act(np.array([0.0, 0.0, apex_offset_m]))),
     }
 
 

@@ -75,7 +75,7 @@ def shown_move(
         title += f" with {carried}, spill angle up to {motion.spill_limit_deg:.0f}°"
     on_pan = [lab.library.containers[container]] if container is not None else []
     drawn = scene_values(planner, lab.cell.hand.apex_offset_mm / 1000, [1000 * CONE_DIAMETER_M], places_m, on_pan)
-    mount = Mount.of(lab.cell.hand)
+    mount = planner.mount()
     return ShownMove(title, motion, planner.scene(), planner.rates, mount, places_m, drawn, container)
 
 

@@ -27,8 +27,8 @@ from scuhand_bt.run.runner import Runner
 from scuhand_bt.sim.plant import PlantError
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.build import Tree
-from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import Consent, SkillBug
+from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.replay import Replay
 from scuhand_bt.tree.substitutes import Substitutes
 

@@ -3,13 +3,17 @@
 A run on twins tells them in the same words what its own person has done, and asks what only the world knows.
 """
 
+import math
 import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
 from pydantic import JsonValue
 
 from scuhand_bt.lab import Lab
+from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.quantity import MASS, format_mass, parse
 from scuhand_bt.sim.wire.bench import WireBench
 from scuhand_bt.specs import Container
@@ -23,6 +27,8 @@ WORDS = (
     "load SOURCE 3 g: powder from its mortar into the cone",
     "sheet: a fresh sheet in the hand",
     "unplug DEVICE, plug DEVICE: its cable",
+    "power off SUPPLY, power on SUPPLY: of arm (with the roller), valve, hand (its board), balance, changer, or cell",
+    "lead J1 J2 J3 J4 J5 J6 J7: the arm by hand to these joint angles [deg], where it has no torque",
     "look: what is there",
     "end: the twins end; their world stays on disk",
 )
@@ -85,6 +91,11 @@ class Hands:
                 server = bench.servers[device]
                 (server.unplug if what == "unplug" else server.plug)()
                 return f"the cable of '{device}' is {'out' if what == 'unplug' else 'in'}"
+            case ["power", "on" | "off" as way, supply] if supply in bench.power.names:
+                bench.power.switch(supply, on=way == "on")
+                return Answer(f"the power of '{supply}' is {way}", found={"at_s": time.monotonic()})
+            case ["lead", *angles] if len(angles) == JOINTS:
+                return self._lead([float(angle) for angle in angles])
             case ["look"]:
                 return self._look()
             case ["sample", sample, attempt]:
@@ -96,6 +107,15 @@ class Hands:
             case ["end"]:
                 return Answer("the twins end", is_last=True)
         raise ValueError(f"the words are: {'; '.join(WORDS)}")
+
+    def _lead(self, angles_deg: Sequence[float]) -> str:
+        arm = self._bench.arm
+        if not all(map(math.isfinite, angles_deg)):
+            raise ValueError("a joint angle is a number of degrees")
+        if not arm.is_limp:
+            raise ValueError("the arm holds: take its power away, and give it back, before it is led")
+        arm.stand_at(np.radians(angles_deg))
+        return f"the arm was led to {', '.join(f'{angle:g}' for angle in angles_deg)}°"
 
     def _look(self) -> Answer:
         bench, world = self._bench, self._bench.world
@@ -110,6 +130,10 @@ class Hands:
             "rim_mm": bench.rim_mm,
             "turns": any(abs(servo.velocity) > TURNS_COUNTS_PER_S for servo in servos),
             "has_torque": all(servo.has_torque for servo in servos),
+            "holding": list[JsonValue](servo.id for servo in servos if servo.has_torque and servo.is_powered),
+            "without_power": list[JsonValue](sorted(bench.power.off)),
+            "joints_deg": np.degrees(bench.arm.joints).round(3).tolist(),
+            "at_s": time.monotonic(),
             "masses_mg": dict(world.masses_mg),
             "faults": [dict(rule) for rule in world.faults.account()],
         }

@@ -11,7 +11,7 @@ from scuhand_bt.clock import Steps
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.events import ArmMoved, PanCompared, Settled
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.motion import Mount, apex
+from scuhand_bt.motion import apex
 from scuhand_bt.skill import Skill, SkillFailed
 from scuhand_bt.tree.leaf import REJOINING
 from scuhand_bt.tree.replay import Recorded, Replay
@@ -48,7 +48,7 @@ def _return(journal: Journal, cell: Cell, replay: Replay, skill: Skill[Any], *, 
         moved_rad = float(np.abs(np.array(there) - cell.arm.positions).max())
         if moved_rad > MOVED_RAD:
             journal.event(ArmMoved(moved_rad=moved_rad))
-            yield from cell.move_to(apex(np.array(there), Mount.of(cell.spec.hand, cell.hand.cone_diameter_mm)))
+            yield from cell.move_to(apex(np.array(there), cell.motion.mount(cell.hand.cone_diameter_mm)))
     gross_mg = cell.believed.pan_gross_mg
     weighs_itself = (was_interrupted and skill.interrupted == "reweigh") or cell.believed.dosing.is_unweighed
     if gross_mg is not None and not weighs_itself and "changer" not in {*skill.devices, *replay.at_work}:

@@ -22,9 +22,9 @@ from scuhand_bt.run.outcome import Outcome
 from scuhand_bt.run.rejoin import rejoin
 from scuhand_bt.skill import SkillFailed, Steps
 from scuhand_bt.tree.build import Tree
-from scuhand_bt.tree.check import Library
 from scuhand_bt.tree.leaf import Consent, SkillBug, SkillLeaf, Ticking
 from scuhand_bt.tree.leases import Leases
+from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.nodes import Timeout, While, failure_of
 from scuhand_bt.tree.replay import Decision, Replay
 from scuhand_bt.tree.substitutes import Substitutes

@@ -209,8 +209,10 @@ def open_twins(folder: Path, made: Made, command: Sequence[str], tell: Callable[
         if process is None and not have_their_process(folder):
             process = _begun(folder, command)
         try:
-            return Twins(folder, _connected(folder), process, tell)
-        except OSError:
+            line = _connected(folder)
+            _Line(line).say(["look"])  # one that is just being killed still takes callers
+            return Twins(folder, line, process, tell)
+        except (OSError, EOFError):
             ended = process is not None and process.poll() is not None
             if not (ended or time.monotonic() > until_s):
                 time.sleep(0.02)

@@ -22,7 +22,6 @@ from scuhand_bt.dosing.swing import Ladle, NoStrokeError, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.motion.kinematics import JOINTS
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.specs import ContainerKind, Source
 
@@ -50,7 +49,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
         begin, limit_deg = motion.standing_at(demand.source.station), limits_deg[demand.source.name]
         for from_above_mm in sorted(above_mm for over, above_mm in plan.descents if over == place):
             down = motion.descent(place, from_above_mm / 1000, LOWERING_M_PER_S, limit_deg)
-            motion.move(begin, down.start[:JOINTS], spill_limit_deg=limit_deg)
+            motion.move(begin, down.start, spill_limit_deg=limit_deg)
     motion.set_geometry()
     for demand in scooped:
         left_mg = demand.source.amount_mg - demand.needed_mg
@@ -84,7 +83,10 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
     """A stroke in some direction, and from its end to where loads are carried from."""
     hand, mortar = cell.hand, source.mortar
-    stroke = chosen(Bed(mortar, bed_mg, source.powder), hand.sheet_radius_mm, source.powder.load_limit_mg)
+    try:
+        stroke = chosen(Bed(mortar, bed_mg, source.powder), hand.sheet_radius_mm, source.powder.load_limit_mg)
+    except NoStrokeError as error:
+        raise SkillFailed(Code.ARM_NO_PATH, f"'{source.name}' cannot be scooped from: {error}") from None
     x_mm, y_mm, _ = cell.stations[source.station].position_mm
     across_deg = math.degrees(math.atan2(y_mm, x_mm)) + 90.0
     begin, why = motion.standing_at(source.station), ""
@@ -93,7 +95,7 @@ def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float
             turned = replace(stroke, heading_deg=(across_deg + turn_deg) % 360.0)
             path = stroke_path(Vessel.of(mortar), turned, Ladle.of(hand))
             swing = planned_stroke(motion, begin, path, cell, source.station, mortar)
-            _out_of_mortar(motion, cell, source, swing.end[:JOINTS], float(path.rim_mm[-1]))
+            _out_of_mortar(motion, cell, source, swing.end[:-1], float(path.rim_mm[-1]))
         except (NoStrokeError, SkillFailed) as error:
             why = why or str(error)
         else:

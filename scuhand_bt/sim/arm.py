@@ -9,7 +9,7 @@ from scuhand_bt.clock import Clock, Signal, Steps, Wake
 from scuhand_bt.devices.arguments import check_trajectory
 from scuhand_bt.devices.interfaces import Joints, Trajectory
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats, Mount, apex
+from scuhand_bt.motion.kinematics import Floats, Mount, apex
 from scuhand_bt.sim.faults import Faults
 
 SHUT_DOWN = {
@@ -33,7 +33,7 @@ class Pose(Protocol):
 
 
 class SimulatedArm:
-    """The seven joints; see `scuhand_bt.devices.interfaces.Arm`.
+    """The joints; see `scuhand_bt.devices.interfaces.Arm`.
 
     `mount` tells how the hand holds its cone now: the same object for as long as that is the same.
     """
@@ -81,7 +81,7 @@ class SimulatedArm:
         if (fault := self.fault) is not None:
             raise fault
         now_s = self._clock.now_s
-        check_trajectory(trajectory, self._at(now_s), LIMITS_RAD, is_moving=self._trajectory is not None)
+        check_trajectory(trajectory, self._at(now_s), self._mount().limits_rad, is_moving=self._trajectory is not None)
         self.on_start(trajectory)
         self._begin_s = now_s
         self._go_along(trajectory)
@@ -136,7 +136,7 @@ class SimulatedArm:
         """Be limp: the shoulder gives way by so much."""
         self.was_limp = True
         joints = self._rest.copy()
-        joints[1] = max(joints[1] - by_rad, LIMITS_RAD[0, 1])
+        joints[1] = max(joints[1] - by_rad, self._mount().limits_rad[0, 1])
         self._hold(joints)
 
     def pose(self, time_s: float) -> Pose:

@@ -55,6 +55,7 @@ class SimulatedBalance:
         self.is_stopped = True
         self.faults = Faults()
         """What is wrong with it, in a simulation of faults."""
+        self._is_powered = True
         self._heard_s = 0.0  # when it last gave out something
         self._was_lost = False
         self._zero_mg = 0.0  # what it shows as nothing
@@ -118,6 +119,10 @@ class SimulatedBalance:
         """Draw from this generator from now on."""
         self._rng = rng
 
+    def switch(self, *, on: bool) -> None:
+        """Its supply goes off, or on: its zero is then what stands on the pan, however short that was."""
+        self._is_powered, self._is_off = on, True
+
     def take_zero(self, on_pan_mg: float) -> None:
         """Be switched on with so much on the pan: that is nothing from now on."""
         self._zero_mg, self.latest = on_pan_mg * self._span, None
@@ -138,8 +143,9 @@ class SimulatedBalance:
             return
         self._readings += 1
         self.next_reading_s = self._readings * self.spec.period_s
-        if self.faults.active or self._was_lost or self._is_off:
-            was_off, self._is_off = self._is_off, "balance.restarted" in self.faults.active
+        if self.faults.active or self._was_lost or self._is_off or not self._is_powered:
+            was_off = self._is_off
+            self._is_off = "balance.restarted" in self.faults.active or not self._is_powered
             if was_off and not self._is_off:
                 self.take_zero(on_pan_mg + landing_mg)
             if self._is_silent(end_s):

@@ -9,6 +9,7 @@ is shut. The servo's own encoder cannot see it: `opening_mm` reports the servo.
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -70,8 +71,9 @@ class SimulatedHand:
     )
     """What the world's file keeps of it."""
 
-    def __init__(self, spec: HandSpec, clock: Clock) -> None:
+    def __init__(self, spec: HandSpec, clock: Clock, mount_of: Callable[[float], Mount] | None = None) -> None:
         self.spec = spec
+        self._mount_of = mount_of or partial(Mount.of, spec)
         self.longest_dwell_s = LONGEST_DWELL_S
         self.news = Signal()
         self.on_start: Callable[[Forming], None] = lambda forming: None
@@ -206,7 +208,7 @@ class SimulatedHand:
         """How it holds its cone now."""
         diameter_mm = self.cone_diameter_mm
         if self._mount is None or self._mount[0] != diameter_mm:
-            self._mount = diameter_mm, Mount.of(self.spec, diameter_mm)
+            self._mount = diameter_mm, self._mount_of(diameter_mm)
         return self._mount[1]
 
     @property

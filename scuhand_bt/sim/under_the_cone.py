@@ -3,7 +3,8 @@
 import math
 from collections.abc import Mapping
 
-from scuhand_bt.cell_spec import CellSpec, Station
+from scuhand_bt.bench_spec import Station
+from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.sim.cone_over import Floats
 from scuhand_bt.sim.mass_ledger import BALANCE, PAN, RETURNED, SPILLED, WASTE, Compartment, in_source
 from scuhand_bt.specs import Source

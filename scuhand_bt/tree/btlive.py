@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from scuhand_bt.tree.btxml import IF, to_xml
-from scuhand_bt.tree.check import Library
+from scuhand_bt.tree.library import Library
 
 CONDITION, FILLERS = "ScriptCondition", ("AlwaysSuccess", "AlwaysFailure")
 """Nodes that only the format has: what an `if` asks, and the way of an `if` or a `switch` that has none."""

@@ -10,7 +10,6 @@ from py_trees.decorators import FailureIsSuccess, Inverter
 
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.skill import Condition
-from scuhand_bt.tree.check import Library, Percent, literal, resolve_percent
 from scuhand_bt.tree.expressions import Reference
 from scuhand_bt.tree.grammar import (
     PARAMETERS,
@@ -25,6 +24,7 @@ from scuhand_bt.tree.grammar import (
     Workflow,
 )
 from scuhand_bt.tree.leaf import Arguments, SkillLeaf, Ticking, Values
+from scuhand_bt.tree.library import Library, Percent, literal, resolve_percent
 from scuhand_bt.tree.nodes import (
     Chosen,
     Fallback,

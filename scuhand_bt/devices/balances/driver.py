@@ -21,6 +21,10 @@ from scuhand_bt.failures import Code, SkillFailed
 
 ADJUSTMENT_S = 300.0
 """How long an internal adjustment may keep the balance silent."""
+UNDERLOAD = (
+    "it is in underload: put its pan in place; or, if it was switched on with something on it, clear the pan, and "
+    "switch it off and on"
+)
 AVERAGED = 5
 """Readings of one stable mean."""
 MISFITS = 5
@@ -242,7 +246,7 @@ class SerialBalance:
 
     def _explained(self, frame: Frame) -> None:
         if isinstance(frame, OutOfRange):
-            detail = "it is loaded beyond its maximum" if frame.above else "it is in underload: is its pan in place?"
+            detail = "it is loaded beyond its maximum" if frame.above else UNDERLOAD
             self._say(_Trouble(Code.BALANCE_OVERLOAD, detail))
         elif isinstance(frame, Busy):
             self._say(_Trouble("", f"it is busy ({frame.detail})", frame.adjusting))

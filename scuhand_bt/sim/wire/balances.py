@@ -16,6 +16,8 @@ from scuhand_bt.sim.wire.scene import twin_of
 CRLF = b"\r\n"
 STABLE_TIMEOUT_S = 30.0
 """How long a command that waits for stability does so before the balance gives up."""
+BOOT_S = 2.0
+"""From power to the first line; ours, manuals say only that it takes a moment."""
 
 
 class PanLoad(Protocol):
@@ -62,9 +64,19 @@ class BalanceTwin(ABC):
         self._next_s = 0.0
         self._waiting: list[tuple[bytes, float]] = []
         """Commands that wait for stability, and until when."""
+        self._begins_s = float("-inf")
+        """When it has begun, after it was switched on."""
+
+    def switch_on(self, now_s: float) -> None:
+        """Begin anew: what its menu does not keep is lost. What stands on the pan then, the world takes for nothing."""
+        self._begins_s, self.adjusting_until_s = now_s + BOOT_S, now_s
+        self.streaming, self.zero_mg, self.tare_mg, self._typed = False, 0.0, 0.0, b""
+        self.cancel_waiting()
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
         """Answer commands, and send what is due of a stream: whole lines."""
+        if now_s < self._begins_s:
+            return []
         return self._say_now(data, now_s).splitlines(keepends=True)
 
     def _say_now(self, data: bytes, now_s: float) -> bytes:

@@ -22,13 +22,14 @@ from scuhand_bt.cell_spec import DEVICES, MOUNTED_DIAMETER_MM, ArmOptions, CellS
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints, Reading
 from scuhand_bt.dosing.cone import Cone
-from scuhand_bt.motion.kinematics import Mount
+from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
 from scuhand_bt.sim.faults import Faults
 from scuhand_bt.sim.hand import SimulatedHand
 from scuhand_bt.sim.instruments import ROOM
 from scuhand_bt.sim.mass_ledger import Compartment
+from scuhand_bt.sim.outage import SAG_RAD
 from scuhand_bt.sim.plain_state import Plain
 from scuhand_bt.sim.plant import Plant, probed_plant
 from scuhand_bt.sim.snapshot import Stateful
@@ -37,12 +38,14 @@ from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.faults import WireFaults
 from scuhand_bt.sim.wire.hand import HandTwin
 from scuhand_bt.sim.wire.port import PtyPort
+from scuhand_bt.sim.wire.power import Supplies
 from scuhand_bt.sim.wire.scene import at_a_twin, twin_of
 from scuhand_bt.sim.wire.server import TwinServer
 from scuhand_bt.sim.wire.servo import Servo
 from scuhand_bt.sim.world import STEP_S, World
 from scuhand_bt.specs import Container, Source
 
+SHOULDER = 1
 STILL_AFTER_S = 0.1
 """What has not moved for this long stands still."""
 SHUT_MM = 0.01
@@ -50,6 +53,8 @@ SWITCH_S = 0.0005
 """How often Python's threads take turns: drivers, twins and the world share one interpreter here, and at its
 usual 5 ms a servo would be kept waiting."""
 COUNTS_PER_RAD = 4096 / (2 * math.pi)
+SINKS_RAD_PER_S = 0.3
+"""So fast the shoulder of an arm without power gives way, and by `SAG_RAD` at most: then it rests on something."""
 UNSAVED_S = 0.5
 """A world in which no powder moves is saved so often."""
 
@@ -64,7 +69,7 @@ class WireArm(SimulatedArm):
         self._servos = servos
         self._homes, self._per_rad = np.array(built.home_counts), np.array(built.directions) * COUNTS_PER_RAD
         self._moved_s = float("-inf")
-        self._now_s = 0.0
+        self._now_s = self._sunk_rad = 0.0
         self.stand_at(joints)
 
     def stand_at(self, joints: Joints) -> None:
@@ -72,6 +77,11 @@ class WireArm(SimulatedArm):
         for servo, count in zip(self._servos, (self._homes + joints * self._per_rad).tolist(), strict=True):
             servo.position = count
             servo.stand()
+
+    @property
+    def is_limp(self) -> bool:
+        """No servo of it holds anything."""
+        return not any(servo.has_torque and servo.is_powered for servo in self._servos)
 
     @property
     def joints(self) -> Joints:
@@ -85,6 +95,7 @@ class WireArm(SimulatedArm):
 
     def advance(self, end_s: float) -> None:
         """See where the servos are."""
+        self._sink(end_s - self._now_s)
         joints = self.joints
         if np.abs(joints - self._rest).max() > 0.5 / COUNTS_PER_RAD:
             if not self.is_active:
@@ -92,6 +103,17 @@ class WireArm(SimulatedArm):
             self._moved_s = end_s
             self._hold(joints)
         self._now_s = end_s
+
+    def _sink(self, dt_s: float) -> None:
+        """There are no brakes. Once the power is back a person has hold of it, whether or not it has torque."""
+        if self._servos[SHOULDER].is_powered:
+            self._sunk_rad = 0.0
+            return
+        by_rad = min(SINKS_RAD_PER_S * dt_s, SAG_RAD - self._sunk_rad)
+        self._sunk_rad += by_rad
+        joints = self.joints
+        joints[SHOULDER] = max(joints[SHOULDER] - by_rad, LIMITS_RAD[0, SHOULDER])
+        self.stand_at(joints)
 
 
 class WireHand(SimulatedHand):
@@ -353,6 +375,7 @@ class WireBench:
             **self.others,
         }
         """All twins at their ports, by the names of their devices."""
+        self.power = Supplies(servos, self.hand, self.balance, balance, self.others)
         self.spec = at_twins(spec, lambda name: self.servers[name].url)
         """The cell's description with the twins' ports in it."""
         self._clock = clock

@@ -24,6 +24,8 @@ REPLY_SIZE = 96
 BAUD_RATES = {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
 """Of a servo, by its register 8 (ROBOTIS e-manual)."""
 BAUD_OF_VALVE = 3
+BOOT_S = 1.0
+"""A Mega's bootloader waits so long for a new program before it begins the one it has."""
 ANSWER_WITHIN_S = 0.002
 """The longest return delay, and some: the firmware here waits in no time of its own."""
 NOMINAL_MAP = HandOptions().valve_map
@@ -116,6 +118,9 @@ class HandTwin:
     ) -> None:
         self.valve = Valve(valve_dead_time_s, true_map)
         self.emergency_stop = False
+        self.is_powered = True
+        """Whether the board has power; without it the firmware stands still, and the valve goes on as it was told."""
+        self._begins_s = float("-inf")
         self._brain = build_brain(firmware)
         self._awake = threading.Lock()
         """Held while the firmware runs: it is not taken away under itself."""
@@ -132,6 +137,11 @@ class HandTwin:
         with self._awake:
             self._brain.hand_reset(self._self)
 
+    def switch_on(self, now_s: float) -> None:
+        """The board has power again, and begins anew."""
+        self.reboot()
+        self._begins_s, self.is_powered = now_s + BOOT_S, True
+
     @property
     def opening_mm(self) -> float:
         """What the outlet really is."""
@@ -139,7 +149,7 @@ class HandTwin:
 
     @property
     def vibration(self) -> float:
-        return int(self._brain.hand_vibration(self._self)) / 1000
+        return int(self._brain.hand_vibration(self._self)) / 1000 if self.is_powered else 0.0
 
     @property
     def healthy(self) -> bool:
@@ -155,6 +165,8 @@ class HandTwin:
         with self._awake:
             self._now_s = now_s
             self.valve.servo.step(now_s)
+            if not self.is_powered or now_s < self._begins_s:
+                return []
             self._brain.hand_press(self._self, self.emergency_stop)
             now_ms = int(now_s * 1000) & 0xFFFFFFFF
             self._brain.hand_tick(self._self, now_ms)

@@ -1,0 +1,76 @@
+"""What stands on a cell's bench: its stations and obstacles, and the frames that they were measured in."""
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from scuhand_bt.quantity import NOT_WRITTEN, Degrees, Millimetres
+from scuhand_bt.specs import Spec
+
+Point = Annotated[tuple[Millimetres, Millimetres, Millimetres], Field(description="x, y, z in the base frame")]
+
+
+class Frame(Spec):
+    """What stands on the bench as one thing, moved from where the file's other figures have it; measured by touching.
+
+    A point p of it really is at  pivot + shift + Rz(yaw) (p - pivot).
+    """
+
+    pivot_mm: Point = (0.0, 0.0, 0.0)
+    """About which it is turned."""
+    shift_mm: Point = (0.0, 0.0, 0.0)
+    yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
+    landmarks_mm: tuple[Point, Point, Point] | None = None
+    """Three points of it that the apex can touch, by the same figures as the others; not on one line."""
+
+    def moved_mm(self, point_mm: Point) -> Point:
+        """Where a point of it really is."""
+        yaw_rad = math.radians(self.yaw_deg)
+        x, y, z = (p - pivot for p, pivot in zip(point_mm, self.pivot_mm, strict=True))
+        turned = (
+            x * math.cos(yaw_rad) - y * math.sin(yaw_rad),
+            x * math.sin(yaw_rad) + y * math.cos(yaw_rad),
+            z,
+        )
+        x, y, z = (sum(parts) for parts in zip(self.pivot_mm, self.shift_mm, turned, strict=True))
+        return x, y, z
+
+
+class Station(Spec):
+    """A named place of the cell. `position` is the table point of a mortar, the pan's centre, …"""
+
+    name: str
+    kind: Literal["mortar", "balance", "waste", "service", "park"]
+    position_mm: Point
+    frame: str | None = None
+    """What it belongs to, of `frames`; None once `position_mm` is where it really is."""
+
+
+Size = Annotated[Millimetres, Field(gt=0)]
+
+
+class Obstacle(Spec):
+    """A box or an upright cylinder, by its centre, or a mesh, by its origin, that the arm must not touch."""
+
+    name: str
+    at_mm: Point
+    box_mm: tuple[Size, Size, Size] | None = None
+    cylinder_mm: tuple[Size, Size] | None = None
+    """Diameter and length."""
+    mesh: str | None = None
+    """An STL or OBJ file, beside cell.yaml; its z is up. An absolute path once the lab is loaded."""
+    mesh_unit_mm: Size = 1.0
+    """What one unit of the file is."""
+    mesh_digest: Annotated[str, Field(json_schema_extra=NOT_WRITTEN)] = ""
+    """Of the file's bytes, once the lab is loaded."""
+    yaw_deg: Annotated[Degrees, Field(ge=-180, le=180)] = 0.0
+    """By how much a box or a mesh is turned about its upright axis, against the clock seen from above."""
+    frame: str | None = None
+    """As a station's."""
+
+    @model_validator(mode="after")
+    def _has_one_shape(self) -> Self:
+        if (self.box_mm, self.cylinder_mm, self.mesh).count(None) != 2:
+            raise ValueError("it has one shape: a box, a cylinder, or a mesh")
+        return self
