@@ -60,7 +60,7 @@ layer of so many leaves less than `LITTLE_SHARE` of what is wanted to be taken, 
 LITTLE_SHARE = 0.25
 SWEPT_SHARE = 0.6
 """A stroke that takes all there is begins so far up the wall at least: what others have left lies beside them."""
-REACHED, REACHED_BELOW_EDGE = 0.85, 0.65
+REACHED, REACHED_BELOW_EDGE = 0.85, 0.75
 """Of what others have left, the share that a stroke finds: what lies beside its rim it does not, and less where its lip
 leaves the wall below the edge. By the height field; ours."""
 LOOSE_GRAINS = 0.7

@@ -11,8 +11,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from scuhand_bt.cell.cell import carrying_limit_deg
-from scuhand_bt.cell.places import over_balance
+from scuhand_bt.cell.places import over_balance, over_mortar
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
 from scuhand_bt.devices.interfaces import Joints
@@ -21,7 +23,7 @@ from scuhand_bt.dosing.strokes import Bed, chosen
 from scuhand_bt.dosing.swing import Ladle, NoStrokeError, stroke_path
 from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.motion import MotionPlanner
+from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.specs import ContainerKind, Source
 
@@ -30,6 +32,9 @@ STEP_DEG = 30
 LEAST_BED_MG = 30.0
 """Less in a mortar is not scooped any more."""
 LOWERING_M_PER_S = 0.06
+OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
+"""Where a mortar may stand that has no stroke where it does: from the arm's base, and aside of straight ahead."""
+BESIDE_MM = 10.0
 
 
 def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind]) -> None:
@@ -81,7 +86,18 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
 
 
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
-    """A stroke in some direction, and from its end to where loads are carried from."""
+    """A stroke in some direction, and from its end to where loads are carried from; else said where there is one."""
+    why = _why_no_stroke(motion, cell, source, bed_mg)
+    if why:
+        where, other = (
+            f"at '{source.station}' no stroke is possible in any direction",
+            _elsewhere(motion, cell, source, bed_mg),
+        )
+        raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}. {other}")
+
+
+def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
+    """Empty where one is possible. SkillFailed where none is of what lies there, wherever it stands."""
     hand, mortar = cell.hand, source.mortar
     try:
         stroke = chosen(Bed(mortar, bed_mg, source.powder), hand.sheet_radius_mm, source.powder.load_limit_mg)
@@ -99,11 +115,64 @@ def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float
         except (NoStrokeError, SkillFailed) as error:
             why = why or str(error)
         else:
-            return
+            return ""
         finally:
             motion.set_geometry()
-    where = f"at '{source.station}' no stroke of {stroke.open_mm:.0f} mm is possible in any direction"
-    raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
+    return why
+
+
+def _elsewhere(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
+    """Where the mortar would have to stand, of some places about the arm the nearest that has a stroke; a sentence."""
+    station = cell.stations[source.station]
+    z_mm = station.position_mm[2]
+    places = [
+        (
+            round(out_mm * math.cos(math.radians(turn_deg)), -1),
+            round(out_mm * math.sin(math.radians(turn_deg)), -1),
+            z_mm,
+        )
+        for out_mm, turn_deg in itertools.product(OUT_MM, (*TURNS_DEG, *(-turn_deg for turn_deg in TURNS_DEG)))
+    ]
+    for place_mm in sorted(places, key=lambda place_mm: math.dist(place_mm, station.position_mm)):
+        if not _has_room(cell, station.name, place_mm, source):
+            continue
+        there = station.model_copy(update={"position_mm": place_mm})
+        moved = cell.model_copy(update={"stations": {**cell.stations, station.name: there}})
+        planner = MotionPlanner(motion.urdf, moved, {station.name: source.mortar})
+        try:
+            planner.add_place(station.name, ApexPose(np.array(over_mortar(there, source.mortar)) / 1000))
+            if _why_no_stroke(planner, moved, source, bed_mg):
+                continue
+        except SkillFailed:
+            continue
+        return f"Where it stands at [{', '.join(f'{mm:g} mm' for mm in place_mm)}], one is"
+    return "At none of the places that were tried for it one is: look at `scuhand-bt reach --task scoop`"
+
+
+def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], source: Source) -> bool:
+    """Whether the mortar there would be clear of other stations, and of what stands as high as it does."""
+    half_mm = source.mortar.outer_diameter_mm / 2 + BESIDE_MM
+    for other in cell.stations.values():
+        if (
+            other.name != name
+            and other.kind in ("mortar", "waste")
+            and math.dist(other.position_mm[:2], place_mm[:2]) < (2 * half_mm)
+        ):
+            return False
+    for solid in cell.geometry:
+        if solid.box_mm is not None:
+            wide_mm, deep_mm, high_mm = solid.box_mm
+        elif solid.cylinder_mm is not None:
+            (deep_mm, high_mm), wide_mm = solid.cylinder_mm, solid.cylinder_mm[0]
+        else:
+            continue  # a mesh: the planner looks at it
+        is_as_high = abs(solid.at_mm[2] - place_mm[2] - source.mortar.height_mm / 2) < (
+            (high_mm + source.mortar.height_mm) / 2
+        )
+        aside_mm = [abs(there - here) for there, here in zip(solid.at_mm[:2], place_mm[:2], strict=True)]
+        if is_as_high and aside_mm[0] < wide_mm / 2 + half_mm and aside_mm[1] < deep_mm / 2 + half_mm:
+            return False
+    return True
 
 
 def _out_of_mortar(motion: MotionPlanner, cell: CellSpec, source: Source, end: Joints, rim_mm: float) -> None:
