@@ -39,11 +39,11 @@ STEPS = (
     Step("roller", "how far the roller turns for a millimetre of sheet, by measured rims", ROLLER, find_roller),
     Step("valve", "where the valve begins to open, by weighing glass beads", VALVE, find_valve_zero),
     Step("valve_map", "how far the valve is open at which position, by weighing and a gauge", VALVE, find_valve_map),
-    Step("balance", "who the balance is, and what it is worth beside a moving arm", BALANCE, find_balance),
     Step("coupling", "how long the balance rings after arm and motor", BALANCE, find_coupling),
+    Step("balance", "who the balance is, and what it is worth beside a moving arm", BALANCE, find_balance),
     Step("first_dose", "a dose of glass beads, slow and in single step", EVERYTHING, find_first_dose),
 )
-"""Each rests on those before it."""
+"""Each rests on those before it; and the start of a day, which `balance` asks for, parks the arm before the first dose."""
 
 
 def next_step(last: dict[str, Done], cell: CellSpec) -> Step | None:
