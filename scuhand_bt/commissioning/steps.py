@@ -43,7 +43,7 @@ STEPS = (
     Step("balance", "who the balance is, and what it is worth beside a moving arm", BALANCE, find_balance),
     Step("first_dose", "a dose of glass beads, slow and in single step", EVERYTHING, find_first_dose),
 )
-"""Each rests on those before it; and the start of a day, which `balance` asks for, parks the arm before the first dose."""
+"""Each rests on those before it; the start of a day, which `balance` asks for, parks the arm before the first dose."""
 
 
 def next_step(last: dict[str, Done], cell: CellSpec) -> Step | None:
