@@ -160,9 +160,13 @@ def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], s
         ):
             return False
     for solid in cell.geometry:
-        if solid.mesh is not None:
-            continue
-        wide_mm, deep_mm, high_mm = solid.box_mm or (solid.cylinder_mm[0], *solid.cylinder_mm)
+        if solid.box_mm is not None:
+            wide_mm, deep_mm, high_mm = solid.box_mm
+        elif solid.cylinder_mm is not None:
+            wide_mm = deep_mm = solid.cylinder_mm[0]
+            high_mm = solid.cylinder_mm[1]
+        else:
+            continue  # a mesh: what stands there is found when it is checked
         is_as_high = abs(solid.at_mm[2] - place_mm[2] - source.mortar.height_mm / 2) < (
             (high_mm + source.mortar.height_mm) / 2
         )
