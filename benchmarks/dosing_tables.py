@@ -27,7 +27,7 @@ def read(path: Path) -> dict[Key, Figures]:
 
 def trials(results: Mapping[Key, Figures], rows: Sequence[str]) -> str:
     counts = sorted({int(figures["trials"]) for key, figures in results.items() if key[0] in rows})
-    return " or ".join(map(str, counts))
+    return " to ".join(map(str, counts[:1] + counts[1:][-1:]))
 
 
 def calibrated(results: Mapping[Key, Figures]) -> list[str]:
@@ -95,12 +95,15 @@ def robust(results: Mapping[Key, Figures]) -> list[str]:
 def waiting(results: Mapping[Key, Figures]) -> list[str]:
     """What of `paper`'s time is waiting for the balance; none while no such doses were run."""
     cells = [key for key in results if key[0] in WAITING and key[3] == UNWAITING]
+    compared = {
+        (*cell[:3], name): results[*cell[:3], name] for cell in cells for name in ("paper", UNWAITING, "adaptive")
+    }
     lines = [
         "## What waiting for the balance contributes",
         "",
         "`paper` waits 6.3 s after each pulse, as its rig did, and then for the balance to settle; without waiting it "
         "does the latter only. True success in %, mean time in s, and `adaptive`'s time as a share of either; "
-        f"{trials({key: results[key] for key in cells}, WAITING)} doses a cell:",
+        f"{trials(compared, WAITING)} doses a cell:",
         "",
         "| balance | powder | target | `paper` | without waiting | `adaptive` | of `paper` | of it without waiting |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",

@@ -5,6 +5,7 @@ real cell. A scripted person answers, who sees the twins' world.
 """
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -160,6 +161,8 @@ class Run:
         os.set_blocking(reading, False)
         self.told: list[dict[str, Any]] = []
         self.code: int | str | None = None
+        self.ended_s = math.inf
+        """When it was seen to have ended, by the computer's steady clock."""
 
     def look(self) -> bool:
         """Hear what it has told; whether it still goes on."""
@@ -177,6 +180,7 @@ class Run:
         *lines, self._heard = self._heard.split(b"\n")
         self.told += [json.loads(line) for line in lines]
         if ended:
+            self.ended_s = time.monotonic()
             os.close(self._pipe)
             self.code = "killed" if os.WIFSIGNALED(status) else os.waitstatus_to_exitcode(status)
             if any(LIMP in one for one in self.told):

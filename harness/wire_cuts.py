@@ -56,6 +56,9 @@ class Cut:
     idle: float = 0.0
     """Share of this computer's time that nobody used, around the cut."""
     ended: int | str | None = None
+    """The run's exit code; None where it went on."""
+    ended_s: float | None = None
+    """From the cut to the run's end, which waits for what is made safe."""
     skill: str = ""
 
 
@@ -178,6 +181,8 @@ def _cut(cell: WireCell, run: Run, rng: random.Random, tally: Tally) -> bool:
         problem(f"the run has not ended {END_S:g} s after it")
         run.kill()
     cut.ended = run.code
+    if run.code is not None and not takes_computer:
+        cut.ended_s = round(run.ended_s - at_s, 1)
     if run.code not in (None, 0, 1, 3, "killed", LIMP):
         problem(f"ended with {run.code}")
     if run.code is not None:

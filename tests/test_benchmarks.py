@@ -23,6 +23,7 @@ from benchmarks.calibration import (
 from benchmarks.code_mutator import mutants_of
 from benchmarks.dem.bed import collected_mg
 from benchmarks.dem.cases import MORTARS, Case
+from benchmarks.dosing_ablation import MODULES, change, read_variant
 from benchmarks.oracle_model import SHUT, Model
 from benchmarks.rig import UNWAITING, Setting, Trial, run_of_doses
 from harness.random_physics import DrawnFlow, FlowFigures
@@ -219,3 +220,20 @@ def test_arm_and_roller_were_beside_each_other(way: str, mortar: str) -> None:
     assert row["looked_at"] > 100
     assert row["most_ms"] < 20.0
     assert row["most_rim_mm"] < 1.0
+
+
+def test_an_ablation_changes_a_constant_wherever_the_law_uses_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    using = [module for module in MODULES if hasattr(module, "RISK")]
+    for module in using:
+        monkeypatch.setattr(module, "RISK", 0.005)
+    change(read_variant("constraint.RISK=0.1"))
+    assert len(using) > 1
+    assert {module.RISK for module in using} == {0.1}
+
+
+@pytest.mark.parametrize(
+    "text", ["constraint.RISKS=0.1", "valve.GRAIN_S=0.1", "constraint.chance=1", "constraint.RISK=x"]
+)
+def test_an_ablation_of_what_is_no_constant_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"no constant|no value"):
+        read_variant(text)

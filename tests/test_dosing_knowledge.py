@@ -324,6 +324,32 @@ def test_near_the_target_a_bridge_is_tried_five_times_before_it_is_shaken() -> N
     assert vibrations == [0.0] * 5 + [0.4] * 3 + [1.0]
 
 
+def vibrations_at_the_end_of_a_load(came_mg: float, left_mg: float) -> list[float]:
+    """Of each opening once a load of 1000 mg has given so much towards a target of `came_mg + left_mg`, and no more."""
+    controller = new_controller("adaptive", request(target_mg=came_mg + left_mg, cone_mg=1000.0))
+    command, time_s, given_mg, vibrations = controller.decide(None), 0.0, 0.0, list[float]()
+    was_open = False
+    while not isinstance(command, Finish):
+        is_open = isinstance(command, Stream) and command.opening_mm > 0.0
+        if is_open and not was_open and given_mg >= came_mg:
+            vibrations.append(command.vibration)
+        if is_open:
+            given_mg = min(came_mg, given_mg + 20.0)
+        was_open, time_s = is_open, time_s + PERIOD_S
+        command = controller.decide(Observation(time_s, given_mg, 0.05, isinstance(command, Weigh)))
+    assert command.reason == "empty"
+    return vibrations
+
+
+def test_a_load_that_gives_no_more_than_half_of_what_is_wanted_is_shaken_at_once_and_soon_given_up() -> None:
+    """It is scooped for in any case; where little is missing it is not shaken so soon, and goes on for longer."""
+    far, near = (vibrations_at_the_end_of_a_load(900.0, left_mg) for left_mg in (700.0, 100.0))
+    assert 1.0 in far[:2]
+    assert near[:2] != far[:2]
+    assert 1.0 not in near[:2]
+    assert len(far) < len(near)
+
+
 def test_a_look_goes_on_while_readings_rise_whatever_is_believed_of_the_balance() -> None:
     """It is believed to be quick, and creeps for three seconds."""
     controller = new_controller("adaptive", request())

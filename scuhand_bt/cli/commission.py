@@ -55,10 +55,10 @@ class AtTerminal:
 
 
 def _list(record: "Record", lab: "Lab", *, as_json: bool) -> None:
-    from scuhand_bt.commissioning import STEPS
+    from scuhand_bt.commissioning import STEPS, changed
 
     rows = [
-        (step, done, done.changed(lab.cell) if done is not None else [])
+        (step, done, changed(step, last, lab.cell) if done is not None else [])
         for simulated in (False, True)
         for last in [record.last(simulated=simulated)]
         for step in STEPS

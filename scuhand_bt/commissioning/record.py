@@ -35,11 +35,6 @@ class Done:
     simulated: bool = False
     """On twins: of the real cell it says nothing."""
 
-    def changed(self, cell: CellSpec) -> list[str]:
-        """The paths whose values are not what they were."""
-        now = values_of(cell, list(self.rests_on))
-        return [path for path, value in self.rests_on.items() if now[path] != value]
-
 
 _ENTRIES = TypeAdapter(tuple[Done, ...])
 
@@ -65,8 +60,13 @@ class Record:
             raise self._problem(f"cannot be read: {error.strerror or error}") from None
 
     def last(self, *, simulated: bool) -> dict[str, Done]:
-        """By step, when it was done last."""
-        return {done.step: done for done in self.entries() if done.simulated == simulated}
+        """By step, when it was done last; in the order in which that was."""
+        found: dict[str, Done] = {}
+        for done in self.entries():
+            if done.simulated == simulated:
+                found.pop(done.step, None)
+                found[done.step] = done
+        return found
 
     def add(self, done: Done) -> None:
         """Add an entry; the file is the old one or the new one, whatever happens meanwhile."""

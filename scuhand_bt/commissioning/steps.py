@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.commissioning.coupling import find_coupling
 from scuhand_bt.commissioning.jog import find_jog
-from scuhand_bt.commissioning.record import Done, Record
+from scuhand_bt.commissioning.record import Done, Record, values_of
 from scuhand_bt.commissioning.roller import find_roller
 from scuhand_bt.commissioning.runs import find_balance, find_first_dose
 from scuhand_bt.commissioning.servos import find_servos, find_zero
@@ -48,7 +48,21 @@ STEPS = (
 
 def next_step(last: dict[str, Done], cell: CellSpec) -> Step | None:
     """The first step that was not done, or not for the cell as it is; None where all were."""
-    return next((one for one in STEPS if one.name not in last or last[one.name].changed(cell)), None)
+    return next((one for one in STEPS if one.name not in last or changed(one, last, cell)), None)
+
+
+def changed(step: Step, last: dict[str, Done], cell: CellSpec) -> list[str]:
+    """The paths of what a step rests on whose values are not those that it was done for; of `last`, in its order.
+
+    What a later step has refined since is as it should be: `apex` mends the zeros of `zero`, `valve_map` those of
+    `valve`. What an earlier one has found anew is not: whatever rests on that is to be done again.
+    """
+    values, done, order = dict(last[step.name].rests_on), [*last], [one.name for one in STEPS]
+    for name in done[done.index(step.name) + 1 :]:
+        if name in order and order.index(name) > order.index(step.name):
+            values |= {path: value for path, value in last[name].rests_on.items() if path in values}
+    now = values_of(cell, [*values])
+    return [path for path, value in values.items() if now[path] != value]
 
 
 def commissioned(lab: Lab) -> Iterator[Finding]:
@@ -61,7 +75,7 @@ def commissioned(lab: Lab) -> Iterator[Finding]:
             do = f"`scuhand-bt commission {step.name}`"
             yield Finding("commissioning", check, "never", step.summary, "not done", do)
             continue
-        changes = done.changed(lab.cell)
+        changes = changed(step, last, lab.cell)
         found = f"{done.at[:16].replace('T', ' ')} by {done.by}"
         found += f"; changed since: {', '.join(changes)}" if changes else ""
         do = f"`scuhand-bt commission {step.name}` does it again; or put back what was changed in robot/cell.yaml"

@@ -59,6 +59,9 @@ such a time."""
 SPARED_MG = 20.0
 """So near to the target a bridge is broken by shutting and opening the valve, while that helps: what is shaken loose
 may be too much."""
+FAR_MG = 200.0
+"""So far from the target whatever is shaken loose is welcome: a cone that gives nothing any more is shaken fully at
+once."""
 REST_MG = 0.3
 """The balance has seen what there is to see but for this."""
 LONGEST_LOOK_S = 25.0
@@ -74,6 +77,8 @@ PRIMES_S = 10.0
 """A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
 EMPTY_S, DRY_S = 8.0, 60.0
 """Open and fully shaken for so long without powder: a cone believed to be all but empty, and one that is not."""
+SCOOPED_ANEW_S = 3.0
+"""The same for what is in any case to be scooped for again: less is left than is missing, and has stopped to come."""
 
 Ended = Literal["reached", "surprise", "fear", "missing", "quiet", "lump", "dry", "long"]
 """Why an opening ended."""
@@ -171,8 +176,12 @@ class Adaptive:
         return seen
 
     def _is_dry(self) -> bool:
-        empty = self._given_up(self._known.bank.mass_mg) == "empty"
-        return self._barren_s > (EMPTY_S if empty else DRY_S)
+        mass_mg = self._known.bank.mass_mg
+        if self._given_up(mass_mg) != "empty":
+            return self._barren_s > DRY_S
+        left_mg = self._known.request.cone_mg - (mass_mg - self._start_mg)
+        is_too_little = self._has_come and self._known.most_mg - mass_mg > max(left_mg, FAR_MG)
+        return self._barren_s > (SCOOPED_ANEW_S if is_too_little else EMPTY_S)
 
     def _given_up(self, mass_mg: float) -> Reason:
         return self._known.request.given_up(mass_mg - self._start_mg)
@@ -281,9 +290,17 @@ class Adaptive:
         return 0.8 + min(self._known.bank.delay_s, 2.0)
 
     def _shake(self, came: bool) -> None:
-        """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully."""
+        """A bridge breaks as the valve shuts and opens; one that does not is shaken, gently and then fully.
+
+        Where powder has come, and comes no more, sooner than where the sheet may still stick.
+        """
         self._fruitless = 0 if came else self._fruitless + 1
-        near = self._known.most_mg - self._known.bank.mass_mg < SPARED_MG
-        levels = (0.0, 0.0, 0.0, 0.0, 0.0, GENTLE, GENTLE, GENTLE, FULL) if near else (0.0, 0.0, GENTLE, FULL)
+        missing_mg = self._known.most_mg - self._known.bank.mass_mg
+        if missing_mg < SPARED_MG:
+            levels: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, GENTLE, GENTLE, GENTLE, FULL)
+        elif not self._has_come:
+            levels = (0.0, 0.0, GENTLE, FULL)
+        else:
+            levels = (0.0, FULL) if missing_mg > FAR_MG else (0.0, GENTLE, FULL)
         level = levels[min(self._fruitless, len(levels) - 1)]
         self._vibration = max(self._known.belief.vibration, level)

@@ -163,10 +163,9 @@ def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], s
         if solid.box_mm is not None:
             wide_mm, deep_mm, high_mm = solid.box_mm
         elif solid.cylinder_mm is not None:
-            wide_mm = deep_mm = solid.cylinder_mm[0]
-            high_mm = solid.cylinder_mm[1]
+            (deep_mm, high_mm), wide_mm = solid.cylinder_mm, solid.cylinder_mm[0]
         else:
-            continue  # a mesh: what stands there is found when it is checked
+            continue  # a mesh: the planner looks at it
         is_as_high = abs(solid.at_mm[2] - place_mm[2] - source.mortar.height_mm / 2) < (
             (high_mm + source.mortar.height_mm) / 2
         )

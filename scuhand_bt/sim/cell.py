@@ -48,7 +48,7 @@ def simulated_cell(
     kinematics; `faults` are what is to go wrong. PlantError, before anything moves, for a plant that cannot be used.
     """
     physics = probed_plant(plant or spec.plant, sources.values(), spec.balance)
-    hand = SimulatedHand(spec.hand, clock, motion.mount)
+    hand = SimulatedHand(spec.hand, clock, None if motion is None else motion.mount)
     arm = SimulatedArm(clock, hand.mount, joints, apex_of)
     balance = SimulatedBalance(spec.balance, clock, physics)
     world = World(spec, sources, physics, seed, arm, hand, balance, faults)
