@@ -199,7 +199,7 @@ def test_a_few_strokes_leave_next_to_nothing_and_less_is_believed_to_be_there_on
         in_cone_mg, lost_mg = through(stroke, field, there_mg, mortar)
         there_mg -= in_cone_mg + lost_mg
         layer, believed_mg = layer_left(stroke, bed, SHEET_MM), believed_mg - expected_mg(stroke, bed, SHEET_MM)
-        assert abs(believed_mg - there_mg) < 0.06 * fill_mg
+        assert abs(believed_mg - there_mg) < 0.07 * fill_mg
     assert there_mg < left * fill_mg
 
 
