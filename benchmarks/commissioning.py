@@ -103,7 +103,7 @@ def _run(factory: Factory, recipe: str) -> dict[str, Any]:
         result = session.run(BatchObserver())
     finally:
         session.close()
-    ends = [(sample.verdict, sample.code, sample.dispensed_mg) for sample in result.samples]
+    ends = [(sample.verdict, sample.code, sample.detail, sample.dispensed_mg) for sample in result.samples]
     print(f"  {recipe}: {result.exit_code} {ends}", file=sys.stderr, flush=True)
     for sample in result.samples:
         if sample.dispensed_mg is not None and sample.target_mg is not None:
