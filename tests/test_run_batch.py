@@ -252,9 +252,10 @@ def test_every_action_is_in_the_journal_before_it_acts(tmp_path: Path) -> None:
     assert "started" in seen
     actions = read(ran.journal, "action")
     assert {row["outcome"] for row in actions} <= {"done", "failed"}
-    assert [row["skill"] for row in actions if row["skill"] != "cone_holds"][:4] == [
+    assert [row["skill"] for row in actions if row["skill"] != "cone_holds"][:5] == [
         "place_container",
         "scoop",
+        "open_cone",
         "tare",
         "move_over",
     ]
