@@ -1,7 +1,9 @@
 """A bench for doses: a loaded cone that stands still above a dish on the simulated balance."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -17,7 +19,7 @@ from scuhand_bt.devices.interfaces import Operator
 from scuhand_bt.dosing import DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import Drift, Net, Reference
 from scuhand_bt.motion import MotionPlanner
-from scuhand_bt.motion.kinematics import ApexPose
+from scuhand_bt.motion.kinematics import ApexPose, Mount
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
 from scuhand_bt.sim.cell import simulated_cell
@@ -83,7 +85,7 @@ class Bench:
             {"store": source},
             clock=self.clock,
             record=Record(),
-            motion=cast(MotionPlanner, None),
+            motion=cast(MotionPlanner, SimpleNamespace(mount=partial(Mount.of, setting.hand))),  # nothing is planned
             operator=cast(Operator, None),
             seed=seed,
             plant=setting.plant,

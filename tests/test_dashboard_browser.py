@@ -20,7 +20,7 @@ from scuhand_bt.dashboard.page_state import Page
 from scuhand_bt.journal.follow import Follower
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import load_lab
-from scuhand_bt.motion.collision import SHEET_M
+from scuhand_bt.motion.arm_model import SHEET_M
 from scuhand_bt.recipe.plan import make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.batch import BatchObserver
