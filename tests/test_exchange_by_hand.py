@@ -149,6 +149,26 @@ def test_a_late_answer_is_none_to_the_request_that_follows() -> None:
     assert asking.questions.give(asked.number, "off", Who("Ada")) is not None
 
 
+def test_of_two_who_ask_side_by_side_neither_takes_the_others_answer() -> None:
+    """A container is put down while the other branch asks whether its scoop may begin."""
+    asking = Asking()
+    put, may = asking.operator.ask("Put it there."), asking.operator.ask("May it begin?", ("go", "stop"))
+    next(put)
+    waits = next(may)
+    assert [asked.question for asked in asking.told] == ["Put it there."], "one at a time"
+    assert asking.questions.give(1, "done", Who("Ada")) is None
+    with pytest.raises(StopIteration) as over:
+        next(put)
+    assert over.value.value == "done"
+    assert waits.has_fired
+    next(may)
+    asked = asking.questions.waiting
+    assert asked is not None
+    assert asked.text == "May it begin?"
+    may.close()
+    assert asking.questions.waiting is None
+
+
 def test_who_refuses_to_clear_the_pan_has_moved_nothing() -> None:
     clock = VirtualClock()
     person = SimulatedOperator(clock, lambda event: None, faults=Refusing())

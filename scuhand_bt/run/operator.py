@@ -139,7 +139,10 @@ class PersonOperator:
 
     def _ask(self, question: str, choices: Sequence[str], is_seen: Callable[[], bool] | None) -> Steps[str]:
         questions = self._questions
-        asked = questions.ask(question, choices)
+        turn = Wake.on(questions.news)
+        while (asked := questions.ask(question, choices)) is None:
+            yield turn  # what goes on beside this asks something else
+            turn = Wake.on(questions.news)
         try:
             self._tell(Asked(question=question, choices=list(choices)))
             self._terminal.show(asked)

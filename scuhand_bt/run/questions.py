@@ -69,7 +69,10 @@ class Given:
 
 
 class Questions:
-    """The questions of one run, one at a time; safe to use from any thread. `news` fires when something was said."""
+    """The questions of one run, one at a time; safe to use from any thread.
+
+    `news` fires when something was said, and when the next question may be asked.
+    """
 
     def __init__(self) -> None:
         self.news = Signal()
@@ -84,9 +87,11 @@ class Questions:
         """The question that nobody has answered yet."""
         return self._asked if self._given is None else None
 
-    def ask(self, text: str, choices: Sequence[str]) -> Question:
-        """Let a question wait, in place of any before it."""
+    def ask(self, text: str, choices: Sequence[str]) -> Question | None:
+        """Let a question wait; None while another one does, whose answer is not for this one."""
         with self._lock:
+            if self._asked is not None:
+                return None
             self._number += 1
             self._given, self._asked = None, Question(self._number, text, tuple(choices), wall_time())
             return self._asked
@@ -109,7 +114,7 @@ class Questions:
         return None if answer in asked.choices else f"it is answered with one of: {', '.join(asked.choices)}"
 
     def given(self) -> Given | None:
-        """The answer to the question that was asked last."""
+        """The answer to the question that waited last."""
         return self._given
 
     def note(self, what: str) -> None:
@@ -128,6 +133,7 @@ class Questions:
         """No question waits any more."""
         with self._lock:
             self._asked = None
+        self.news.fire()
 
 
 def wrong_pin(name: str, answer: str, question: str) -> str:
