@@ -251,6 +251,9 @@ def test_a_scoop_takes_from_its_source_what_it_brings_and_an_empty_cone_gives_it
     believed.returned("beads", 100.0)
     assert believed.sources_mg == {"beads": 4100.0}
     assert believed.sheet == "glass_beads/L7"
+    assert believed.has_rest, "who tips it spills what did not come"
+    believed.emptied()
+    assert not believed.has_rest
 
 
 def test_a_load_that_gave_less_tells_what_the_next_one_will_bring_and_is_let_out_first() -> None:

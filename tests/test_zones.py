@@ -217,6 +217,28 @@ def scooping_bench(starter: Lab, motion: MotionPlanner) -> tuple[Bench, Source]:
     return bench, source
 
 
+@pytest.mark.parametrize(("has_rest", "begins_at"), [(False, "over the pan"), (True, "at the mortar")])
+def test_a_cone_with_a_rest_in_it_is_not_tipped_before_it_is_at_its_mortar(
+    starter: Lab, motion: MotionPlanner, monkeypatch: pytest.MonkeyPatch, has_rest: bool, begins_at: str
+) -> None:
+    """What a dose that gave out has left in it would fall on the pan, beside the container."""
+    bench, source = scooping_bench(starter, motion)
+    cell, aside_mm = bench.cell, []
+    bench.do(cell.move_to(bench.over))
+    if has_rest:
+        cell.believed.scooped(source, 3000.0)
+        cell.believed.gave_out(is_short=False)
+    forming = MotionPlanner.forming
+
+    def seen(planner: MotionPlanner, *asked: Any) -> Any:
+        aside_mm.append(cell.aside_of_pan_mm())
+        return forming(planner, *asked)
+
+    monkeypatch.setattr(MotionPlanner, "forming", seen)
+    bench.do(starter.library.skills["scoop"](source=source).run(cell))
+    assert ("over the pan" if aside_mm[0] < 1.0 else "at the mortar") == begins_at
+
+
 @pytest.mark.parametrize("after_s", [2.5, 3.5, 4.5])
 def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
     """On its way into the powder, along the wall, and as it turns upright."""

@@ -54,6 +54,8 @@ class Believed:
     cone_mg: float = 0.0
     cone_source: str | None = None
     """The source that the powder in the cone came from; it stays known until the cone is emptied, whatever is left."""
+    has_rest: bool = False
+    """Nothing comes of the cone any more, and it was not emptied since: what is left in it falls out where it tips."""
     load: Load = field(default_factory=Load)
     is_load_doubted: bool = False
     """The load gave far less than it was believed to hold: it is let out before the next scoop."""
@@ -177,7 +179,7 @@ class Believed:
 
     def emptied(self) -> None:
         """Everything has been let out of the cone."""
-        self._set(cone_mg=0.0, cone_source=None, load=Load(), is_load_doubted=False)
+        self._set(cone_mg=0.0, cone_source=None, has_rest=False, load=Load(), is_load_doubted=False)
 
     def cone_spilled(self) -> None:
         """The arm was limp: nobody knows what is left in the cone. Nothing is counted on, and it is let out first."""
@@ -206,6 +208,7 @@ class Believed:
         else:
             self.returned(name, self.cone_mg)
             self.emptied()
+            self._set(has_rest=True)
 
     def sources_mended(self) -> None:
         """A person has looked after the sources that gave nothing: they may be scooped from again."""

@@ -167,11 +167,13 @@ class Cell:
     def make_stroke(self, motion: "StoppableTrajectory", open_mm: float, station: str) -> Steps[None]:
         """To where a stroke at a mortar's station begins, its cone formed, and along it: arm and roller in one motion.
 
-        The cone is formed on the way there: from where the arm stands, or, where something is in its way, from the
-        mortar's place; and where it is there, too, before that way.
+        The cone is formed on the way there: from where the arm stands, or, where something is in its way, or powder may
+        be left in the cone, which falls out as that tips, from the mortar's place; and where it is there, too, before
+        that way.
         """
         begin = motion.start[:-1]
-        forming = self._forming(begin, open_mm)
+        is_empty = self.believed.cone_source is None and not self.believed.has_rest
+        forming = self._forming(begin, open_mm) if is_empty else None
         if forming is None:
             yield from self.move_to(station)
             forming = self._forming(begin, open_mm)
