@@ -187,6 +187,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
     assert written == {
         "cone_mg": 3000.0,
         "cone_source": "beads",
+        "has_rest": False,
         "load": {"scooped_mg": 3000.0, "came_mg": 0.0, "is_larger": False},
         "is_load_doubted": False,
         "yields": {},
