@@ -257,6 +257,24 @@ def test_a_zero_that_is_elsewhere_until_the_filled_container_has_gone_is_told_by
     assert first.believed.zero_stepped_mg == pytest.approx(3.0)
 
 
+def test_two_steps_that_leave_the_container_as_it_was_are_told_by_the_bare_pan(first: Rig) -> None:
+    """One back to nothing as it is lifted, another as it is lifted again: both times it seems 3 mg less than it is."""
+    bare_s = WEIGHING_S + SWING_S + BACK_S + WEIGHING_S
+    again_s = bare_s + SWING_S + BACK_S + WEIGHING_S
+    first.pan.zero_mg = lambda time_s: (
+        -3.0
+        if time_s - first.began_s < WEIGHING_S + 0.5
+        else 3.0
+        if time_s - first.began_s > again_s + SWING_S - 0.1
+        else 0.0
+    )
+    first.believed.dosed(Net(-3.0, 0.1), Drift(0.0, 0.005), first.gross(first.pan.load_mg - 3.0), 1, 0.5)
+    first.remove()
+    (again,) = told_again(first)
+    assert again.difference_mg == pytest.approx(0.0)
+    assert first.believed.zero_stepped_mg == pytest.approx(3.0)
+
+
 def test_a_zero_that_was_elsewhere_as_the_empty_container_came_is_told_by_bringing_it_twice(starter: Lab) -> None:
     rig = Rig(starter, is_first=True, is_filled=False)
     bare_s = SWING_S + BACK_S + WEIGHING_S

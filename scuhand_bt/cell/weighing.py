@@ -150,9 +150,14 @@ def is_to_be_weighed_again(cell: Cell) -> bool:
 def note_again(
     cell: Cell, container: str, first: tuple[StableMean, StableMean], bare: StableMean, loaded: StableMean
 ) -> None:
-    """The same container about the bare pan, twice: what they differ by, beyond chance, is a step of the zero."""
-    digit_mg = cell.spec.balance.readability_mg
-    nets = [standing(weighing_of(a), weighing_of(b), digit_mg) for a, b in (first, (bare, loaded))]
+    """The same container about the bare pan, twice: what they differ by, beyond chance, is a step of the zero.
+
+    So is what the bare pan or the loaded one shows else than before: two steps may leave their difference as it was.
+    """
+    digit_mg, again = cell.spec.balance.readability_mg, (bare, loaded)
+    for before, now in zip(first, again, strict=True):
+        cell.believed.zero_stepped(abs(moved_mg(weighing_of(before), weighing_of(now), digit_mg)))
+    nets = [standing(weighing_of(a), weighing_of(b), digit_mg) for a, b in (first, again)]
     difference_mg, allowance_mg = differ_mg(*nets)
     if abs(difference_mg) > allowance_mg:
         cell.believed.zero_stepped(abs(difference_mg))
