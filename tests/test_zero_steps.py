@@ -263,7 +263,7 @@ def test_two_steps_that_leave_the_container_as_it_was_are_told_by_the_bare_pan(f
     again_s = bare_s + SWING_S + BACK_S + WEIGHING_S
     first.pan.zero_mg = lambda time_s: (
         -3.0
-        if time_s - first.began_s < WEIGHING_S + 0.5
+        if time_s - first.began_s < WEIGHING_S + SWING_S - 0.1
         else 3.0
         if time_s - first.began_s > again_s + SWING_S - 0.1
         else 0.0
