@@ -11,7 +11,6 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -109,17 +108,17 @@ class Believed:
         """The container on the pan, if its weight has shown that it is the right one."""
         return self.pan if self.pan_gross_mg is not None else None
 
-    @property
-    def used_up_from_mg(self) -> float:
-        """Doses of more than this go on with the load until it gives out: nothing else tells what its source's scoops
-        bring, they are large enough to show it, and the end of it is not where theirs is. Infinite where that is known,
-        unless this load was larger.
+    def may_use_up(self, wanted_mg: float) -> bool:
+        """Whether a dose goes on with the load until that gives out, whatever is believed to be left: nothing else
+        tells what its source's scoops bring. Not where that is known, unless this load was larger; nor for doses too
+        small to show it; nor where the end would come near the target.
         """
         load = self.load
         is_known = self.cone_source in self.yields and not load.is_larger
-        if is_known or load.scooped_mg == 0.0:
-            return math.inf
-        return max(TELLING * load.scooped_mg, self.cone_mg - NEAR_END * load.scooped_mg)
+        if is_known or load.scooped_mg == 0.0 or wanted_mg <= TELLING * load.scooped_mg:
+            return False
+        left_share = (self.cone_mg - wanted_mg) / load.scooped_mg
+        return not NEAR_END[0] <= left_share < NEAR_END[1]
 
     @property
     def seen_yields(self) -> Masses:

@@ -7,11 +7,11 @@ BARREN_MG = 30.0
 
 SURPLUS = 0.1
 """A load of which more has come than was thought to be in it, by this share, is a larger one."""
-TELLING = 0.3
-"""Doses of more than this share of a load may use it up, where its end is expected early enough."""
-NEAR_END = 0.1
-"""A load's end comes before the target of a dose that leaves less than this share of it: what then flows badly does not
-overshoot, and is filled up from the next one.
+TELLING = 0.25
+"""Doses of more than this share of a load may use it up."""
+NEAR_END = (0.1, 0.2)
+"""Not by a dose that should leave a share of the load between these: its end may come where the target is, and flows
+badly there. Of a smaller share it comes well before, and of a larger one after.
 """
 HIDDEN = 0.25
 """Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
