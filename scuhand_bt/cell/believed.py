@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from scuhand_bt.cell.load import HIDDEN, NEAR_END, SURPLUS, TELLING, Load
+from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
@@ -108,17 +108,10 @@ class Believed:
         """The container on the pan, if its weight has shown that it is the right one."""
         return self.pan if self.pan_gross_mg is not None else None
 
-    def may_use_up(self, wanted_mg: float) -> bool:
-        """Whether a dose goes on with the load until that gives out, whatever is believed to be left: nothing else
-        tells what its source's scoops bring. Not where that is known, unless this load was larger; nor for doses too
-        small to show it; nor where the end would come near the target.
-        """
-        load = self.load
-        is_known = self.cone_source in self.yields and not load.is_larger
-        if is_known or load.scooped_mg == 0.0 or wanted_mg <= TELLING * load.scooped_mg:
-            return False
-        left_share = (self.cone_mg - wanted_mg) / load.scooped_mg
-        return not NEAR_END[0] <= left_share < NEAR_END[1]
+    @property
+    def is_yield_known(self) -> bool:
+        """Whether a load's end has told what scoops of the cone's source bring, and this one is not larger."""
+        return self.cone_source in self.yields and not self.load.is_larger
 
     @property
     def seen_yields(self) -> Masses:

@@ -40,3 +40,11 @@ class Load:
         ZeroDivisionError where none was made.
         """
         return self.came_mg / self.scooped_mg
+
+    def may_be_used_up(self, wanted_mg: float, held_mg: float) -> bool:
+        """Whether a dose goes on with it until it gives out, whatever is believed to be left (`held_mg`): nothing else
+        tells what its source's scoops bring. Not a dose that is too small to show it, nor one that ends near its end.
+        """
+        if self.scooped_mg == 0.0 or wanted_mg <= TELLING * self.scooped_mg:
+            return False
+        return not NEAR_END[0] <= (held_mg - wanted_mg) / self.scooped_mg < NEAR_END[1]
