@@ -95,6 +95,8 @@ def _run(factory: Factory, recipe: str) -> dict[str, Any]:
     """One recipe in single step, slow; the real apex over the container when it first stood there to dose."""
     lab = load_lab(factory.lab_folder)
     plan = make_plan(load_recipe(lab.folder / "recipes" / f"{recipe}.yaml", lab), lab)
+    for source in plan.recipe.sources.values():  # the steps before have used what there was
+        factory.bench.world.refill("beads", source.amount_mg)
     options = Options(None, single_step=True, slow_ratio=SLOW_RATIO, person=Person("Ada"))
     session = Session(plan, lab, options)
     seen: dict[str, Any] = {}
