@@ -269,14 +269,14 @@ class Reference:
     """What the same powder has brought into this container by earlier doses."""
     readability_mg: float
     later_mg: float = math.inf
-    """Standard uncertainty of what the bare pan is going to tell of it once the container has gone; none is to tell."""
+    """Standard uncertainty of what the bare pan is going to tell once the container has gone; infinite if it is not."""
 
     @property
     def zero_mg(self) -> float:
         return self.before.gross_mg - self.earlier.mass_mg
 
     def uncertainty_mg(self, now: Gross) -> float:
-        """The standard uncertainty to be expected in the end of a net mass weighed now, by the drift before the dose."""
+        """The standard uncertainty to be expected in the end of a mass weighed now, by the drift before the dose."""
         drifted_mg = self.drift.uncertainty * (now.time_s - self.before.time_s)
         walked_mg = apart_mg(self.before, now, self.readability_mg)
         return self.in_the_end_mg(math.hypot(walked_mg, drifted_mg, self.earlier.uncertainty_mg), self.drift)
