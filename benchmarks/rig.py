@@ -235,7 +235,7 @@ class Bench:
         )
 
     def _accepted(self, dose: Dose) -> bool:
-        """As a batch has it of its sample; what no recipe can name has weighed nothing that a bare pan could confirm."""
+        """As a batch has it of its sample; what no recipe can name has nothing that a bare pan could confirm."""
         if dose.controller not in CONTROLLERS or dose.controller in PAPERS:
             return dose.verdict == "in tolerance"
         self.drive(take_container_away(self.cell))
