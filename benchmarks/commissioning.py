@@ -109,8 +109,7 @@ def _run(factory: Factory, recipe: str) -> dict[str, Any]:
     print(f"  {recipe}: {result.exit_code} {ends}", file=sys.stderr, flush=True)
     for sample in result.samples:
         if sample.dispensed_mg is not None and sample.target_mg is not None:
-            masses_mg = factory.bench.world.masses_mg
-            true_mg = max((mass for name, mass in masses_mg.items() if name.startswith("container:")), default=0.0)
+            true_mg = factory.bench.world.masses_mg[f"container:{sample.doses[-1].container}"]
             seen["dose_error_mg"] = round(abs(true_mg - sample.target_mg), 2)
             seen["dose_true_mg"] = round(true_mg, 2)
     return seen
