@@ -95,6 +95,8 @@ def _run(factory: Factory, recipe: str) -> dict[str, Any]:
     """One recipe in single step, slow; the real apex over the container when it first stood there to dose."""
     lab = load_lab(factory.lab_folder)
     plan = make_plan(load_recipe(lab.folder / "recipes" / f"{recipe}.yaml", lab), lab)
+    for source in plan.recipe.sources.values():  # the steps before have used what there was
+        factory.bench.world.refill("beads", source.amount_mg)
     options = Options(None, single_step=True, slow_ratio=SLOW_RATIO, person=Person("Ada"))
     session = Session(plan, lab, options)
     seen: dict[str, Any] = {}
@@ -107,8 +109,7 @@ def _run(factory: Factory, recipe: str) -> dict[str, Any]:
     print(f"  {recipe}: {result.exit_code} {ends}", file=sys.stderr, flush=True)
     for sample in result.samples:
         if sample.dispensed_mg is not None and sample.target_mg is not None:
-            masses_mg = factory.bench.world.masses_mg
-            true_mg = max((mass for name, mass in masses_mg.items() if name.startswith("container:")), default=0.0)
+            true_mg = factory.bench.world.masses_mg[f"container:{sample.doses[-1].container}"]
             seen["dose_error_mg"] = round(abs(true_mg - sample.target_mg), 2)
             seen["dose_true_mg"] = round(true_mg, 2)
     return seen
