@@ -44,7 +44,7 @@ from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, 
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
@@ -52,10 +52,12 @@ from scuhand_bt.specs import ContainerKind, Mortar
 
 SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
-UNSLOWED = 1.001
-"""A polished motion that a load need not slow by more is not improved on for it."""
+SURE = 1.01
+"""A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
+for a stricter limit, is quicker by more."""
 RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
-"""The spill limits that loads are planned for, those up to a load's own; loads that differ a little share them."""
+"""The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
+share them. Between two of them, and below the first, their motions are slowed."""
 
 PLANS_KEPT = 256
 STROKES_KEPT = 64
@@ -216,26 +218,39 @@ class MotionPlanner:
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
     ) -> JointTrajectory:
         """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest."""
-        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= spill_limit_deg]
-        empty = self._kept(begin, goals, name, None, effort)
-        best = self._timed(empty, spill_limit_deg)
-        unslowed_s = UNSLOWED * empty.duration_s if empty is not None else 0.0
-        if best is not None and best.duration_s <= unslowed_s and self._between_places(begin, goals):
-            return best
-        for rung_deg in rungs_deg or (RUNGS_DEG[0], spill_limit_deg):
-            motion = self._timed(self._kept(begin, goals, name, rung_deg, effort), spill_limit_deg)
+        # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
+        # the last of them is within SURE of anything: so a looser limit is never slower by more.
+        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= max(spill_limit_deg, RUNGS_DEG[0])]
+        sure_s = SURE * float(rest_to_rest_s(goals - begin, self.rates).min())
+        best: JointTrajectory | None = None
+        for searched_deg in (None, *rungs_deg):
+            motion = self._timed(self._kept(begin, goals, name, searched_deg, effort), spill_limit_deg)
             if best is None or (motion is not None and motion.duration_s < best.duration_s):
                 best = motion
+            if best is not None and best.duration_s <= sure_s:
+                break
         return self._found(best, begin, goals, name)
 
     def _timed(self, motion: JointTrajectory | None, spill_limit_deg: float) -> JointTrajectory | None:
-        """A motion as quick as the joints and a load on it allow; its path, and so its proof, is the same."""
+        """A motion as quick as joints, servos and a load on it allow; its path, and so its proof, is the same.
+
+        A looser limit never gets a slower one. None where the load would spill however slow, or the hand is too heavy.
+        """
         if motion is None:
             return None
         stretch = self.rates.stretch_for(motion)
         quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
+        try:
+            quick = quick.stretched(self._torques.stretch(quick))
+        except TooHeavyError:
+            return None
         factor = spill_stretch(quick, self._mount, spill_limit_deg)
-        return None if factor is None else self._borne(quick.stretched(factor).keeping(spill_limit_deg))
+        slowed = None if factor is None else quick.stretched(factor)
+        if (slowed is None or motion.duration_s < slowed.duration_s) and quick.duration_s <= motion.duration_s:
+            # As it was planned its acceleration may make up for a tilt, as no other speed's does.
+            if spill_stretch(motion, self._mount, spill_limit_deg) == 1.0:
+                slowed = motion
+        return None if slowed is None else slowed.keeping(spill_limit_deg)
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
@@ -258,7 +273,9 @@ class MotionPlanner:
                 found = self._planned(begin, goals, name, spill_limit_deg, effort)
                 if found is not None and self._store is not None and self._geometry.occupied is None:
                     self._store.keep(key.written, found)
-            return None if found is None else self._stoppable(self._borne(found))
+            if found is None:
+                return None
+            return self._stoppable(self._borne(found) if spill_limit_deg is None else found)  # see `_timed`
 
         return self._plans.of(key, made)
 
