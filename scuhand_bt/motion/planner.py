@@ -55,7 +55,7 @@ SETTLED_DIAMETER_M = 0.0005
 SURE = 1.01
 """A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
 for a stricter limit, is quicker by more."""
-RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
+RUNGS_DEG = (5.0, 10.0, 20.0, 30.0, 45.0)
 """The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
 share them. Between two of them, and below the first, their motions are slowed."""
 
