@@ -47,6 +47,16 @@ def test_a_load_is_carried_alike_whatever_was_asked_before(planner):
     assert one.coefficients.tobytes() == two.coefficients.tobytes()
 
 
+def test_a_motion_is_the_same_whatever_stood_on_the_pan_and_whatever_the_cone_was_before():
+    first, second = LAYOUT.planner(), LAYOUT.planner()
+    stood = first.standing_at("balance")  # with the usual cone; with the next one it is no place's posture
+    ways = []
+    for planner in (first, second):
+        planner.set_geometry(0.08, CONTAINER)
+        ways.append(planner.move(stood, "mortar_bay").coefficients.tobytes())
+    assert ways[0] == ways[1]
+
+
 def test_what_carries_a_load_touches_nothing_spills_nothing_and_keeps_every_limit(planner):
     audit = Audit(LAB.urdf, LAYOUT.cell, LAYOUT.mortars, CONTAINER)
     for limit_deg in LIMITS_DEG:

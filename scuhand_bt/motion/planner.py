@@ -259,6 +259,8 @@ class MotionPlanner:
 
         Between two configurations it is made in one direction only.
         """
+        if spill_limit_deg is None and self._between_places(begin, goals):
+            effort = POLISHED
         key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
 
         def made() -> StoppableTrajectory | None:
@@ -301,25 +303,23 @@ class MotionPlanner:
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> JointTrajectory | None:
         """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
-        wanted, known, attempts = effort, None, transfer.ATTEMPTS
-        if self._between_places(begin, goals):
-            if spill_limit_deg is None:
-                wanted = POLISHED
-            if self._geometry != (bare := self._geometry.usual):
-                with self._as_if(bare):
-                    over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
-                if over_bare_pan is not None and self.scene().proves(over_bare_pan):
-                    return over_bare_pan
+        known, attempts = None, transfer.ATTEMPTS
+        if self._geometry != (bare := self._geometry.usual) and self._between_places(begin, goals):
+            with self._as_if(bare):
+                over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
+            if over_bare_pan is not None and self.scene().proves(over_bare_pan):
+                return over_bare_pan
         if spill_limit_deg is not None:
             empty = self._kept(begin, goals, name, None, effort)
             attempts = transfer.ATTEMPTS if self._timed(empty, spill_limit_deg) is None else 1
         if spill_limit_deg in RUNGS_DEG[1:]:
             stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
             known = self._timed(self._kept(begin, goals, name, stricter_deg, effort), spill_limit_deg)
-        return self._searched(begin, goals, name, spill_limit_deg, wanted, known, attempts)
+        return self._searched(begin, goals, name, spill_limit_deg, effort, known, attempts)
 
     def _between_places(self, begin: Floats, goals: Floats) -> bool:
-        return self._places.is_posture(begin) and len(goals) == 1 and self._places.is_posture(goals[0])
+        ends = (begin, *goals[:2])
+        return len(goals) == 1 and all(self._places.is_posture(q, self._geometry) for q in ends)
 
     @contextmanager
     def _as_if(self, geometry: Geometry) -> Iterator[None]:
