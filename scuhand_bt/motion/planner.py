@@ -48,6 +48,7 @@ from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
+from scuhand_bt.motion.way_out import NoWayOutError, way_out
 from scuhand_bt.specs import ContainerKind, Mortar
 
 SETTLED_DIAMETER_M = 0.0005
@@ -126,6 +127,15 @@ class MotionPlanner:
         left_s = max(motion.duration_s - from_s, 0.0)
         arm = arm_part(motion) if motion.start.size > self.joints else motion
         return self.scene(CLOSE_MARGIN_M).curve_free(later(arm, from_s), left_s, arm.extremes()[1])
+
+    def keeps_clear(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
+        """Whether what is left of a motion is proven to keep clear of what is seen now, whatever else it may touch."""
+        scene = self._scenes.of_seen(self._geometry)
+        if scene is None:
+            return True
+        left_s = max(motion.duration_s - from_s, 0.0)
+        arm = arm_part(motion) if motion.start.size > self.joints else motion
+        return scene.curve_free(later(arm, from_s), left_s, arm.extremes()[1])
 
     def entered(self, q: Floats) -> frozenset[str]:
         """The zones of the cell that the arm is in, at a configuration."""
@@ -246,10 +256,10 @@ class MotionPlanner:
             return None
         factor = spill_stretch(quick, self._mount, spill_limit_deg)
         slowed = None if factor is None else quick.stretched(factor)
-        if (slowed is None or motion.duration_s < slowed.duration_s) and quick.duration_s <= motion.duration_s:
-            # As it was planned its acceleration may make up for a tilt, as no other speed's does.
-            if spill_stretch(motion, self._mount, spill_limit_deg) == 1.0:
-                slowed = motion
+        may_be_quicker = slowed is None or quick.duration_s <= motion.duration_s < slowed.duration_s
+        # As it was planned its acceleration may make up for a tilt, as no other speed's does.
+        if may_be_quicker and spill_stretch(motion, self._mount, spill_limit_deg) == 1.0:
+            slowed = motion
         return None if slowed is None else slowed.keeping(spill_limit_deg)
 
     def _kept(
@@ -362,6 +372,27 @@ class MotionPlanner:
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(self._borne(up.reversed()))
+
+    def way_out(self, start: Floats, spill_limit_deg: float | None = None) -> tuple[StoppableTrajectory, str]:
+        """Slowly out of what the arm touches where it stands, and what that is; `move` goes on from its end.
+
+        SkillFailed arm.start_in_collision where it touches nothing, a mortar (which is withdrawn from) or a closed zone
+        (which is waited for), stands too deep in something, or where the load would spill.
+        """
+        begin, scene = checked_joints(start, self._limits_rad), self.scene(CLOSE_MARGIN_M)
+        held = scene.touched(begin) & (self._scenes.mortars | self._geometry.closed)
+        failure = explain.start_in_collision(scene, begin)
+        try:
+            if held or not scene.hits(begin[None, :])[0]:
+                raise NoWayOutError(f"{', '.join(sorted(held))} is not left so" if held else "that is no collision")
+            motion = way_out(scene, begin, self.rates)
+        except NoWayOutError as error:
+            raise SkillFailed(failure.code, f"{failure.detail}; {error}") from None
+        if spill_limit_deg is not None:
+            if spill_stretch(motion, self._mount, spill_limit_deg) != 1.0:
+                raise SkillFailed(failure.code, f"{failure.detail}; on the way out the load would spill")
+            motion = motion.keeping(spill_limit_deg)
+        return self._stoppable(motion), explain.closest_pair(scene, begin)
 
     def forming(
         self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle
