@@ -100,6 +100,7 @@ def scoops(count: int) -> dict[str, Any]:
         bench.scoop(k, count)
         if k % max(1, count // 10) == 0 or k == count - 1:
             held.append(held_mb())
+            print(f"{k} scoops: {held[-1] - held[0]:.0f} MB more", flush=True)
     return {
         "scoops": count,
         "sizes of cones": len(bench.sizes_mm),

@@ -117,16 +117,10 @@ class MotionPlanner:
         """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
 
         The arm's own points are not to be among them. What is asked for from now on is planned for that; motions under
-        way are as they were, see `is_free`. ValueError for what is no points.
+        way are as they were, see `keeps_clear`. ValueError for what is no points.
         """
         occupied = None if points_m is None else Occupancy.of(points_m, voxel_m)
         self._geometry = replace(self._geometry, occupied=occupied)
-
-    def is_free(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
-        """Whether what is left of a motion is proven to touch nothing as the cell looks now; else stop it."""
-        left_s = max(motion.duration_s - from_s, 0.0)
-        arm = arm_part(motion) if motion.start.size > self.joints else motion
-        return self.scene(CLOSE_MARGIN_M).curve_free(later(arm, from_s), left_s, arm.extremes()[1])
 
     def keeps_clear(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
         """Whether what is left of a motion is proven to keep clear of what is seen now, whatever else it may touch."""
