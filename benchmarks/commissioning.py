@@ -85,7 +85,7 @@ def commissioned(factory: Factory) -> dict[str, Any]:
     )
     counts_per_mm = np.ptp([p.count for p in true.hand.options.valve_map]) / true.hand.options.valve_map[-1].opening_mm
     off = (wanted - [p.count for p in true.hand.options.valve_map]) / counts_per_mm
-    said["valve_zero_off_mm"] = round(float(off[0]), 3)
+    said["valve_shut_beyond_zero_mm"] = round(-float(off[0]), 3)
     said["yaw_off_deg"] = round(found.frames["balance"].yaw_deg - true.frames["balance"].yaw_deg, 3)
     said["roller_deg_per_mm"] = [found.hand.roller_deg_per_mm, true.hand.roller_deg_per_mm]
     return said
@@ -95,6 +95,8 @@ def _run(factory: Factory, recipe: str) -> dict[str, Any]:
     """One recipe in single step, slow; the real apex over the container when it first stood there to dose."""
     lab = load_lab(factory.lab_folder)
     plan = make_plan(load_recipe(lab.folder / "recipes" / f"{recipe}.yaml", lab), lab)
+    for source in plan.recipe.sources.values():  # the steps before have used what there was
+        factory.bench.world.refill("beads", source.amount_mg)
     options = Options(None, single_step=True, slow_ratio=SLOW_RATIO, person=Person("Ada"))
     session = Session(plan, lab, options)
     seen: dict[str, Any] = {}
@@ -107,8 +109,7 @@ def _run(factory: Factory, recipe: str) -> dict[str, Any]:
     print(f"  {recipe}: {result.exit_code} {ends}", file=sys.stderr, flush=True)
     for sample in result.samples:
         if sample.dispensed_mg is not None and sample.target_mg is not None:
-            masses_mg = factory.bench.world.masses_mg
-            true_mg = max((mass for name, mass in masses_mg.items() if name.startswith("container:")), default=0.0)
+            true_mg = factory.bench.world.masses_mg[f"container:{seen['container']}"]
             seen["dose_error_mg"] = round(abs(true_mg - sample.target_mg), 2)
             seen["dose_true_mg"] = round(true_mg, 2)
     return seen
@@ -131,7 +132,8 @@ def _answer(factory: Factory, session: Session, seen: dict[str, Any]) -> None:
             name = text.split("'")[1]
             kind = text.removeprefix("Put the ").split(" '")[0]
             world.remove()
-            world.place(Container.model_validate({**library.containers[kind].model_dump(), "id": name}))
+            seen["container"] = f"{name}, {len(world.masses_mg)}"  # a clean one in each run
+            world.place(Container.model_validate({**library.containers[kind].model_dump(), "id": seen["container"]}))
         elif "weight" in text and text.startswith("Put"):
             world.remove()
             world.place(check_weight(20_000.0))

@@ -24,6 +24,7 @@ from harness.wire_cell import BEGIN_S, LIMP, Run, WireCell
 from scuhand_bt.failures import Code
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.journal.reader import read
+from scuhand_bt.sim.wire.hand import BOOT_S
 
 SUPPLIES = ("arm", "arm", "valve", "hand", "balance", "changer", "cell", "cell")
 ARM_SERVOS = frozenset(range(2, 10))
@@ -38,7 +39,7 @@ END_S = 90.0
 """A run has ended safe within this after a cut."""
 LED_SHARE = 0.7
 """How often a person leads an arm that has sunk back to where it was, before it may be held."""
-SHUT_MM = 0.05
+SHUT_MM, SHUTS_S = 0.05, 1.0
 TRIES = 10
 """So often a run that ended safe is resumed."""
 LOOK_S = 0.03
@@ -210,8 +211,8 @@ def _look(cell: WireCell, arm_is_off: bool, problem: Callable[[str], None]) -> N
 
 
 def _settle(cell: WireCell, arm_is_off: bool, run: Run, problem: Callable[[str], None], tally: Tally) -> None:
-    """Once the run has ended: the valve is shut within a second, or the end has said that it is not."""
-    time.sleep(1.0)
+    """Once the run has ended and the board has begun: the valve is shut within a second, or the end said it is not."""
+    time.sleep(BOOT_S + SHUTS_S)
     _look(cell, arm_is_off, problem)
     if (opening_mm := cell.say("look")["opening_mm"]) > SHUT_MM:
         begun = next(journals(cell.runs), None)

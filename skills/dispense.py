@@ -28,6 +28,7 @@ from scuhand_bt.dosing.bracket import (
     drift_between,
     fallen_mg,
     is_hardly_chance,
+    later_mg,
     significant,
     together,
     watch_s,
@@ -117,21 +118,25 @@ class Dispense(Skill[Dose]):
             both, allowed_mg = together(earlier, weighing_of(mean)), self._allowed_mg * LOOK_S / PAUSE_S
             earlier, mean = yield from weigh_until_still(cell, both, allowed_mg, LOOK_S)
         for _ in range(ROUNDS):
-            run, earlier, mean = yield from self._dose(cell, earlier, mean)
+            run, reference, earlier, mean = yield from self._dose(cell, earlier, mean)
             dose = self._judged(cell, run)
-            if not (run.finish.reason == "reached" and dose.verdict == "under"):
+            if not (run.finish.reason == "reached" and self._is_under(cell, dose, reference)):
                 break
         cell.record.event(dose)
         self._raise_failure(cell, run, dose)
         return dose
 
-    def _dose(self, cell: Cell, earlier: Gross, empty: StableMean) -> Steps[tuple[DoseRun, Gross, StableMean]]:
+    def _dose(
+        self, cell: Cell, earlier: Gross, empty: StableMean
+    ) -> Steps[tuple[DoseRun, Reference, Gross, StableMean]]:
         """Dose against what is weighed with the hand in place, and watch the pan until what came can be told."""
         believed, digit_mg, before = cell.believed, cell.spec.balance.readability_mg, weighing_of(empty)
-        lot = self._source(cell).sheet_key
-        assert believed.bracket is not None
+        lot, bracket = self._source(cell).sheet_key, believed.bracket
+        assert bracket is not None
         drift = significant(drift_between(earlier, before, digit_mg), digit_mg)
-        reference = Reference(before, drift, believed.bracket.dosed_mg(lot), digit_mg)
+        others = (dosed for other, dosed in bracket.doses.items() if other != lot)
+        later = later_mg(bracket.bare, bracket.loaded, others, digit_mg)
+        reference = Reference(before, drift, bracket.dosed_mg(lot), digit_mg, later)
         request = self.request(cell)
         then = replace(before, time_s=before.time_s + FINE_S + self._flow_s(request))
         request = replace(request, uncertainty_mg=reference.uncertainty_mg(then))
@@ -165,7 +170,13 @@ class Dispense(Skill[Dose]):
                 drift_mg_per_s=drift.rate,
             )
         )
-        return run, after, mean
+        return run, reference, after, mean
+
+    def _is_under(self, cell: Cell, dose: Dose, reference: Reference) -> bool:
+        """Whether it is likely to be told under when its container has gone."""
+        assert cell.believed.bracket is not None
+        u_mg = reference.in_the_end_mg(dose.uncertainty_mg, cell.believed.bracket.drift)
+        return judge(self.mass_mg, self.tolerance_mg, dose.dispensed_mg, u_mg) == "under"
 
     @staticmethod
     def _fell_mg(cell: Cell, run: DoseRun) -> float:

@@ -24,6 +24,7 @@ from scuhand_bt.dosing.bracket import (
     drift_of_dose,
     fallen_mg,
     held,
+    later_mg,
     moved_mg,
     settled_from,
     significant,
@@ -301,6 +302,22 @@ def test_a_net_mass_counts_from_what_the_pan_weighed_and_what_had_come_before() 
     against = Reference(BEFORE, Drift(0.5, 0.2), Net(30.0, 1.5), READ_MG)
     assert against.zero_mg == 970.0
     assert against.uncertainty_mg(LATER) == pytest.approx(math.sqrt(1.3**2 + 3.0**2 + 1.5**2))
+
+
+def test_what_the_bare_pan_is_going_to_tell_counts_before_it_has_told() -> None:
+    bare, loaded, other = Gross(0.0, 0.3, 80.0), Gross(970.0, 0.4, 90.0), Net(20.0, 0.5)
+    later = later_mg(bare, loaded, [other], READ_MG)
+    changing_s = 2 * 10.0
+    expected = 2 * (0.3**2 + 0.4**2) + READ_MG**2 * changing_s / 60.0 + (0.05 * READ_MG * changing_s) ** 2 + 0.5**2
+    assert later == pytest.approx(math.sqrt(expected))
+    against = Reference(BEFORE, Drift(0.0, 1.0), Net(0.0, 0.0), READ_MG, later)
+    alone_mg = Reference(BEFORE, Drift(0.0, 1.0), Net(0.0, 0.0), READ_MG).uncertainty_mg(LATER)
+    assert alone_mg == pytest.approx(math.hypot(1.3, 15.0))
+    both_mg = alone_mg * later / math.hypot(alone_mg, later)
+    assert against.uncertainty_mg(LATER) == pytest.approx(1.5 * both_mg)
+    assert against.in_the_end_mg(0.1, Drift(0.0, 1.0)) == 0.1, "what is told alone is told no worse"
+    for drift in (Drift(0.1, 1.0), Drift(0.0, 1.0, is_doubted=True)):
+        assert against.in_the_end_mg(alone_mg, drift) == alone_mg, "it may grow with the container"
 
 
 def bracketed(*doses: Net, bare_again_mg: float = 12.0, lifted_mg: float = 1110.0) -> Closed:

@@ -22,7 +22,7 @@ from scuhand_bt.commissioning.roller import deg_per_mm
 from scuhand_bt.commissioning.servos import turned
 from scuhand_bt.commissioning.step import Left, NotFound, Site
 from scuhand_bt.commissioning.steps import STEPS, commissioned, next_step
-from scuhand_bt.commissioning.valve import moved, opens_later_mm
+from scuhand_bt.commissioning.valve import moved, opens_later_mm, pressed
 from scuhand_bt.commissioning.valve_map import ROUNDS, SHARES, equivalent_mm, weighed_round
 from scuhand_bt.devices.connect import Devices
 from scuhand_bt.dosing.cone import Cone
@@ -205,13 +205,24 @@ def test_a_map_is_moved_the_way_its_counts_run() -> None:
         moved(rising, 20.0)
 
 
+def test_a_valve_is_shut_beyond_its_zero_and_opens_as_its_map_had_it() -> None:
+    rising = HandOptions().valve_map
+    shut = pressed(rising)
+    assert [(point.count, point.opening_mm) for point in shut] == [(2037, 0.0), (2053, 0.05), (2308, 2.4)]
+    assert pressed(shut) == shut
+    assert [point.count for point in moved(shut, 0.3)] == [2070, 2086, 2341]
+    with pytest.raises(ValueError, match="beyond its turn"):
+        pressed((ValvePoint(count=5, opening_mm=0.0), ValvePoint(count=265, opening_mm=2.4)))
+
+
 @pytest.mark.real_time
 @pytest.mark.slow
 def test_a_valve_whose_zero_is_off_by_0_3_mm_is_mended_by_weighing(factory: Factory) -> None:
     factory.do("servos", "zero", "valve")
     wanted, found = (lab.cell.hand.options.valve_map for lab in (factory.truth, factory.lab))
-    counts_per_mm = (wanted[1].count - wanted[0].count) / 2.4
-    assert abs(found[0].count - wanted[0].count) / counts_per_mm < 0.1
+    counts_per_mm = (wanted[1].count - wanted[0].count) / wanted[1].opening_mm
+    beyond_mm = (wanted[0].count - found[0].count) / counts_per_mm
+    assert 0.0 <= beyond_mm < 0.2, "it is shut a tenth of a millimetre beyond what was found"
     assert factory.bench.hand.twin.opening_mm == 0.0
 
 

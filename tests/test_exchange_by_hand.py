@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from running import make_lab, shared_planner
 
+from scuhand_bt.cell.places import over_balance
 from scuhand_bt.clock import carried_out
 from scuhand_bt.devices.interfaces import SEEN
 from scuhand_bt.events import BracketClosed
@@ -183,3 +184,13 @@ class Refusing:
 
     def comes(self, fault: str, now_s: float) -> bool:
         return True
+
+
+def test_an_arm_that_was_left_over_the_pan_is_parked_before_anything_else(session: Session) -> None:
+    cell = session.cell
+    place, _ = over_balance(cell.spec, session.plan.recipe.samples[0].container)
+    for wake in cell.move_to(place):
+        cell.clock.wait([wake])
+    assert cell.aside_of_pan_mm() < 1.0
+    result, _ = ran(session)
+    assert [one.verdict for one in result.samples] == ["in tolerance"] * 2

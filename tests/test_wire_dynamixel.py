@@ -159,3 +159,47 @@ def test_the_raw_sdk_registers_acts_and_reboots(twin: Twin, port: sdk.PortHandle
     assert ph.reboot(port, 2)[0] == sdk.COMM_SUCCESS
     assert ph.ping(port, 2)[2] == 0
     assert ph.clearMultiTurn(port, 2) == (sdk.COMM_SUCCESS, 0)
+
+
+@pytest.mark.real_time
+def test_the_raw_sdk_reads_and_writes_scattered_registers_by_their_indirect_addresses(
+    twin: Twin, port: sdk.PortHandler
+) -> None:
+    for k, register in enumerate((116, 117, 118, 119, 65)):
+        assert ph.write2ByteTxRx(port, 2, 578 + 2 * k, register) == (sdk.COMM_SUCCESS, 0)
+    written = [*(1500).to_bytes(4, "little"), 1]
+    assert ph.writeTxRx(port, 2, 634, 5, written) == (sdk.COMM_SUCCESS, 0)
+    assert (ph.read4ByteTxRx(port, 2, 116)[0], ph.read1ByteTxRx(port, 2, 65)[0]) == (1500, 1)
+    assert ph.readTxRx(port, 2, 634, 5)[0] == written
+    ph.write2ByteTxRx(port, 2, 168, 132)
+    assert ph.write1ByteTxRx(port, 2, 224, 1) == (sdk.COMM_SUCCESS, ACCESS_ERROR), "where it is, is read only"
+    ph.reboot(port, 2)
+    assert any(ph.ping(port, 2)[1] == sdk.COMM_SUCCESS for _ in range(50)), "it begins anew"
+    assert [ph.read2ByteTxRx(port, 2, address)[0] for address in (168, 222, 578, 632)] == [224, 251, 634, 661]
+
+
+@pytest.mark.real_time
+def test_a_servo_whose_id_is_written_answers_to_that_and_two_of_one_id_are_not_understood(
+    twin: Twin, port: sdk.PortHandler
+) -> None:
+    assert ph.write1ByteTxRx(port, 9, 7, 253) == (sdk.COMM_SUCCESS, RANGE_ERROR)
+    assert ph.write1ByteTxRx(port, 9, 7, 40)[0] == sdk.COMM_SUCCESS
+    assert ph.ping(port, 40)[1] == sdk.COMM_SUCCESS
+    assert ph.ping(port, 9)[1] == sdk.COMM_RX_TIMEOUT
+    ph.write1ByteTxRx(port, 40, 7, 2)
+    assert ph.ping(port, 2)[1] != sdk.COMM_SUCCESS
+    ph.write1ByteTxOnly(port, 2, 65, 1)
+    assert ph.ping(port, 3)[1] == sdk.COMM_SUCCESS
+    assert [servo.table[65] for servo in (twin.twin.servos[2], *twin.twin.doubles)] == [1, 1]
+
+
+def test_answers_take_their_time_on_the_line_one_after_another() -> None:
+    twin = DynamixelTwin(crane_x7((2, 3, 4, 5, 6, 7, 8)))
+    for servo in twin.servos.values():
+        servo.table[8], servo.table[9] = 1, 0  # 57 600 baud, no return delay
+    of_three = packet(0xFE, 0x82, bytes([132, 0, 4, 0, 2, 3, 4]))
+    assert twin.hear(of_three, 0.0) == []
+    for number in (1, 2, 3):
+        came_s = number * 15 * 10 / 57_600
+        assert len(twin.hear(b"", came_s - 1e-4)) == 0
+        assert len(twin.hear(b"", came_s + 1e-6)) == 1

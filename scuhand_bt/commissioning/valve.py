@@ -7,9 +7,12 @@ Beverloo's law (docs/calibration.md), of an opening that really is `later` less 
 k is what the powder needs to flow at all (`belief.threshold` in `robot/powders.yaml`). W is the mass that a longer
 pulse brings more than a shorter one, by how much longer it is: what comes while the valve opens and shuts is in both.
 The scale of the map (mm a count) cannot be told from C', which nobody knows: the step `valve_map` has it from a gauge.
+
+A zero that is found so is off by up to a tenth of a millimetre, through which glass beads leak. So the valve is shut
+as far beyond it, and opens as the map has it from `OPENS_MM` on.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -38,6 +41,7 @@ STILL_S = 20.0
 TRIES = 3
 """A pulse that the hand's dead-man has cut short, as a busy computer was silent, is given again and weighed alone."""
 MOST_LATER_MM = 1.5
+PRESSED_MM, OPENS_MM = 0.1, 0.05
 
 
 def opens_later_mm(openings_mm: Sequence[float], flows_mg_per_s: Sequence[float], threshold_mm: float) -> float:
@@ -57,11 +61,31 @@ def opens_later_mm(openings_mm: Sequence[float], flows_mg_per_s: Sequence[float]
 
 def moved(points: Sequence[ValvePoint], later_mm: float) -> tuple[ValvePoint, ...]:
     """The map of a valve that opens later by so much. ValueError beyond the servo's turn."""
-    first, second = points[0], points[1]
+    first, second = [point for point in points if point.opening_mm > 0.0][:2] if is_pressed(points) else points[:2]
     shift = round(later_mm * (second.count - first.count) / (second.opening_mm - first.opening_mm))
-    if not all(0 <= point.count + shift <= 4095 for point in points):
+    return _within_a_turn((point.count + shift, point.opening_mm) for point in points)
+
+
+def is_pressed(points: Sequence[ValvePoint]) -> bool:
+    """Whether the map shuts the valve beyond its zero."""
+    return points[1].opening_mm == OPENS_MM
+
+
+def pressed(points: Sequence[ValvePoint]) -> tuple[ValvePoint, ...]:
+    """The map of a valve that is shut beyond its zero. ValueError beyond the servo's turn."""
+    if is_pressed(points):
+        return tuple(points)
+    zero, second = points[:2]
+    per_mm = (second.count - zero.count) / second.opening_mm
+    shut = [(round(zero.count - PRESSED_MM * per_mm), 0.0), (round(zero.count + OPENS_MM * per_mm), OPENS_MM)]
+    return _within_a_turn([*shut, *((point.count, point.opening_mm) for point in points[1:])])
+
+
+def _within_a_turn(points: Iterable[tuple[int, float]]) -> tuple[ValvePoint, ...]:
+    listed = list(points)
+    if not all(0 <= count <= 4095 for count, _ in listed):
         raise ValueError("the valve's servo would have to go beyond its turn; see to its linkage")
-    return tuple(ValvePoint(count=point.count + shift, opening_mm=point.opening_mm) for point in points)
+    return tuple(ValvePoint(count=count, opening_mm=opening_mm) for count, opening_mm in listed)
 
 
 def find_valve_zero(site: Site) -> Found:
@@ -85,7 +109,7 @@ def find_valve_zero(site: Site) -> Found:
         later_mm = opens_later_mm([one for one, _ in found], [flow for _, flow in found], threshold_mm) - closer_mm
         if abs(later_mm) > MOST_LATER_MM:
             raise ValueError(f"the zero would be {later_mm:+.2f} mm off")
-        new = moved(points, later_mm)
+        new = pressed(moved(points, later_mm))
     except ValueError as error:
         raise NotFound(f"{error}; is the powder dry, the cone full enough, and nothing in the valve?") from None
     site.person.ask(EMPTY)

@@ -20,7 +20,16 @@ from scuhand_bt.cell_spec import ValvePoint
 from scuhand_bt.clock import carried_out
 from scuhand_bt.commissioning.held_arm import held, led
 from scuhand_bt.commissioning.step import Found, NotFound, Site
-from scuhand_bt.commissioning.valve import EMPTY, FILL, OVER_CRUCIBLE, POWDER, STILL_S, as_written, weighed_pulse
+from scuhand_bt.commissioning.valve import (
+    EMPTY,
+    FILL,
+    OPENS_MM,
+    OVER_CRUCIBLE,
+    POWDER,
+    STILL_S,
+    as_written,
+    weighed_pulse,
+)
 from scuhand_bt.devices.connect import Devices
 from scuhand_bt.failures import Code, SkillFailed
 
@@ -81,7 +90,7 @@ def find_valve_map(site: Site) -> Found:
     if max(abs(is_mm - opening_mm) for opening_mm, is_mm in pairs) < STRAIGHT_MM:
         return Found(words | {"the map": "as it was"})
     counts = [round(float(np.interp(mm, [p.opening_mm for p in points], [p.count for p in points]))) for mm in told_mm]
-    new = [points[0]] + [
+    new = [point for point in points if point.opening_mm <= OPENS_MM] + [
         ValvePoint(count=count, opening_mm=round(is_mm, 2)) for count, is_mm in zip(counts, openings_mm, strict=True)
     ]
     values = as_written(new)

@@ -48,6 +48,8 @@ WATCHED_SHARE = 0.25
 SHORTEST_WATCH_S, LONGEST_WATCH_S = 0.5, 8.0
 FELL_READINGS = 5
 """A lump that lands weighs more for a moment; a median of so many readings does not show it."""
+ADJUSTED = 1.5
+"""Beside the guard band of two standard uncertainties, a dose leaves room for being adjusted by one of them."""
 WALK_DIGITS = 1.0
 """Random walk of a sound balance's zero: standard deviation after a minute, in digits."""
 
@@ -266,15 +268,40 @@ class Reference:
     earlier: Net
     """What the same powder has brought into this container by earlier doses."""
     readability_mg: float
+    later_mg: float = math.inf
+    """Standard uncertainty of what the bare pan is going to tell once the container has gone; infinite if it is not."""
 
     @property
     def zero_mg(self) -> float:
         return self.before.gross_mg - self.earlier.mass_mg
 
     def uncertainty_mg(self, now: Gross) -> float:
-        """The standard uncertainty to be expected of a net mass weighed now, by the drift before the dose."""
+        """The standard uncertainty to be expected in the end of a mass weighed now, by the drift before the dose."""
         drifted_mg = self.drift.uncertainty * (now.time_s - self.before.time_s)
-        return math.hypot(apart_mg(self.before, now, self.readability_mg), drifted_mg, self.earlier.uncertainty_mg)
+        walked_mg = apart_mg(self.before, now, self.readability_mg)
+        return self.in_the_end_mg(math.hypot(walked_mg, drifted_mg, self.earlier.uncertainty_mg), self.drift)
+
+    def in_the_end_mg(self, uncertainty_mg: float, drift: Drift) -> float:
+        """What is left of a dose's uncertainty when the container has gone, as `close` adjusts it, and room for that.
+
+        A drift that was seen, or doubted, may grow with the container: its doubt is taken to stay.
+        """
+        if uncertainty_mg == 0.0 or drift.rate != 0.0 or drift.is_doubted:
+            return uncertainty_mg
+        return min(uncertainty_mg, ADJUSTED / math.hypot(1.0 / uncertainty_mg, 1.0 / self.later_mg))
+
+
+def later_mg(bare: Gross, loaded: Gross, others: Iterable[Net], readability_mg: float) -> float:
+    """The standard uncertainty to be expected of one dose by the bare pan, before the container has gone.
+
+    As it came, so it is going to go: the weighings and the change are taken to be like those before its first dose. The
+    `others` are the doses of other powders in it, which N tells of in one.
+    """
+    changing_s = 2.0 * (loaded.time_s - bare.time_s)
+    weighed_mg = math.sqrt(2.0) * math.hypot(bare.uncertainty_mg, loaded.uncertainty_mg)
+    drifted_mg = SOUND_DIGITS_PER_S * readability_mg * changing_s
+    walked_mg = walk_mg(readability_mg, changing_s)
+    return math.hypot(weighed_mg, walked_mg, drifted_mg, *(one.uncertainty_mg for one in others))
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,12 @@ def rim_in_words(rim_mm: float) -> str:
     return f"{rim_mm:.0f} mm"
 
 
+def settle_arm(cell: Cell) -> Steps[None]:
+    """Off the pan, where a run before has left the arm: a container is changed before anything else moves it."""
+    if cell.aside_of_pan_mm() < CLEAR_MM:
+        yield from cell.move_to(cell.spec.station_of_kind("park").name)
+
+
 def settle_outage(journal: Journal, cell: Cell) -> Steps[None]:
     """The container's weighings begun anew, if one was there; what a limp arm's cone may have lost.
 

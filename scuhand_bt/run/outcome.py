@@ -113,7 +113,7 @@ def sample_result(
 
 def confirmed(result: SampleResult, closed: ClosedBracket) -> SampleResult:
     """The result after one of its containers has gone: adjusted to the bare pan's word, and flagged if that differs."""
-    doses = tuple(_confirmed(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
+    doses = tuple(confirmed_dose(dose, closed) if dose.container == closed.container else dose for dose in result.doses)
     changes: dict[str, Any] = {"doses": doses}
     main = _main(result, doses)
     if main is not None and result.target_mg is not None:
@@ -202,7 +202,8 @@ def _dose_result(dose: Dose, sample: Sample, true_mg: float | None) -> DoseResul
     )
 
 
-def _confirmed(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
+def confirmed_dose(dose: DoseResult, closed: ClosedBracket) -> DoseResult:
+    """A dose after its container has gone: adjusted to the bare pan's word, where the two agree."""
     if not closed.closes or abs(closed.difference_mg) > CLOSING_SHARE * dose.tolerance_mg:
         return dose.model_copy(update={"bracket": "does not close"})
     net = closed.doses[dose.lot]

@@ -33,7 +33,7 @@ from scuhand_bt.run.lab_records import LabRecords
 from scuhand_bt.run.make_cell import DryRun, Rehearsal, set_up
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import ON_TWINS, Options, check_controller, described
-from scuhand_bt.run.outage import settle_outage, settle_roller
+from scuhand_bt.run.outage import settle_arm, settle_outage, settle_roller
 from scuhand_bt.run.outcome import BatchResult
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import Resumable, world_path
@@ -246,7 +246,6 @@ class Session:
         if not self._has_run.acquire(blocking=False):
             raise RuntimeError("a session is run once: make another one")
         truth = self.truth
-        has_to_settle = not self.cell.hand.knows_its_roller or self._conflicts or self._is_taken_up
         batch = Batch(
             self.plan,
             self.cell,
@@ -256,7 +255,7 @@ class Session:
             self.control,
             truth.true_mass if truth is not None else None,
             self._history,
-            first=self._settle() if has_to_settle else None,
+            first=self._settle(),
             after_job=self._records.after_job,
             substitutes=self._substitutes,
             consent=SingleStep(self.cell, self.control) if self._options.single_step else None,
@@ -288,8 +287,10 @@ class Session:
             yield from settle_roller(self.cell)
         if self._conflicts:
             yield from resolve(self.cell, self._conflicts)
-        elif self._is_taken_up:
+        if self._is_taken_up:
             yield from settle_outage(self.journal, self.cell)
+        else:
+            yield from settle_arm(self.cell)
 
     @property
     def unused_rules(self) -> list[str]:

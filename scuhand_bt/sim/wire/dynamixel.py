@@ -15,6 +15,9 @@ PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR = 1, 2, 3, 4,
 STATUS = 0x55
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
 BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
+BAUD_RATES = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+"""By a servo's register 8."""
+BITS_PER_BYTE = 10
 RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR, LENGTH_ERROR = 1, 2, 3, 5
 MULTI_TURN_RESET = b"\x01DXL\x22"
 
@@ -88,6 +91,8 @@ class DynamixelTwin:
         self.servos = {servo.id: servo for servo in servos}
         self.missing: set[int] = set()
         """Servos whose cable has come off."""
+        self.doubles: list[Servo] = []
+        """Servos that were given the id of another: both obey, and nobody understands what they answer at once."""
         self._reader = PacketReader()
         self._due: list[tuple[float, bytes]] = []
 
@@ -102,12 +107,16 @@ class DynamixelTwin:
             self.servos[servo_id].kept = kept
 
     def hear(self, data: bytes, now_s: float) -> list[bytes]:
-        """Obey what came in; every status packet is sent after its servo's return delay."""
-        for servo in self.servos.values():
+        """Obey what came in; a status packet has come after its servo's return delay and its own time on the line."""
+        for servo in (*self.servos.values(), *self.doubles):
             servo.step(now_s)
         for servo_id, instruction, parameters, intact in self._reader.feed(data):
             if instruction != STATUS:
-                self._due += self._obey(servo_id, instruction, parameters, intact, now_s)
+                line_s = now_s
+                for due_s, message in self._obey(servo_id, instruction, parameters, intact, now_s):
+                    line_s = max(line_s, due_s) + self._line_s(message)
+                    self._due.append((line_s, message))
+                self._renumber()
         ready = [message for due_s, message in self._due if due_s <= now_s]
         self._due = [(due_s, message) for due_s, message in self._due if due_s > now_s]
         return ready
@@ -132,7 +141,23 @@ class DynamixelTwin:
 
     def _addressed(self, servo_id: int, now_s: float) -> list[Servo]:
         ids = self.servos if servo_id == BROADCAST else [servo_id]
-        return [self.servos[i] for i in ids if self._is_there(i, now_s)]
+        doubles = [servo for servo in self.doubles if servo.id in ids and not servo.is_silent(now_s)]
+        return [*(self.servos[i] for i in ids if self._is_there(i, now_s)), *doubles]
+
+    def _line_s(self, message: bytes) -> float:
+        """How long a packet takes on the line, all of whose servos are set to one rate."""
+        rate = next(iter(self.servos.values())).table[8]
+        return len(message) * BITS_PER_BYTE / BAUD_RATES[min(rate, len(BAUD_RATES) - 1)]
+
+    def _renumber(self) -> None:
+        """A servo whose id was written answers to that from the next packet on."""
+        servos = [*self.servos.values(), *self.doubles]
+        if any(servo.id != servo.table[7] for servo in servos):
+            self.servos, self.doubles = {}, []
+            for servo in servos:
+                servo.id = servo.table[7]
+                if self.servos.setdefault(servo.id, servo) is not servo:
+                    self.doubles.append(servo)
 
     def _is_there(self, servo_id: int, now_s: float) -> bool:
         servo = self.servos.get(servo_id)
@@ -209,10 +234,12 @@ class DynamixelTwin:
                 servo.spoken_to(now_s)
                 servo.write(address, data, now_s)  # an error is not reported: nobody answers a sync write
 
-    @staticmethod
-    def _status(servo: Servo, now_s: float, error: int, data: bytes = b"") -> tuple[float, bytes]:
+    def _status(self, servo: Servo, now_s: float, error: int, data: bytes = b"") -> tuple[float, bytes]:
         delay_s = servo.table[9] * 2e-6
-        return now_s + delay_s, packet(servo.id, STATUS, bytes([error | servo.alert]) + data)
+        message = packet(servo.id, STATUS, bytes([error | servo.alert]) + data)
+        if any(double.id == servo.id for double in self.doubles):
+            message = bytes(byte | 0x55 for byte in message)
+        return now_s + delay_s, message
 
 
 def fast_status(answers: list[tuple[int, int, bytes]]) -> bytes:

@@ -42,13 +42,15 @@ class ServoModel:
     min_voltage: int
     max_voltage: int
     firmware: int = 46
+    indirect: tuple[tuple[int, int, int], ...] = ((168, 224, 28), (578, 634, 28))
+    """Where its lists of indirect addresses begin, where their data do, and how many there are."""
     friction: int = 0
     """What its gears hold against, as P gain times counts: so far off its goal it stands without an I gain."""
 
 
 XM430 = ServoModel(1020, 200, 1193, 80, 95, 160)
 XM540 = ServoModel(1120, 128, 2047, 80, 95, 160)
-XC330 = ServoModel(1220, 320, 910, 70, 55, 140, friction=4000)
+XC330 = ServoModel(1220, 320, 910, 70, 55, 140, indirect=((168, 208, 20),), friction=4000)
 
 
 class Servo:
@@ -131,6 +133,9 @@ class Servo:
         self.table[EEPROM_END : PRESENT[0]] = bytes(PRESENT[0] - EEPROM_END)
         self.put(68, 1, 2)
         self.put(84, 2, 800)
+        for listed, data, count in self.kind.indirect:
+            for k in range(count):
+                self.put(listed + 2 * k, 2, data + k)
         self.put(100, 2, self.get(36, 2))
         self.put(116, 4, round(self.position))
         self.stand()
@@ -160,11 +165,30 @@ class Servo:
         self.step(now_s, force=True)
         if address + size > TABLE_SIZE:
             return RANGE_ERROR, b""
-        return NO_ERROR, bytes(self.table[address : address + size])
+        return NO_ERROR, bytes(self.table[a] for a in self._meant(range(address, address + size)))
+
+    def _meant(self, span: range) -> list[int]:
+        """The registers behind a span of addresses: each of the indirect data stands for the one in its list."""
+        registers = list(span)
+        for listed, data, count in self.kind.indirect:
+            for a in range(max(span.start, data), min(span.stop, data + count)):
+                registers[a - span.start] = self.get(listed + 2 * (a - data), 2) % TABLE_SIZE
+        return registers
 
     def write(self, address: int, data: bytes, now_s: float) -> int:
         """The error number."""
         self.step(now_s, force=True)
+        if address + len(data) > TABLE_SIZE:
+            return RANGE_ERROR
+        registers = self._meant(range(address, address + len(data)))
+        errors, begin = [], 0
+        for end in range(1, len(registers) + 1):
+            if end == len(registers) or registers[end] != registers[end - 1] + 1:
+                errors.append(self._put_in(registers[begin], data[begin:end], now_s))
+                begin = end
+        return next((error for error in errors if error), NO_ERROR)
+
+    def _put_in(self, address: int, data: bytes, now_s: float) -> int:
         if error := self._refusal(address, data):
             return error
         mode_before, torque_before = self.table[11], self.table[64]
@@ -180,12 +204,12 @@ class Servo:
 
     def _refusal(self, address: int, data: bytes) -> int:
         span = range(address, address + len(data))
-        if span.stop > TABLE_SIZE:
-            return RANGE_ERROR
         if any(a in READ_ONLY for a in span) or (address < EEPROM_END and self.has_torque):
             return ACCESS_ERROR
         if address == 64 and (data[0] > 1 or (data[0] == 1 and self.table[70])):
             return RANGE_ERROR if data[0] > 1 else ACCESS_ERROR
+        if address == 7 and data[0] > 252:
+            return RANGE_ERROR
         if address == 11 and data[0] not in (0, 1, 3, 4, 5, 16):
             return RANGE_ERROR
         if self.get(98, 1, signed=True) == -1 and any(a in GOALS for a in span):
