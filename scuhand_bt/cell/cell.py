@@ -281,7 +281,7 @@ class Cell:
             yield freed
 
     def _freed(self) -> Steps[None]:
-        """Slowly out of what the arm touches where it stands, which is written down; SkillFailed arm.start_in_collision."""
+        """Slowly out of what the arm touches, which is written down; SkillFailed arm.start_in_collision."""
         out, what = self._planner().way_out(self.arm.positions, self._spill_limit_deg())
         self.record.event(ArmFreed(what=what, duration_s=round(out.duration_s, 3)))
         yield from self._follow(out)
