@@ -75,6 +75,8 @@ class PowderFlowSpec(Spec):
     """Diameter: nothing passes a narrower gap under the sheet's lip."""
     film_mm: Annotated[Millimetres, NotNegative] = 0.02
     """Thickness of what stays on a mortar's wall, whatever scrapes over it."""
+    loose_grains: Annotated[float, Field(ge=0, le=5)] = 0.7
+    """By so many grains a layer on a wall is thicker than it is heavy: beside walls grains lie less densely."""
 
 
 class PowderBelief(Spec):

@@ -92,10 +92,37 @@ def leave_mortar(cell: Cell, source: Source) -> Steps[None]:
 
 
 def pour_back(cell: Cell, source: Source) -> Steps[None]:
-    """Pour what is in the cone over its lip into the mortar that it came from, as a ladle does.
+    """Pour what is in the cone into the mortar that it came from. What clings is of the same powder.
+
+    SkillFailed as `touch`.
+    """
+    yield from _pour(cell, source)
+    held_mg = cell.believed.cone_mg
+    cell.believed.emptied()
+    cell.believed.returned(source.name, held_mg)
+    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
+
+
+def pour_rest(cell: Cell, source: Source) -> Steps[None]:
+    """Pour what a cone that gives nothing more may hold still into the mortar, before a scoop tips it.
+
+    Where the arm cannot, it stays, and is known to.
+    """
+    yield from cell.move_to(source.station)
+    try:
+        yield from _pour(cell, source)
+    except SkillFailed as failure:
+        if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
+            raise
+    else:
+        cell.believed.emptied()
+
+
+def _pour(cell: Cell, source: Source) -> Steps[None]:
+    """Turn the cone over its lip above a mortar, as a ladle is.
 
     The lip stands still above the middle of the bowl, and the cone is turned about it, away from the arm: whenever
-    powder begins to slide, it falls into the mortar. What clings is of the same powder. SkillFailed as `touch`.
+    powder begins to slide, it falls into the mortar. SkillFailed as `touch`.
     """
     x_mm, y_mm, z_mm = cell.spec.stations[source.station].position_mm
     out = np.array([x_mm, y_mm, 0.0]) / math.hypot(x_mm, y_mm)
@@ -110,10 +137,6 @@ def pour_back(cell: Cell, source: Source) -> Steps[None]:
         poses.append(ApexPose((lip_mm - slant_mm * generator) / 1000, axis))
     yield from cell.touch(poses, POURING_MM_PER_S, source.station)
     yield from pause(cell, POURED_S)
-    held_mg = cell.believed.cone_mg
-    cell.believed.emptied()
-    cell.believed.returned(source.name, held_mg)
-    cell.record.event(Returned(source=source.name, expected_mg=held_mg))
 
 
 def put_away(cell: Cell) -> Steps[None]:

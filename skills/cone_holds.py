@@ -30,7 +30,7 @@ class ConeHolds(Condition):
             last_mg = LAST_SHARE * believed.load.scooped_mg
             is_one_load = self.wanted_mg + last_mg <= source.powder.load_limit_mg
             enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
-            if self.wanted_mg > believed.used_up_from_mg:
+            if not believed.is_yield_known and believed.load.may_be_used_up(self.wanted_mg, believed.cone_mg):
                 enough_mg = 0.0  # and more than is believed may be there
             if believed.load.came_mg == 0.0 and believed.cone_mg > FULL_SHARE * source.powder.load_limit_mg:
                 enough_mg = self.at_least_mg  # the next scoop would bring no more than this one

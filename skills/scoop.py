@@ -28,7 +28,7 @@ from scuhand_bt.skill import (
     Steps,
 )
 
-from ._emptying import is_over, leave_mortar, put_away
+from ._emptying import is_over, leave_mortar, pour_rest, put_away
 
 if TYPE_CHECKING:
     from scuhand_bt.motion.stopping import StoppableTrajectory
@@ -70,6 +70,8 @@ class Scoop(Skill[Milligrams]):
         self._require_clean(cell)
         if believed.cone_source is not None:  # not seen to be empty: what is in it would fall out of a cone that swings
             yield from put_away(cell)
+        if believed.has_rest:
+            yield from pour_rest(cell, source)
         in_mortar_mg = believed.sources_mg[source.name]
         if in_mortar_mg < NOTHING_LEFT_MG:
             raise SkillFailed(Code.SOURCE_EMPTY, f"'{source.name}' is believed to hold {in_mortar_mg:.0f} mg")

@@ -1,6 +1,5 @@
 """What a cell is believed to hold: no sequence of verbs breaks its invariants, and nothing else changes it."""
 
-import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import FrozenInstanceError, fields, replace
@@ -200,7 +199,7 @@ def test_all_of_it_is_written_to_the_journal_and_read_again() -> None:
         "pan_empty_mg": 20_031.0,
         "pan_gross_mg": 20_031.0,
         "sources_mg": {"beads": 2000.0},
-        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0}},
+        "layers": {"beads": {"gap_mm": 2.5, "mass_mg": 2000.0, "beside_mg": 0.0}},
         "has_closed": True,
         "dosing": {
             "began_s": 4.0,
@@ -336,17 +335,23 @@ def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_no
     assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
 
 
+def may_use_up(believed: Believed, wanted_mg: float) -> bool:
+    return not believed.is_yield_known and believed.load.may_be_used_up(wanted_mg, believed.cone_mg)
+
+
 def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_until_the_end_of_one_was_seen() -> None:
     believed = Believed()
-    assert believed.used_up_from_mg == math.inf, "there is none"
+    assert not may_use_up(believed, 5000.0), "there is none"
     believed.scooped(BEADS, 4000.0)
-    assert believed.used_up_from_mg == 3600.0, "smaller ones end before it does"
+    may = {wanted_mg: may_use_up(believed, wanted_mg) for wanted_mg in (900.0, 1100.0, 3100.0, 3300.0, 3500.0, 3700.0)}
+    assert may == {900.0: False, 1100.0: True, 3100.0: True, 3300.0: False, 3500.0: False, 3700.0: True}, "near its end"
     believed.dosing_ended(4500.0, 0.0)
     assert believed.yields == {"beads": pytest.approx(1.25 * 4500.0 / 4000.0)}
-    assert believed.used_up_from_mg == 1200.0, "more has come than was in it: its end is still to be seen"
+    assert may_use_up(believed, 1100.0), "more has come than was in it: its end is still to be seen"
     believed.gave_out(is_short=False)
     believed.scooped(BEADS, 4000.0)
-    assert (believed.yields, believed.used_up_from_mg) == ({"beads": 4500.0 / 4000.0}, math.inf)
+    assert believed.yields == {"beads": 4500.0 / 4000.0}
+    assert not may_use_up(believed, 5000.0)
 
 
 def test_what_earlier_runs_have_seen_of_scoops_is_believed_until_this_one_has_seen_a_load() -> None:
@@ -354,9 +359,10 @@ def test_what_earlier_runs_have_seen_of_scoops_is_believed_until_this_one_has_se
     believed.source_holds("beads", 20_000.0)
     believed.scoops_bring("beads", 0.5)
     believed.scooped(BEADS, 4000.0)
-    assert (believed.cone_mg, believed.used_up_from_mg) == (2000.0, math.inf), "its end need not be seen again"
+    assert believed.cone_mg == 2000.0
+    assert not may_use_up(believed, 3000.0), "its end need not be seen again"
     believed.dosing_ended(3000.0, 0.0)
-    assert believed.used_up_from_mg == 1200.0, "more has come than it should: so it is not believed any more"
+    assert may_use_up(believed, 1100.0), "more has come than it should: so it is not believed any more"
     assert believed.seen_yields == {}, "how much there is, only its end will tell"
     believed.gave_out(is_short=False)
     assert believed.seen_yields == {"beads": 0.75}

@@ -102,6 +102,7 @@ def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_reco
         ({}, 1500.0, 0.0, True),
         ({}, 1500.0, 1900.0, True),
         ({}, 1500.0, 2000.0, False),  # its end would come where the dose's is
+        ({}, 1500.0, 2600.0, True),  # before that, the target is reached
         ({}, 1000.0, 0.0, False),
         ({}, 20.0, 1550.0, False),
     ],

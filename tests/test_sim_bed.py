@@ -214,6 +214,6 @@ def test_a_leaning_cone_is_as_low_as_the_lowest_of_its_apex_and_its_rim(tilt_deg
 
 def test_a_lip_takes_grains_whose_tops_are_above_it_and_passes_one_layer_of_them() -> None:
     """As by discrete elements: 2.27 mm of 2 mm beads stayed under a lip at 3.5 mm, 1.38 mm of 1.5 mm ones at 1.5 mm."""
-    assert passing_mm(np.array([3.5]), 2.0)[0] == pytest.approx(2.27, rel=0.1)
-    assert passing_mm(np.array([1.5]), 1.5)[0] == pytest.approx(1.38, rel=0.1)
-    assert passing_mm(np.array([3.5]), 0.1)[0] == pytest.approx(3.43)
+    assert passing_mm(np.array([3.5]), 2.0, 0.7)[0] == pytest.approx(2.27, rel=0.1)
+    assert passing_mm(np.array([1.5]), 1.5, 0.7)[0] == pytest.approx(1.38, rel=0.1)
+    assert passing_mm(np.array([3.5]), 0.1, 0.7)[0] == pytest.approx(3.43)

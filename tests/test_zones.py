@@ -217,15 +217,16 @@ def scooping_bench(starter: Lab, motion: MotionPlanner) -> tuple[Bench, Source]:
     return bench, source
 
 
-@pytest.mark.parametrize(("has_rest", "begins_at"), [(False, "over the pan"), (True, "at the mortar")])
-def test_a_cone_with_a_rest_in_it_is_not_tipped_before_it_is_at_its_mortar(
-    starter: Lab, motion: MotionPlanner, monkeypatch: pytest.MonkeyPatch, has_rest: bool, begins_at: str
+@pytest.mark.parametrize(("rest_mg", "begins_at"), [(0.0, "over the pan"), (60.0, "at the mortar")])
+def test_what_a_dose_that_gave_out_has_left_in_the_cone_is_poured_into_the_mortar_before_the_next_scoop(
+    starter: Lab, motion: MotionPlanner, monkeypatch: pytest.MonkeyPatch, rest_mg: float, begins_at: str
 ) -> None:
-    """What a dose that gave out has left in it would fall on the pan, beside the container."""
+    """It would fall on the pan, or beside the mortar, where the cone tips on its way to the stroke."""
     bench, source = scooping_bench(starter, motion)
     cell, aside_mm = bench.cell, []
     bench.do(cell.move_to(bench.over))
-    if has_rest:
+    if rest_mg:
+        bench.world.load_cone("beads", rest_mg)
         cell.believed.scooped(source, 3000.0)
         cell.believed.gave_out(is_short=False)
     forming = MotionPlanner.forming
@@ -237,6 +238,9 @@ def test_a_cone_with_a_rest_in_it_is_not_tipped_before_it_is_at_its_mortar(
     monkeypatch.setattr(MotionPlanner, "forming", seen)
     bench.do(starter.library.skills["scoop"](source=source).run(cell))
     assert ("over the pan" if aside_mm[0] < 1.0 else "at the mortar") == begins_at
+    masses_mg = bench.world.masses_mg
+    assert masses_mg["spilled"] == masses_mg["pan"] == 0.0
+    assert not cell.believed.has_rest
 
 
 @pytest.mark.parametrize("after_s", [2.5, 3.5, 4.5])

@@ -11,13 +11,12 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from scuhand_bt.cell.load import HIDDEN, NEAR_END, SURPLUS, TELLING, Load
+from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
@@ -110,16 +109,9 @@ class Believed:
         return self.pan if self.pan_gross_mg is not None else None
 
     @property
-    def used_up_from_mg(self) -> float:
-        """Doses of more than this go on with the load until it gives out: nothing else tells what its source's scoops
-        bring, they are large enough to show it, and the end of it is not where theirs is. Infinite where that is known,
-        unless this load was larger.
-        """
-        load = self.load
-        is_known = self.cone_source in self.yields and not load.is_larger
-        if is_known or load.scooped_mg == 0.0:
-            return math.inf
-        return max(TELLING * load.scooped_mg, self.cone_mg - NEAR_END * load.scooped_mg)
+    def is_yield_known(self) -> bool:
+        """Whether a load's end has told what scoops of the cone's source bring, and this one is not larger."""
+        return self.cone_source in self.yields and not self.load.is_larger
 
     @property
     def seen_yields(self) -> Masses:

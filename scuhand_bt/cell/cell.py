@@ -300,10 +300,13 @@ class Cell:
 
     def _spill_limit_deg(self) -> float | None:
         """None for an empty cone: it may be tilted as the way demands."""
-        source = self.sources.get(self.believed.cone_source or "")
-        if source is None or self.believed.cone_mg <= 0:
+        believed = self.believed
+        source = self.sources.get(believed.cone_source or "")
+        if source is None and believed.has_rest:
+            source = next((one for one in self.sources.values() if one.sheet_key == believed.sheet), None)
+        if source is None or (believed.cone_mg <= 0 and not believed.has_rest):
             return None
-        return carrying_limit_deg(self.spec, source.powder, self.believed.cone_mg, self.hand.cone_diameter_mm)
+        return carrying_limit_deg(self.spec, source.powder, believed.cone_mg, self.hand.cone_diameter_mm)
 
 
 def carrying_limit_deg(spec: CellSpec, powder: Powder, load_mg: float, cone_diameter_mm: float) -> float:

@@ -7,11 +7,11 @@ BARREN_MG = 30.0
 
 SURPLUS = 0.1
 """A load of which more has come than was thought to be in it, by this share, is a larger one."""
-TELLING = 0.3
-"""Doses of more than this share of a load may use it up, where its end is expected early enough."""
-NEAR_END = 0.1
-"""A load's end comes before the target of a dose that leaves less than this share of it: what then flows badly does not
-overshoot, and is filled up from the next one.
+TELLING = 0.25
+"""Doses of more than this share of a load may use it up."""
+NEAR_END = (0.1, 0.2)
+"""Not by a dose that should leave a share of the load between these: its end may come where the target is, and flows
+badly there. Of a smaller share it comes well before, and of a larger one after.
 """
 HIDDEN = 0.25
 """Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
@@ -40,3 +40,11 @@ class Load:
         ZeroDivisionError where none was made.
         """
         return self.came_mg / self.scooped_mg
+
+    def may_be_used_up(self, wanted_mg: float, held_mg: float) -> bool:
+        """Whether a dose goes on with it until it gives out, whatever is believed to be left (`held_mg`): nothing else
+        tells what its source's scoops bring. Not a dose that is too small to show it, nor one that ends near its end.
+        """
+        if self.scooped_mg == 0.0 or wanted_mg <= TELLING * self.scooped_mg:
+            return False
+        return not NEAR_END[0] <= (held_mg - wanted_mg) / self.scooped_mg < NEAR_END[1]

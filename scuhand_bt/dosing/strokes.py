@@ -6,9 +6,12 @@ bed. So the thickness t of that, across the wall, is where the wall is h high an
     t = min(gap, (level - h) cos phi),    level so that  m = density sum(t dA)
 
 What has come since lies level on the layer, t = max(t, (level' - h) cos phi), as all of it does in a bed that was never
-scooped from. A stroke with half of its rim e, in a bed of radius r, is expected to bring
+scooped from. What has fallen back before lips that left the wall, b in all, lies high up instead, beside the strip of
+the strokes that come, which are turned; on a wall of the attack's slope beta it slides down where that is steeper than
+its repose rho. A stroke with half of its rim e, in a bed of radius r, is expected to push
 
-    density w(e / r) sum(max(0, t - g) dA),    w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
+    density w(e / r) sum(max(0, t - g) dA) + f b,    f = 1 - rho / beta, at least 0.3,
+    w(u) = 2 / pi (asin u + u sqrt(1 - u^2)), at most 1
 
 w is the strip's share of a disc. Where the sheet, of radius L, is too large for the bowl, of radius R, the axis leans
 beyond level until the lip is past the bottom: the powder is pushed before it, and some slips past. So of a thickness x
@@ -63,6 +66,8 @@ SWEPT_SHARE = 0.6
 REACHED, REACHED_BELOW_EDGE = 0.85, 0.75
 """Of what others have left, the share that a stroke finds: what lies beside its rim it does not, and less where its lip
 leaves the wall below the edge. By the height field; ours."""
+FOUND_BESIDE = 0.3
+"""Of what has fallen back, the share that a stroke with its lip off the wall finds at least."""
 LOOSE_GRAINS = 0.7
 """Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
 the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
@@ -85,6 +90,8 @@ class Layer:
 
     gap_mm: float
     mass_mg: float
+    beside_mg: float = 0.0
+    """What has fallen back before lips that left the wall, besides: high up, where the next strokes find little."""
 
 
 class Bed:
@@ -102,6 +109,8 @@ class Bed:
             return thick_mm
 
         self.was_scooped_from = layer is not None
+        self.beside_mg = min(layer.beside_mg, mass_mg) if layer is not None else 0.0
+        mass_mg -= self.beside_mg
         self._thick_mm: Floats = np.zeros(RINGS)
         if layer is not None and layer.gap_mm > LIP_GAP_MM:
             self._fill(lambda at_mm: np.minimum(level_mm(at_mm), layer.gap_mm), layer.mass_mg)
@@ -157,8 +166,13 @@ def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
     """What a stroke is expected to leave; what falls back lies on it."""
     if stroke.gap_mm <= LIP_GAP_MM:
         return Layer(LIP_GAP_MM, bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm))
-    left_mg = bed.mass_mg - _pushed_mg(stroke, bed, sheet_radius_mm)
-    return Layer(_left_mm(stroke, bed.powder) + slip_mm(stroke, bed.mortar, sheet_radius_mm), left_mg)
+    pushed_mg = _pushed_mg(stroke, bed, sheet_radius_mm)
+    still_beside_mg = (1.0 - _found(stroke, bed, sheet_radius_mm)) * bed.beside_mg
+    return Layer(
+        _left_mm(stroke, bed.powder) + slip_mm(stroke, bed.mortar, sheet_radius_mm),
+        bed.mass_mg - pushed_mg - still_beside_mg,
+        still_beside_mg + _falls_back(stroke, bed, sheet_radius_mm) * pushed_mg,
+    )
 
 
 def chosen(bed: Bed, sheet_radius_mm: float, wanted_mg: float) -> Stroke:
@@ -207,7 +221,15 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What comes before the lip of a stroke, and into the mouth."""
     u = min(1.0, stroke.open_mm / 2 / bed.radius_mm)
     strip = 2 / math.pi * (math.asin(u) + u * math.sqrt(1 - u * u))
-    return strip * bed.above_mg(_left_mm(stroke, bed.powder), slip_mm(stroke, bed.mortar, sheet_radius_mm))
+    above_mg = bed.above_mg(_left_mm(stroke, bed.powder), slip_mm(stroke, bed.mortar, sheet_radius_mm))
+    return strip * above_mg + _found(stroke, bed, sheet_radius_mm) * bed.beside_mg
+
+
+def _found(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
+    """The share of what lies beside that a stroke comes upon."""
+    if stroke.gap_mm <= LIP_GAP_MM:
+        return 1.0
+    return max(FOUND_BESIDE, 1.0 - bed.powder.repose_deg / _attack_deg(stroke, bed.mortar, sheet_radius_mm))
 
 
 def _left_mm(stroke: Stroke, powder: Powder) -> float:

@@ -55,9 +55,6 @@ GRIP = 0.3
 GRAINS_THICK = 1.5
 """A layer of fewer grains slides on the wall as one."""
 
-LOOSE = 0.7
-"""Beds of beads of 1.5 and 2 mm, 5 and 8 mm thick, were higher by so much of a bead than they were heavy, by discrete
-elements; beside walls round grains lie less densely (Benenati & Brosilow, AIChE J. 8, 1962)."""
 ONE_LAYER = 0.94
 """Of a grain: as thick is one closely packed layer (0.85 of the area) of spheres at a packing of 0.6."""
 
@@ -80,13 +77,15 @@ def nipped_mm(grain_mm: float, wall_friction_deg: float) -> float:
     return grain_mm * math.cos(math.radians(wall_friction_deg)) ** 2
 
 
-def passing_mm(gap_mm: Floats, grain_mm: float) -> Floats:
+def passing_mm(gap_mm: Floats, grain_mm: float, loose_grains: float) -> Floats:
     """How much powder passes under a lip at a gap, as the thickness that it has at its bulk density.
 
     Grains whose tops are above the lip are taken along, and beside a wall there is more void: a layer's top is higher
-    than its mass would make it by `LOOSE` of a grain. One layer of grains passes a gap that passes one grain.
+    than its mass would make it by so many grains: 0.7 in beds of beads of 1.5 and 2 mm, 5 and 8 mm thick, by discrete
+    elements (round ones: Benenati & Brosilow, AIChE J. 8, 1962). What it is of another powder no lab knows.
+    One layer of grains passes a gap that passes one grain.
     """
-    passing: Floats = np.minimum(gap_mm, np.maximum(gap_mm - LOOSE * grain_mm, ONE_LAYER * grain_mm))
+    passing: Floats = np.minimum(gap_mm, np.maximum(gap_mm - loose_grains * grain_mm, ONE_LAYER * grain_mm))
     return passing
 
 
@@ -101,7 +100,7 @@ class HeightField:
         self._mortar, self._slant_mm, self._gives_mm = mortar, slant_mm, gives_mm
         figures = powder.simulation
         self._mg_per_mm = CELL_MM**2 * powder.bulk_density_mg_per_mm3
-        self._film_mm, self._grain_mm = figures.film_mm, figures.grain_mm
+        self._film_mm, self._grain_mm, self._loose = figures.film_mm, figures.grain_mm, figures.loose_grains
         self._steep = math.tan(math.radians(powder.repose_deg))
         self._slick = min(self._steep, math.tan(math.radians(powder.wall_friction_deg)))
         self._nipped_mm = nipped_mm(self._grain_mm, powder.wall_friction_deg)
@@ -275,7 +274,7 @@ class HeightField:
         rim = now.apex_mm + (points - now.apex_mm) * (now.height_mm / np.maximum(now.along_mm(points), 1e-6))[:, None]
         gap = rim[:, 2] - wall_mm(self._mortar, np.hypot(rim[:, 0], rim[:, 1]))
         gap = np.maximum(gap - self._gives_mm, 0.0)
-        gap = np.where(gap >= self._nipped_mm, passing_mm(gap, self._grain_mm), 0.0)
+        gap = np.where(gap >= self._nipped_mm, passing_mm(gap, self._grain_mm, self._loose), 0.0)
         left = np.minimum(thick, np.maximum(gap, self._film_mm))
         middle = np.stack([x, y, wall + (left + thick) / 2], axis=1)
         through_mouth = before.along_mm(middle) >= before.height_mm - STEP_MM / 4
