@@ -209,13 +209,14 @@ class Batch:
     def _note_unreached(self, job: str, sample: Sample) -> None:
         """What an earlier start of the run has made of a sample, to which this one has not come."""
         begun = [attempt for name, attempt in self._history.jobs if name == job]
-        if not begun:
-            return self._note(self._result(sample, SoFar(), "not run", None, 0.0, 1))
-        attempt = begun[-1]
+        attempt = begun[-1] if begun else 1
         if (known := self._history.samples.get((sample.id, attempt))) is not None:
-            return self._take(known)
-        before = self._history.jobs[job, attempt]
-        self._note(self._result(sample, before.so_far, "interrupted", None, before.began_s, attempt))
+            self._take(known)
+        elif begun:
+            before = self._history.jobs[job, attempt]
+            self._note(self._result(sample, before.so_far, "interrupted", None, before.began_s, attempt))
+        else:
+            self._note(self._result(sample, SoFar(), "not run", None, 0.0, 1))
 
     def _run_service(self, job: Job, attempt: int) -> Ended | None:
         outcome = self._run_job(job, job.inputs, None, attempt)
