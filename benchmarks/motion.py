@@ -1,4 +1,4 @@
-"""The arm's motion, measured: `python -m benchmarks.motion [--json FILE] [--peers] [--mplib DIR]`.
+"""The arm's motion, measured: `python -m benchmarks.motion [--json FILE] [--peers] [--mplib DIR] [--scoops N]`.
 
 Tasks are seeded, a third each: mortar to pan and back; between random level poses; from any free
 configuration to inside the shield. Each plan is checked by an *audit of its own*: plain Pinocchio (no
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from benchmarks import motion_mplib, motion_peers
+from benchmarks import motion_memory, motion_mplib, motion_peers
 from benchmarks.figures import spread
 from benchmarks.motion_inverse import MOUNT, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
@@ -308,7 +308,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--mplib", type=Path, help="compare with mplib, in this environment; made if there is none")
     parser.add_argument("--peers", action="store_true", help="compare with pink and toppra, which must be installed")
+    parser.add_argument("--scoops", type=int, help="nothing but the memory that so many scoops take")
     given = parser.parse_args()
+    if given.scoops:
+        show("memory", motion_memory.scoops(given.scoops))
+        return
     bench = Bench()
     audit = Audit(bench)
     tasks = bench.tasks(given.tasks)

@@ -293,7 +293,7 @@ DEVICES = ("arm", "hand", "balance", "changer")
 class DeviceSpec(Spec):
     """A device of `devices:`, which skills lease by its name; its `options` are its driver's own."""
 
-    kind: Literal["sensor", "scanner", "ioniser", "capper"]
+    kind: Literal["sensor", "scanner", "ioniser", "capper", "watcher"]
     driver: str
     port: str = ""
 
@@ -384,6 +384,11 @@ class CellSpec(Spec):
             if name in DEVICES or not name.isidentifier():
                 raise ValueError(f"'{name}' names none: letters, digits and _, and not {', '.join(DEVICES)}")
         return devices
+
+    @property
+    def watchers(self) -> tuple[str, ...]:
+        """The names of the devices that see what comes into the cell."""
+        return tuple(name for name, one in self.devices.items() if one.kind == "watcher")
 
     @property
     def zone_names(self) -> tuple[str, ...]:

@@ -30,11 +30,12 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
     "scanner": {"keyboard_wedge": "scuhand_bt.devices.keyboard_wedge:KeyboardWedge"},
     "ioniser": {},
     "capper": {},
+    "watcher": {"boxes": "scuhand_bt.devices.boxes:Boxes"},
 }
 """By kind, the engine's own drivers; `operator` is none, but a person."""
 BESIDE: Mapping[str, Mapping[str, str]] = {"arm": {"ros2": "scuhand_bt.devices.ros2_arm:DRIVER"}}
 """And those that stand to the engine as another package's do: on no servo bus of ours, without a twin."""
-NAMED_KINDS = ("sensor", "scanner", "ioniser", "capper")
+NAMED_KINDS = ("sensor", "scanner", "ioniser", "capper", "watcher")
 """Kinds of which a cell has any number, each under a name of its own."""
 PLUGGED = re.compile(r"[A-Za-z_]\w*(\.\w+)*:[A-Za-z_]\w*")
 """`package.module:NAME`."""

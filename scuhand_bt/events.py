@@ -106,6 +106,26 @@ class ContainerAgain(SkillEvent):
     """How far the two may be apart by chance; where they are farther, the zero has stepped in between."""
 
 
+class ArmFreed(SkillEvent):
+    """The arm stood where it touches something, in the model, and has gone out of that slowly."""
+
+    KIND: ClassVar = "arm_freed"
+
+    what: Text
+    """What touched what, and by how much."""
+    duration_s: float
+
+
+class WayObstructed(SkillEvent):
+    """Something was seen in the arm's way: it was stopped, or waited until it was gone or there was a way around it."""
+
+    KIND: ClassVar = "way_obstructed"
+
+    stopped: bool
+    """Whether it was under way."""
+    waited_s: float
+
+
 class BalanceSlower(SkillEvent):
     """The balance has shown a container later than it was known to: what doses have taught of it is given up."""
 
@@ -436,6 +456,8 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     BalanceWatched,
     BalanceSlower,
     BalanceDoubted,
+    ArmFreed,
+    WayObstructed,
     Scooped,
     Returned,
     Kept,

@@ -91,7 +91,7 @@ CATALOGUE: Mapping[str, Failure] = {
         ("motion",),
     ),
     Code.ARM_START_IN_COLLISION: Failure(
-        "The arm touches something (in the model) where it stands.",
+        "The arm touches something (in the model) where it stands, and cannot go out of it by itself.",
         "Move the arm clear by hand, or correct the geometry in robot/cell.yaml.",
         ("motion",),
     ),

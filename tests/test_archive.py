@@ -12,12 +12,24 @@ from typing import Any
 import pytest
 from conftest import Call
 
+from scuhand_bt.api import PastRun
 from scuhand_bt.events import Dose, DoseWeighed, Line, Tared
 from scuhand_bt.journal.archive import summaries
-from scuhand_bt.journal.events import Answered, Asked, Continued, Ended, JobStarted, Paused, Resumed, RunBegun
+from scuhand_bt.journal.events import (
+    Answered,
+    Asked,
+    Continued,
+    Ended,
+    JobEnded,
+    JobStarted,
+    Paused,
+    Resumed,
+    RunBegun,
+)
+from scuhand_bt.journal.export import canonical
 from scuhand_bt.journal.presence import Presence
 from scuhand_bt.journal.reader import open_contents, read
-from scuhand_bt.journal.results import SampleResult
+from scuhand_bt.journal.results import SampleResult, SoFar
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.report.weighing_record import COLUMNS, weighing_csv
 from tests.running import Ran, dry_run, make_lab
@@ -174,6 +186,57 @@ def test_verify_says_whole_altered_or_cut_off(run: Path, command: Call) -> None:
     code, _, err = command("verify", run)
     assert code == 3
     assert "entry 3 (action_started," in err
+
+
+def test_what_is_told_in_pieces_is_what_json_writes_at_once(ran: Ran, tmp_path: Path, command: Call) -> None:
+    code, out, _ = command("export", ran.journal, "--json")
+    assert (code, out) == (0, json.dumps(json.loads(out), indent=1, sort_keys=True) + "\n")
+    assert out == canonical(ran.journal)
+    code, out, _ = command("show", ran.journal, "--json")
+    assert (code, out) == (0, json.dumps(PastRun(ran.journal).story(), indent=2) + "\n")
+    empty = Journal(tmp_path / "e.sqlite", durable=False)
+    empty.event(RunBegun.model_validate(HEADER))
+    empty.close()
+    out = command("export", empty.path, "--json")[1]
+    assert out == json.dumps(json.loads(out), indent=1, sort_keys=True) + "\n"
+
+
+def test_show_tells_each_job_with_all_that_is_of_it_however_late_it_came(tmp_path: Path, command: Call) -> None:
+    journal = Journal(tmp_path / "r.sqlite", durable=False)
+    journal.event(RunBegun.model_validate(HEADER))
+    jobs = []
+    for name in ("a", "b"):
+        journal.job_started(JobStarted(name=name, sample=name, attempt=1, workflow="w"))
+        jobs.append(journal.job)
+        journal.job_ended(JobEnded(outcome="done"))
+    assert jobs[0] is not None
+    journal.job_resumed(jobs[0], SoFar())
+    journal.event(Continued())
+    journal.close()
+    story = json.loads(command("show", journal.path, "--json")[1])
+    assert [(one["kind"], one["seq"]) for one in story["run"]] == [("job", job) for job in jobs]
+    within = [[inner["kind"] for inner in one["happened"]] for one in story["run"]]
+    assert "continued" in within[0]
+    assert "continued" not in within[1]
+
+
+def test_views_that_are_not_as_made_are_not_believed(run: Path, command: Call) -> None:
+    """The chain is of the entries: who writes a journal's file can make its views say anything."""
+    exported = command("export", run, "--json")[1]
+    with closing(sqlite3.connect(run, isolation_level=None)) as database:
+        database.execute("DROP VIEW action")
+        database.execute("CREATE VIEW action AS SELECT 1 AS id, 1 AS job, 'another' AS skill, 'done' AS outcome")
+    assert command("export", run, "--json")[1] == exported
+    assert "another" not in command("show", run)[1]
+
+
+def test_an_export_that_cannot_be_written_leaves_the_file_as_it_was(run: Path, tmp_path: Path, command: Call) -> None:
+    file = tmp_path / "r.json"
+    file.write_text("before")
+    tamper(run, "UPDATE entry SET payload = '{}' WHERE kind = 'dose'")
+    assert command("export", run, "--json", "-o", file)[0] == 3
+    assert [one.name for one in tmp_path.glob("r.json*")] == ["r.json"]
+    assert file.read_text() == "before"
 
 
 def test_an_altered_journal_is_shown_up_to_there_and_not_exported(run: Path, command: Call) -> None:

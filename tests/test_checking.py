@@ -47,6 +47,23 @@ def test_a_warning_stops_nothing_and_counts_as_an_error_if_wished(command: Call,
     assert "1 samples, no problem found; 1 warning." in shown
 
 
+def test_of_many_problems_the_first_are_told_and_the_others_counted(command: Call, lab: LabFolder) -> None:
+    rows = [f"  - {{id: s{number}, source: beads, container: xrd_holder, mass: 50}}" for number in range(60)]
+    head = (
+        "recipe: many\nworkflow: fill_xrd_holder\nsources:\n"
+        "  beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}\nsamples:\n"
+    )
+    recipe = lab.write("recipes/many.yaml", head + "\n".join(rows) + "\n")
+    *told, rest, count = command("check", recipe, "--fast").stdout.splitlines()
+    assert len(told) == 50
+    assert all("'50' has no unit" in line for line in told)
+    assert "10 more" in rest
+    assert count == "60 problems; nothing was moved."
+    assert len(json.loads(command("check", recipe, "--fast", "--json").stdout)["problems"]) == 60
+    *told, rest, count = command("run", recipe, "--dry-run").stderr.splitlines()
+    assert (len(told), count) == (50, "60 problems; nothing was moved.")
+
+
 def test_a_warning_is_silenced_on_its_own_line_only(command: Call, lab: LabFolder) -> None:
     silenced = TREE.replace("- tare:", "- tare: {as: gross}   # ok: unused-result")
     lab.write("trees/mine.yaml", silenced)

@@ -27,10 +27,34 @@ def test_a_load_that_may_lean_more_is_never_carried_more_slowly(planner):
         assert taken_s == sorted(taken_s)
 
 
+def test_a_load_is_not_carried_as_slowly_as_an_empty_cone_where_a_stricter_one_is_quicker():
+    # Between these places the search for a load finds a quicker way than the empty cone's, which needs no slowing.
+    planner = drawn(217).planner()
+    empty_s = planner.move(planner.standing_at("mortar_bay_2"), "balance").duration_s
+    loose, strict = (carried(planner, limit_deg, "mortar_bay_2", "balance") for limit_deg in (31.8, 20.0))
+    assert strict.duration_s < 0.95 * empty_s
+    assert loose.duration_s <= 1.01 * strict.duration_s
+
+
+def test_a_load_for_which_the_search_is_ever_so_strict_is_never_quicker(planner):
+    taken_s = [carried(planner, limit_deg).duration_s for limit_deg in (11.0, 9.9, 7.0, 4.0, 2.0)]
+    assert taken_s == sorted(taken_s)
+
+
 def test_a_load_is_carried_alike_whatever_was_asked_before(planner):
     other = LAYOUT.planner()
     one, two = carried(other, 15.0), carried(planner, 15.0)
     assert one.coefficients.tobytes() == two.coefficients.tobytes()
+
+
+def test_a_motion_is_the_same_whatever_stood_on_the_pan_and_whatever_the_cone_was_before():
+    first, second = LAYOUT.planner(), LAYOUT.planner()
+    stood = first.standing_at("balance")  # with the usual cone; with the next one it is no place's posture
+    ways = []
+    for planner in (first, second):
+        planner.set_geometry(0.08, CONTAINER)
+        ways.append(planner.move(stood, "mortar_bay").coefficients.tobytes())
+    assert ways[0] == ways[1]
 
 
 def test_what_carries_a_load_touches_nothing_spills_nothing_and_keeps_every_limit(planner):

@@ -43,11 +43,11 @@ def least_m(motion, points: np.ndarray) -> float:
 def test_what_is_seen_is_planned_around_and_forgotten_when_it_has_gone(planner: MotionPlanner) -> None:
     start, points = planner.home(), box_of_points()
     before = planner.move(start, "waste")
-    assert planner.is_free(before)
+    assert planner.keeps_clear(before)
     planner.set_occupied(points)
-    assert not planner.is_free(before)
+    assert not planner.keeps_clear(before)
     around = planner.move(start, "waste")
-    assert planner.is_free(around)
+    assert planner.keeps_clear(around)
     assert around.duration_s > before.duration_s
     assert least_m(around, points) > least_m(before, points)
     planner.set_occupied(None)
@@ -63,7 +63,7 @@ def test_what_is_seen_elsewhere_changes_no_way(planner: MotionPlanner) -> None:
 def test_of_a_motion_under_way_only_what_is_left_of_it_counts(planner: MotionPlanner) -> None:
     motion = planner.move(planner.home(), "waste")
     planner.set_occupied(box_of_points())
-    free = [planner.is_free(motion, at_s) for at_s in np.linspace(0.0, motion.duration_s, 12)]
+    free = [planner.keeps_clear(motion, at_s) for at_s in np.linspace(0.0, motion.duration_s, 12)]
     assert free == sorted(free)
     assert free[0] is False
     assert free[-1] is True

@@ -31,6 +31,7 @@ defaults: {source: beads, container: xrd_holder, tolerance: 2 mg}
 """
 ONE = HEAD + "samples: [{id: a, mass: 80 mg}]\n"
 TWO = HEAD + "samples: [{id: a, mass: 80 mg}, {id: b, mass: 40 mg}]\n"
+THREE = HEAD + "samples: [{id: a, mass: 80 mg}, {id: b, mass: 40 mg}, {id: c, mass: 20 mg}]\n"
 REDO = "on_failure: {container.changed: redo, otherwise: stop}\n"
 
 
@@ -235,6 +236,19 @@ def test_unattended_a_roller_that_forgot_its_turns_ends_the_run_before_anything_
     assert run.resume() == 3
     assert len(read(run.journal, "action")) == before
     assert run.told("ended")[-1]["reason"].startswith("operator.absent: ")
+
+
+def test_what_was_done_before_a_start_that_came_to_nothing_stays_told(tmp_path: Path) -> None:
+    run = CutRun(tmp_path, "outage.roller_lost", THREE, unattended=True)
+    run.cut("dispense", 130)
+    before = run.told("sample")
+    assert [(one["id"], one["verdict"]) for one in before] == [("a", "in tolerance")] * len(before)
+    assert run.resume() == 3
+    told = {name: run.sample(name) for name in "abc"}
+    assert [one["verdict"] for one in told.values()] == ["in tolerance", "interrupted", "not run"]
+    assert good(told["a"]), "its container has gone, though nobody had told so yet"
+    assert run.resume() == 3, "and so on"
+    assert good(run.sample())
 
 
 def test_a_limp_arm_and_a_changer_gone_home_are_no_harm(tmp_path: Path) -> None:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from scuhand_bt.api.results import DoseRecord, Result
     from scuhand_bt.devices.liveness import Hung
     from scuhand_bt.journal.archive import Summary
+    from scuhand_bt.journal.export import canonical_parts
+    from scuhand_bt.journal.plain import json_parts
     from scuhand_bt.journal.reader import Contents
     from scuhand_bt.journal.results import SampleResult
     from scuhand_bt.journal.telling import RunEvent
@@ -59,6 +61,8 @@ else:
             "api.results": "DoseRecord Result",
             "devices.liveness": "Hung",
             "journal.archive": "Summary",
+            "journal.export": "canonical_parts",
+            "journal.plain": "json_parts",
             "journal.reader": "Contents",
             "journal.results": "SampleResult",
             "journal.telling": "RunEvent",
@@ -120,11 +124,13 @@ __all__ = [
     "Summary",
     "Who",
     "Wish",
+    "canonical_parts",
     "check_controller",
     "closing",
     "find_lab",
     "find_run",
     "find_state",
+    "json_parts",
     "open_lab",
     "read_faults",
     "resume",

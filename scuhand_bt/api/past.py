@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scuhand_bt.api.results import Result
-from scuhand_bt.journal.archive import Summary, frames, story, summaries, summary
+from scuhand_bt.journal.archive import Summary, frames, story, summaries, summary, told_story
 from scuhand_bt.journal.copies import make_one_file
 from scuhand_bt.journal.events import Ended, Resumed, RunBegun
 from scuhand_bt.journal.export import canonical_of
@@ -104,6 +104,12 @@ class PastRun:
         """What happened in it, as nested plain values: samples, jobs with their actions, whether its chain is whole."""
         with self.opened() as contents:
             return story(contents)
+
+    @contextmanager
+    def told(self) -> Iterator[dict[str, Any]]:
+        """The same, but `samples` and `run` are iterators, for once: of a long run not all is in memory."""
+        with self.opened() as contents:
+            yield told_story(contents)
 
     def frames(self, sample: str) -> list[dict[str, Any]]:
         """Every line that the balance sent while it weighed for a sample. Also SourceError for one without any."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scuhand_bt.cell.believed import Believed
+from scuhand_bt.cell.in_the_way import InTheWay, StoppedShort
 from scuhand_bt.cell.places import Position
 from scuhand_bt.cell.right_of_way import LOOK_S, ZONE_TIMEOUT_S, RightOfWay, taken
 from scuhand_bt.cell.scooping import planned_stroke
@@ -22,7 +23,8 @@ from scuhand_bt.dosing import DEFAULT_CONTROLLER
 from scuhand_bt.dosing.characteristic import Step
 from scuhand_bt.dosing.cone import Cone
 from scuhand_bt.dosing.swing import StrokePath
-from scuhand_bt.failures import SkillFailed
+from scuhand_bt.events import ArmFreed
+from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, apex, spill_limit_deg
 from scuhand_bt.motion.axes import of_arm, of_roller
 from scuhand_bt.record import Record
@@ -85,9 +87,12 @@ class Cell:
     """The balance's last ones, filled from where they arrive."""
     right_of_way: RightOfWay = field(init=False)
     """Who has which zone of it, and who needs stillness."""
+    in_the_way: InTheWay = field(init=False)
+    """What comes into it."""
 
     def __post_init__(self) -> None:
         self.right_of_way = RightOfWay(self)
+        self.in_the_way = InTheWay(self)
 
     @property
     def balance_name(self) -> str:
@@ -131,10 +136,15 @@ class Cell:
         What does not go around the zones that others have waits for these. SkillFailed arm.no_path, arm.unreachable,
         arm.start_in_collision, arm.joint_limit, arm.zone_taken.
         """
-        trajectory = yield from self._planned(
-            lambda planner: planner.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
-        )
-        yield from self._follow(trajectory)
+        while True:
+            trajectory = yield from self._planned(
+                lambda planner: planner.move(self.arm.positions, place, spill_limit_deg=self._spill_limit_deg())
+            )
+            try:
+                yield from self._follow(trajectory)
+            except StoppedShort:
+                continue
+            return
 
     def lower_to(self, place: str, from_above_mm: float, speed_mm_per_s: float) -> Steps[None]:
         """Move above a named place, and from there straight down to it; a load is kept in the cone all the way.
@@ -145,7 +155,10 @@ class Cell:
         down = yield from self._planned(
             lambda planner: planner.descent(place, from_above_mm / 1000, speed_mm_per_s / 1000, limit_deg)
         )
-        yield from self._follow(self._planner().move(self.arm.positions, down.start, spill_limit_deg=limit_deg))
+        there = yield from self._planned(
+            lambda planner: planner.move(self.arm.positions, down.start, spill_limit_deg=limit_deg)
+        )
+        yield from self._follow(there)
         yield from self._follow(down)
 
     def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
@@ -196,6 +209,10 @@ class Cell:
     def _together(self, motion: "StoppableTrajectory") -> Steps[None]:
         """Arm and roller along a motion of both."""
         yield from self.right_of_way.go()
+        yield from self.in_the_way.followed(motion, self._both(motion))
+        self.right_of_way.crossed()
+
+    def _both(self, motion: "StoppableTrajectory") -> Steps[None]:
         arm = self.arm.follow(of_arm(motion))
         self.hand.start_rolling(of_roller(motion))
         is_over = False
@@ -209,7 +226,6 @@ class Cell:
             arm.close()
             if not is_over:
                 self.hand.stop()
-        self.right_of_way.crossed()
 
     def form_upright(self, place: str, diameter_mm: float) -> Steps[None]:
         """To a named place, and there give the cone another size: the handle turns with it, so that it stays upright.
@@ -230,21 +246,45 @@ class Cell:
         """
         pan, closed = self.believed.pan, self.right_of_way.crossing()
         self.motion.set_geometry(self.hand.cone_diameter_mm / 1000, pan.kind if pan is not None else None, closed)
+        if self.spec.watchers:
+            self.motion.set_occupied(self.in_the_way.points_m)
         return self.motion
 
     def _planned(self, plan: "Callable[[MotionPlanner], StoppableTrajectory]") -> "Steps[StoppableTrajectory]":
-        """A motion around the zones that others have; where there is none, once they are free."""
-        deadline_s = self.clock.now_s + ZONE_TIMEOUT_S
+        """A motion around the zones that others have, and what is seen; where there is none, once they are free.
+
+        Where the arm stands in something, it first goes out of that.
+        """
+        began_s, is_freed, is_obstructed = self.clock.now_s, False, False
+        deadline_s = began_s + ZONE_TIMEOUT_S
         while True:
             freed = Wake.on(self.right_of_way.news, min(deadline_s, self.clock.now_s + LOOK_S))
             try:
-                return plan(self._planner())
-            except SkillFailed:
+                found = plan(self._planner())
+            except SkillFailed as failure:
                 if not (closed := self.right_of_way.closed):
-                    raise
+                    if self.spec.watchers and self.in_the_way.points_m is not None:
+                        is_obstructed = True
+                        yield from self.in_the_way.gone(began_s, failure)
+                    elif failure.code == Code.ARM_START_IN_COLLISION and not is_freed:
+                        is_freed = True
+                        yield from self._freed()
+                    else:
+                        raise
+                    continue
+            else:
+                if is_obstructed:
+                    self.in_the_way.waited(began_s)
+                return found
             if self.clock.now_s >= deadline_s:
                 raise taken(closed, ZONE_TIMEOUT_S)
             yield freed
+
+    def _freed(self) -> Steps[None]:
+        """Slowly out of what the arm touches, which is written down; SkillFailed arm.start_in_collision."""
+        out, what = self._planner().way_out(self.arm.positions, self._spill_limit_deg())
+        self.record.event(ArmFreed(what=what, duration_s=round(out.duration_s, 3)))
+        yield from self._follow(out)
 
     def zones_entered(self) -> frozenset[str]:
         """The zones of the cell that the arm is in."""
@@ -255,7 +295,7 @@ class Cell:
         while self.clock.now_s < planned_s:
             yield Wake(planned_s)
         yield from self.right_of_way.go()
-        yield from self.arm.follow(trajectory)
+        yield from self.in_the_way.followed(trajectory, self.arm.follow(trajectory))
         self.right_of_way.crossed()
 
     def _spill_limit_deg(self) -> float | None:

@@ -24,7 +24,7 @@ from scuhand_bt.cli.shared import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 NEWEST = 50
 """So many runs are listed where not all are asked for."""
@@ -68,32 +68,43 @@ def show(
     from scuhand_bt.api import find_run
 
     its = find_run(run, lab)
-    story = its.story()
-    problem = story["chain"]["problem"]
-    if story["chain"]["entries"]:
-        lines = its.frames(frames) if frames is not None else None
-        if as_json:
-            print_json(story if lines is None else lines)
+    with its.told() as story:
+        problem = story["chain"]["problem"]
+        if not story["chain"]["entries"]:
+            pass
+        elif frames is not None:
+            lines = its.frames(frames)
+            if as_json:
+                print_json(lines)
+            for line in () if as_json else _frames(lines):
+                out.print(line)
+        elif as_json:
+            from scuhand_bt.api import json_parts
+
+            out.file.writelines(json_parts(story, indent=2))
+            out.file.write("\n")
         else:
-            for part in _told(story) if lines is None else _frames(lines):
-                out.print(part)
+            _tell(story)
     if problem is not None:
         err.print(Text(f"The journal is not as it was written: {problem}."))
         raise typer.Exit(EXIT_ALTERED)
 
 
-def _told(story: Any) -> "Iterator[RenderableType]":
+def _tell(story: Any) -> None:
     from scuhand_bt.api import SampleResult
     from scuhand_bt.report import chain_line, doses_table, header_lines, told
 
-    yield from map(Text, header_lines(story))
-    yield ""
-    if story["samples"]:
-        yield doses_table([SampleResult.model_validate(values) for values in story["samples"]], out.width)
-        yield ""
+    for line in header_lines(story):
+        out.print(Text(line))
+    out.print("")
+    if samples := [SampleResult.model_validate(values) for values in story["samples"]]:
+        out.print(doses_table(samples, out.width))
+        out.print("")
+    del samples
     for happened in story["run"]:
-        yield from map(Text, told(happened))
-    yield Text(chain_line(story["chain"]))
+        for line in told(happened):
+            out.print(Text(line))
+    out.print(Text(chain_line(story["chain"])))
 
 
 def _frames(lines: Any) -> "Iterator[RenderableType]":
@@ -113,28 +124,35 @@ def export(
     lab: LabOption = None,
 ) -> None:
     """Write a run's weighing record (CSV, for an audit or a spreadsheet) or its canonical export (JSON)."""
-    from scuhand_bt.api import find_run
-    from scuhand_bt.report import weighing_csv
+    from scuhand_bt.api import canonical_parts, find_run
+    from scuhand_bt.report import weighing_lines
 
     if as_csv == as_json:
         raise typer.BadParameter("one of them says what to write", param_hint="--csv/--json")
     if output is not None:
         of_kind(output, ".csv" if as_csv else ".json")
-    its = find_run(run, lab)
-    with its.opened() as contents:
-        problem = contents.verified.problem
-        text = weighing_csv(contents) if as_csv and problem is None else ""
-    if not as_csv and problem is None:
-        text = its.export()
-    if problem is not None:
-        err.print(Text(f"Nothing is exported from a journal that is not as it was written: {problem}."))
-        raise typer.Exit(EXIT_ALTERED)
-    if output is None:
-        sys.stdout.write(text)
-        return
-    try:
-        # Excel reads UTF-8 only behind a byte order mark; JSON must have none.
-        output.write_text(text, encoding="utf-8-sig" if as_csv else "utf-8", newline="")
-    except OSError as error:
-        raise typer.BadParameter(f"'{output}' cannot be written: {error.strerror}", param_hint="--output") from None
+    with find_run(run, lab).opened() as contents:
+        if (problem := contents.verified.problem) is not None:
+            err.print(Text(f"Nothing is exported from a journal that is not as it was written: {problem}."))
+            raise typer.Exit(EXIT_ALTERED)
+        parts = weighing_lines(contents) if as_csv else canonical_parts(contents)
+        if output is None:
+            sys.stdout.writelines(parts)
+            return
+        try:
+            # Excel reads UTF-8 only behind a byte order mark; JSON must have none.
+            _write(output, parts, "utf-8-sig" if as_csv else "utf-8")
+        except OSError as error:
+            raise typer.BadParameter(f"'{output}' cannot be written: {error.strerror}", param_hint="--output") from None
     out.print(Text(f"Written: {output}"))
+
+
+def _write(output: Path, parts: "Iterable[str]", encoding: str) -> None:
+    """Write a file that is whole, or as it was before."""
+    new = output.with_name(f"{output.name}.part")
+    try:
+        with new.open("w", encoding=encoding, newline="") as file:
+            file.writelines(parts)
+        new.replace(output)
+    finally:
+        new.unlink(missing_ok=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from scuhand_bt.cli.shared import JsonFlag, LabOption, app, notes_of, out, print_json
+from scuhand_bt.cli.shared import JsonFlag, LabOption, app, first_of, notes_of, out, print_json
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -33,8 +33,11 @@ def check(
         problems = [_values(problem) for problem in found.problems]
         print_json({"ok": not is_bad, "samples": samples, "problems": problems, "notes": notes})
     else:
-        for problem in found.problems:
+        told, rest = first_of(found.problems)
+        for problem in told:
             out.print(Text(line_of(problem)), soft_wrap=True)
+        if rest:
+            out.print(Text(rest), soft_wrap=True)
         _sum_up(found.problems, len(found.errors), f"{recipe}: {samples} samples" if recipe else f"{found.lab.folder}")
     if is_bad:
         raise typer.Exit(ExitCode.BAD_INPUT)

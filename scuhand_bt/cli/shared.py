@@ -4,7 +4,7 @@ import io
 import json
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -17,7 +17,7 @@ import scuhand_bt
 from scuhand_bt.cli.streams import PlainConsole
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import CATALOGUE, SkillFailed
-from scuhand_bt.problems import SourceError, harmless, nearest
+from scuhand_bt.problems import Problem, SourceError, harmless, nearest
 
 if TYPE_CHECKING:
     from scuhand_bt.api import Lab, OpenLab, Plan
@@ -37,6 +37,8 @@ app = typer.Typer(
 out = PlainConsole(width=None if sys.stdout.isatty() else 160)
 err = PlainConsole(stderr=True, soft_wrap=True)
 
+MOST_TOLD = 50
+"""So many problems are told one by one."""
 EXIT_ALTERED = ExitCode.CELL_FAULT
 """A journal, or the lab's ledger, is not as it was written."""
 
@@ -80,8 +82,11 @@ def main() -> None:
         sys.stdout = None  # else what waits to be written there fails again at the end
         sys.exit(ExitCode.BAD_INPUT)
     except SourceError as error:
-        for problem in error.problems:
+        told, rest = first_of(error.problems)
+        for problem in told:
             _complain(str(problem))
+        if rest:
+            _complain(rest)
         count = len(error.problems)
         if count > 1:
             _complain(f"{count} problems; nothing was moved.")
@@ -91,6 +96,14 @@ def main() -> None:
         _complain(f"{error}. {remedy}".rstrip())
         # No way, or nobody to ask, is found before anything moves; a device that does not answer is the cell's fault.
         sys.exit(ExitCode.BAD_INPUT if error.code.startswith(("arm.", "operator.")) else ExitCode.CELL_FAULT)
+
+
+def first_of(problems: Sequence[Problem]) -> tuple[Sequence[Problem], str]:
+    """As many as a person reads, in their order, the errors if there are more; and a line that counts the others."""
+    if len(problems) <= MOST_TOLD:
+        return problems, ""
+    told = sorted(problems, key=lambda problem: problem.is_warning)[:MOST_TOLD]
+    return told, f"… and {len(problems) - MOST_TOLD} more; `scuhand-bt check … --json` has them all."
 
 
 def _complain(text: str) -> None:

@@ -380,6 +380,21 @@ class Sensor(Instrument, Protocol):
         ...
 
 
+class Watcher(Instrument, Protocol):
+    """Sees what comes into the cell: a depth camera, a light curtain. Nobody leases it; the arm heeds it always.
+
+    With a fault it sees nothing, and the arm does not begin to move.
+    """
+
+    @property
+    def points_m(self) -> NDArray[np.float64] | None:
+        """Where something is seen now that is none of the cell's, in the base frame, shape (n, 3); None: nowhere.
+
+        The arm's own points are left out, and the bench's, which are known. The same array as long as it is the same.
+        """
+        ...
+
+
 class Scanner(Instrument, Protocol):
     """Reads the codes of containers."""
 

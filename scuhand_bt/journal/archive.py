@@ -3,6 +3,8 @@
 import json
 import sqlite3
 import zlib
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -46,6 +48,8 @@ _OF_STATE = f"""SELECT action, at, kind, payload FROM entry WHERE kind IN ({_MAR
     (kind = '{ActionEnded.KIND}' AND action IN (SELECT action FROM entry WHERE kind = '{Asked.KIND}')) ORDER BY seq"""
 _GOING_ON: tuple[RunState, ...] = ("running", "waiting for a person", "paused")
 _TOLD_ELSEWHERE = (JobEnded.KIND, ActionEnded.KIND, Frames.KIND, DoseCurve.KIND, ArmMoves.KIND, WorkflowTree.KIND)
+_LAST_OF_JOBS = """SELECT job, MAX(seq) FROM (SELECT job, seq FROM entry UNION ALL
+    SELECT began.job, one.seq FROM entry AS one JOIN entry AS began ON began.seq = one.action) GROUP BY job"""
 _FRAME = ("time_s", "raw", "value_mg", "unit", "stable")
 
 
@@ -154,30 +158,64 @@ def state_of(
 
 def story(contents: Contents) -> dict[str, Any]:
     """What happened in a run, as plain values: its header, samples, jobs with all their actions, and its chain."""
+    return {key: list(value) if isinstance(value, Iterator) else value for key, value in told_story(contents).items()}
+
+
+def told_story(contents: Contents) -> dict[str, Any]:
+    """The same, but the samples and what happened (`run`) are told one after the other, as they are asked for."""
     whole = summary_of(contents.path, contents.database)
     if contents.verified.problem is not None:
         whole = replace(whole, state="altered", reason=contents.verified.problem)
-    header: dict[str, Any] = {}
-    samples: dict[str, dict[str, Any]] = {}
-    jobs: dict[int, dict[str, Any]] = {row["id"]: row for row in contents.rows("job")}
-    actions: dict[int, dict[str, Any]] = {row["id"]: row for row in contents.rows("action")}
-    run: list[dict[str, Any]] = []
-    within: dict[int | None, list[dict[str, Any]]] = {seq: [] for seq in (*jobs, *actions)}
-    for row in contents.rows("entry"):
-        seq, kind = row["seq"], row["kind"]
+    begun = contents.database.execute("SELECT payload FROM entry WHERE kind = ?", (RunBegun.KIND,)).fetchone()
+    return {
+        **asdict(whole),
+        "header": json.loads(*begun) if begun is not None else {},
+        "samples": contents.samples(),
+        "run": _happenings(contents),
+        "chain": asdict(contents.verified) | {"chained": contents.is_chained},
+    }
+
+
+def _happenings(contents: Contents) -> Iterator[dict[str, Any]]:
+    """What happened, each job with all that is of it: told once its last entry was read, in the order of the first."""
+    last_of = dict(contents.database.execute(_LAST_OF_JOBS))
+    jobs, actions = (_Ahead(contents.each(table)) for table in ("job", "action"))
+    waiting: deque[tuple[int, dict[str, Any]]] = deque()
+    within: dict[int, list[dict[str, Any]]] = {}
+    for row in contents.each("entry"):
+        seq, kind, job = row["seq"], row["kind"], row["job"]
         happened = {"seq": seq, "kind": kind, "time_s": row["time_s"], "at": row["at"]}
-        if kind == RunBegun.KIND:
-            header = row["payload"]
-        elif kind == SampleResult.KIND:
-            samples[row["payload"]["id"]] = row["payload"]
-        elif kind == JobStarted.KIND:
-            run.append({**happened, "kind": "job", **jobs[seq], "happened": within[seq]})
+        if kind == JobStarted.KIND:
+            within[seq] = []
+            waiting.append(
+                (last_of.get(seq, seq), {**happened, "kind": "job", **jobs.of(seq), "happened": within[seq]})
+            )
         elif kind == ActionStarted.KIND:
-            within[row["job"]].append({**happened, "kind": "action", **actions[seq], "happened": within[seq]})
-        elif kind not in _TOLD_ELSEWHERE:
-            within.get(row["action"], within.get(row["job"], run)).append({**happened, "values": row["payload"]})
-    chain = asdict(contents.verified) | {"chained": contents.is_chained}
-    return {**asdict(whole), "header": header, "samples": list(samples.values()), "run": run, "chain": chain}
+            within[seq] = []
+            within[job].append({**happened, "kind": "action", **actions.of(seq), "happened": within[seq]})
+        elif kind not in (*_TOLD_ELSEWHERE, RunBegun.KIND, SampleResult.KIND):
+            happened["values"] = row["payload"]
+            around = within.get(row["action"], within.get(job))
+            if around is not None:
+                around.append(happened)
+            else:
+                waiting.append((seq, happened))
+        while waiting and waiting[0][0] <= seq:
+            yield waiting.popleft()[1]
+        if not waiting:
+            within.clear()
+    for _, happened in waiting:
+        yield happened
+
+
+class _Ahead:
+    """Rows in the order of their ids, each of which is asked for once, in that order."""
+
+    def __init__(self, rows: Iterator[dict[str, Any]]) -> None:
+        self._rows = rows
+
+    def of(self, number: int) -> dict[str, Any]:
+        return next(row for row in self._rows if row["id"] == number)
 
 
 def frames(contents: Contents, sample: str) -> list[dict[str, Any]]:

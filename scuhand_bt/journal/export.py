@@ -5,13 +5,14 @@ number of decimals. It is made from the journal.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from scuhand_bt.events import DoseCurve
+from scuhand_bt.events import DoseCurve, Event
 from scuhand_bt.journal.events import ArmMoves, Ended, Matter, WorkflowTree
 from scuhand_bt.journal.kinds import KINDS
+from scuhand_bt.journal.plain import json_parts
 from scuhand_bt.journal.reader import Contents, open_contents
 from scuhand_bt.journal.results import SampleResult
 
@@ -28,34 +29,47 @@ def canonical(journal: Path) -> str:
 
 def canonical_of(contents: Contents) -> str:
     """The export of what a journal holds as JSON text."""
-    return json.dumps(_export(contents), sort_keys=True, indent=1) + "\n"
+    return "".join(canonical_parts(contents))
 
 
-def _export(contents: Contents) -> dict[str, Any]:
-    read = contents.rows
-    run = {row["key"]: row["value"] for row in read("run")}
-    events = read("event")
-    actions = read("action")
-    samples, ends, matter = (
-        [event["payload"] for event in events if event["kind"] == kind.KIND] for kind in (SampleResult, Ended, Matter)
-    )
-    export: dict[str, Any] = _rounded(
+def canonical_parts(contents: Contents) -> Iterator[str]:
+    """The same text in pieces, made as they are asked for: a long run is never in memory at once."""
+    each = contents.each
+    run = {row["key"]: row["value"] for row in each("run")}
+    export = {
+        "run": {key: run[key] for key in RUN_KEYS if key in run},
+        "samples": contents.samples(),
+        "end": _last(contents, Ended),
+        "matter_mg": _last(contents, Matter),
+        "jobs": (_without(row, "id") for row in each("job")),
+        "actions": (_without(row, "id", "job") for row in each("action")),
+        "pulses": ({"time_s": row["time_s"], **row["payload"]} for row in each("pulse")),
+        "events": (
+            {"time_s": event["time_s"], "kind": event["kind"], **_values(event)}
+            for event in each("event")
+            if event["kind"] not in _ELSEWHERE
+        ),
+    }
+    yield from json_parts(
         {
-            "run": {key: run[key] for key in RUN_KEYS if key in run},
-            "samples": list({sample["id"]: sample for sample in samples}.values()),
-            "end": ends[-1] if ends else None,
-            "matter_mg": matter[-1] if matter else None,
-            "jobs": [{key: value for key, value in row.items() if key != "id"} for row in read("job")],
-            "actions": [{key: value for key, value in row.items() if key not in ("id", "job")} for row in actions],
-            "pulses": [{"time_s": row["time_s"], **row["payload"]} for row in read("pulse")],
-            "events": [
-                {"time_s": event["time_s"], "kind": event["kind"], **_values(event)}
-                for event in events
-                if event["kind"] not in _ELSEWHERE
-            ],
-        }
+            key: map(_rounded, value) if isinstance(value, Iterator) else _rounded(value)
+            for key, value in export.items()
+        },
+        indent=1,
+        sort_keys=True,
     )
-    return export
+    yield "\n"
+
+
+def _last(contents: Contents, event: type[Event]) -> Any:
+    """What the last entry of a kind says; None where there is none."""
+    query = "SELECT payload FROM entry WHERE kind = ? ORDER BY seq DESC LIMIT 1"
+    row = contents.database.execute(query, (event.KIND,)).fetchone()
+    return None if row is None else json.loads(row[0])
+
+
+def _without(row: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    return {key: value for key, value in row.items() if key not in keys}
 
 
 def _values(event: Mapping[str, Any]) -> dict[str, Any]:

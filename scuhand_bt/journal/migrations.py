@@ -3,6 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -26,6 +27,16 @@ def in_memory(links: Iterator[tuple[Entry, bytes]]) -> sqlite3.Connection:
     )
     database.execute("COMMIT")
     return database
+
+
+def is_as_made(database: sqlite3.Connection) -> bool:
+    """Whether the tables, views and triggers of a database are word for word those of today, and no others."""
+    with closing(in_memory(iter(()))) as made:
+        return _schema(database) == _schema(made)
+
+
+def _schema(database: sqlite3.Connection) -> list[tuple[str, str]]:
+    return database.execute("SELECT name, sql FROM sqlite_schema ORDER BY name").fetchall()
 
 
 def _from_tables(old: sqlite3.Connection) -> sqlite3.Connection:

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, is_dataclass
 
 import numpy as np
@@ -54,3 +54,27 @@ def to_json(values: object) -> str:
         return _to_json(values)
     except (TypeError, ValueError):  # what is plain already, and most is, need not be walked through
         return _to_json(plain(values))
+
+
+def json_parts(values: Mapping[str, object], *, indent: int, sort_keys: bool = False) -> Iterator[str]:
+    """What `json.dumps` makes of them, piece by piece; a value that is an iterator becomes a list, item by item."""
+
+    def dumped(value: object, level: int) -> str:
+        text = json.dumps(value, sort_keys=sort_keys, indent=indent)
+        return text.replace("\n", "\n" + " " * (indent * level))
+
+    pad, inner = " " * indent, " " * (2 * indent)
+    before = "{"
+    for key in sorted(values) if sort_keys else values:
+        value = values[key]
+        yield f"{before}\n{pad}{json.dumps(key)}: "
+        before = ","
+        if not isinstance(value, Iterator):
+            yield dumped(value, 1)
+            continue
+        mark = "["
+        for item in value:
+            yield f"{mark}\n{inner}{dumped(item, 2)}"
+            mark = ","
+        yield f"\n{pad}]" if mark == "," else "[]"
+    yield "\n}" if before == "," else "{}"

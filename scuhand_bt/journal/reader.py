@@ -17,7 +17,8 @@ from typing import Any
 
 from scuhand_bt.journal.hash_chain import COLUMNS, Entry, Verified, verify
 from scuhand_bt.journal.kinds import NewerShape
-from scuhand_bt.journal.migrations import MIGRATIONS, in_memory
+from scuhand_bt.journal.migrations import MIGRATIONS, in_memory, is_as_made
+from scuhand_bt.journal.results import SampleResult
 from scuhand_bt.journal.store import SCHEMA_VERSION, read_only
 from scuhand_bt.problems import Mark, Problem, SourceError
 
@@ -41,14 +42,33 @@ class Contents:
 
     def rows(self, table: str) -> list[dict[str, Any]]:
         """All rows of a table or view, in order; JSON columns are decoded."""
-        cursor = self.database.execute(f"SELECT * FROM {table}")
+        return list(self.each(table))
+
+    def each(self, table: str) -> Iterator[dict[str, Any]]:
+        """The same, one after the other: a long run need not be in memory at once."""
+        yield from self._rows(f"SELECT * FROM {table}")
+
+    def entry(self, seq: int) -> dict[str, Any]:
+        """One entry by its number. Raises LookupError for one that is not there."""
+        for row in self._rows(f"SELECT * FROM entry WHERE seq = {seq:d}"):
+            return row
+        raise LookupError(f"there is no entry {seq}")
+
+    def samples(self) -> Iterator[dict[str, Any]]:
+        """What was last said of each sample, in the order in which they were first told of."""
+        query = "SELECT MAX(seq) FROM entry WHERE kind = ? GROUP BY json_extract(payload, '$.id') ORDER BY MIN(seq)"
+        for (seq,) in self.database.execute(query, (SampleResult.KIND,)).fetchall():
+            yield self.entry(seq)["payload"]
+
+    def _rows(self, query: str) -> Iterator[dict[str, Any]]:
+        cursor = self.database.execute(query)
         names = [column[0] for column in cursor.description]
-        rows = [dict(zip(names, row, strict=True)) for row in cursor]
-        for row in rows:
+        for values in cursor:
+            row = dict(zip(names, values, strict=True))
             for key in _JSON_COLUMNS:
                 if row.get(key) is not None:
                     row[key] = json.loads(row[key])
-        return rows
+            yield row
 
 
 @contextmanager
@@ -103,9 +123,12 @@ def open_verified(path: Path, head: str | None = None) -> Iterator[tuple[sqlite3
 
 @contextmanager
 def open_contents(path: Path, head: str | None = None) -> Iterator[Contents]:
-    """What a journal holds, verified; `head` is what its chain should end in. Raises SourceError as `open_journal`."""
+    """What a journal holds, verified; `head` is what its chain should end in. Raises SourceError as `open_journal`.
+
+    A journal that is whole is read where it is; of another one there is a copy, as far as it is whole, in memory.
+    """
     with open_verified(path, head) as (database, version, verified):
-        if version < SCHEMA_VERSION:
+        if version < SCHEMA_VERSION or (verified.problem is None and is_as_made(database)):
             yield Contents(path, version, database, verified)
             return
         rows = database.execute(f"SELECT {COLUMNS}, hash FROM entry WHERE seq <= {verified.entries} ORDER BY seq")

@@ -161,12 +161,22 @@ class Scene:
 
     def clearance_m(self, q: Floats) -> tuple[float, str]:
         """Exact distance of the closest pair at one configuration, negative inside, and the two names."""
-        pin.computeDistances(self.model, self._data, self.shapes, self._shape_data, q)
-        distances = [result.min_distance for result in self._shape_data.distanceResults]
-        nearest = int(np.argmin(distances))
+        distances_m = self.distances_m(q)
+        nearest = int(np.argmin(distances_m))
         pair = self.shapes.collisionPairs[nearest]
         names = [self.shapes.geometryObjects[k].name.rsplit("_0", 1)[0] for k in (pair.first, pair.second)]
-        return float(distances[nearest]), " and ".join(names)
+        return float(distances_m[nearest]), " and ".join(names)
+
+    def distances_m(self, q: Floats) -> Floats:
+        """Exact distances of all pairs at one configuration, negative inside: (pairs,)."""
+        pin.computeDistances(self.model, self._data, self.shapes, self._shape_data, q)
+        return np.array([result.min_distance for result in self._shape_data.distanceResults])
+
+    def touched(self, q: Floats) -> frozenset[str]:
+        """The names of all solids of the cell that are nearer than the margin at one configuration."""
+        near = np.flatnonzero(self.distances_m(q) < self.margin_m)
+        seconds = (self.shapes.geometryObjects[self.shapes.collisionPairs[int(k)].second] for k in near)
+        return frozenset(thing.name for thing in seconds if thing.parentJoint == 0)
 
     def line(self, q0: Floats, q1: Floats) -> tuple[Floats, Floats]:
         """Shares (n,) of the straight joint path and joints (n, 7) there, close enough together to prove it."""

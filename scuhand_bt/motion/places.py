@@ -5,9 +5,13 @@ plane: exactly in that, joints 2 and 6 may pass through zero, near which joints 
 Configurations [rad] (7,).
 """
 
+from collections.abc import Iterator
+from contextlib import suppress
+
 import numpy as np
 
 from scuhand_bt.cell_spec import HandSpec
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion.decomposed import DecomposedArm
 from scuhand_bt.motion.explain import goal_blocked, require_reachable
 from scuhand_bt.motion.inverse import solutions
@@ -60,20 +64,22 @@ class Places:
 
         return self._postures.of((name, geometry), made)
 
-    def is_posture(self, q: Floats) -> bool:
-        """Whether a configuration is one that the arm takes at a place."""
-        return any(np.array_equal(posture, q) for posture in self._postures.answers)
+    def is_posture(self, q: Floats, geometry: Geometry) -> bool:
+        """Whether a configuration is one that the arm takes at a place; no matter what was asked for before."""
+        return any(np.array_equal(posture, q) for posture in self._postures_at(q, geometry))
 
     def settled(self, q: Floats, geometry: Geometry) -> Floats:
         """The posture that the arm was sent to, where it reports to be within its own error of one."""
+        near = (one for one in self._postures_at(q, geometry) if np.abs(one - q).max() <= SETTLED_RAD)
+        return next(near, q)
+
+    def _postures_at(self, q: Floats, geometry: Geometry) -> Iterator[Floats]:
+        """Of the places that the apex of a configuration is at, or nearly; those at which the arm can stand."""
         at_m = apex(q, Mount.of(self._hand, 1e3 * geometry.cone_diameter_m, self._arm)).position_m
         for name, pose in self._poses.items():
-            if np.abs(pose.position_m - at_m).max() > BESIDE_M:
-                continue
-            posture = self.posture(name, geometry)
-            if np.abs(posture - q).max() <= SETTLED_RAD:
-                return posture
-        return q
+            if np.abs(pose.position_m - at_m).max() <= BESIDE_M:
+                with suppress(SkillFailed):
+                    yield self.posture(name, geometry)
 
     def _canonical(self, name: str, geometry: Geometry) -> Floats:
         pose, scene = self._poses[name], self._scenes.of(geometry)

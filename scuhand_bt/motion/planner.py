@@ -44,18 +44,21 @@ from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, 
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
+from scuhand_bt.motion.way_out import NoWayOutError, way_out
 from scuhand_bt.specs import ContainerKind, Mortar
 
 SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
-UNSLOWED = 1.001
-"""A polished motion that a load need not slow by more is not improved on for it."""
-RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
-"""The spill limits that loads are planned for, those up to a load's own; loads that differ a little share them."""
+SURE = 1.01
+"""A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
+for a stricter limit, is quicker by more."""
+RUNGS_DEG = (5.0, 10.0, 20.0, 30.0, 45.0)
+"""The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
+share them. Between two of them, and below the first, their motions are slowed."""
 
 PLANS_KEPT = 256
 STROKES_KEPT = 64
@@ -114,16 +117,19 @@ class MotionPlanner:
         """Where something else is seen now, as points (n, 3) whose cubes nothing may touch; None: nothing is.
 
         The arm's own points are not to be among them. What is asked for from now on is planned for that; motions under
-        way are as they were, see `is_free`. ValueError for what is no points.
+        way are as they were, see `keeps_clear`. ValueError for what is no points.
         """
         occupied = None if points_m is None else Occupancy.of(points_m, voxel_m)
         self._geometry = replace(self._geometry, occupied=occupied)
 
-    def is_free(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
-        """Whether what is left of a motion is proven to touch nothing as the cell looks now; else stop it."""
+    def keeps_clear(self, motion: JointTrajectory, from_s: float = 0.0) -> bool:
+        """Whether what is left of a motion is proven to keep clear of what is seen now, whatever else it may touch."""
+        scene = self._scenes.of_seen(self._geometry)
+        if scene is None:
+            return True
         left_s = max(motion.duration_s - from_s, 0.0)
         arm = arm_part(motion) if motion.start.size > self.joints else motion
-        return self.scene(CLOSE_MARGIN_M).curve_free(later(arm, from_s), left_s, arm.extremes()[1])
+        return scene.curve_free(later(arm, from_s), left_s, arm.extremes()[1])
 
     def entered(self, q: Floats) -> frozenset[str]:
         """The zones of the cell that the arm is in, at a configuration."""
@@ -216,26 +222,39 @@ class MotionPlanner:
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
     ) -> JointTrajectory:
         """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest."""
-        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= spill_limit_deg]
-        empty = self._kept(begin, goals, name, None, effort)
-        best = self._timed(empty, spill_limit_deg)
-        unslowed_s = UNSLOWED * empty.duration_s if empty is not None else 0.0
-        if best is not None and best.duration_s <= unslowed_s and self._between_places(begin, goals):
-            return best
-        for rung_deg in rungs_deg or (RUNGS_DEG[0], spill_limit_deg):
-            motion = self._timed(self._kept(begin, goals, name, rung_deg, effort), spill_limit_deg)
+        # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
+        # the last of them is within SURE of anything: so a looser limit is never slower by more.
+        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= max(spill_limit_deg, RUNGS_DEG[0])]
+        sure_s = SURE * float(rest_to_rest_s(goals - begin, self.rates).min())
+        best: JointTrajectory | None = None
+        for searched_deg in (None, *rungs_deg):
+            motion = self._timed(self._kept(begin, goals, name, searched_deg, effort), spill_limit_deg)
             if best is None or (motion is not None and motion.duration_s < best.duration_s):
                 best = motion
+            if best is not None and best.duration_s <= sure_s:
+                break
         return self._found(best, begin, goals, name)
 
     def _timed(self, motion: JointTrajectory | None, spill_limit_deg: float) -> JointTrajectory | None:
-        """A motion as quick as the joints and a load on it allow; its path, and so its proof, is the same."""
+        """A motion as quick as joints, servos and a load on it allow; its path, and so its proof, is the same.
+
+        A looser limit never gets a slower one. None where the load would spill however slow, or the hand is too heavy.
+        """
         if motion is None:
             return None
         stretch = self.rates.stretch_for(motion)
         quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
+        try:
+            quick = quick.stretched(self._torques.stretch(quick))
+        except TooHeavyError:
+            return None
         factor = spill_stretch(quick, self._mount, spill_limit_deg)
-        return None if factor is None else self._borne(quick.stretched(factor).keeping(spill_limit_deg))
+        slowed = None if factor is None else quick.stretched(factor)
+        may_be_quicker = slowed is None or quick.duration_s <= motion.duration_s < slowed.duration_s
+        # As it was planned its acceleration may make up for a tilt, as no other speed's does.
+        if may_be_quicker and spill_stretch(motion, self._mount, spill_limit_deg) == 1.0:
+            slowed = motion
+        return None if slowed is None else slowed.keeping(spill_limit_deg)
 
     def _kept(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
@@ -244,6 +263,8 @@ class MotionPlanner:
 
         Between two configurations it is made in one direction only.
         """
+        if spill_limit_deg is None and self._between_places(begin, goals):
+            effort = POLISHED
         key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
 
         def made() -> StoppableTrajectory | None:
@@ -258,7 +279,9 @@ class MotionPlanner:
                 found = self._planned(begin, goals, name, spill_limit_deg, effort)
                 if found is not None and self._store is not None and self._geometry.occupied is None:
                     self._store.keep(key.written, found)
-            return None if found is None else self._stoppable(self._borne(found))
+            if found is None:
+                return None
+            return self._stoppable(self._borne(found) if spill_limit_deg is None else found)  # see `_timed`
 
         return self._plans.of(key, made)
 
@@ -284,25 +307,23 @@ class MotionPlanner:
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> JointTrajectory | None:
         """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
-        wanted, known, attempts = effort, None, transfer.ATTEMPTS
-        if self._between_places(begin, goals):
-            if spill_limit_deg is None:
-                wanted = POLISHED
-            if self._geometry != (bare := self._geometry.usual):
-                with self._as_if(bare):
-                    over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
-                if over_bare_pan is not None and self.scene().proves(over_bare_pan):
-                    return over_bare_pan
+        known, attempts = None, transfer.ATTEMPTS
+        if self._geometry != (bare := self._geometry.usual) and self._between_places(begin, goals):
+            with self._as_if(bare):
+                over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
+            if over_bare_pan is not None and self.scene().proves(over_bare_pan):
+                return over_bare_pan
         if spill_limit_deg is not None:
             empty = self._kept(begin, goals, name, None, effort)
             attempts = transfer.ATTEMPTS if self._timed(empty, spill_limit_deg) is None else 1
         if spill_limit_deg in RUNGS_DEG[1:]:
             stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
             known = self._timed(self._kept(begin, goals, name, stricter_deg, effort), spill_limit_deg)
-        return self._searched(begin, goals, name, spill_limit_deg, wanted, known, attempts)
+        return self._searched(begin, goals, name, spill_limit_deg, effort, known, attempts)
 
     def _between_places(self, begin: Floats, goals: Floats) -> bool:
-        return self._places.is_posture(begin) and len(goals) == 1 and self._places.is_posture(goals[0])
+        ends = (begin, *goals[:2])
+        return len(goals) == 1 and all(self._places.is_posture(q, self._geometry) for q in ends)
 
     @contextmanager
     def _as_if(self, geometry: Geometry) -> Iterator[None]:
@@ -345,6 +366,27 @@ class MotionPlanner:
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
         return self._stoppable(self._borne(up.reversed()))
+
+    def way_out(self, start: Floats, spill_limit_deg: float | None = None) -> tuple[StoppableTrajectory, str]:
+        """Slowly out of what the arm touches where it stands, and what that is; `move` goes on from its end.
+
+        SkillFailed arm.start_in_collision where it touches nothing, a mortar (which is withdrawn from) or a closed zone
+        (which is waited for), stands too deep in something, or where the load would spill.
+        """
+        begin, scene = checked_joints(start, self._limits_rad), self.scene(CLOSE_MARGIN_M)
+        held = scene.touched(begin) & (self._scenes.mortars | self._geometry.closed)
+        failure = explain.start_in_collision(scene, begin)
+        try:
+            if held or not scene.hits(begin[None, :])[0]:
+                raise NoWayOutError(f"{', '.join(sorted(held))} is not left so" if held else "that is no collision")
+            motion = way_out(scene, begin, self.rates)
+        except NoWayOutError as error:
+            raise SkillFailed(failure.code, f"{failure.detail}; {error}") from None
+        if spill_limit_deg is not None:
+            if spill_stretch(motion, self._mount, spill_limit_deg) != 1.0:
+                raise SkillFailed(failure.code, f"{failure.detail}; on the way out the load would spill")
+            motion = motion.keeping(spill_limit_deg)
+        return self._stoppable(motion), explain.closest_pair(scene, begin)
 
     def forming(
         self, start: Floats, goal: Floats, rims_mm: tuple[float, float], roller_rad: RollerAngle

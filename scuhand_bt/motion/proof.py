@@ -19,6 +19,8 @@ from scuhand_bt.motion.trajectory import JointTrajectory, through
 _GRID_S = 0.01
 _SLOWER = 8.0
 """A course that the joints must be so many times slower for turns the wrist past its singularity: it is not used."""
+_FIRST_LOOK = (np.arange(20) + 0.5) / 20
+"""The moments, as shares of a course's duration, that are looked at before it is put into the joints' own cubics."""
 _ROUNDING = 1e-6
 """Of positions, speeds and accelerations where two cubics meet, and of limits that are just kept."""
 
@@ -59,6 +61,8 @@ class Prover:
         """The course as a motion of the joints, as slow as it must be; None if it is not free, or not quicker."""
         motion = course
         if not isinstance(self.space.coordinates, JointCoordinates):
+            if self._looks_hit(course):
+                return None
             times_s = np.linspace(0.0, course.duration_s, int(course.duration_s / _GRID_S) + 2)
             motion = through(times_s, self.space.coordinates.joints(course.at(times_s)))
             slower = max(1.0, self._rates.stretch_for(motion))
@@ -68,13 +72,18 @@ class Prover:
         if motion.duration_s >= quicker_than_s:
             return None
         if self._spill_deg is not None:
-            factor = spill_stretch(motion, self.mount, self._spill_deg)
+            factor = spill_stretch(motion, self.mount, self._spill_deg, quicker_than_s)
             if factor is None:
                 return None
             motion = motion.stretched(factor).keeping(self._spill_deg)
         if motion.duration_s >= quicker_than_s:
             return None
         return motion if self.space.scene.proves(motion) else None
+
+    def _looks_hit(self, course: JointTrajectory) -> bool:
+        """Whether a few moments of a course are hit already: most are, and what follows costs fifty times as much."""
+        some = self.space.coordinates.joints(course.at(_FIRST_LOOK * course.duration_s))
+        return bool(self.space.first_look(some).any()) or self.space.scene.any_hit(some)
 
     def direct(self, start: Floats, end: Floats) -> JointTrajectory | None:
         """The optimum from rest to rest along the line, if it is proven."""

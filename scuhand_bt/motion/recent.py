@@ -24,8 +24,3 @@ class Recent(Generic[Asked, Answer]):
         if len(self._answers) > self._most:
             self._answers.popitem(last=False)
         return answer
-
-    @property
-    def answers(self) -> list[Answer]:
-        """All that are kept."""
-        return list(self._answers.values())

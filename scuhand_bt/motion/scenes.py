@@ -56,7 +56,13 @@ class Scenes:
         self._zones = {zone.name: cell_solids.solids_of([zone]) for zone in cell.zones}
         self._scenes: Recent[_Asked, Scene] = Recent(SCENES_KEPT)
         self._of_strokes: Recent[_Asked, Scene] = Recent(STROKES_KEPT)
+        self._seen: Recent[tuple[float, Occupancy], Scene] = Recent(STROKES_KEPT)
         self._entered: Recent[tuple[float, frozenset[str]], Scene] = Recent(SCENES_KEPT)
+
+    @property
+    def mortars(self) -> frozenset[str]:
+        """The stations at which one stands."""
+        return frozenset(self._mortars)
 
     def of(self, geometry: Geometry, margin_m: float = MARGIN_M, touching: str | None = None) -> Scene:
         """The scene of a geometry; the mortar at the station `touching` is hollow, and the sheet may touch it."""
@@ -75,6 +81,18 @@ class Scenes:
             return Scene(self._arm, shapes, solids, CLOSE_MARGIN_M)
 
         return self._entered.of((geometry.cone_diameter_m, zones), made)
+
+    def of_seen(self, geometry: Geometry) -> Scene | None:
+        """Nothing but what was seen, to be kept clear of; None where nothing was."""
+        seen = geometry.occupied
+        if seen is None:
+            return None
+
+        def made() -> Scene:
+            shapes = self._arm.with_sheet(self._cell.hand, (1e3 * geometry.cone_diameter_m,))
+            return Scene(self._arm, shapes, [seen.solid()], CLOSE_MARGIN_M)
+
+        return self._seen.of((geometry.cone_diameter_m, seen), made)
 
     def _kept(self, geometry: Geometry, margin_m: float, touching: str | None, rims_mm: tuple[float, ...]) -> Scene:
         def made() -> Scene:

@@ -64,29 +64,31 @@ def apex_motion(q: Floats, speed: Floats, acceleration: Floats, mount: Mount) ->
     """Cone axes and apex accelerations [m/s^2] of joint motions, all (n, 7): (n, 3) each."""
     if mount.arm is not None:
         return mount.arm.apex_motion(q, speed, acceleration, mount)
+    # Vectors as rows of components (3, n): half the work of columns.
     n = len(q)
-    frame = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
-    turning, twisting = np.zeros((n, 3)), np.zeros((n, 3))
-    total = np.zeros((n, 3))
+    x, y, z = (np.repeat(one[:, None], n, axis=1) for one in np.eye(3))
+    turning, twisting, total = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, n))
+    cosines, sines, speeds, accelerations = np.cos(q.T), np.sin(q.T), speed.T, acceleration.T
     lengths_m = {1: LINK_M, 3: LINK_M, 5: mount.length_m}
     for joint in range(6):
-        axis = frame[:, :, 2] if joint % 2 == 0 else -frame[:, :, 1]
-        twisting = twisting + acceleration[:, joint, None] * axis
-        twisting += np.cross(turning, speed[:, joint, None] * axis)
-        turning = turning + speed[:, joint, None] * axis
-        c, s = np.cos(q[:, joint, None]), np.sin(q[:, joint, None])
-        x, y, z = frame[:, :, 0], frame[:, :, 1], frame[:, :, 2]
-        if joint % 2 == 0:
-            frame = np.stack([c * x + s * y, c * y - s * x, z], axis=2)
-        else:
-            frame = np.stack([c * x + s * z, y, c * z - s * x], axis=2)
+        axis = z if joint % 2 == 0 else -y
+        along = speeds[joint] * axis
+        twisting = twisting + accelerations[joint] * axis + _cross(turning, along)
+        turning = turning + along
+        c, s = cosines[joint], sines[joint]
+        x, y, z = (c * x + s * y, c * y - s * x, z) if joint % 2 == 0 else (c * x + s * z, y, c * z - s * x)
         if joint in lengths_m:
-            arm = frame[:, :, 2]
-            total += lengths_m[joint] * (np.cross(twisting, arm) + np.cross(turning, np.cross(turning, arm)))
+            total += lengths_m[joint] * (_cross(twisting, z) + _cross(turning, _cross(turning, z)))
     # The last joint turns the cone about its own apex: it moves the axis and nothing else that counts here.
-    (ax, ay, az), c, s = mount.axis, np.cos(q[:, 6]), np.sin(q[:, 6])
-    across = np.stack([c * ax - s * ay, s * ax + c * ay, np.full(n, az)], axis=1)
-    return np.einsum("nij,nj->ni", frame, across), total
+    (ax, ay, az), c, s = mount.axis, cosines[6], sines[6]
+    axes: Floats = (c * ax - s * ay) * x + (s * ax + c * ay) * y + az * z
+    return axes.T, total.T
+
+
+def _cross(first: Floats, second: Floats) -> Floats:
+    """Cross products of vectors (3, n)."""
+    (a, b, c), (d, e, f) = first, second
+    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
 def spill_angles_deg(axes: Floats, accelerations: Floats) -> Floats:
@@ -126,21 +128,28 @@ def _between(first: Floats, second: Floats) -> Floats:
     return angle
 
 
-def spill_stretch(motion: "JointTrajectory", mount: Mount, limit_deg: float) -> float | None:
+def spill_stretch(
+    motion: "JointTrajectory", mount: Mount, limit_deg: float, quicker_than_s: float = math.inf
+) -> float | None:
     """How many times slower (>= 1) a motion must be to keep the limit; None if its tilt alone breaks it.
 
-    Slower by k, the tilt is the same and the acceleration 1/k^2.
+    None, too, where so much slower it would not be quicker than `quicker_than_s`. Slower by k, the tilt is the same and
+    the acceleration 1/k^2.
     """
     times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / GRID_S) + 2)
     axes, accelerations = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), mount)
-    if worst_spill_deg(axes, accelerations) <= limit_deg:
+
+    def keeps(share: float) -> bool:
+        return worst_spill_deg(axes, share * accelerations) <= limit_deg
+
+    if keeps(1.0):
         return 1.0
     slow, quick = 0.0, 1.0
-    if worst_spill_deg(axes, slow * accelerations) > limit_deg:
+    if not keeps(slow) or (quicker_than_s < math.inf and not keeps((motion.duration_s / quicker_than_s) ** 2)):
         return None
     for _ in range(10):
         middle = (slow + quick) / 2
-        if worst_spill_deg(axes, middle * accelerations) <= limit_deg:
+        if keeps(middle):
             slow = middle
         else:
             quick = middle

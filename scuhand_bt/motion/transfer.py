@@ -143,7 +143,9 @@ def plan(
     `known` is a motion that keeps the task's limits: what comes is never slower. Where another will do if nothing is
     found, one of the `attempts` is enough.
     """
-    searches = [_Search(task, space, effort) for space in task.spaces()]
+    # What is known for a stricter limit is level mostly: where tilting is allowed, it is what may be quicker.
+    spaces = task.spaces() if known is None else task.spaces()[:1]
+    searches = [_Search(task, space, effort) for space in spaces]
     bound_s = float(task.bounds_s(task.goals.free[:1])[0])
     near_s, good_s = effort.near_optimum * bound_s, effort.good_enough * bound_s
     best = known

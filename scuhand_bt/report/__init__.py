@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from scuhand_bt.report.scoop_reach import directions
     from scuhand_bt.report.show_move import shown_move
     from scuhand_bt.report.watching import shown_of
-    from scuhand_bt.report.weighing_record import weighing_csv
+    from scuhand_bt.report.weighing_record import weighing_csv, weighing_lines
 else:
     __getattr__, __dir__ = front(
         __name__,
@@ -46,7 +46,7 @@ else:
             "report.scoop_reach": "directions",
             "report.show_move": "shown_move",
             "report.watching": "shown_of",
-            "report.weighing_record": "weighing_csv",
+            "report.weighing_record": "weighing_csv weighing_lines",
         },
     )
 
@@ -80,5 +80,6 @@ __all__ = [
     "shown_of",
     "told",
     "weighing_csv",
+    "weighing_lines",
     "write_pdf",
 ]

@@ -51,6 +51,8 @@ COLUMNS = (
     "sheet_powder", "controller", "software", "recorded_name", "recorded_value", "recorded_unit", "product", "element",
     "atoms_asked", "atoms_reached", "atoms_standard_uncertainty", "composition_tolerance", "entry", "entry_hash",
 )  # fmt: skip
+_WEIGHED = ("tare_mg", "gross_mg", "drift_mg", "earlier_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
+"""What is said of a weighing, and not of its dose's result."""
 _FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
 
 
@@ -59,12 +61,20 @@ def weighing_csv(contents: Contents) -> str:
 
     Of a dose, net = gross - tare - drift + earlier: what the same lot had brought before that tare was weighed.
     """
-    text = io.StringIO()
-    table = csv.DictWriter(text, COLUMNS, restval="", quoting=csv.QUOTE_ALL)
+    return "".join(weighing_lines(contents))
+
+
+def weighing_lines(contents: Contents) -> Iterator[str]:
+    """The same text line by line, made as they are asked for."""
+    line = io.StringIO()
+    table = csv.DictWriter(line, COLUMNS, restval="", quoting=csv.QUOTE_ALL)
     table.writeheader()
     for row in weighing_rows(contents):
         table.writerow({name: _cell(value) for name, value in row.items()})
-    return text.getvalue()
+        yield line.getvalue()
+        line.seek(0)
+        line.truncate()
+    yield line.getvalue()
 
 
 def _cell(value: object) -> str:
@@ -80,8 +90,8 @@ def _cell(value: object) -> str:
 
 def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
     """The record's rows before they are text, by column; what a row has nothing to say of is absent or None."""
-    jobs = {row["id"]: row for row in contents.rows("job")}
-    codes = {row["id"]: row["code"] for row in contents.rows("action")}
+    jobs = {row["id"]: row for row in contents.each("job")}
+    codes = {row["id"]: row["code"] for row in contents.each("action") if row["code"] is not None}
     of_run: dict[str, object] = {}
     sources: Mapping[str, SourceUsed] = {}
     believed: Mapping[str, Any] = {}
@@ -89,8 +99,9 @@ def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
     tare: Tared | None = None
     loaded: Pulsed | DoseWeighed | None = None
     of_doses: dict[tuple[str, str], dict[str, object]] = {}
-    results: dict[str, tuple[SampleResult, dict[str, object]]] = {}
-    for row in contents.rows("entry"):
+    first_doses: dict[str, tuple[str, str]] = {}
+    results: dict[str, int] = {}
+    for row in contents.each("entry"):
         believed = row["state"]["believed"] if row["state"] is not None else believed
         match event := parsed(row["kind"], row["payload"]):
             case RunBegun():
@@ -104,7 +115,7 @@ def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
             case Pulsed() | DoseWeighed():
                 loaded = event
             case SampleResult():
-                results[event.id] = event, _entry(contents, row)
+                results[event.id] = row["seq"]
         if isinstance(event, ContainerPlaced | Tared | WeightChecked):
             identity = event.balance or identity
         if (weighed := _weighed(event, tare, loaded, believed)) is None:
@@ -125,13 +136,15 @@ def weighing_rows(contents: Contents) -> Iterator[dict[str, object]]:
             **_entry(contents, row),
         }
         if isinstance(event, ContainerLifted | BracketClosed):  # which may come in the next sample's job
-            of_dose = next((one for place, one in of_doses.items() if place[0] == event.container), {})
+            of_dose = of_doses.get(first_doses.get(event.container, ("", "")), {})
             written |= {name: of_dose.get(name) for name in ("sample", "attempt", "container_kind")}
         if isinstance(event, Dose):
-            of_doses[event.container, event.lot] = written
+            first_doses.setdefault(event.container, (event.container, event.lot))
+            of_doses[event.container, event.lot] = {k: v for k, v in written.items() if k not in _WEIGHED}
         yield written
-    for result, entry in results.values():
-        yield from _result_rows(result, of_doses, of_run, entry)
+    for row in map(contents.entry, results.values()):
+        result = SampleResult.model_validate(row["payload"])
+        yield from _result_rows(result, of_doses, of_run, _entry(contents, row))
 
 
 def _entry(contents: Contents, row: Mapping[str, Any]) -> dict[str, object]:
@@ -146,10 +159,9 @@ def _result_rows(
     entry: Mapping[str, object],
 ) -> Iterator[dict[str, object]]:
     """A row for each dose of a sample, by the last that was said of it, each value recorded, each element composed."""
-    weighed = ("tare_mg", "gross_mg", "drift_mg", "earlier_mg", "stable", "tare_lines", "gross_lines", "lines_unit")
     for dose in result.doses:
-        written = of_doses.get((dose.container, dose.lot), {})
-        yield {name: value for name, value in written.items() if name not in weighed} | {
+        yield {
+            **of_doses.get((dose.container, dose.lot), {}),
             "weighing": "result",
             "sample": result.id,
             "attempt": result.attempt,

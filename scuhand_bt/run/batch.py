@@ -151,7 +151,8 @@ class Batch:
                 ending = _ended(ExitCode.CELL_FAULT, reason, complete=ending.is_complete)
             for job in self._plan.jobs:
                 if job.sample is not None and job.sample.id not in self._results:
-                    self._note(self._result(job.sample, SoFar(), "not run", None, 0.0, 1))
+                    self._note_unreached(job.name, job.sample)
+            self._note_brackets()
             self._note_open_brackets()
             in_order = tuple(self._results[sample.id] for sample in self._plan.recipe.samples)
             code = ending.exit_code
@@ -204,6 +205,18 @@ class Batch:
         """Whether an attempt at a job had come to its end before the run was resumed."""
         before = self._history.jobs.get((name, attempt))
         return before is not None and before.is_over
+
+    def _note_unreached(self, job: str, sample: Sample) -> None:
+        """What an earlier start of the run has made of a sample, to which this one has not come."""
+        begun = [attempt for name, attempt in self._history.jobs if name == job]
+        attempt = begun[-1] if begun else 1
+        if (known := self._history.samples.get((sample.id, attempt))) is not None:
+            self._take(known)
+        elif begun:
+            before = self._history.jobs[job, attempt]
+            self._note(self._result(sample, before.so_far, "interrupted", None, before.began_s, attempt))
+        else:
+            self._note(self._result(sample, SoFar(), "not run", None, 0.0, 1))
 
     def _run_service(self, job: Job, attempt: int) -> Ended | None:
         outcome = self._run_job(job, job.inputs, None, attempt)

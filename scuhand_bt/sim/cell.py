@@ -65,6 +65,9 @@ def simulated_cell(
         sources=sources,
         simulated=True,
         begin_sample=world.begin_sample,
-        devices={name: simulated_instrument(one.kind, clock, world) for name, one in spec.devices.items()},
+        devices={
+            name: simulated_instrument(one.kind, clock, world, spec.own_options.get(name))
+            for name, one in spec.devices.items()
+        },
     )
     return cell, world

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from scuhand_bt.clock import Clock, Signal, Steps, Wake
+from scuhand_bt.devices.boxes import Boxes
 from scuhand_bt.devices.interfaces import Device, Sample, Status
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.sim.world import World
@@ -100,8 +101,10 @@ class SimulatedSwitch(_Simulated):
         return self._status
 
 
-def simulated_instrument(kind: str, clock: Clock, world: World) -> Device:
-    """The device of a kind, in a world."""
+def simulated_instrument(kind: str, clock: Clock, world: World, options: object = None) -> Device:
+    """The device of a kind, in a world. A watcher of another driver than `boxes` sees nothing."""
+    if kind == "watcher":
+        return Boxes(clock, options.boxes if isinstance(options, Boxes.Options) else ())
     if kind == "sensor":
         return SimulatedSensor(clock)
     if kind == "scanner":

@@ -1,0 +1,113 @@
+"""What comes into the cell while a run goes on, as the cell's watchers see it, and what the arm does then.
+
+Motions are planned around what is seen; kept ones are proven free of it, or planned anew. Where there is no way, or a
+motion that cannot be planned anew would meet it, it is waited for until that is gone. A motion under way that would
+meet it stops, along its path: what went from place to place is then planned anew from there.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.devices.interfaces import Trajectory, Watcher
+from scuhand_bt.events import WayObstructed
+from scuhand_bt.failures import Code, SkillFailed
+
+if TYPE_CHECKING:
+    from scuhand_bt.cell.cell import Cell
+
+LOOK_S = 0.1
+"""So often it is looked at what watchers see."""
+TIMEOUT_S = 120.0
+"""How long what is in the way is waited for."""
+
+
+class StoppedShort(SkillFailed):
+    """A motion was stopped, because something came into its way; the arm is at rest."""
+
+    def __init__(self) -> None:
+        super().__init__(Code.ARM_NO_PATH, "the arm was stopped: something came into its way")
+
+
+class InTheWay:
+    """What the watchers of one cell see."""
+
+    def __init__(self, cell: "Cell") -> None:
+        self._cell = cell
+        self._parts: list[Any] = []
+        self._points_m: Any = None
+
+    @property
+    def _watchers(self) -> Sequence[Watcher]:
+        return [self._cell.devices[name] for name in self._cell.spec.watchers]  # type: ignore[misc]
+
+    @property
+    def points_m(self) -> Any:
+        """What is seen now, (n, 3) or None; the same array for as long as it is the same. Their fault where one has it.
+
+        An arm that cannot see whether something comes does not move.
+        """
+        watchers = self._watchers
+        for watcher in watchers:
+            if watcher.fault is not None:
+                raise watcher.fault
+        parts = [points for one in watchers if (points := one.points_m) is not None and len(points)]
+        if len(parts) != len(self._parts) or any(a is not b for a, b in zip(parts, self._parts, strict=True)):
+            self._parts, self._points_m = parts, np.vstack(parts) if parts else None
+        return self._points_m
+
+    def followed(self, motion: Trajectory, steps: Steps[None]) -> Steps[None]:
+        """Carry out a motion, which `steps` begin and wait for, as long as nothing comes into its way.
+
+        It begins when its way is free. SkillFailed arm.no_path where it is not in time, `StoppedShort` where it had to
+        stop.
+        """
+        if not self._cell.spec.watchers:
+            yield from steps
+            return
+        yield from self._until_free(motion)
+        looked_at, begun_s = self.points_m, self._cell.clock.now_s
+        try:
+            for wake in steps:
+                if (seen := self.points_m) is not looked_at:
+                    looked_at = seen
+                    if not self._is_free(motion, self._cell.clock.now_s - begun_s):
+                        break
+                yield Wake(min(wake.until_s, self._cell.clock.now_s + LOOK_S), wake.signal, wake.seen)
+            else:
+                return
+        finally:
+            steps.close()
+        while not (self._cell.arm.is_stopped and self._cell.hand.is_stopped):
+            yield Wake.on(self._cell.arm.news, self._cell.clock.now_s + LOOK_S)
+        self._cell.record.event(WayObstructed(stopped=True, waited_s=0.0))
+        raise StoppedShort
+
+    def gone(self, since_s: float, why: SkillFailed) -> Steps[None]:
+        """Wait until another thing is seen, or nothing: SkillFailed where nothing is, or the same for too long."""
+        if (seen := self.points_m) is None:
+            raise why
+        while self.points_m is seen:  # for which all that is asked has the same answer
+            if self._cell.clock.now_s >= since_s + TIMEOUT_S:
+                words = f"something has been in the way for {TIMEOUT_S:g} s: {why.detail}"
+                raise SkillFailed(Code.ARM_NO_PATH, words) from None
+            yield Wake(self._cell.clock.now_s + LOOK_S)
+
+    def waited(self, since_s: float) -> None:
+        """Write down that it was waited for what was in the way."""
+        self._cell.record.event(WayObstructed(stopped=False, waited_s=round(self._cell.clock.now_s - since_s, 3)))
+
+    def _until_free(self, motion: Trajectory) -> Steps[None]:
+        since_s = self._cell.clock.now_s
+        if self._is_free(motion, 0.0):
+            return
+        while not self._is_free(motion, 0.0):
+            yield from self.gone(since_s, SkillFailed(Code.ARM_NO_PATH, "this motion is not made around it"))
+        self.waited(since_s)
+
+    def _is_free(self, motion: Trajectory, from_s: float) -> bool:
+        self._cell.motion.set_occupied(self.points_m)
+        is_free: bool = self._cell.motion.keeps_clear(motion, from_s)  # type: ignore[arg-type]
+        return is_free
