@@ -83,7 +83,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_NO_PATH: Failure(
         "No collision-free way to the station was found.",
         "Move the station or the obstacle in robot/cell.yaml, or free the way.",
-        ("motion", "run"),
+        ("cell", "motion", "run"),
     ),
     Code.ARM_UNREACHABLE: Failure(
         "No joint angles put the cone's apex at this pose.",
