@@ -93,7 +93,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_START_IN_COLLISION: Failure(
         "The arm touches something (in the model) where it stands, and cannot go out of it by itself.",
         "Move the arm clear by hand, or correct the geometry in robot/cell.yaml.",
-        ("motion",),
+        ("cell", "motion"),
     ),
     Code.ARM_JOINT_LIMIT: Failure(
         "A joint is, or would go, beyond its limit.",
