@@ -7,7 +7,7 @@ from typing import TypeAlias
 from harness.avr_board import AvrHand
 from scuhand_bt.cell_spec import HandSpec
 from scuhand_bt.devices.hand_controller import map_commands
-from scuhand_bt.devices.hand_protocol import Hello, Report, decode, encode
+from scuhand_bt.devices.hand_protocol import SEQUENCES, Hello, Report, decode, encode
 from scuhand_bt.sim.wire.hand import HandTwin
 
 FIRMWARE = Path(__file__).parent.parent / "robot" / "firmware"
@@ -34,7 +34,7 @@ class Host:
 
     def say(self, command: str, number: int | None = None) -> Report | Hello | None:
         if number is None:
-            self.number += 1
+            self.number = (self.number + 1) % SEQUENCES
             number = self.number
         replies = self.twin.hear(encode(number, command), self.now_s)
         for _ in range(40):  # on the wire, what is said and answered takes its time

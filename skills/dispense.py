@@ -12,9 +12,11 @@ from scuhand_bt.cell.places import over_balance
 from scuhand_bt.cell.weighing import (
     PAUSE_S,
     SCOOP_DOUBT,
+    STOOD_STILL,
     note_moved,
     possible_mg,
     require_unchanged,
+    stands_still,
     weigh_until_still,
     weighing_of,
 )
@@ -33,7 +35,7 @@ from scuhand_bt.dosing.bracket import (
     together,
     watch_s,
 )
-from scuhand_bt.dosing.characteristic import held_mg, is_frozen
+from scuhand_bt.dosing.characteristic import held_mg
 from scuhand_bt.dosing.hidden_step import fallen_beside_mg
 from scuhand_bt.dosing.verdict import judge
 from scuhand_bt.skill import (
@@ -226,14 +228,9 @@ class Dispense(Skill[Dose]):
 
     @staticmethod
     def _require_alive(cell: Cell) -> None:
-        """A frozen display hides what has come since; what it has shown so long tells nothing of its noise."""
-        shown_mg = [reading.value_mg for reading in cell.readings.copy()]
-        if is_frozen(shown_mg, cell.spec.balance.readability_mg):
-            cell.readings.clear()
-            raise SkillFailed(
-                Code.BALANCE_COARSE,
-                f"the display has been standing still at {shown_mg[-1]:.1f} mg for longer than its noise allows",
-            )
+        """A frozen display hides what has come since."""
+        if stands_still(cell):
+            raise SkillFailed(Code.BALANCE_COARSE, STOOD_STILL)
 
     @property
     def _allowed_mg(self) -> float:

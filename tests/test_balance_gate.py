@@ -579,3 +579,10 @@ def test_a_balance_that_holds_its_display_gives_no_dose(tmp_path: Path) -> None:
     falsifier = Falsifier(tmp_path, recipes=("msg-once",))
     tally = falsifier.run(BY_NAME["hold-3"], 1)
     assert tally.failed == {Code.BALANCE_COARSE: 1}
+
+
+def test_what_stood_still_before_is_no_noise_of_the_balance() -> None:
+    noisy = [0.1 * (k % 3) for k in range(600)]
+    assert is_frozen([*noisy, *[5.0] * 300, *noisy, *[7.0] * 110], 0.1)
+    quiet = [0.1 * step for step, run in enumerate((1, 4, 15, 60, 100, 400)) for _ in range(run)]
+    assert not is_frozen([*quiet, *[7.0] * 900], 0.1), "as quiet at other times"

@@ -11,7 +11,7 @@ from scuhand_bt.cell.places import CLEAR_MM
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Hands, Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, differ_mg, moved_mg, standing, total
-from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, step_of
+from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, is_frozen, step_of
 from scuhand_bt.dosing.hidden_step import hidden_step_mg
 from scuhand_bt.dosing.identification import balance_of
 from scuhand_bt.events import BalanceSlower, BracketClosed, ContainerAgain, ContainerLifted, LotDosed
@@ -35,6 +35,7 @@ SCOOP_DOUBT = 0.15
 """How far what a scoop brought may be from what it was expected to bring, as a share of the load limit."""
 DROP_S = 30.0
 """Powder that drips from a valve that was shut does so once in this time."""
+STOOD_STILL = "the display stood still for longer than its noise allows: what came meanwhile nobody has seen"
 HAND_S = 1.0
 """What a person takes to put a container down, besides."""
 
@@ -240,9 +241,10 @@ def take_container_away(cell: Cell, to: Container | None = None) -> Steps[Stable
 
 def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     believed, digit_mg, crept = cell.believed, cell.spec.balance.readability_mg, Net(0.0, 0.0)
-    bracket, lifted = believed.bracket, None
+    bracket, lifted, stood_still = believed.bracket, None, False
     if bracket is not None and bracket.holds and bracket.lifted is None:
         lifted = yield from cell.right_of_way.stable_mean()
+        stood_still = stands_still(cell)
         believed.lifted(weighing_of(lifted))
         cell.record.event(ContainerLifted(**dict(lifted.written()), container=bracket.container))
         yield from cell.record.kept()  # before the container goes
@@ -278,9 +280,8 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
     believed.zero_stepped(max(0.0, -closed.stepped_mg))
     since = {lot: total((net, crept)) for lot, net in zip(bracket.doses, closed.doses, strict=True)}
     adjusted = {lot: total(nets[lot] for nets in (bracket.carried, since) if lot in nets) for lot in bracket.holds}
-    believed.bracket_closed(
-        ClosedBracket(bracket.container, adjusted, closed.closes, closed.difference_mg, _in_words(closed))
-    )
+    closes, detail = closed.closes and not stood_still, STOOD_STILL if stood_still else _in_words(closed)
+    believed.bracket_closed(ClosedBracket(bracket.container, adjusted, closes, closed.difference_mg, detail))
     cell.record.event(
         BracketClosed(
             container=bracket.container,
@@ -289,12 +290,17 @@ def _taken_away(cell: Cell, to: Container | None) -> Steps[StableMean]:
             difference_mg=closed.difference_mg,
             allowance_mg=closed.allowance_mg,
             zero_mg=closed.zero_mg,
-            closes=closed.closes,
+            closes=closes,
             doses={lot: LotDosed(net_mg=n.mass_mg, uncertainty_mg=n.uncertainty_mg) for lot, n in adjusted.items()},
             bare=bare.written(),
         )
     )
     return bare
+
+
+def stands_still(cell: Cell) -> bool:
+    """Whether the display is frozen."""
+    return is_frozen([reading.value_mg for reading in cell.readings.copy()], cell.spec.balance.readability_mg)
 
 
 def _handed_over(cell: Cell, hands: Hands, to: Container, bare_mg: float, was_mg: float | None) -> Steps[StableMean]:

@@ -112,13 +112,17 @@ def held_mg(readings_mg: Sequence[float], readability_mg: float) -> float:
 def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
     """Whether a display has been showing the same, to the digit, for longer than its own noise allows.
 
-    A balance that is as quiet as that at other times, or was seen for a short while only, is not told by this.
+    A balance that is as quiet as that at other times, or was seen for a short while only, is not told by this. When it
+    stood still so before, that was not its noise either.
     """
     digits = [round(mg / readability_mg) for mg in readings_mg]
     runs = [sum(1 for _ in equal) for _, equal in groupby(digits)]
-    if len(runs) < 2 or len(digits) - runs[-1] < STILL_KNOWN:
-        return False
-    return runs[-1] >= max(STILL_READINGS, STILL_TIMES * max(runs[:-1]))
+    usual = known = 0
+    for run in sorted(runs[:-1]):
+        if known >= STILL_KNOWN and run >= max(STILL_READINGS, STILL_TIMES * usual):
+            break
+        usual, known = run, known + run
+    return known >= STILL_KNOWN and runs[-1] >= max(STILL_READINGS, STILL_TIMES * usual)
 
 
 def noise_and_drift(curve: Curve) -> tuple[float, float]:
