@@ -83,6 +83,7 @@ class AvrHand:
 
     def __init__(self, elf: Path, simulator: Path, true_map: Sequence[ValvePoint] = NOMINAL_MAP) -> None:
         self.valve = Valve(true_map=true_map)
+        self.valve.line.takes_time = False  # it is fed to the chip as slowly as it comes
         self._board = _load(simulator)
         self._self = self._board.board_new(os.fsencode(elf), b"atmega2560")
         assert self._self, f"simavr cannot run {elf}"

@@ -83,7 +83,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_NO_PATH: Failure(
         "No collision-free way to the station was found.",
         "Move the station or the obstacle in robot/cell.yaml, or free the way.",
-        ("motion", "run"),
+        ("cell", "motion", "run"),
     ),
     Code.ARM_UNREACHABLE: Failure(
         "No joint angles put the cone's apex at this pose.",
@@ -93,7 +93,7 @@ CATALOGUE: Mapping[str, Failure] = {
     Code.ARM_START_IN_COLLISION: Failure(
         "The arm touches something (in the model) where it stands, and cannot go out of it by itself.",
         "Move the arm clear by hand, or correct the geometry in robot/cell.yaml.",
-        ("motion",),
+        ("cell", "motion"),
     ),
     Code.ARM_JOINT_LIMIT: Failure(
         "A joint is, or would go, beyond its limit.",

@@ -19,7 +19,7 @@ from scuhand_bt.cell.weighing import (
     weighing_of,
 )
 from scuhand_bt.devices.interfaces import StableMean
-from scuhand_bt.dosing import CONTROLLERS, DoseRequest, new_controller
+from scuhand_bt.dosing import CONTROLLERS, DEFAULT_CONTROLLER, DoseRequest, new_controller
 from scuhand_bt.dosing.bracket import (
     AGREEMENT,
     Gross,
@@ -134,8 +134,11 @@ class Dispense(Skill[Dose]):
         lot, bracket = self._source(cell).sheet_key, believed.bracket
         assert bracket is not None
         drift = significant(drift_between(earlier, before, digit_mg), digit_mg)
-        others = (dosed for other, dosed in bracket.doses.items() if other != lot)
-        later = later_mg(bracket.bare, bracket.loaded, others, digit_mg)
+        later = math.inf
+        if (self.controller or cell.controller) == DEFAULT_CONTROLLER:
+            # Others stop at the tolerance's edge, and a later dose of another powder leaves this one less certain.
+            others = (dosed for other, dosed in bracket.doses.items() if other != lot)
+            later = later_mg(bracket.bare, bracket.loaded, others, digit_mg)
         reference = Reference(before, drift, bracket.dosed_mg(lot), digit_mg, later)
         request = self.request(cell)
         then = replace(before, time_s=before.time_s + FINE_S + self._flow_s(request))

@@ -6,8 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from hand_host import FIRMWARE, Host
 
+from harness.hand_host import FIRMWARE, Host
 from scuhand_bt.devices.hand_protocol import Hello, crc16, encode
 
 SOURCES = sorted((FIRMWARE / "hand_controller").glob("*.cpp"))

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hand_host import FIRMWARE, MAP, Board, Host
 
 from harness.avr_board import AvrHand, build_firmware, build_simulator, missing_tools
+from harness.hand_host import FIRMWARE, MAP, Board, Host
 from scuhand_bt.cell_spec import ValvePoint
 from scuhand_bt.devices.hand_protocol import Hello
 from scuhand_bt.sim.wire.hand import HandTwin

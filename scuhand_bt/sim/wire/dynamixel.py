@@ -93,6 +93,8 @@ class DynamixelTwin:
         """Servos whose cable has come off."""
         self.doubles: list[Servo] = []
         """Servos that were given the id of another: both obey, and nobody understands what they answer at once."""
+        self.takes_time = True
+        """Whether a packet is told when its last byte has come; another may send it on byte by byte."""
         self._reader = PacketReader()
         self._due: list[tuple[float, bytes]] = []
 
@@ -146,6 +148,8 @@ class DynamixelTwin:
 
     def _line_s(self, message: bytes) -> float:
         """How long a packet takes on the line, all of whose servos are set to one rate."""
+        if not self.takes_time:
+            return 0.0
         rate = next(iter(self.servos.values())).table[8]
         return len(message) * BITS_PER_BYTE / BAUD_RATES[min(rate, len(BAUD_RATES) - 1)]
 

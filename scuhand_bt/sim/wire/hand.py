@@ -17,7 +17,7 @@ import numpy as np
 
 from scuhand_bt.cell_spec import HandOptions, ValvePoint
 from scuhand_bt.devices.interfaces import TWIN
-from scuhand_bt.sim.wire.dynamixel import DynamixelTwin
+from scuhand_bt.sim.wire.dynamixel import BITS_PER_BYTE, DynamixelTwin
 from scuhand_bt.sim.wire.servo import XC330, Servo
 
 REPLY_SIZE = 96
@@ -179,6 +179,7 @@ class HandTwin:
 
     def _ask_servo(self, baud: int, packet: Bytes, length: int, answer: Bytes) -> int:
         answered = self.valve.say(baud, bytes(packet[:length]), self._now_s)
-        answered += self.valve.say(baud, b"", self._now_s + ANSWER_WITHIN_S)
+        line_s = REPLY_SIZE * BITS_PER_BYTE / baud
+        answered += self.valve.say(baud, b"", self._now_s + ANSWER_WITHIN_S + line_s)
         ctypes.memmove(answer, answered, len(answered))
         return len(answered)

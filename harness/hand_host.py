@@ -18,9 +18,9 @@ Board: TypeAlias = HandTwin | AvrHand
 class Host:
     """Talks to the firmware in a time of its own."""
 
-    def __init__(self, board: Board | None = None, greet: bool = True) -> None:
+    def __init__(self, board: Board | None = None, greet: bool = True, begins_s: float = 1000.0) -> None:
         self.twin = board or HandTwin(FIRMWARE)
-        self.now_s = 1000.0
+        self.now_s = begins_s
         self.number = 0
         self.twin.hear(b"", self.now_s)
         self.wait(0.05, talking=False)  # it starts
