@@ -37,7 +37,7 @@ def binaries(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.fixture(params=["this computer", pytest.param("Mega 2560 in simavr", marks=pytest.mark.slow)])
+@pytest.fixture(params=["this computer", "Mega 2560 in simavr"])
 def board(request: pytest.FixtureRequest) -> Board:
     """The firmware's board, on a valve's servo that is computed."""
     if request.param == "this computer":
@@ -319,7 +319,6 @@ def test_a_board_that_starts_with_the_valve_open_shuts_it_by_the_map_that_it_has
     assert host.report().refusal == "hello"
 
 
-@pytest.mark.slow
 def test_firmware_that_hangs_with_the_valve_open_is_reset_by_the_watchdog_and_shuts_it(mega: AvrHand) -> None:
     host = opened(Host(mega))
     mega.hang()
@@ -332,7 +331,6 @@ def test_firmware_that_hangs_with_the_valve_open_is_reset_by_the_watchdog_and_sh
     host.until(lambda: is_shut(host), 0.12 + AFTER_POWER_S, talking=False)
 
 
-@pytest.mark.slow
 def test_the_boards_counter_wraps_around_in_a_dose_and_in_a_silence(mega: AvrHand) -> None:
     """After 49.7 days; it is set to shortly before."""
     host = Host(mega)
@@ -345,7 +343,6 @@ def test_the_boards_counter_wraps_around_in_a_dose_and_in_a_silence(mega: AvrHan
     assert host.report().faults == "d"
 
 
-@pytest.mark.slow
 def test_the_servos_line_is_switched_for_every_byte_and_its_answers_fit_the_cores_buffer(mega: AvrHand) -> None:
     """The core's ring takes 63 bytes; a status of 88 bytes once overran it, and no answer was whole."""
     host = Host(mega)
@@ -365,7 +362,6 @@ def test_the_servos_line_is_switched_for_every_byte_and_its_answers_fit_the_core
     assert mega.bytes_against_the_switch == 0
 
 
-@pytest.mark.slow
 def test_the_emergency_stop_shuts_the_valve_and_a_broken_wire_is_one(mega: AvrHand) -> None:
     host = opened(Host(mega))
     mega.emergency_stop = True
