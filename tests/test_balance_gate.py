@@ -586,3 +586,5 @@ def test_what_stood_still_before_is_no_noise_of_the_balance() -> None:
     assert is_frozen([*noisy, *[5.0] * 300, *noisy, *[7.0] * 110], 0.1)
     quiet = [0.1 * step for step, run in enumerate((1, 4, 15, 60, 100, 400)) for _ in range(run)]
     assert not is_frozen([*quiet, *[7.0] * 900], 0.1), "as quiet at other times"
+    poured = [reading for rest in range(5) for reading in (*noisy, *[float(rest)] * 110)]
+    assert not is_frozen([*poured, *noisy, *[7.0] * 120], 0.1), "as quiet whenever nothing falls"

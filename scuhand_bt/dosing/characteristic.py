@@ -37,9 +37,10 @@ STEP_SHARE = 0.01
 HELD_READINGS, HELD_DIGITS = 8, 5
 """A display that shows the same so often, and in the next reading more than so many digits more or less, held it."""
 
-STILL_TIMES, STILL_READINGS, STILL_KNOWN = 5, 100, 500
+STILL_TIMES, STILL_READINGS, STILL_KNOWN, STILL_BEFORE = 5, 100, 500, 4
 """A display is frozen that shows the same for so many times as long as ever before, and for so many readings, after so
-many others. The longest run of equal ones among n comes once in n readings, one of five times its length once in n^5.
+many others, if that came no more often before. The longest run of equal ones among n comes once in n readings, one of
+five times its length once in n^5.
 """
 
 Curve = Sequence[tuple[float, float]]
@@ -113,13 +114,15 @@ def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
     """Whether a display has been showing the same, to the digit, for longer than its own noise allows.
 
     A balance that is as quiet as that at other times, or was seen for a short while only, is not told by this. When it
-    stood still so before, that was not its noise either.
+    stood still so before, a few times, that was not its noise either; one that does whenever nothing falls is so quiet.
     """
     digits = [round(mg / readability_mg) for mg in readings_mg]
     runs = [sum(1 for _ in equal) for _, equal in groupby(digits)]
     usual = known = 0
-    for run in sorted(runs[:-1]):
-        if known >= STILL_KNOWN and run >= max(STILL_READINGS, STILL_TIMES * usual):
+    others = sorted(runs[:-1])
+    for number, run in enumerate(others):
+        is_longer = known >= STILL_KNOWN and run >= max(STILL_READINGS, STILL_TIMES * usual)
+        if is_longer and len(others) - number <= STILL_BEFORE:
             break
         usual, known = run, known + run
     return known >= STILL_KNOWN and runs[-1] >= max(STILL_READINGS, STILL_TIMES * usual)
