@@ -2,7 +2,7 @@
 
     python -m benchmarks.firmware_day [--hours 24] [--simavr]
 
-It is compiled for this computer, or with `--simavr` for a Mega 2560, whose simulator takes as long as the day. Each
+It is compiled for this computer, or with `--simavr` for a Mega 2560, whose simulator takes an hour or more for it. Each
 minute it doses, each ten minutes the servo loses its power with the valve open, each hour the host falls silent; the
 milliseconds wrap around half way. What must hold is the protocol's: the valve is shut within half a second of the
 servo's power, or a second of silence, faults are told and can be cleared, and none comes unasked.

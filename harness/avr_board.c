@@ -1,6 +1,7 @@
 /* A board with an AVR in simavr, for `harness/avr_board.py`: bytes in and out of two serial ports, pins, memory.
  *
  * Bytes go into a port one per byte-time, as on a line: all at once they would overrun the chip's two-byte buffer. */
+#include <simavr/avr_extint.h>
 #include <simavr/avr_ioport.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
@@ -11,6 +12,7 @@
 #define PORTS 2
 #define QUEUE 4096
 #define PACKET_ENDS 1600   /* cycles without a byte: 0.1 ms, less than a servo's return delay */
+#define EXTERNAL_INTERRUPTS 8 /* not used; each whose pin is low would be looked at in every cycle */
 #define SERVO 1            /* the servo's line, */
 #define DIRECTION 'E', 4   /* which the board has while this pin of a Mega, its pin 2, is high */
 
@@ -51,11 +53,28 @@ static avr_cycle_count_t next_byte(avr_t *avr, avr_cycle_count_t when, void *par
   return port->in_at == port->in_end ? 0 : when + port->byte_cycles;
 }
 
+/* A chip that sleeps is to be looked at then. */
+static avr_cycle_count_t wake(avr_t *avr, avr_cycle_count_t when, void *param) { return 0; }
+
 static void sent(avr_irq_t *irq, uint32_t value, void *param) {
   port_t *port = param;
   look_at_switch(port, 1);
   port->sent_at = port->board->avr->cycle;
+  avr_cycle_timer_register(port->board->avr, PACKET_ENDS + 1, wake, port);
   if (port->out_end < QUEUE) port->out[port->out_end++] = (uint8_t)value;
+}
+
+/* A chip that sleeps does not wait for the day to pass. */
+static void sleep_at_once(avr_t *avr, avr_cycle_count_t cycles) {}
+
+/* Stop the timers of the PWM pins: nobody looks at these pins, and simavr, which has no top for their mode, would have
+ * each overflow at every count. */
+static void stop_pwm(avr_t *avr) {
+  static const uint16_t clocks[] = {0x81, 0xB1, 0x91, 0xA1, 0x121}; /* TCCR1B to TCCR5B of an ATmega2560 */
+  for (size_t i = 0; i < sizeof(clocks) / sizeof(*clocks); ++i) {
+    const avr_io_addr_t io = AVR_DATA_TO_IO(clocks[i]);
+    if (avr->data[clocks[i]] & 7) avr->io[io].w.c(avr, clocks[i], avr->data[clocks[i]] & ~7, avr->io[io].w.param);
+  }
 }
 
 static void quiet(avr_t *avr, const int level, const char *format, va_list list) {}
@@ -70,6 +89,8 @@ board_t *board_new(const char *elf, const char *chip) {
   if (!board->avr) return NULL;
   avr_init(board->avr);
   board->avr->log = LOG_NONE;
+  board->avr->sleep = sleep_at_once;
+  for (int i = 0; i < EXTERNAL_INTERRUPTS; ++i) avr_extint_set_strict_lvl_trig(board->avr, i, 0);
   firmware.frequency = 16000000;
   avr_load_firmware(board->avr, &firmware);
   for (int i = 0; i < PORTS; ++i) {
@@ -94,6 +115,8 @@ void board_free(board_t *board) {
 uint32_t board_run(board_t *board, uint32_t cycles) {
   const avr_cycle_count_t begin = board->avr->cycle;
   const port_t *servo = &board->ports[SERVO];
+  stop_pwm(board->avr);
+  avr_cycle_timer_register(board->avr, cycles, wake, board);
   while (board->avr->cycle - begin < cycles) {
     const int state = avr_run(board->avr);
     if (state == cpu_Done || state == cpu_Crashed) return 0;

@@ -1,7 +1,7 @@
 """The firmware's binary for the reference board, an Arduino Mega 2560, run in simavr against the valve's twin.
 
-It has the same seam as `HandTwin`, so that a test may be run on both. A second of its time takes about one of the
-processor's. Debian's packages: gcc-avr, avr-libc, arduino-core-avr, libsimavr-dev.
+It has the same seam as `HandTwin`, so that a test may be run on both. A second of its time takes some 0.05 s of the
+processor's, as the chip sleeps for most of it. Debian's packages: gcc-avr, avr-libc, arduino-core-avr, libsimavr-dev.
 """
 
 import ctypes
@@ -17,8 +17,8 @@ from scuhand_bt.sim.wire.hand import NOMINAL_MAP, Valve
 
 HOST, SERVO = 0, 1
 CYCLES_PER_S = 16_000_000
-SLICE_S = 500e-6
-"""Between two looks at the servo, which may have something to answer: its return delay."""
+SLICE_S, QUIET_SLICE_S = 500e-6, 10e-3
+"""Between two looks at the servo, while it may have something to answer, its return delay, and while it was not asked."""
 HOST_BAUD = 115_200
 STOP_PIN = (b"H", 4)
 """Pin 7 of a Mega."""
@@ -91,6 +91,7 @@ class AvrHand:
         self._now_s: float | None = None
         self._buffer = ctypes.create_string_buffer(4096)
         self._line = b""
+        self._is_asked = False
         self.emergency_stop = False
 
     def __del__(self) -> None:
@@ -148,7 +149,7 @@ class AvrHand:
         self._board.board_feed(self._self, HOST, data, len(data), CYCLES_PER_S * 10 // HOST_BAUD)
         self._now_s = now_s if self._now_s is None else self._now_s
         while self._now_s < now_s:
-            self._go_on(min(SLICE_S, now_s - self._now_s))
+            self._go_on(min(SLICE_S if self._is_asked else QUIET_SLICE_S, now_s - self._now_s))
         *lines, self._line = (self._line + self._sent(HOST)).split(b"\n")
         return [line + b"\n" for line in lines]
 
@@ -157,7 +158,9 @@ class AvrHand:
         assert took, "the chip has stopped"
         self._now_s += took / CYCLES_PER_S
         baud = self.servo_baud
-        answer = self.valve.say(baud, self._sent(SERVO), self._now_s)
+        asked = self._sent(SERVO)
+        answer = self.valve.say(baud, asked, self._now_s)
+        self._is_asked = bool(asked) or (self._is_asked and not answer)
         if answer:
             self._board.board_feed(self._self, SERVO, answer, len(answer), CYCLES_PER_S * 10 // baud)
 

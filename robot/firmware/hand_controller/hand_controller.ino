@@ -3,6 +3,7 @@
 // The host speaks through USB at 115200 baud, the valve's servo through Serial1. Nothing here but pins, the servo's
 // line, the memory and the watchdog: protocol and behaviour are in the .cpp files.
 #include <avr/eeprom.h>
+#include <avr/sleep.h>
 #include <avr/wdt.h>
 
 #include "controller.h"
@@ -13,6 +14,20 @@
 #endif
 
 namespace {
+
+// Sleep until something comes, or for a millisecond, if nothing is here yet: nothing can come in between. The counter of
+// the milliseconds, both lines and the watchdog go on.
+void sleep_unless_heard(Stream& line) {
+  noInterrupts();
+  if (line.available() > 0) {
+    interrupts();
+    return;
+  }
+  sleep_enable();
+  interrupts();
+  sleep_cpu();
+  sleep_disable();
+}
 
 // The longest return delay of a servo, and what it takes it to begin and the line to turn round.
 constexpr uint32_t kServoBeginsUs = 510 + 1000;
@@ -40,6 +55,7 @@ class HalfDuplex : public hand::Wire {
   bool receive(uint8_t* byte) override {
     while (Serial1.available() == 0) {
       if (micros() - sent_us_ > allowed_us_) return false;
+      sleep_unless_heard(Serial1);
     }
     *byte = static_cast<uint8_t>(Serial1.read());
     return true;
@@ -112,4 +128,5 @@ void loop() {
     hand::LineWriter reply;
     if (controller.take(reader.text(), reader.length(), now_ms, &reply)) Serial.print(reply.text());
   }
+  sleep_unless_heard(Serial);
 }
