@@ -37,12 +37,16 @@ class ValveServo {
   bool keep(uint16_t address, int32_t value, uint8_t size);
   bool set(uint16_t address, int32_t value, uint8_t size);
   bool look();
+  // How fast it goes: to shut after it was set up, and from then on.
+  bool hurry();
+  bool take_its_time();
 
   Wire& wire_;
   Dynamixel servo_;
   ValveMap map_ = {};
   bool begun_ = false;
   bool is_set_up_ = false;
+  bool is_at_its_speed_ = false;
   bool healthy_ = false;
   bool at_factory_baud_ = false;
   bool has_shut_down_ = false;
