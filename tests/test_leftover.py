@@ -141,8 +141,11 @@ def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_reco
         ({"beads": 1.0}, 4200.0, 1500.0, False),
         ({"beads": 1.0}, 20.0, 1700.0, True),
         ({"beads": 1.0}, 20.0, 1550.0, False),
-        ({"beads": 1.0}, 3000.0, 4200.0, True),  # full, and nothing has come of it yet
+        ({"beads": 1.0}, 3000.0, 4750.0, True),
         ({"beads": 1.0}, 3000.0, 3700.0, False),
+        ({"beads": 0.4}, 500.0, 1200.0, True),  # the last third is of what was in it, not of what should have been
+        ({"beads": 0.4}, 500.0, 1100.0, False),
+        ({"beads": 0.4}, 3000.0, 1900.0, True),  # nothing has come of it yet, and the next would be no larger
         ({}, 1500.0, 0.0, True),
         ({}, 1500.0, 1900.0, True),
         ({}, 1500.0, 2000.0, False),  # its end would come where the dose's is
@@ -158,7 +161,7 @@ def test_a_dose_begins_with_what_is_in_the_cone_but_not_with_the_last_of_a_load_
     powder = library.powders["glass_beads"]
     mortar = library.mortars["agate_mortar"]
     beads = Source(name="beads", station="mortar_bay", mortar=mortar, powder=powder, amount_mg=20_000.0)
-    load = Load(scooped_mg=4750.0)
+    load = Load(scooped_mg=4750.0, came_mg=yields.get("beads", 1.0) * 4750.0 - held_mg)
     believed = replace(
         Believed(), cone_mg=held_mg, cone_source="beads", sheet=beads.sheet_key, load=load, yields=yields
     )
