@@ -440,3 +440,8 @@ class CellSpec(Spec):
             if station.kind == kind:
                 return station
         raise KeyError(kind)
+
+    @property
+    def vessels(self) -> list[Station]:
+        """What a recipe may send leftovers to beside the waste bin, which is the first station of the kind `waste`."""
+        return [station for station in self.stations.values() if station.kind == "waste"][1:]

@@ -213,7 +213,8 @@ class Mortar(Spec):
     @model_validator(mode="after")
     def _is_a_cap(self) -> Self:
         if self.depth_mm > self.bore_mm / 2:
-            raise ValueError("the bowl is a cap of a sphere: its depth is at most half its bore")
+            beyond = "no beaker or jar is scooped from yet"
+            raise ValueError(f"the bowl is a cap of a sphere: its depth is at most half its bore; {beyond}")
         return self
 
     @property

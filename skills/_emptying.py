@@ -22,6 +22,8 @@ POURED_FROM_MM = 30.0
 POURING_DEG = (0.0, 20.0, 40.0, 60.0, 80.0)
 """The axis' tilts on the way: between two of them the lip strays by some millimetres."""
 POURING_MM_PER_S = 100.0
+POURING_TURNS_DEG = (0.0, 90.0, -90.0, 60.0, -60.0)
+"""The directions that it is poured in, from straight away from the arm: into a mortar that one, into a vessel any."""
 POURED_S = 1.0
 """Tilted so far, all has slid out within this time."""
 
@@ -96,7 +98,7 @@ def pour_back(cell: Cell, source: Source) -> Steps[None]:
 
     SkillFailed as `touch`.
     """
-    yield from _pour(cell, source)
+    yield from _pour(cell, source, source.station)
     held_mg = cell.believed.cone_mg
     cell.believed.emptied()
     cell.believed.returned(source.name, held_mg)
@@ -104,30 +106,60 @@ def pour_back(cell: Cell, source: Source) -> Steps[None]:
 
 
 def pour_rest(cell: Cell, source: Source) -> Steps[None]:
-    """Pour what a cone that gives nothing more may hold still into the mortar, before a scoop tips it.
+    """Pour out what a cone that gives nothing more may hold still, before a scoop tips it.
+
+    It goes into the mortar, or into what its leftovers are discarded into.
 
     Where the arm cannot, it stays, and is known to.
     """
-    yield from cell.move_to(source.station)
+    goes_to = vessel_for(cell, source) or source.station
+    yield from cell.move_to(goes_to)
     try:
-        yield from _pour(cell, source)
+        yield from _pour(cell, source, goes_to)
     except SkillFailed as failure:
         if failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
             raise
     else:
         cell.believed.emptied()
+        if goes_to != source.station:
+            cell.record.event(Discarded(expected_mg=0.0, source=source.name, to=goes_to))
 
 
-def _pour(cell: Cell, source: Source) -> Steps[None]:
-    """Turn the cone over its lip above a mortar, as a ladle is.
+def vessel_for(cell: Cell, source: Source) -> str | None:
+    """The station of what leftovers of a source are discarded into; None where they are not."""
+    if source.leftover != "discard":
+        return None
+    return source.leftover_to or cell.spec.station_of_kind("waste").name
 
-    The lip stands still above the middle of the bowl, and the cone is turned about it, away from the arm: whenever
-    powder begins to slide, it falls into the mortar. SkillFailed as `touch`.
+
+def _pour(cell: Cell, source: Source, station: str) -> Steps[None]:
+    """Turn the cone over its lip above a source's mortar, or the vessel at another station, as a ladle is.
+
+    The lip stands still above the middle, and the cone is turned about it, away from the arm, over a vessel else to its
+    side: whenever powder begins to slide, it falls in there. SkillFailed as `touch`.
     """
-    x_mm, y_mm, z_mm = cell.spec.stations[source.station].position_mm
-    out = np.array([x_mm, y_mm, 0.0]) / math.hypot(x_mm, y_mm)
+    if station == source.station:
+        yield from cell.touch(_pouring(cell, station, source.mortar.height_mm, 0.0), POURING_MM_PER_S, station)
+        yield from pause(cell, POURED_S)
+        return
+    for turn_deg in POURING_TURNS_DEG:
+        try:
+            yield from cell.touch(_pouring(cell, station, 0.0, turn_deg), POURING_MM_PER_S, None)
+        except SkillFailed as failure:
+            if turn_deg == POURING_TURNS_DEG[-1] or failure.code not in (Code.ARM_NO_PATH, Code.ARM_UNREACHABLE):
+                raise
+        else:
+            break
+    yield from pause(cell, POURED_S)
+
+
+def _pouring(cell: Cell, station: str, height_mm: float, turn_deg: float) -> list[ApexPose]:
+    """The cone's poses as it is poured out over what stands so high at a station, so far aside from straight out."""
+    x_mm, y_mm, z_mm = cell.spec.stations[station].position_mm
+    toward_rad = math.atan2(y_mm, x_mm) + math.radians(turn_deg)
+    out = np.array([math.cos(toward_rad), math.sin(toward_rad), 0.0])
     up = np.array([0.0, 0.0, 1.0])
-    lip_mm = np.array([x_mm, y_mm, z_mm + source.mortar.height_mm + POURED_FROM_MM])
+    lip_mm = np.array([x_mm, y_mm, z_mm + height_mm + POURED_FROM_MM])
     slant_mm = cell.spec.hand.sheet_radius_mm
     half_rad = math.asin(cell.hand.cone_diameter_mm / 2.0 / slant_mm)
     poses = []
@@ -135,8 +167,7 @@ def _pour(cell: Cell, source: Source) -> Steps[None]:
         generator = math.sin(tilt_rad + half_rad) * out + math.cos(tilt_rad + half_rad) * up
         axis = math.sin(tilt_rad) * out + math.cos(tilt_rad) * up
         poses.append(ApexPose((lip_mm - slant_mm * generator) / 1000, axis))
-    yield from cell.touch(poses, POURING_MM_PER_S, source.station)
-    yield from pause(cell, POURED_S)
+    return poses
 
 
 def put_away(cell: Cell) -> Steps[None]:
@@ -146,8 +177,8 @@ def put_away(cell: Cell) -> Steps[None]:
     """
     believed = cell.believed
     source = cell.sources[believed.cone_source or ""]
-    if source.leftover == "discard":
-        yield from empty_at(cell, source.leftover_to or cell.spec.station_of_kind("waste").name)
+    if (vessel := vessel_for(cell, source)) is not None:
+        yield from empty_at(cell, vessel)
         return
     yield from open_to_let_out(cell)
     yield from cell.move_to(source.station)

@@ -4,8 +4,6 @@ from scuhand_bt.skill import Cell, Code, Condition, Milligrams, Powder, SkillFai
 
 LAST_SHARE = 1 / 3
 """Of a load, what a dose is not begun with: the end of it flows badly, and less may be there than is believed."""
-FULL_SHARE = 0.75
-"""Of what the cone may carry, what a scoop brings that is to bring all of it, at the least."""
 
 
 class ConeHolds(Condition):
@@ -27,12 +25,13 @@ class ConeHolds(Condition):
         source = cell.sources.get(believed.cone_source or "")
         enough_mg = self.at_least_mg
         if self.wanted_mg > 0.0 and source is not None:
-            last_mg = LAST_SHARE * believed.load.scooped_mg
+            load = believed.load
+            last_mg = LAST_SHARE * (believed.cone_mg + max(0.0, load.came_mg)) if load.scooped_mg > 0.0 else 0.0
             is_one_load = self.wanted_mg + last_mg <= source.powder.load_limit_mg
             enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
-            if not believed.is_yield_known and believed.load.may_be_used_up(self.wanted_mg, believed.cone_mg):
+            if not believed.is_yield_known and load.may_be_used_up(self.wanted_mg, believed.cone_mg):
                 enough_mg = 0.0  # and more than is believed may be there
-            if believed.load.came_mg == 0.0 and believed.cone_mg > FULL_SHARE * source.powder.load_limit_mg:
+            if load.scooped_mg > 0.0 and load.came_mg == 0.0:
                 enough_mg = self.at_least_mg  # the next scoop would bring no more than this one
         if source is None or believed.cone_mg < enough_mg:
             raise SkillFailed(Code.HAND_CONE_EMPTY, f"the cone is believed to hold {believed.cone_mg:.0f} mg")

@@ -4,7 +4,7 @@ from typing import Literal
 
 from scuhand_bt.skill import Cell, Code, Kept, Skill, SkillFailed, Source, Steps
 
-from ._emptying import put_away
+from ._emptying import pour_rest, put_away
 
 
 class ReturnLeftover(Skill[None]):
@@ -22,6 +22,8 @@ class ReturnLeftover(Skill[None]):
     def run(self, cell: Cell) -> Steps[None]:
         believed = cell.believed
         if believed.cone_source is None:
+            if believed.has_rest and self.keep == "never" and believed.sheet == self.source.sheet_key:
+                yield from pour_rest(cell, self.source)
             return
         source = cell.sources[believed.cone_source]
         if source.sheet_key != self.source.sheet_key:

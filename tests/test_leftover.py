@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from conftest import read
@@ -12,9 +13,15 @@ from running import Ran, dry_run, make_lab
 
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.load import Load
+from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.recipe.recipe import load_recipe
+from scuhand_bt.report.powder_balance import powder_balance
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.specs import Source
+from scuhand_bt.study import Setup, odds_of
+from scuhand_bt.study.trial import trial
 
 RECIPE = """
 recipe: two
@@ -26,6 +33,15 @@ samples:
   - {id: a, mass: 300 mg}
   - {id: b, mass: 300 mg}
 """
+
+JAR = "  jar: {kind: waste, position: [0 mm, 320 mm, 100 mm]}\n  sheet_swap:"
+
+
+def two_lots() -> str:
+    """The second sample is of another lot."""
+    text = RECIPE.replace("WORKFLOW", "scoop_and_dispense").replace("LEFTOVER", "")
+    salt = "salt: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, lot: B, amount: 9 g}"
+    return text.replace("amount: 20 g}}", f"amount: 20 g}}, {salt}}}").replace("{id: b,", "{id: b, source: salt,")
 
 
 def run(tmp_path: Path, workflow: str, leftover: str, lab: Path | None = None) -> Ran:
@@ -56,8 +72,12 @@ def test_what_is_left_is_kept_returned_or_discarded(
     assert Counter(kind for kind, _ in events(ran, "scoop", "kept", "returned", "discarded")) == came
     world = ran.session.world
     assert world is not None
-    assert (world.masses_mg["waste"] > 1000.0) == (leftover == "discard")
-    assert world.masses_mg["cone"] < 1.0, "after the last sample nothing is kept"
+    masses_mg = world.masses_mg
+    assert masses_mg["cone"] < 1.0, "after the last sample nothing is kept"
+    doses_mg = masses_mg["container:a"] + masses_mg["container:b"]
+    gone_mg = doses_mg + masses_mg["sheet"] + (masses_mg["waste"] if leftover == "discard" else 0.0)
+    assert masses_mg["source:beads"] == pytest.approx(20_000.0 - gone_mg, abs=1.0), "and nothing went anywhere else"
+    assert (masses_mg["waste"] > 1000.0) == (leftover == "discard")
 
 
 def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_is_believed_without_it(
@@ -66,8 +86,7 @@ def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_
     lab = make_lab(tmp_path / "lab")
     cell = lab / "robot" / "cell.yaml"
     text = cell.read_text(encoding="utf-8")
-    jar = "  jar: {kind: waste, position: [0 mm, 320 mm, 100 mm]}\n  sheet_swap:"
-    cell.write_text(text.replace("  sheet_swap:", jar), encoding="utf-8")
+    cell.write_text(text.replace("  sheet_swap:", JAR), encoding="utf-8")
     assert "jar" in load_lab(lab).cell.stations
     ran = run(tmp_path, "fill_crucible", "{to: jar}", lab)
     gone = [payload for _, payload in events(ran, "discarded")]
@@ -75,14 +94,39 @@ def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_
     world, believed = ran.session.world, ran.session.cell.believed
     assert world is not None
     assert believed.sources_mg["beads"] == pytest.approx(world.masses_mg["source:beads"], abs=1000.0)
-    assert world.masses_mg["source:beads"] < 15_000.0
+    masses_mg = world.masses_mg
+    assert masses_mg["vessel:jar"] == pytest.approx(sum(cast(float, one["expected_mg"]) for one in gone), rel=0.15)
+    assert masses_mg["waste"] < 1.0, "the jar's powder is not the bin's"
+    put_mg = masses_mg["vessel:jar"] + masses_mg["container:a"] + masses_mg["container:b"] + masses_mg["sheet"]
+    assert masses_mg["source:beads"] == pytest.approx(20_000.0 - put_mg, abs=1.0)
+
+
+def test_the_plan_shows_beside_the_waste_what_goes_into_the_vessel_that_the_recipe_names(
+    tmp_path: Path,
+) -> None:
+    lab = make_lab(tmp_path / "lab")
+    cell = lab / "robot" / "cell.yaml"
+    text = cell.read_text(encoding="utf-8")
+    cell.write_text(text.replace("  sheet_swap:", JAR), encoding="utf-8")
+    recipe = tmp_path / "into.yaml"
+    told = RECIPE.replace("WORKFLOW", "fill_crucible").replace("LEFTOVER", "leftover: {to: jar}")
+    recipe.write_text(told, encoding="utf-8")
+    setup = Setup(recipe, lab)
+    plan = make_plan(load_recipe(recipe, load_lab(lab)), load_lab(lab))
+    left_mg = odds_of(plan, [trial(setup, 1)]).leftovers_mg["beads"]
+    assert list(left_mg) == ["kept", "returned", "discarded", "into jar"]
+    assert [left_mg[kind].middle > 1000.0 for kind in left_mg] == [False, False, False, True]
+
+
+def test_the_report_counts_the_sheets_that_have_touched_each_lot(tmp_path: Path) -> None:
+    ran = dry_run(tmp_path, two_lots())
+    with open_contents(ran.journal) as contents:
+        balance = {one.lot: (one.sheets, one.scoops) for one in powder_balance(contents)}
+    assert balance == {"": ({1}, 1), "B": ({2}, 1)}
 
 
 def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_record_has_which(tmp_path: Path) -> None:
-    text = RECIPE.replace("WORKFLOW", "scoop_and_dispense").replace("LEFTOVER", "")
-    salt = "salt: {station: mortar_bay_2, container: agate_mortar, powder: glass_beads, lot: B, amount: 9 g}"
-    text = text.replace("amount: 20 g}}", f"amount: 20 g}}, {salt}}}").replace("{id: b,", "{id: b, source: salt,")
-    ran = dry_run(tmp_path, text)
+    ran = dry_run(tmp_path, two_lots())
     (asked,) = events(ran, "asked")
     assert "wipe both rollers and the clamp: they and this sheet have touched glass_beads" in str(asked[1]["question"])
     assert [payload["touched"] for _, payload in events(ran, "sheet")] == ["glass_beads"]
@@ -97,8 +141,11 @@ def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_reco
         ({"beads": 1.0}, 4200.0, 1500.0, False),
         ({"beads": 1.0}, 20.0, 1700.0, True),
         ({"beads": 1.0}, 20.0, 1550.0, False),
-        ({"beads": 1.0}, 3000.0, 4200.0, True),  # full, and nothing has come of it yet
+        ({"beads": 1.0}, 3000.0, 4750.0, True),
         ({"beads": 1.0}, 3000.0, 3700.0, False),
+        ({"beads": 0.4}, 500.0, 1200.0, True),  # the last third is of what was in it, not of what should have been
+        ({"beads": 0.4}, 500.0, 1100.0, False),
+        ({"beads": 0.4}, 3000.0, 1900.0, True),  # nothing has come of it yet, and the next would be no larger
         ({}, 1500.0, 0.0, True),
         ({}, 1500.0, 1900.0, True),
         ({}, 1500.0, 2000.0, False),  # its end would come where the dose's is
@@ -114,7 +161,7 @@ def test_a_dose_begins_with_what_is_in_the_cone_but_not_with_the_last_of_a_load_
     powder = library.powders["glass_beads"]
     mortar = library.mortars["agate_mortar"]
     beads = Source(name="beads", station="mortar_bay", mortar=mortar, powder=powder, amount_mg=20_000.0)
-    load = Load(scooped_mg=4750.0)
+    load = Load(scooped_mg=4750.0, came_mg=yields.get("beads", 1.0) * 4750.0 - held_mg)
     believed = replace(
         Believed(), cone_mg=held_mg, cone_source="beads", sheet=beads.sheet_key, load=load, yields=yields
     )

@@ -1,5 +1,7 @@
 """What `check` finds before a run would: ways that no pair of places tells of."""
 
+import re
+
 import pytest
 from conftest import LabFolder
 
@@ -42,6 +44,19 @@ def test_a_mortar_over_which_the_arm_can_stand_but_in_which_it_can_make_no_strok
     (message,) = blocked(lab)
     assert message.startswith("at 'mortar_bay' no stroke is possible in any direction")
     assert "lid" in message
+
+
+def test_where_the_check_says_a_mortar_may_stand_the_arm_can_scoop_and_carry_and_stand_at_every_other_place(
+    lab: LabFolder,
+) -> None:
+    """The nearest place with a stroke is so near the sheet's that the cone there would be in the mortar."""
+    here = "mortar_bay:   {kind: mortar,  position: [200 mm,  240 mm, 0 mm]"
+    lab.replace("robot/cell.yaml", here, here.replace("200 mm,  240 mm, 0 mm", "340 mm, -400 mm, 120 mm"))
+    (message,) = blocked(lab)
+    found = re.search(r"With 'mortar_bay' at \[(.*)\] it can scoop there, and carry what it has scooped", message)
+    assert found is not None, message
+    lab.replace("robot/cell.yaml", "340 mm, -400 mm, 120 mm", found[1])
+    assert blocked(lab) == []
 
 
 def test_a_fresh_sheets_cone_that_is_wider_than_the_usual_one_must_come_everywhere_too(lab: LabFolder) -> None:

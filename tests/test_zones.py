@@ -243,6 +243,24 @@ def test_what_a_dose_that_gave_out_has_left_in_the_cone_is_poured_into_the_morta
     assert not cell.believed.has_rest
 
 
+def test_what_such_a_dose_has_left_goes_to_waste_before_the_next_scoop_where_leftovers_do(
+    starter: Lab, motion: MotionPlanner
+) -> None:
+    """A chemist who discards wants nothing that was in the cone back in the mortar."""
+    bench, source = scooping_bench(starter, motion)
+    source, cell = source.model_copy(update={"leftover": "discard"}), bench.cell
+    cell.sources = {"beads": source}
+    bench.do(cell.move_to("waste"))
+    bench.world.load_cone("beads", 60.0)
+    cell.believed.scooped(source, 3000.0)
+    cell.believed.gave_out(is_short=False)
+    before_mg = bench.world.masses_mg["waste"]
+    bench.do(starter.library.skills["scoop"](source=source).run(cell))
+    assert bench.world.masses_mg["waste"] - before_mg == pytest.approx(60.0, abs=1.0)
+    assert bench.world.masses_mg["spilled"] == 0.0
+    assert not cell.believed.has_rest
+
+
 @pytest.mark.parametrize("after_s", [2.5, 3.5, 4.5])
 def test_a_scoop_that_is_halted_in_its_mortar_is_withdrawn(starter: Lab, motion: MotionPlanner, after_s: float) -> None:
     """On its way into the powder, along the wall, and as it turns upright."""

@@ -161,11 +161,11 @@ class Cell:
         yield from self._follow(there)
         yield from self._follow(down)
 
-    def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Steps[None]:
+    def touch(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Steps[None]:
         """Move the apex along straight lines; the sheet may touch the mortar at `station`, nothing else."""
         yield from self._follow(self.contact(waypoints, speed_mm_per_s, station))
 
-    def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str) -> Trajectory:
+    def contact(self, waypoints: Sequence[ApexPose], speed_mm_per_s: float, station: str | None) -> Trajectory:
         """The trajectory of `touch`, to be started beside another motion."""
         return self._planner().contact(self.arm.positions, waypoints, speed_mm_per_s / 1000, touching=station)
 

@@ -108,10 +108,9 @@ def _propose(setup: "Setup", vary: "Vary", candidates: int, seeds: range, execut
 
 def tell_odds(odds: "Odds") -> None:
     """The odds, as a person reads them."""
-    from scuhand_bt.study import LEFTOVERS
-
     out.print(f"\nBy {odds.trials} dry runs (intervals of 90 %): it takes {_range(odds.duration_s, format_duration)}.")
-    table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in LEFTOVERS), show_edge=False)
+    kinds = next(iter(odds.leftovers_mg.values()), {})
+    table = Table("source", "scoops", "powder used", *(f"left, {kind}" for kind in kinds), show_edge=False)
     for name, scoops in odds.scoops.items():
         masses = (odds.used_mg[name], *odds.leftovers_mg[name].values())
         table.add_row(name, _range(scoops, lambda count: f"{count:.0f}"), *(_range(one, format_mass) for one in masses))

@@ -6,10 +6,10 @@ the run's own reckoning, which has no uncertainty that anyone has measured.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
-from scuhand_bt.events import Discarded, Returned, Scooped
+from scuhand_bt.events import Discarded, Returned, Scooped, SheetSwapped
 from scuhand_bt.journal.events import Matter, RunBegun
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
@@ -26,6 +26,8 @@ class SourceBalance:
     start_mg: float | None = None
     """What it was said to hold before the first action."""
     scoops: int = 0
+    sheets: set[int] = field(default_factory=set)
+    """The numbers of those that have touched it; both rollers and the passive clamp have with each, until wiped."""
     scooped_mg: float = 0.0
     returned_mg: float = 0.0
     discarded_mg: float = 0.0
@@ -53,22 +55,27 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
     """The balance of every source of a run, in the recipe's order."""
     found: dict[str, SourceBalance] = {}
     believed: Mapping[str, Any] = {}
+    sheet = 1
     for row in contents.rows("entry"):
         match event := parsed(row["kind"], row["payload"]):
             case RunBegun():
                 found = {name: SourceBalance(name, one.powder, one.lot) for name, one in event.sources.items()}
             case Scooped() if event.source in found:
                 found[event.source].scoops += 1
+                found[event.source].sheets.add(sheet)
                 found[event.source].scooped_mg += event.expected_mg
             case Returned() if event.source in found:
                 found[event.source].returned_mg += event.expected_mg
-            case Discarded() if believed.get("cone_source") in found:
-                found[believed["cone_source"]].discarded_mg += event.expected_mg
+            case Discarded() if (name := event.source or believed.get("cone_source")) in found:
+                found[name].discarded_mg += event.expected_mg
+            case SheetSwapped():
+                sheet = event.sheets_used
             case Matter():
                 for name, one in found.items():
                     one.truly_left_mg = event.model_extra.get(f"source:{name}") if event.model_extra else None
         if row["state"] is not None:
             believed = row["state"]["believed"]
+            sheet = believed.get("sheets_used", sheet)
             for name, mass_mg in believed["sources_mg"].items():
                 if name in found:
                     one = found[name]

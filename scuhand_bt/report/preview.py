@@ -41,6 +41,7 @@ def preview_page(plan: Plan, lab: Lab, odds: Odds) -> str:
             ("times that a person is needed", str(sum(person.job is not None for person in plan.persons))),
         ],
         jobs=list(_jobs(plan, odds)),
+        powder_columns=_powder_columns(odds),
         powders=list(_powders(plan, odds)),
         failures=[(code, f"{count:.2g}") for code, count in odds.codes.items()],
         persons=list(_persons(plan, odds)),
@@ -88,6 +89,11 @@ def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
                 f"{chance.probability:.0%} ({chance.low:.0%} to {chance.high:.0%})" if chance is not None else "",
             ],
         }
+
+
+def _powder_columns(odds: Odds) -> list[str]:
+    left = [f"left, {kind}" for kind in next(iter(odds.leftovers_mg.values()), {})]
+    return ["source", "powder", "station", "samples", "scoops", "needed with losses", "used", *left, "amount"]
 
 
 def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:

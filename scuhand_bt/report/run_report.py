@@ -266,7 +266,7 @@ def _activities(time: TimeSpent) -> list[str]:
 def _powder_columns(powder: Sequence[SourceBalance]) -> list[str]:
     truly = ["truly left (sim.)"] if any(one.truly_left_mg is not None for one in powder) else []
     weighed = ["dosed, weighed", "returned", "discarded", "in the cone", "left", "not accounted for"]
-    return ["source", "powder", "at the start", "scoops", "scooped", *weighed, *truly]
+    return ["source", "powder", "at the start", "scoops", "sheets, rollers, clamp", "scooped", *weighed, *truly]
 
 
 def _powder_rows(powder: Sequence[SourceBalance]) -> Iterator[list[str]]:
@@ -276,6 +276,7 @@ def _powder_rows(powder: Sequence[SourceBalance]) -> Iterator[list[str]]:
             one.powder + (f"/{one.lot}" if one.lot else ""),
             _mass(one.start_mg),
             str(one.scoops),
+            f"{len(one.sheets)} ×" if one.sheets else NONE,
             _mass(one.scooped_mg),
         ]
         row += [

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from scuhand_bt.cell.cell import carrying_limit_deg
-from scuhand_bt.cell.places import over_balance, over_mortar
+from scuhand_bt.cell.places import all_places, over_balance
 from scuhand_bt.cell.scooping import planned_stroke
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
 from scuhand_bt.devices.interfaces import Joints
@@ -25,6 +25,7 @@ from scuhand_bt.dosing.vessel import Vessel
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.recipe.sample import Demand
 from scuhand_bt.specs import ContainerKind, Source
 
 STEP_DEG = 30
@@ -33,21 +34,58 @@ LEAST_BED_MG = 30.0
 """Less in a mortar is not scooped any more."""
 LOWERING_M_PER_S = 0.06
 OUT_MM, TURNS_DEG = (280.0, 310.0, 340.0), (35.0, 50.0, 65.0, 80.0)
-"""Where a mortar may stand that has no stroke where it does: from the arm's base, and aside of straight ahead."""
+"""Where a mortar may stand that lacks a way where it does: from the arm's base, and aside of straight ahead."""
 BESIDE_MM = 10.0
 
 
 def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind]) -> None:
-    """Plan all of them; SkillFailed arm.* for one that there is not."""
-    pans = [(kind, over_balance(cell, kind)[0]) for kind in kinds]
+    """Plan all of them; SkillFailed arm.* for one that there is not.
+
+    Where it is a mortar that stands badly, it says where it might stand: what is proposed has all the ways.
+    """
     scooped = [demand for demand in plan.demands if demand.needed_mg > 0]
+    try:
+        _ways(motion, plan, cell, kinds, scooped)
+    except SkillFailed as failure:
+        badly = [demand for demand in scooped if _stands_badly(motion, cell, kinds, demand)]
+        if not badly:
+            raise
+        others = [badly[0], *(demand for demand in scooped if demand not in badly)]
+        where = _elsewhere(motion, plan, cell, kinds, others)
+        raise SkillFailed(failure.code, f"{failure.detail}. {where}") from None
+
+
+def _carries(cell: CellSpec, source: Source, kinds: Sequence[ContainerKind]) -> list[tuple[str, str, float]]:
+    """From a mortar and to where its powder goes, with the spill limit [deg] of the heaviest load."""
+    goes_to = [*(over_balance(cell, kind)[0] for kind in kinds), *_discarding(cell, source)]
+    return [(source.station, place, _limit_deg(cell, source)) for place in dict.fromkeys(goes_to)]
+
+
+def _stands_badly(motion: MotionPlanner, cell: CellSpec, kinds: Sequence[ContainerKind], demand: Demand) -> bool:
+    """Whether a mortar, where it stands, cannot be stood over, carried from, or scooped from."""
+    source = demand.source
+    try:
+        motion.set_geometry()
+        for station, place, limit_deg in _carries(cell, source, kinds):
+            motion.move(motion.standing_at(station), place, spill_limit_deg=limit_deg)
+        return any(_why_no_stroke(motion, cell, source, bed_mg) for bed_mg in _beds_mg(demand))
+    except SkillFailed:
+        return True
+
+
+def _beds_mg(demand: Demand) -> list[float]:
+    """What the plan begins with in a mortar, and what it leaves."""
+    left_mg = demand.source.amount_mg - demand.needed_mg
+    return list(dict.fromkeys([demand.source.amount_mg, max(left_mg, LEAST_BED_MG)]))
+
+
+def _ways(
+    motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
+) -> None:
+    """All ways of a plan that scoops so much; SkillFailed for one that there is not."""
+    pans = [(kind, over_balance(cell, kind)[0]) for kind in kinds]
     limits_deg = {demand.source.name: _limit_deg(cell, demand.source) for demand in scooped}
-    carries = [
-        (source.station, place, limits_deg[source.name])
-        for source in (demand.source for demand in scooped)
-        for place in dict.fromkeys([*(place for _, place in pans), *_discarding(cell, source)])
-    ]
-    motion.prepare(pans, carries)
+    motion.prepare(pans, [carry for demand in scooped for carry in _carries(cell, demand.source, kinds)])
     _with_fresh_sheet(motion, cell, pans)
     for (kind, place), demand in itertools.product(pans, scooped):
         motion.set_geometry(container=kind)
@@ -57,8 +95,7 @@ def prepare_ways(motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Seque
             motion.move(begin, down.start, spill_limit_deg=limit_deg)
     motion.set_geometry()
     for demand in scooped:
-        left_mg = demand.source.amount_mg - demand.needed_mg
-        for bed_mg in dict.fromkeys([demand.source.amount_mg, max(left_mg, LEAST_BED_MG)]):
+        for bed_mg in _beds_mg(demand):
             _stroke(motion, cell, demand.source, bed_mg)
 
 
@@ -86,14 +123,10 @@ def _with_fresh_sheet(motion: MotionPlanner, cell: CellSpec, pans: Sequence[tupl
 
 
 def _stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> None:
-    """A stroke in some direction, and from its end to where loads are carried from; else said where there is one."""
-    why = _why_no_stroke(motion, cell, source, bed_mg)
-    if why:
-        where, other = (
-            f"at '{source.station}' no stroke is possible in any direction",
-            _elsewhere(motion, cell, source, bed_mg),
-        )
-        raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}. {other}")
+    """A stroke in some direction, and from its end to where loads are carried from."""
+    if why := _why_no_stroke(motion, cell, source, bed_mg):
+        where = f"at '{source.station}' no stroke is possible in any direction"
+        raise SkillFailed(Code.ARM_NO_PATH, f"{where}: {why}")
 
 
 def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
@@ -121,8 +154,14 @@ def _why_no_stroke(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg
     return why
 
 
-def _elsewhere(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: float) -> str:
-    """Where the mortar would have to stand, of some places about the arm the nearest that has a stroke; a sentence."""
+def _elsewhere(
+    motion: MotionPlanner, plan: Plan, cell: CellSpec, kinds: Sequence[ContainerKind], scooped: Sequence[Demand]
+) -> str:
+    """Where the first one's mortar might stand, of some places about the arm the nearest that has all ways; a sentence.
+
+    All are looked at with the mortar there: strokes, loads carried to the pan, and the same for the others.
+    """
+    source = scooped[0].source
     station = cell.stations[source.station]
     z_mm = station.position_mm[2]
     places = [
@@ -138,15 +177,17 @@ def _elsewhere(motion: MotionPlanner, cell: CellSpec, source: Source, bed_mg: fl
             continue
         there = station.model_copy(update={"position_mm": place_mm})
         moved = cell.model_copy(update={"stations": {**cell.stations, station.name: there}})
-        planner = MotionPlanner(motion.urdf, moved, {station.name: source.mortar})
+        sources = plan.recipe.sources
+        planner = MotionPlanner(motion.urdf, moved, {one.station: one.mortar for one in sources.values()})
         try:
-            planner.add_place(station.name, ApexPose(np.array(over_mortar(there, source.mortar)) / 1000))
-            if _why_no_stroke(planner, moved, source, bed_mg):
-                continue
+            for name, position_mm in all_places(moved, sources, kinds).items():
+                planner.add_place(name, ApexPose(np.array(position_mm) / 1000))
+            _ways(planner, plan, moved, kinds, scooped)
         except SkillFailed:
             continue
-        return f"Where it stands at [{', '.join(f'{mm:g} mm' for mm in place_mm)}], one is"
-    return "At none of the places that were tried for it one is: look at `scuhand-bt reach --task scoop`"
+        at = ", ".join(f"{mm:g} mm" for mm in place_mm)
+        return f"With '{station.name}' at [{at}] it can scoop there, and carry what it has scooped to where it goes"
+    return f"'{station.name}' may be at none of the places that were tried: look at `scuhand-bt reach --task scoop`"
 
 
 def _has_room(cell: CellSpec, name: str, place_mm: tuple[float, float, float], source: Source) -> bool:

@@ -1,18 +1,18 @@
 """All the powder of a world: the compartments it can be in, and the one operation that moves it."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
 from scuhand_bt.specs import Source
 
 Kind: TypeAlias = Literal[
-    "source", "container", "cone", "sheet", "flight", "balance", "pan", "returned", "waste", "spilled"
+    "source", "container", "cone", "sheet", "flight", "balance", "pan", "returned", "waste", "vessel", "spilled"
 ]
 
 
 class Compartment(NamedTuple):
-    """A place that powder can be in; of sources and containers there are many, each with a name."""
+    """A place that powder can be in; of sources, containers and vessels there are many, each with a name."""
 
     kind: Kind
     name: str = ""
@@ -41,6 +41,7 @@ PAN = Compartment("pan")
 RETURNED = Compartment("returned")
 """Put back into another powder's mortar."""
 WASTE = Compartment("waste")
+"""The bin, and what leaves the cell with a sheet."""
 SPILLED = Compartment("spilled")
 BALANCE = Compartment("balance")
 """Where powder falls to that will meet a mouth: it lands in the container that stands there then, or on the pan."""
@@ -56,12 +57,17 @@ def in_container(container_id: str) -> Compartment:
     return Compartment("container", container_id)
 
 
+def in_vessel(station: str) -> Compartment:
+    """The vessel for leftovers at a station, beside the waste bin."""
+    return Compartment("vessel", station)
+
+
 class MassLedger:
     """Masses in compartments that never go negative; only `transfer` changes them, and whoever refills a mortar."""
 
-    def __init__(self, sources: Mapping[str, Source]) -> None:
+    def __init__(self, sources: Mapping[str, Source], vessels: Iterable[str] = ()) -> None:
         self.masses_mg: dict[Compartment, float] = dict.fromkeys(
-            (CONE, SHEET, FLIGHT, PAN, RETURNED, WASTE, SPILLED), 0.0
+            (CONE, SHEET, FLIGHT, PAN, RETURNED, WASTE, *map(in_vessel, vessels), SPILLED), 0.0
         )
         """By compartment; those of containers come as the containers do."""
         for name, source in sources.items():

@@ -5,6 +5,7 @@ The class is built without arguments and offers any of `flow(powder)`, `balance(
 """
 
 import importlib
+import json
 import math
 from collections.abc import Iterable
 from typing import Any, Protocol
@@ -126,6 +127,14 @@ class Plant:
         for height_mm in (mortar.depth_mm, mortar.depth_mm / 2):
             self.moved(bed.move(height_mm * level, level, mortar.bore_mm / 2, 1000.0, 0.0), 1000.0, 0.0)
         bed.leave()
+        try:
+            self.bed(mortar, powder, 50.0).kept = json.loads(json.dumps(bed.kept))
+        except Exception as error:
+            call = f"bed({mortar.name}, {powder.name}, 50)"
+            why = f"{type(error).__name__}: {error}"
+            raise PlantError(
+                f"{self.name}: 'kept' of {call} is not what a resumed run can begin with: {why}"
+            ) from error
 
     def leaving(self, mass_mg: float, in_cone_mg: float) -> float:
         """Let a sound flow through; PlantError otherwise."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from scuhand_bt.bench_spec import Station
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.sim.cone_over import Floats
-from scuhand_bt.sim.mass_ledger import BALANCE, PAN, RETURNED, SPILLED, WASTE, Compartment, in_source
+from scuhand_bt.sim.mass_ledger import BALANCE, PAN, RETURNED, SPILLED, WASTE, Compartment, in_source, in_vessel
 from scuhand_bt.specs import Source
 
 GRAVITY_MM_PER_S2 = 9810.0
@@ -21,6 +21,7 @@ class Surroundings:
         self._stations, self._sources = spec.stations, sources
         self._station_of = {name: spec.stations[source.station] for name, source in sources.items()}
         self._pan = spec.station_of_kind("balance")
+        self._vessels = {station.name for station in spec.vessels}
 
     def below(self, point_mm: Floats, mouth_mm: float, cone_source: str | None) -> tuple[Compartment, float]:
         """What lies under a point (3,), and the fall time to it [s].
@@ -46,5 +47,6 @@ class Surroundings:
                 return place, fall_s(station.position_mm[2] + mortar.height_mm - mortar.depth_mm)
         for station in self._stations.values():
             if station.kind == "waste" and aside_mm(station) <= WASTE_RADIUS_MM:
-                return WASTE, fall_s(station.position_mm[2])
+                place = in_vessel(station.name) if station.name in self._vessels else WASTE
+                return place, fall_s(station.position_mm[2])
         return SPILLED, fall_s(0.0)

@@ -66,7 +66,7 @@ class World:
         self.faults = arm.faults = hand.faults = balance.faults = faults or Faults()
         self.now_s = 0.0
         """The time it has come to."""
-        self.ledger = MassLedger(sources)
+        self.ledger = MassLedger(sources, [station.name for station in spec.vessels])
         self.pan = Pan(self.ledger, seed, self.faults)
         mortars = Mortars(spec, sources, plant, self.ledger)
         around = Surroundings(spec, sources)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from scuhand_bt.study.pool import all_trials, executor_of
     from scuhand_bt.study.store import Store, open_store
     from scuhand_bt.study.table import TABLE_KINDS, write_table
-    from scuhand_bt.study.trial import LEFTOVERS, Setup, Task, Trial
+    from scuhand_bt.study.trial import Setup, Task, Trial
     from scuhand_bt.study.vary import Vary, goes_with, read_vary
 else:
     __getattr__, __dir__ = front(
@@ -23,13 +23,12 @@ else:
             "study.pool": "all_trials executor_of",
             "study.store": "Store open_store",
             "study.table": "TABLE_KINDS write_table",
-            "study.trial": "LEFTOVERS Setup Task Trial",
+            "study.trial": "Setup Task Trial",
             "study.vary": "Vary goes_with read_vary",
         },
     )
 
 __all__ = [
-    "LEFTOVERS",
     "TABLE_KINDS",
     "Night",
     "Odds",

@@ -20,7 +20,7 @@ from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.study.change import changed
 from scuhand_bt.study.some_cell import SomeCell
-from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Setup, Trial
+from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Setup, Trial, into
 
 SOME_CELL = f"{SomeCell.__module__}:{SomeCell.__name__}"
 
@@ -47,10 +47,15 @@ def dry_run(setup: Setup, seed: int) -> Trial:
             scooped = database.execute("SELECT json_extract(payload, '$.source') FROM entry WHERE kind = 'scoop'")
             scoops = Counter(source for (source,) in scooped)
             leftovers = database.execute(
-                "SELECT json_extract(payload, '$.source'), kind, SUM(json_extract(payload, '$.expected_mg'))"
-                " FROM entry WHERE kind IN (?, ?, ?) GROUP BY 1, 2",
+                "SELECT json_extract(payload, '$.source'), kind, json_extract(payload, '$.to'),"
+                " SUM(json_extract(payload, '$.expected_mg')) FROM entry WHERE kind IN (?, ?, ?) GROUP BY 1, 2, 3",
                 LEFTOVERS,
             ).fetchall()
+    vessels = {station.name for station in lab.cell.vessels}
+    became_mg: dict[str, Counter[str]] = {name: Counter() for name in plan.recipe.sources}
+    for source, kind, station, mass_mg in leftovers:
+        if source in became_mg:
+            became_mg[source][into(station) if station in vessels else kind] += mass_mg
     names = list(plan.recipe.sources)
     samples = tuple(
         SampleTrial(
@@ -76,7 +81,7 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         samples,
         {name: scoops[name] for name in names},
         used_mg,
-        {name: {kind: mg for of, kind, mg in leftovers if of == name} for name in names},
+        became_mg,
     )
 
 

@@ -60,7 +60,7 @@ class Odds:
     """By source."""
     used_mg: Mapping[str, Range]
     leftovers_mg: Mapping[str, Mapping[str, Range]]
-    """By source and by what became of it, the powder that was left in the cone after doses."""
+    """By source and by what became of it, the same for each, the powder that was left in the cone after doses."""
     codes: Mapping[str, float]
     """How many samples of a run fail so, on average; the most frequent first."""
 
@@ -72,6 +72,7 @@ class Odds:
 
 def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
     """The odds of a plan by its trials, at least one."""
+    vessels = sorted({kind for trial in found for mg in trial.leftovers_mg.values() for kind in mg} - {*LEFTOVERS})
     codes = Counter(one.code or one.verdict for trial in found for one in trial.samples if not one.good)
     return Odds(
         trials=len(found),
@@ -85,7 +86,10 @@ def odds_of(plan: Plan, found: Sequence[Trial]) -> Odds:
         scoops={name: _seen([trial.scoops[name] for trial in found]) for name in plan.recipe.sources},
         used_mg={name: _seen([trial.used_mg[name] for trial in found]) for name in plan.recipe.sources},
         leftovers_mg={
-            name: {kind: _seen([trial.leftovers_mg[name].get(kind, 0.0) for trial in found]) for kind in LEFTOVERS}
+            name: {
+                kind: _seen([trial.leftovers_mg[name].get(kind, 0.0) for trial in found])
+                for kind in (*LEFTOVERS, *vessels)
+            }
             for name in plan.recipe.sources
         },
         codes={code: count / len(found) for code, count in codes.most_common()},

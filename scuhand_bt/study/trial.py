@@ -15,6 +15,11 @@ LEFTOVERS = ("kept", "returned", "discarded")
 """What becomes of powder that is left in the cone, as the journal calls it."""
 
 
+def into(station: str) -> str:
+    """What is beside these, where a recipe has named a vessel that is not the waste bin."""
+    return f"into {station}"
+
+
 @dataclass(frozen=True)
 class Setup:
     """What is tried: a recipe in a lab, with changes of its figures, under a controller, on simulated physics."""
@@ -59,7 +64,7 @@ class Trial:
     used_mg: Mapping[str, float]
     """What each source has lost, by its name."""
     leftovers_mg: Mapping[str, Mapping[str, float]]
-    """By source, what was left in the cone after doses: in sum kept for the next, returned and discarded."""
+    """By source, what was left in the cone after doses: in sum kept for the next, returned, discarded, put away."""
 
 
 Task: TypeAlias = tuple[Setup, int]

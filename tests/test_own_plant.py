@@ -1,0 +1,113 @@
+"""A bed and a yield of one's own, in a file that `--plant` names: a dry run goes by them and by nothing of ours."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from running import Ran, dry_run
+
+from scuhand_bt.lab import load_lab, starter_lab
+from scuhand_bt.sim.plant import Plant, PlantError
+
+RECIPE = """
+recipe: own
+workflow: scoop_and_dispense
+defaults: {source: beads, container: alumina_crucible, tolerance: 5 mg}
+sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 20 g}}
+samples: [{id: a, mass: 300 mg}]
+"""
+PORTION_MG = 3000.0
+
+
+class Portions:
+    """A bed of which each scoop lifts one portion, whatever the stroke; it keeps how many it has given."""
+
+    def __init__(self, *_: object) -> None:
+        self.kept, self._has_given = 0, False
+
+    def move(
+        self, apex_mm: Any, axis: Any, rim_mm: float, in_mortar_mg: float, in_cone_mg: float
+    ) -> tuple[float, float]:
+        if self._has_given:
+            return 0.0, 0.0
+        self._has_given = True
+        self.kept += 1
+        return min(in_mortar_mg, PORTION_MG), 0.0
+
+    def leave(self) -> None:
+        self._has_given = False
+
+
+class Of:
+    """Of what is lifted, this share stays in the cone, with no chance in it."""
+
+    brought_mg: ClassVar[list[float]] = []
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+
+    def collect(self, lifted_mg: float, there_mg: float, rng: Any) -> float:
+        self.brought_mg.append(self._share * lifted_mg)
+        return self.brought_mg[-1]
+
+
+class Half:
+    bed = Portions
+
+    def scoop(self, powder: object) -> Of:
+        return Of(0.5)
+
+
+class Nothing(Half):
+    def scoop(self, powder: object) -> Of:
+        return Of(0.0)
+
+
+def ran_on(tmp_path: Path, plant: str) -> Ran:
+    return dry_run(tmp_path, RECIPE, plant=f"{__name__}:{plant}", controller="adaptive")
+
+
+def test_a_dry_run_scoops_by_the_bed_and_the_yield_that_the_plant_has(tmp_path: Path) -> None:
+    Of.brought_mg.clear()
+    ran = ran_on(tmp_path, "Half")
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"]
+    assert Of.brought_mg[-1] == PORTION_MG / 2
+    world = ran.session.world
+    assert world is not None
+    assert sum(world.masses_mg.values()) == pytest.approx(20_000.0)
+
+
+def test_where_no_scoop_brings_anything_the_sample_fails_and_the_mortar_keeps_all_it_held(tmp_path: Path) -> None:
+    ran = ran_on(tmp_path, "Nothing")
+    assert [sample.code for sample in ran.result.samples] == ["scoop.nothing"]
+    world = ran.session.world
+    assert world is not None
+    assert world.masses_mg["source:beads"] == pytest.approx(20_000.0, abs=1.0)
+
+
+class Forgetful(Portions):
+    def __init__(self, *_: object) -> None:
+        super().__init__()
+        del self.kept
+
+    def move(self, *_: object) -> tuple[float, float]:
+        return 0.0, 0.0
+
+
+class Unwritable(Portions):
+    def __init__(self, *_: object) -> None:
+        super().__init__()
+        self.kept: Any = np.zeros(3)
+
+
+@pytest.mark.parametrize("bed", [Forgetful, Unwritable])
+def test_a_bed_whose_state_cannot_be_written_is_refused_before_a_run_which_could_not_be_resumed(
+    bed: type[Portions],
+) -> None:
+    lab = load_lab(starter_lab())
+    plant = Plant(SimpleNamespace(bed=bed), "mine:Own")
+    powder, mortar = lab.library.powders["glass_beads"], lab.library.mortars["agate_mortar"]
+    with pytest.raises(PlantError, match=r"mine:Own: 'kept' of bed\(agate_mortar, glass_beads, 50\)"):
+        plant.probe(powder, lab.cell.balance, mortar)
