@@ -175,9 +175,10 @@ def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterat
 def _jobs(lab: Lab, samples: Iterable[Sample]) -> Iterator[Job]:
     """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
     last: Source | None = None
-    changing = CHANGE_POWDER
-    if CLEAR_AND_CHANGE_POWDER in lab.library.workflows and lab.cell.changer.driver != "operator":
-        changing = CLEAR_AND_CHANGE_POWDER
+    changing, library, name = CHANGE_POWDER, lab.library, CLEAR_AND_CHANGE_POWDER
+    has_it = name in library.workflows or library.broken.of("workflow", name)  # one that is broken is said to be
+    if has_it and lab.cell.changer.driver != "operator":
+        changing = name
     for sample in samples:
         for first in sample.sources[:1]:
             if last is not None and first.sheet_key != last.sheet_key:
