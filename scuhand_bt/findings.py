@@ -253,6 +253,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
             "At a place the arm holds up more than half of a servo's stall torque, by the URDF's masses.",
             "A lighter hand, or the place nearer to the arm.",
         ),
+        "no-slot": Finding(
+            "The container changer has slots by kind, and none for a container of this kind.",
+            "Give it slots in robot/cell.yaml, or take a kind that has some.",
+        ),
         "implausible-size": _warning("A vessel's sizes do not go together.", "Look at the units."),
     },
 }

@@ -3,7 +3,7 @@
 import hashlib
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -190,7 +190,21 @@ def _read_bench(folder: Path, problems: Problems, broken: Broken) -> tuple[CellS
     has_cell = not problems.errors
     powders = _load_file(Powder, folder / "robot" / "powders.yaml", problems, broken, "powder")
     containers, mortars = _load_vessels(folder / "robot" / "containers.yaml", problems, broken)
+    _check_slots(folder, cell, containers, problems, broken)
     return cell, Library({}, {}, powders, containers, mortars, zones=cell.zone_names, broken=broken), has_cell
+
+
+def _check_slots(folder: Path, cell: CellSpec, containers: Collection[str], problems: Problems, broken: Broken) -> None:
+    """The kinds that the changer has slots for are the lab's."""
+    for kind in cell.changer.kinds:
+        if kind not in containers and not broken.of("container", kind):
+            problems.add(
+                _mark_of(folder, "changer", "slots", kind),
+                f"the changer has slots for the unknown container '{kind}'",
+                unknown=kind,
+                known=containers,
+                code="unknown-name",
+            )
 
 
 def _root(path: Path, problems: Problems) -> Entries | None:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from scuhand_bt.cell.believed import is_used_up
 from scuhand_bt.cell.weighing import (
     changed,
     is_to_be_weighed_again,
@@ -46,10 +47,11 @@ class PlaceContainer(Skill[None]):
 
     def _change(self, cell: Cell) -> Steps[None]:
         believed, exchanging = cell.believed, self._exchanged(cell)
-        is_by_hand = cell.changer.needs_person or believed.slots_used >= cell.spec.changer.slots
+        is_by_hand = cell.changer.needs_person or self._is_used_up(cell)
         bare = yield from cell.right_of_way.undisturbed(exchanging) if is_by_hand else exchanging
         brought_s = cell.clock.now_s
-        believed.brought(self.container, from_changer=not cell.changer.needs_person)
+        first_slot = cell.spec.changer.first_slot(self.container.name)
+        believed.brought(self.container, from_changer=not cell.changer.needs_person, first_slot=first_slot)
         loaded = yield from weigh_changed(cell, bare.value_mg)
         step = cell.came = shown_step(cell, weighing_of(bare), weighing_of(loaded), brought_s)
         mass_mg = loaded.value_mg - bare.value_mg
@@ -92,14 +94,19 @@ class PlaceContainer(Skill[None]):
         yield from watched(cell, cell.changer.bring(self.container), weighing_of(bare))
         return bare
 
-    @staticmethod
-    def _refill(cell: Cell) -> Steps[None]:
-        """A changer that has given all its containers is filled again by the operator."""
-        believed = cell.believed
+    def _is_used_up(self, cell: Cell) -> bool:
+        return is_used_up(cell.believed, self.container.name, cell.spec.changer)
+
+    def _refill(self, cell: Cell) -> Steps[None]:
+        """A changer that has given all its containers, or all of this kind, is filled again by the operator."""
+        believed, kind, changer = cell.believed, self.container.name, cell.spec.changer
         if cell.changer.needs_person:
             return
-        if believed.slots_used >= cell.spec.changer.slots:
-            answer = yield from cell.operator.ask(f"Fill the changer: {believed.slots_used} containers are used.")
+        if not changer.takes(kind):
+            raise SkillFailed(Code.CONTAINER_MISSING, f"the changer has no slot for a container of the kind {kind}")
+        if self._is_used_up(cell):
+            used = f"all {changer.slots_for(kind)} {kind}" if changer.kinds else str(believed.slots_used)
+            answer = yield from cell.operator.ask(f"Fill the changer: {used} containers are used.")
             if answer != "done":
                 raise SkillFailed(Code.OPERATOR_REFUSED, "the changer was not filled")
             believed.slots_refilled()

@@ -82,14 +82,14 @@ def test_another_powder_of_a_file_with_a_wrong_one_can_be_used(
 def test_a_service_workflow_that_is_wrong_stops_the_plans_that_need_it(
     command: Call, lab_folder: LabFolder, recipe: Path
 ) -> None:
-    lab_folder.write("trees/change_powder.yaml", "workflow: change_powder\n")
+    lab_folder.write("trees/clear_and_change_powder.yaml", "workflow: clear_and_change_powder\n")
     assert command("plan", recipe, "--trials", 0).returncode == 0, "one powder needs no change"
     two = RECIPE + "  - {id: b, source: msg, container: xrd_holder, mass: 50 mg}\n"
     msg = "  msg: {station: mortar_bay_2, container: agate_mortar, powder: monosodium_glutamate, amount: 5 g}\n"
     lab_folder.write("recipes/one.yaml", two.replace("samples:", msg + "samples:"))
     ended = command("plan", recipe, "--trials", 0)
     assert ended.returncode == 2
-    assert "trees/change_powder.yaml:1:1: 'tree' is missing" in ended.stderr
+    assert "trees/clear_and_change_powder.yaml:1:1: 'tree' is missing" in ended.stderr
     assert "is missing; this plan needs it" not in ended.stderr
 
 

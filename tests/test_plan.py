@@ -1,5 +1,6 @@
 """Plans: the order of the jobs, the sheet swaps, what is needed and who."""
 
+import pytest
 from conftest import Desk, LabFolder
 
 from scuhand_bt.recipe.plan import Plan, make_plan
@@ -79,7 +80,8 @@ def test_a_repeated_request_is_one_line_and_its_time_counts_each_time(desk: Desk
 
 
 def test_a_lab_without_the_workflow_between_powders_is_told_so(desk: Desk, lab_folder: LabFolder) -> None:
-    (lab_folder.folder / "trees" / "change_powder.yaml").unlink()
+    for name in ("change_powder", "clear_and_change_powder"):
+        (lab_folder.folder / "trees" / f"{name}.yaml").unlink()
     desk.lab = lab_folder.load()
     assert desk.problems(TWO.format(order="", second="monosodium_glutamate, amount: 5 g")) == []
     try:
@@ -87,6 +89,19 @@ def test_a_lab_without_the_workflow_between_powders_is_told_so(desk: Desk, lab_f
     except Exception as error:
         said = str(error)
     assert "the workflow 'change_powder' is missing; this plan needs it to change powders" in said
+
+
+@pytest.mark.parametrize(("driver", "called"), [("carousel", "clear_and_change_powder"), ("operator", "change_powder")])
+def test_between_two_powders_the_pan_is_cleared_unless_a_person_would_have_to(
+    desk: Desk, lab_folder: LabFolder, driver: str, called: str
+) -> None:
+    cell = lab_folder.folder / "robot" / "cell.yaml"
+    cell.write_text(cell.read_text("utf-8").replace("driver: carousel", f"driver: {driver}"), "utf-8")
+    desk.lab = lab_folder.load()
+    assert desk.problems(TWO.format(order="", second="monosodium_glutamate, amount: 5 g")) == []
+    plan = plan_of(desk)
+    assert [job.workflow for job in plan.jobs if job.name.startswith("change")] == [called]
+    assert plan.swaps == 1
 
 
 def test_a_forecast_that_breaks_is_said_where_the_skill_is_called(desk: Desk, lab_folder: LabFolder) -> None:

@@ -18,6 +18,7 @@ from typing import Annotated, Any, TypeAlias
 
 from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
+from scuhand_bt.cell_spec import ChangerSpec
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
 from scuhand_bt.dosing.strokes import Layer
 from scuhand_bt.specs import Container, Source
@@ -67,6 +68,8 @@ class Believed:
     sheets_used: int = 1
     slots_used: int = 0
     """Containers taken from the changer since it was filled."""
+    slots_of_kinds: Counts = field(default_factory=lambda: MappingProxyType({}))
+    """The same, by their kind."""
     slots: Counts = field(default_factory=lambda: MappingProxyType({}))
     """By container, the slot of the changer that it came from, from 0, since it was filled."""
     containers_used: Counts = field(default_factory=lambda: MappingProxyType({}))
@@ -228,15 +231,22 @@ class Believed:
         """Nothing stands on the pan."""
         self._set(pan=None, pan_empty_mg=None, pan_gross_mg=None)
 
-    def brought(self, container: Container, *, from_changer: bool) -> None:
-        """A container was put on the pan, and is not weighed yet."""
+    def brought(self, container: Container, *, from_changer: bool, first_slot: int | None = None) -> None:
+        """A container was put on the pan, and is not weighed yet.
+
+        `first_slot` is the first one of the changer that is for its kind, where kinds have slots of their own.
+        """
         kind = container.name
-        slots = {**self.slots, container.id: slot_of(self, container)} if from_changer else self.slots
+        slots = {**self.slots, container.id: slot_of(self, container, first_slot)} if from_changer else self.slots
+        taken = len(slots) - len(self.slots)
         self._set(
+            slots_of_kinds={**self.slots_of_kinds, kind: self.slots_of_kinds.get(kind, 0) + taken}
+            if taken
+            else dict(self.slots_of_kinds),
             pan=container,
             pan_empty_mg=None,
             pan_gross_mg=None,
-            slots_used=self.slots_used + len(slots) - len(self.slots),
+            slots_used=self.slots_used + taken,
             slots=slots,
             containers_used={**self.containers_used, kind: self.containers_used.get(kind, 0) + 1},
         )
@@ -305,11 +315,16 @@ class Believed:
 
     def slots_refilled(self) -> None:
         """Every slot of the changer holds a container again."""
-        self._set(slots_used=0, slots={})
+        self._set(slots_used=0, slots_of_kinds={}, slots={})
 
     def containers_taken(self, slots: int, by_kind: Mapping[str, int]) -> None:
         """So many slots of the changer, and containers by their kind, were used before."""
         self._set(slots_used=_count(slots), containers_used={kind: _count(used) for kind, used in by_kind.items()})
+
+    def slots_taken(self, by_kind: Mapping[str, int]) -> None:
+        """So many slots of a changer in which kinds have their own were used before."""
+        used = {kind: _count(count) for kind, count in by_kind.items()}
+        self._set(slots_used=sum(used.values()), slots_of_kinds=used)
 
     # --- weighing and dosing
 
@@ -434,6 +449,17 @@ def _count(number: int) -> int:
     return number
 
 
-def slot_of(believed: Believed, container: Container) -> int:
-    """The slot of the changer, from 0, that a container is in: the next one, for one that was not brought yet."""
-    return believed.slots.get(container.id, believed.slots_used)
+def slot_of(believed: Believed, container: Container, first_slot: int | None = None) -> int:
+    """The slot of the changer, from 0, that a container is in: the next one, for one that was not brought yet.
+
+    Where kinds have slots of their own, the next one of these; `first_slot` is the first.
+    """
+    if (slot := believed.slots.get(container.id)) is not None:
+        return slot
+    return believed.slots_used if first_slot is None else first_slot + believed.slots_of_kinds.get(container.name, 0)
+
+
+def is_used_up(believed: Believed, kind: str, changer: ChangerSpec) -> bool:
+    """Whether the changer has given all that it held of what a container of this kind could come from."""
+    used = believed.slots_of_kinds.get(kind, 0) if changer.kinds else believed.slots_used
+    return used >= changer.slots_for(kind)

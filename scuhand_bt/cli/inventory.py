@@ -51,7 +51,9 @@ def inventory(
 @group.command("set")
 def set_entry(
     context: typer.Context,
-    what: Annotated[str, typer.Argument(help="A mortar station, cone, sheet, changer, or a kind of container.")],
+    what: Annotated[
+        str, typer.Argument(help="A mortar station, cone, sheet, changer, changer/KIND, or a container's kind.")
+    ],
     value: Annotated[str, typer.Argument(help="A mass (12 g); of the sheet: fresh, touched; else how many are used.")],
     powder: PowderOption = None,
     lot: LotOption = None,
@@ -69,7 +71,15 @@ def set_entry(
     if powder is not None and powder not in loaded.library.powders:
         raise unknown("powder", powder, loaded.library.powders)
     kind: StockKind
-    if what in ("cone", "sheet", "changer"):
+    changer = loaded.cell.changer
+    if what == "changer" and changer.kinds and value != "0":
+        ways = ", ".join(f"changer/{one}" for one in changer.kinds)
+        raise typer.BadParameter(f"its slots are counted by kind: {ways}; 0 is for all", param_hint="WHAT")
+    if (of_changer := what.removeprefix("changer/")) != what:
+        if of_changer not in changer.kinds:
+            raise unknown("kind of the changer", of_changer, changer.kinds)
+        kind, name = "changer", of_changer
+    elif what in ("cone", "sheet", "changer"):
         kind, name = what, ""  # type: ignore[assignment]
     elif what in stations:
         kind, name = "station", what
@@ -79,14 +89,16 @@ def set_entry(
         raise unknown("thing", what, ["cone", "sheet", "changer", *stations, *loaded.library.containers])
     kept = _inventory(loaded)
     entry = _entry(kind, name, value, powder, lot, kept.stock(simulated=False))
-    changer = loaded.cell.changer
-    if kind == "changer" and changer.driver != "operator" and (entry.used or 0) > changer.slots:
-        what = f"'{value}' is more than the changer's {changer.slots} slots; write 0 to {changer.slots}"
+    slots = changer.slots_for(name) if name else changer.slot_count
+    if kind == "changer" and changer.driver != "operator" and (entry.used or 0) > slots:
+        what = f"'{value}' is more than the changer's {slots} slots; write 0 to {slots}"
         raise typer.BadParameter(what, param_hint="VALUE")
     state = OpenLab(loaded).state
     person = the_person(operator, state, is_asked=False)
     with take_cell(state):  # what a run has in the cell is not corrected beside it
-        kept.enter(replace(entry, reason=reason), person.name if person is not None else None)
+        names = changer.kinds if kind == "changer" and not name and changer.kinds else (name,)
+        for one in names:  # a changer that was filled again has all its kinds again
+            kept.enter(replace(entry, name=one, reason=reason), person.name if person is not None else None)
     out.print(Text(f"{entry.place}: {entry.in_words}" + (f" of {entry.lot_key}" if entry.lot_key else "")))
 
 

@@ -60,14 +60,14 @@ class Carousel:
             mode=r.EXTENDED_POSITION_MODE,
             home_count=options.first_slot_count,
             direction=options.direction,
-            following_limit_rad=math.pi / spec.slots,
+            following_limit_rad=math.pi / spec.slot_count,
         )
         group = AxisGroup([axis], watched=False)
         chain = ServoChain(
             DynamixelBus(spec.port, options.baud, 1000 * options.latency_s), [group], Signal(), site.liveness
         )
         chain.open()  # also one without torque: holding a wheel where it is moves nothing
-        return cls(spec.slots, options.slot_s, chain, group, site.slot_of)
+        return cls(spec.slot_count, options.slot_s, chain, group, site.slot_of)
 
     def __init__(
         self, slots: int, slot_s: float, chain: ServoChain, group: AxisGroup, slot_of: Callable[[Container], int]

@@ -27,7 +27,7 @@ class StockEntry:
 
     kind: StockKind
     name: str = ""
-    """The station, or the kind of container."""
+    """The station, or the kind of container; of the changer, the kind that has slots of its own."""
     powder: str = ""
     """At a station or in the cone; what the sheet has touched, "" for a fresh one."""
     lot: str = ""
@@ -54,7 +54,7 @@ class StockEntry:
     @property
     def place(self) -> str:
         """What `inventory set` calls it."""
-        return self.name or self.kind
+        return f"changer/{self.name}" if self.kind == "changer" and self.name else self.name or self.kind
 
     @property
     def in_words(self) -> str:
@@ -152,6 +152,9 @@ def _believed(cell: Cell) -> Iterator[StockEntry]:
     powder, _, lot = (believed.sheet or "").partition("/")
     yield StockEntry("sheet", "", powder, lot, used=believed.sheets_used)
     if not cell.changer.needs_person:
-        yield StockEntry("changer", used=believed.slots_used)
+        if not (kinds := cell.spec.changer.kinds):
+            yield StockEntry("changer", used=believed.slots_used)
+        for kind in kinds:
+            yield StockEntry("changer", kind, used=believed.slots_of_kinds.get(kind, 0))
     for kind, used in believed.containers_used.items():
         yield StockEntry("container", kind, used=used)

@@ -21,9 +21,10 @@ from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.explain import closest_pair, require_reachable, start_in_collision
 from scuhand_bt.motion.inverse import along, swivel_of
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex
+from scuhand_bt.motion.slowing import slowed
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.timelaw import RateLimits
-from scuhand_bt.motion.trajectory import JointTrajectory, standing, through
+from scuhand_bt.motion.trajectory import JointTrajectory, standing
 
 STEP_S = 0.005
 KEPT = 4
@@ -61,8 +62,7 @@ def contact_motion(
         if course is None:
             continue
         course[0] = start
-        motion = through(times_s, course)
-        motion = motion.stretched(max(1.0, rates.stretch_for(motion)))
+        motion = slowed(times_s, course, rates)
         if spill_limit_deg is not None:
             factor = spill_stretch(motion, mount, spill_limit_deg)
             if factor is None:

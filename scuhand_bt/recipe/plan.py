@@ -1,5 +1,6 @@
 """The plan: a recipe's samples as jobs in their order, with the sheet swaps between powders, and what they need."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -19,11 +20,16 @@ from scuhand_bt.tree.library import Library
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""
+CLEAR_AND_CHANGE_POWDER = "clear_and_change_powder"
+"""As `change_powder`, and what stands on the pan is taken off meanwhile; between samples in its place, if a lab has it.
+
+Not where a person changes containers: an exchange is one visit, and this would be another.
+"""
 FINISH_BATCH = "finish_batch"
 """The lab's workflow after the last sample; input `source`."""
 AFTER_FAILURE = "after_failure"
 """The lab's workflow that makes the cell ready again after a failed sample; input `source`."""
-SERVICE = (CHANGE_POWDER, FINISH_BATCH, AFTER_FAILURE)
+SERVICE = (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER, FINISH_BATCH, AFTER_FAILURE)
 """The workflows that the engine calls, with a source that they may use."""
 
 
@@ -72,7 +78,7 @@ class Plan:
 
     @property
     def swaps(self) -> int:
-        return sum(1 for job in self.jobs if job.workflow == CHANGE_POWDER)
+        return sum(1 for job in self.jobs if job.workflow in (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER))
 
 
 @dataclass(frozen=True)
@@ -137,14 +143,17 @@ def check_unattended(plan: Plan) -> None:
 
 def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) -> Iterator[PersonNeeded]:
     """Every moment that needs a person: what skills forecast, and filling the changer again."""
-    containers, changer = 0, lab.cell.changer
+    used, changer = Counter[str](), lab.cell.changer
     cell_file = Mark(str(lab.folder / CELL_FILE))
     for job, found in zip(jobs, forecasts, strict=True):
         if job.sample is not None and job.sample.container is not None:
-            for _ in job.sample.all_containers:
-                if changer.driver != "operator" and containers and containers % changer.slots == 0:
-                    yield PersonNeeded(job.name, f"fill the changer again (it holds {changer.slots})", cell_file)
-                containers += 1
+            for container in job.sample.all_containers:
+                kind = container.name if changer.kinds else ""
+                if changer.driver != "operator" and 0 < changer.slots_for(kind) <= used[kind]:
+                    holds = f"{changer.slots_for(kind)} {kind}".rstrip()
+                    yield PersonNeeded(job.name, f"fill the changer again (it holds {holds})", cell_file)
+                    used.clear()
+                used[kind] += 1
         for expected in found:
             if expected.person is not None:
                 yield PersonNeeded(job.name, expected.person, expected.mark)
@@ -166,11 +175,15 @@ def _persons_after_failures(recipe: Recipe, forecaster: "_Forecaster") -> Iterat
 def _jobs(lab: Lab, samples: Iterable[Sample]) -> Iterator[Job]:
     """The jobs, each with a name of its own, by which a resumed run knows it: no sample's id has a blank in it."""
     last: Source | None = None
+    changing, library, name = CHANGE_POWDER, lab.library, CLEAR_AND_CHANGE_POWDER
+    has_it = name in library.workflows or library.broken.of("workflow", name)  # one that is broken is said to be
+    if has_it and lab.cell.changer.driver != "operator":
+        changing = name
     for sample in samples:
         for first in sample.sources[:1]:
             if last is not None and first.sheet_key != last.sheet_key:
                 name = f"change powder to {first.powder.name} for {sample.id}"
-                yield Job(name, CHANGE_POWDER, {"source": last})
+                yield Job(name, changing, {"source": last})
             last = sample.last_source
         yield _job(sample)
     if last is not None and FINISH_BATCH in lab.library.workflows:

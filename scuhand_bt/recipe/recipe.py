@@ -349,7 +349,7 @@ class _Reader:
             inputs = bound_inputs(workflow, inputs, self.lab.library)
         flow = self._flow(workflow, inputs)
         sample = Sample(entry.mark, sample_id, workflow.name, inputs, flow, composed.composition if composed else None)
-        check_sample(sample, entry.values, defaults.values, self.lab.cell.balance, self.problems)
+        check_sample(sample, entry.values, defaults.values, self.lab.cell, self.problems)
         return sample
 
     def _flow(self, workflow: Workflow, inputs: Mapping[str, Any]) -> Flow:

@@ -182,9 +182,9 @@ def check_source(source: Source, mark: Mark, problems: Problems) -> None:
 
 
 def check_sample(
-    sample: Sample, own: Mapping[str, Node], shared: Mapping[str, Node], balance: BalanceSpec, problems: Problems
+    sample: Sample, own: Mapping[str, Node], shared: Mapping[str, Node], cell: CellSpec, problems: Problems
 ) -> None:
-    """One sample against its container, its powder and the balance.
+    """One sample against its container, its powder, the balance and the changer.
 
     `own` and `shared` are the places of its values: its own, and the recipe's defaults.
     """
@@ -196,6 +196,11 @@ def check_sample(
             places = [shared[name] for name in names if name in shared]
         return places[0].mark if places else sample.mark
 
+    balance, changer = cell.balance, cell.changer
+    for key, container in each_of(sample.inputs):
+        if isinstance(container, Container) and changer.driver != "operator" and not changer.takes(container.name):
+            what = f"the changer has no slot for a container of the kind {container.name}"
+            problems.add(at(key), what, f"it has slots for: {', '.join(changer.kinds)}", code="no-slot")
     mass_mg, tolerance_mg = sample.mass_mg, sample.tolerance_mg
     if mass_mg is not None and mass_mg <= 0:
         problems.add(at("mass"), f"the mass is {mass_mg:g} mg", "more than 0", code="bad-mass")

@@ -3,6 +3,7 @@
 `check` notes the doubts; a run on simulated devices has none, as it does not depend on what is in the real cell.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -75,6 +76,9 @@ def recall(cell: Cell, stock: Stock) -> None:
     believed.containers_taken(
         (changer.used or 0) if changer is not None else believed.slots_used, containers or believed.containers_used
     )
+    if kinds := cell.spec.changer.kinds:
+        known_kinds = {kind: stock.get(("changer", kind)) for kind in kinds}
+        believed.slots_taken({kind: entry.used or 0 for kind, entry in known_kinds.items() if entry is not None})
 
 
 def corrections(stock: Stock, since: str) -> Stock:
@@ -164,13 +168,17 @@ def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
 
 
 def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
-    changer = stock.get(("changer", ""))
-    if changer is None or cell.changer.driver == "operator":
+    if cell.changer.driver == "operator":
         return
-    containers = sum(1 for sample in plan.recipe.samples if sample.container is not None)
-    used, slots = changer.used or 0, cell.changer.slots
-    if used and used + containers > slots:
-        what = f"by the inventory {used} of the changer's {slots} slots are used ({changer.origin})"
-        question = f"{used} of the changer's {slots} slots are used. Is it filled again now?"
-        what = f"{what}; the batch has {containers} containers"
+    batch = Counter(one.name for sample in plan.recipe.samples for one in sample.all_containers)
+    for kind in cell.changer.kinds or ("",):
+        if (known := stock.get(("changer", kind))) is None:
+            continue
+        containers = batch[kind] if kind else sum(1 for one in plan.recipe.samples if one.container is not None)
+        used, slots, for_kind = known.used or 0, cell.changer.slots_for(kind), f" for {kind}" if kind else ""
+        if not used or used + containers <= slots:
+            continue
+        what = f"by the inventory {used} of the changer's {slots} slots{for_kind} are used ({known.origin})"
+        question = f"{used} of the changer's {slots} slots{for_kind} are used. Is it filled again now?"
+        what = f"{what}; the batch has {containers} containers" + (f" of the kind {kind}" if kind else "")
         yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", Believed.slots_refilled),))

@@ -260,7 +260,7 @@ def _rehearsal(
         liveness.beat()
 
     def slot_of(container: Container) -> int:
-        slot = believed_slot(cell.believed, container)
+        slot = believed_slot(cell.believed, container, lab.cell.changer.first_slot(container.name))
         # A person fills the changer in the order in which it is emptied.
         twins.say("fill", str(slot + 1), container.name, container.id)
         return slot
@@ -333,7 +333,9 @@ def _real(
             clock,
             liveness,
             may_torque=may_torque,
-            slot_of=lambda container: believed_slot(cell.believed, container),
+            slot_of=lambda container: believed_slot(
+                cell.believed, container, lab.cell.changer.first_slot(container.name)
+            ),
             roller_file=journal.path.parent.parent / ROLLER_FILE,
         )
         opened.callback(devices.close)

@@ -357,7 +357,7 @@ class WireBench:
         twin = kind(self._pan, spec.balance.readability_mg, spec.balance.maximum_mg)
         self.balance = TwinServer(twin, PtyPort(ports and ports / "balance"))
         self._faults = WireFaults(self.world.faults, self.bus, self.hand, self.balance)
-        self.scene = BenchScene(self.world, spec.changer.slots)
+        self.scene = BenchScene(self.world, spec.changer.slot_count)
         self.others = {
             name: TwinServer(
                 twin_of(spec.kind_of(name), spec.section(name).driver)(spec.options_of(name), self.scene),

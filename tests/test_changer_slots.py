@@ -1,0 +1,134 @@
+"""A changer with slots by kind: which one a container comes from, when a person fills it, and what is doubted."""
+
+from pathlib import Path
+from types import MappingProxyType
+
+import pytest
+from conftest import Call, Desk, LabFolder
+from running import dry_run
+
+from scuhand_bt.cell.believed import Believed, is_used_up, slot_of
+from scuhand_bt.cell_spec import ChangerSpec
+from scuhand_bt.journal.reader import read
+from scuhand_bt.lab_state.inventory import StockEntry
+from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.run.inventory_conflicts import conflicts, recall
+from scuhand_bt.specs import Container
+
+SLOTS = ChangerSpec(slots={"holder": 2, "die": 3})
+BATCH = """
+recipe: kinds
+workflow: fill_xrd_holder
+order: as_written
+defaults: {source: beads, mass: 40 mg, tolerance: 5 mg}
+samples:
+  - {id: a, container: xrd_holder}
+  - {id: b, container: pellet_die_13mm}
+  - {id: c, container: xrd_holder}
+  - {id: d, container: xrd_holder}
+"""
+
+
+def of_kind(kind: str, name: str) -> Container:
+    return Container(name=kind, id=name, mouth_mm=20.0, height_mm=4.0, capacity_mm3=200.0, empty_mass_mg=9200.0)
+
+
+def brought(believed: Believed, container: Container) -> int:
+    """The slot that it comes from, as a changer is told it."""
+    first_slot = SLOTS.first_slot(container.name)
+    slot = slot_of(believed, container, first_slot)
+    believed.brought(container, from_changer=True, first_slot=first_slot)
+    assert slot_of(believed, container, first_slot) == slot, "and it stays there when it is asked for again"
+    return slot
+
+
+def test_each_kind_comes_from_its_own_slots_whatever_came_between() -> None:
+    believed = Believed()
+    order = [("die", "1"), ("holder", "2"), ("die", "3"), ("holder", "4"), ("die", "5")]
+    slots = [brought(believed, of_kind(kind, name)) for kind, name in order]
+    assert slots == [2, 0, 3, 1, 4]
+    assert sorted(slots) == list(range(SLOTS.slot_count)), "no two from one slot"
+
+
+def test_a_kind_is_used_up_by_itself_and_a_person_fills_all() -> None:
+    believed = Believed()
+    for name in ("1", "2"):
+        assert not is_used_up(believed, "holder", SLOTS)
+        brought(believed, of_kind("holder", name))
+    assert is_used_up(believed, "holder", SLOTS)
+    assert not is_used_up(believed, "die", SLOTS)
+    assert is_used_up(believed, "vial", SLOTS), "which it has no slot for"
+    believed.slots_refilled()
+    assert not is_used_up(believed, "holder", SLOTS)
+    assert brought(believed, of_kind("holder", "3")) == 0
+
+
+@pytest.mark.parametrize("slots", [0, -1, "many", True, 2.5, {}, {"holder": 0}, {"holder": "x"}, [3], None])
+def test_what_is_no_number_of_slots_is_refused(slots: object) -> None:
+    with pytest.raises(ValueError, match="slots"):
+        ChangerSpec.model_validate({"slots": slots})
+
+
+def test_in_a_dry_run_the_plan_says_when_a_kind_has_run_out_and_the_run_asks_then(
+    tmp_path: Path, lab_folder: LabFolder
+) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: {xrd_holder: 2, pellet_die_13mm: 3}")
+    ran = dry_run(tmp_path, BATCH, lab=lab_folder.folder)
+    assert [(one.job, one.what) for one in ran.session.plan.persons] == [
+        ("d", "fill the changer again (it holds 2 xrd_holder)")
+    ]
+    asked = [event["payload"]["question"] for event in read(ran.journal, "event") if event["kind"] == "asked"]
+    assert asked == ["Fill the changer: all 2 xrd_holder containers are used."]
+    assert [sample.verdict for sample in ran.result.samples] == ["in tolerance"] * 4
+    believed = ran.session.cell.believed
+    assert (dict(believed.slots), dict(believed.slots_of_kinds)) == ({"d": 0}, {"xrd_holder": 1})
+
+
+def test_the_inventory_counts_each_kind_and_a_batch_that_one_is_too_few_for_is_doubted(
+    desk: Desk, lab_folder: LabFolder
+) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: {xrd_holder: 5, pellet_die_13mm: 3}")
+    desk.lab = lab_folder.load()
+    sources = "sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}}\n"
+    plan = make_plan(desk.load(BATCH.strip() + "\n" + sources), desk.lab)
+
+    def doubts(holders: int, dies: int) -> list[str]:
+        entries = (
+            StockEntry("changer", "xrd_holder", used=holders),
+            StockEntry("changer", "pellet_die_13mm", used=dies),
+        )
+        return [one.what for one in conflicts(plan, desk.lab.cell, {(one.kind, one.name): one for one in entries})]
+
+    assert doubts(2, 2) == []
+    (said,) = doubts(3, 2)
+    assert "3 of the changer's 5 slots for xrd_holder are used" in said
+    assert said.endswith("the batch has 3 containers of the kind xrd_holder")
+
+
+def test_a_run_goes_on_where_the_inventory_says_that_each_kind_is(tmp_path: Path, lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: {xrd_holder: 4, pellet_die_13mm: 3}")
+    cell = dry_run(tmp_path, BATCH, lab=lab_folder.folder).session.cell
+    cell.believed = Believed()
+    stock = {("changer", "xrd_holder"): StockEntry("changer", "xrd_holder", used=3)}
+    recall(cell, MappingProxyType(stock))  # type: ignore[arg-type]
+    changer = cell.spec.changer
+    assert (cell.believed.slots_used, dict(cell.believed.slots_of_kinds)) == (3, {"xrd_holder": 3})
+    assert [slot_of(cell.believed, of_kind(kind, "x"), changer.first_slot(kind)) for kind in changer.kinds] == [3, 4]
+
+
+def test_a_person_corrects_the_count_of_a_kind_or_says_that_all_is_filled(command: Call, lab_folder: LabFolder) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: {xrd_holder: 5, pellet_die_13mm: 3}")
+    lab = ("--lab", lab_folder.folder)
+    assert command("inventory", "set", *lab, "changer/xrd_holder", 4)[0] == 0
+    assert "changer/xrd_holder" in command("inventory", *lab)[1]
+    for what, value, said in (
+        ("changer/xrd_holder", 6, "more than the changer's 5 slots"),
+        ("changer/xrd_holdr", 1, "did you mean 'xrd_holder'"),
+        ("changer", 4, "changer/pellet_die_13mm"),
+    ):
+        code, _, error = command("inventory", "set", *lab, what, value)
+        assert code == 2
+        assert said in " ".join(error.replace("│", " ").split())
+    assert command("inventory", "set", *lab, "changer", 0)[0] == 0
+    shown = command("inventory", *lab)[1]
+    assert shown.count("0 used") == 2
