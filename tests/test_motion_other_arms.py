@@ -10,6 +10,7 @@ from harness.example_labs import EXAMPLES, example_lab
 from harness.motion_audit import Audit
 from harness.motion_layouts import CONTAINER, Bench, drawn
 from scuhand_bt.cell_spec import ArmSpec, HandSpec
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import ApexPose, Mount, apex, solutions, unreachable_reason
 from scuhand_bt.motion.arm_model import Arm
 from scuhand_bt.motion.coordinates import level_coordinates
@@ -159,6 +160,24 @@ def test_the_example_carries_a_load_proven_by_the_audit(tmp_path):
         assert limit_deg is None or verdict.spill_deg <= limit_deg
     stop = motion.stopped_from(motion.duration_s / 3)
     assert stop.duration_s < motion.duration_s
+
+
+def test_the_example_pours_a_cone_out_over_its_lip(tmp_path):
+    lab = example_lab("xarm7", tmp_path)
+    planner = lab.motion_planner({"mortar_bay": lab.library.mortars["agate_mortar"]})
+    x, y, _ = np.array(lab.cell.stations["mortar_bay"].position_mm) / 1e3
+    planner.add_place("above", ApexPose(np.array([x, y, 0.12])))
+    start = planner.standing_at("above")
+    out, up = np.array([x, y, 0.0]) / np.hypot(x, y), np.array([0.0, 0.0, 1.0])
+    poured = [
+        ApexPose(np.array([x, y, 0.17]) - 0.05 * (np.sin(tilt) * out + np.cos(tilt) * up), axis)
+        for tilt in np.radians([0.0, 20.0, 40.0, 60.0, 80.0])
+        for axis in (np.sin(tilt) * out + np.cos(tilt) * up,)
+    ]
+    motion = planner.contact(start, poured, 0.1, "mortar_bay")
+    assert apex(motion.end, planner.mount()).tilt_deg == pytest.approx(80.0, abs=0.1)
+    with pytest.raises(SkillFailed, match="mortar_bay.* apart|mortar_bay.* overlap|no way through"):
+        planner.contact(start, [ApexPose(np.array([x, y, 0.0]))], 0.1)
 
 
 @pytest.mark.slow
