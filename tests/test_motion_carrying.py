@@ -39,10 +39,10 @@ def test_a_load_is_not_carried_as_slowly_as_an_empty_cone_where_a_stricter_one_i
 
 
 def test_a_load_on_the_way_is_as_quick_as_the_empty_cone_where_it_may_lean_and_never_quicker():
-    # In this drawn cell the search for 31.8 degrees finds a quicker way than the empty cone's, which spills nothing at 60.
+    # Here the search for 31.8 degrees finds a quicker way than the empty cone's, which spills nothing at 60.
     layout = drawn(508)
     planner = layout.planner()
-    first, second, near = next(itertools.islice(carries(layout, 16), 2, None))
+    first, _, near = next(itertools.islice(carries(layout, 16), 2, None))
     assert near is not None
     start = planner.standing_at(first)
     taken_s = [planner.move(start, near, spill_limit_deg=limit).duration_s for limit in (60.0, 31.8, 10.0)]

@@ -176,7 +176,7 @@ def test_the_example_pours_a_cone_out_over_its_lip(tmp_path):
     ]
     motion = planner.contact(start, poured, 0.1, "mortar_bay")
     assert apex(motion.end, planner.mount()).tilt_deg == pytest.approx(80.0, abs=0.1)
-    with pytest.raises(SkillFailed, match="mortar_bay.* apart|mortar_bay.* overlap|no way through"):
+    with pytest.raises(SkillFailed, match="no way through the waypoints"):
         planner.contact(start, [ApexPose(np.array([x, y, 0.0]))], 0.1)
 
 

@@ -29,7 +29,7 @@ STEP_S = 0.005
 KEPT = 4
 AVERAGED_S = 0.08
 GLANCED_AT = 4
-"""Every so many-th of a course's configurations is looked at before it is proven: most that touch something do there."""
+"""Every so many-th configuration of a course is looked at before it is proven: most that touch something do there."""
 LEAST_M_PER_S = 1e-4
 """A motion is as many cubics as it is long: what creeps more slowly would be planned for minutes."""
 TURN_RAD_PER_S = 0.6

@@ -57,7 +57,7 @@ SURE = 1.01
 """A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
 for a stricter limit, is quicker by more."""
 NEAR_OPTIMUM = 1.15
-"""Of the empty cone's motion that a load's is measured by: a direct one within this of the best goal's bound will do."""
+"""Of the empty cone's motion that a load's is measured by: a direct one within this of the bound will do."""
 RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
 """The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
 share them. Between two of them, and below the first, their motions are slowed."""
