@@ -23,7 +23,7 @@ from scuhand_bt.cell.weighing import require_known_delay, shown_step
 from scuhand_bt.cell_spec import BalanceLimits, BalanceSpec
 from scuhand_bt.devices.interfaces import Reading
 from scuhand_bt.dosing.bracket import Gross
-from scuhand_bt.dosing.characteristic import STILL_KNOWN, STILL_READINGS, Step, held_mg, is_frozen
+from scuhand_bt.dosing.characteristic import Step, held_mg, is_frozen
 from scuhand_bt.dosing.identification import balance_of
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.journal.reader import read
@@ -547,19 +547,20 @@ def test_a_display_that_stands_still_and_jumps_was_held(readings_mg: list[float]
     assert held_mg(readings_mg, 0.1) == pytest.approx(mg)
 
 
-NOISY = [5.0, 5.1] * (STILL_KNOWN // 2)
+NOISY = [5.0, 5.1] * 100
+AVERAGING = [0.1 * step for step, run in enumerate((8, 8, 9, 9, 12, 16, 22, 26, 29, 32, 40)) for _ in range(run)]
 
 
 @pytest.mark.parametrize(
     ("readings_mg", "frozen"),
     [
-        ([*NOISY, *[5.2] * STILL_READINGS], True),
-        ([*NOISY, *[5.2] * (STILL_READINGS - 1)], False),
-        ([*NOISY[1:], *[5.2] * STILL_READINGS], False),
-        ([*NOISY, *[5.2] * STILL_READINGS, 5.3], False),
-        ([*NOISY, *[5.2] * 30, *NOISY, *[5.2] * 149], False),
-        ([*NOISY, *[5.2] * 30, *NOISY, *[5.2] * 150], True),
-        ([5.0] * 2 * STILL_KNOWN, False),
+        ([*NOISY, *[5.2] * 18], True),
+        ([*NOISY, *[5.2] * 17], False),
+        ([*NOISY[1:], *[5.2] * 18], False),
+        ([*NOISY, *[5.2] * 18, 5.3], False),
+        ([*AVERAGING, *[5.2] * 149], False),
+        ([*AVERAGING, *[5.2] * 250], True),
+        ([5.0] * 1000, False),
         ([], False),
     ],
 )

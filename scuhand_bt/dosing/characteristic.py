@@ -37,11 +37,13 @@ STEP_SHARE = 0.01
 HELD_READINGS, HELD_DIGITS = 8, 5
 """A display that shows the same so often, and in the next reading more than so many digits more or less, held it."""
 
-STILL_TIMES, STILL_READINGS, STILL_KNOWN, STILL_BEFORE = 5, 100, 500, 4
-"""A display is frozen that shows the same for so many times as long as ever before, and for so many readings, after so
-many others, if that came no more often before. The longest run of equal ones among n comes once in n readings, one of
-five times its length once in n^5.
+STILL_TAIL, STILL_FOLDS, STILL_KNOWN = 10, 16.0, 200
+"""A display is frozen that shows the same for longer than its noise ever makes it. How often noise makes a run of equal
+readings falls off with its length, by a factor of e in about what the longest ten exceed the tenth by, in the mean:
+sixteen such factors do not come. What averages over seconds stands still for long, and is given as much longer.
 """
+STILL_BEFORE, STILL_READINGS = 4, 50
+"""So many runs of so many readings or more that are as far beyond what is shorter were no noise either."""
 
 Curve = Sequence[tuple[float, float]]
 """Readings: times [s], growing, and masses [mg]."""
@@ -117,15 +119,22 @@ def is_frozen(readings_mg: Sequence[float], readability_mg: float) -> bool:
     stood still so before, a few times, that was not its noise either; one that does whenever nothing falls is so quiet.
     """
     digits = [round(mg / readability_mg) for mg in readings_mg]
-    runs = [sum(1 for _ in equal) for _, equal in groupby(digits)]
-    usual = known = 0
-    others = sorted(runs[:-1])
-    for number, run in enumerate(others):
-        is_longer = known >= STILL_KNOWN and run >= max(STILL_READINGS, STILL_TIMES * usual)
-        if is_longer and len(others) - number <= STILL_BEFORE:
+    *others, last = [sum(1 for _ in equal) for _, equal in groupby(digits)] or [0]
+    noise = sorted(others)
+    for number in range(max(0, len(noise) - STILL_BEFORE), len(noise)):
+        if noise[number] >= STILL_READINGS and _is_beyond(noise[number], noise[:number]):
+            noise = noise[:number]
             break
-        usual, known = run, known + run
-    return known >= STILL_KNOWN and runs[-1] >= max(STILL_READINGS, STILL_TIMES * usual)
+    return _is_beyond(last, noise)
+
+
+def _is_beyond(run: int, noise: Sequence[int]) -> bool:
+    """Whether so many equal readings are more than runs like these, growing, let expect."""
+    if sum(noise) < STILL_KNOWN:
+        return False
+    tenth, *longest = noise[-STILL_TAIL:]
+    fold = max(1.0, sum(run - tenth for run in longest) / STILL_TAIL)
+    return run > tenth + STILL_FOLDS * fold
 
 
 def noise_and_drift(curve: Curve) -> tuple[float, float]:
