@@ -1,5 +1,6 @@
 """Arms other than the CRANE-X7: by their URDF and what the cell says of them, with the same proofs."""
 
+import math
 import re
 
 import numpy as np
@@ -10,6 +11,7 @@ from harness.example_labs import EXAMPLES, example_lab
 from harness.motion_audit import Audit
 from harness.motion_layouts import CONTAINER, Bench, drawn
 from scuhand_bt.cell_spec import ArmSpec, HandSpec
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import ApexPose, Mount, apex, solutions, unreachable_reason
 from scuhand_bt.motion.arm_model import Arm
 from scuhand_bt.motion.coordinates import level_coordinates
@@ -125,6 +127,68 @@ def test_a_course_keeps_its_branch_and_one_beyond_the_windows_is_none():
     assert along(pose.position_m + steps * (2.0, 0.0, 0.0), *fixed, swivels, start, mount) is None
 
 
+def test_a_course_begins_in_whatever_turn_its_joints_are_and_does_not_jump_or_leave_its_windows():
+    arm = ARMS["seven"]
+    decomposed, mount = kinematics(arm)
+    found = solutions(ApexPose(np.array([0.45, 0.0, 0.2])), mount, arm.limits_rad)
+    start, held = found[0], decomposed.held
+    assert held is not None
+    pose = apex(start, mount)
+    assert pose.seam is not None
+    still = [np.repeat(part[None], 40, axis=0) for part in (pose.position_m, pose.axis, pose.seam)]
+    stays = np.full(40, start[held])
+    for joint in (0, 6):
+        turned = start.copy()
+        turned[joint] -= math.copysign(2 * math.pi, start[joint])
+        course = along(*still, stays, turned, mount)
+        assert course is not None
+        assert course == pytest.approx(np.repeat(turned[None], 40, axis=0), abs=1e-6)
+    assert along(*still, stays + np.where(np.arange(40) < 20, 0.0, 0.5), start, mount) is None
+    beyond = Arm(XARM7, ArmSpec(kinematics="decomposed", windows_deg=window_around(arm, start, held))).decomposed
+    tight = Mount.of(HandSpec(apex_aside_mm=(2.0, -3.0)), 80.0, beyond)
+    swung = start[held] + np.linspace(0.0, 0.2, 40)
+    assert along(*still, swung, start, mount) is not None
+    assert along(*still, swung, start, tight) is None
+
+
+def window_around(arm, q, joint):
+    """Joint 5 as it is, and one joint within 0.1 rad of a configuration."""
+    name, degrees = arm.model.names[joint + 1], math.degrees(q[joint])
+    return {"joint5": (0.0, 360.0), name: (degrees - 6.0, degrees + 6.0)}
+
+
+def test_an_angle_is_taken_in_the_turn_nearest_to_where_the_joint_is_if_its_window_has_it():
+    decomposed, _ = kinematics(ARMS["seven"])
+    to, q = np.zeros(7), np.zeros((2, 7))
+    to[0], q[0, 0], q[1, 0] = 6.0, -0.5, 0.5
+    assert decomposed.nearest_turns(q, to)[:, 0] == pytest.approx([2 * math.pi - 0.5, 0.5])
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_level_coordinates_are_level_in_both_bends_of_the_wrist_and_nowhere_free_where_they_cannot_be(arm):
+    decomposed, mount = kinematics(arm)
+    found = solutions(ApexPose(np.array([0.42, 0.1, 0.25])), mount, arm.limits_rad)
+    leans = decomposed.wrist_lean(found, mount)
+    for start in (found[np.argmax(leans)], found[np.argmin(leans)]):
+        level = level_coordinates(arm.rates, mount, start)
+        assert level.joints(level.of(start[None, :]))[0] == pytest.approx(start, abs=1e-7)
+        rng = np.random.default_rng(2)
+        drawn = np.array([level.draw(rng) for _ in range(40)])
+        anywhere = rng.uniform(*arm.limits_rad, drawn.shape) * ([1.0] * (arm.model.nq - 2) + [0.0, 0.0])
+        for c, least in ((drawn, 0.9), (anywhere, 0.0)):
+            q = level.joints(c)
+            within = ((q >= arm.limits_rad[0]) & (q <= arm.limits_rad[1])).all(axis=1)
+            assert least <= within.mean()
+            assert apex_frames(q[within], mount)[1][:, 2] == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_no_apex_is_beyond_what_the_stretched_arm_is_told_to_reach(arm):
+    decomposed, mount = kinematics(arm)
+    away_m = np.linalg.norm(apex_frames(drawn_joints(arm, 3000), mount)[0] - decomposed.shoulder_m, axis=1).max()
+    assert away_m <= decomposed.reach_m(mount) < 1.5 * away_m
+
+
 def test_why_a_pose_cannot_be_reached_is_told():
     arm = ARMS["seven"]
     _, mount = kinematics(arm)
@@ -159,6 +223,24 @@ def test_the_example_carries_a_load_proven_by_the_audit(tmp_path):
         assert limit_deg is None or verdict.spill_deg <= limit_deg
     stop = motion.stopped_from(motion.duration_s / 3)
     assert stop.duration_s < motion.duration_s
+
+
+def test_the_example_pours_a_cone_out_over_its_lip(tmp_path):
+    lab = example_lab("xarm7", tmp_path)
+    planner = lab.motion_planner({"mortar_bay": lab.library.mortars["agate_mortar"]})
+    x, y, _ = np.array(lab.cell.stations["mortar_bay"].position_mm) / 1e3
+    planner.add_place("above", ApexPose(np.array([x, y, 0.12])))
+    start = planner.standing_at("above")
+    out, up = np.array([x, y, 0.0]) / np.hypot(x, y), np.array([0.0, 0.0, 1.0])
+    poured = [
+        ApexPose(np.array([x, y, 0.17]) - 0.05 * (np.sin(tilt) * out + np.cos(tilt) * up), axis)
+        for tilt in np.radians([0.0, 20.0, 40.0, 60.0, 80.0])
+        for axis in (np.sin(tilt) * out + np.cos(tilt) * up,)
+    ]
+    motion = planner.contact(start, poured, 0.1, "mortar_bay")
+    assert apex(motion.end, planner.mount()).tilt_deg == pytest.approx(80.0, abs=0.1)
+    with pytest.raises(SkillFailed, match="no way through the waypoints"):
+        planner.contact(start, [ApexPose(np.array([x, y, 0.0]))], 0.1)
 
 
 @pytest.mark.slow

@@ -32,6 +32,7 @@ from scuhand_bt.motion.trajectory import JointTrajectory
 
 SMALLEST_MARGIN_M = 1e-4
 _FIRST_SAMPLES = 12
+_LOOKED_AT_ONCE = 64
 _FOREMOST = (CONE, "fore_0")
 """The shapes that hit most of what is hit: where the cone is widest, and the arm above it."""
 _WIDE = 4.0
@@ -154,6 +155,16 @@ class Scene:
     def any_hit(self, q: Floats) -> bool:
         """Whether any configuration of a path (n, 7) is hit."""
         return bool(self._outside(q).any() or self._nearer(self._pool, q, until_first=True).any())
+
+    def first_hit(self, q: Floats) -> Floats | None:
+        """The first configuration (7,) of a path (n, 7) that is hit, looked for a few at a time; None where none is."""
+        for begin in range(0, len(q), _LOOKED_AT_ONCE):
+            some = q[begin : begin + _LOOKED_AT_ONCE]
+            hits = self.hits(some)
+            if hits.any():
+                first: Floats = some[int(np.argmax(hits))]
+                return first
+        return None
 
     def _nearer(self, pool: Pool, q: Floats, until_first: bool = False) -> NDArray[np.bool_]:
         columns = np.ascontiguousarray(q.T)

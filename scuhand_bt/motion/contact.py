@@ -29,6 +29,8 @@ from scuhand_bt.motion.trajectory import JointTrajectory, standing
 STEP_S = 0.005
 KEPT = 4
 AVERAGED_S = 0.08
+GLANCED_AT = 4
+"""Every so many-th configuration of a course is looked at before it is proven: most that touch something do there."""
 LEAST_M_PER_S = 1e-4
 """A motion is as many cubics as it is long: what creeps more slowly would be planned for minutes."""
 TURN_RAD_PER_S = 0.6
@@ -56,12 +58,15 @@ def contact_motion(
     if scene.hits(start[None, :])[0]:
         raise start_in_collision(scene, start)
     phi = swivel_of(start, mount)
-    why = "the elbow would have to jump"
+    why, touching = "the elbow would have to jump", None
     for turn in TURNS_OF_SWIVEL_RAD:
         course = along(positions_m, axes, seams, swivel_course(phi, turn, len(times_s)), start, mount)
         if course is None:
             continue
         course[0] = start
+        if scene.any_hit(course[::GLANCED_AT]):
+            touching = course if touching is None else touching
+            continue
         motion = slowed(times_s, course, rates)
         if spill_limit_deg is not None:
             factor = spill_stretch(motion, mount, spill_limit_deg)
@@ -71,10 +76,9 @@ def contact_motion(
             motion = motion.stretched(factor).keeping(spill_limit_deg)
         if scene.proves(motion):
             return motion
-        _, samples = scene.proving_samples(motion.at, motion.duration_s, motion.extremes()[1])
-        hits = scene.hits(samples)
-        if hits.any():
-            why = closest_pair(scene, samples[int(np.argmax(hits))])
+        touching = scene.proving_samples(motion.at, motion.duration_s, motion.extremes()[1])[1]
+    if touching is not None and (q := scene.first_hit(touching)) is not None:
+        why = closest_pair(scene, q)
     for pose in waypoints:
         require_reachable(pose, "a waypoint", mount, scene)
     raise SkillFailed(Code.ARM_NO_PATH, f"no way through the waypoints: {why}")

@@ -46,7 +46,7 @@ from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
-from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
+from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, later, standing
 from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
 from scuhand_bt.motion.way_out import NoWayOutError, way_out
 from scuhand_bt.specs import ContainerKind, Mortar
@@ -56,7 +56,9 @@ SETTLED_DIAMETER_M = 0.0005
 SURE = 1.01
 """A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
 for a stricter limit, is quicker by more."""
-RUNGS_DEG = (5.0, 10.0, 20.0, 30.0, 45.0)
+NEAR_OPTIMUM = 1.15
+"""Of the empty cone's motion that a load's is measured by: a direct one within this of the bound will do."""
+RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
 """The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
 share them. Between two of them, and below the first, their motions are slowed."""
 
@@ -205,7 +207,7 @@ class MotionPlanner:
         """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
         if spill_limit_deg is None:
-            return self._found(self._kept(begin, goals, name, None, effort), begin, goals, name)
+            return self._found(self._emptied(begin, goals, name, effort), begin, goals, name)
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
         key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
@@ -221,32 +223,52 @@ class MotionPlanner:
     def _carried(
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
     ) -> JointTrajectory:
-        """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest."""
+        """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest.
+
+        Where planning takes the arm's time, not between places, none is quicker than the empty cone's, so that what is
+        as quick as that needs no search: one that is begins later by what it is quicker.
+        """
         # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
         # the last of them is within SURE of anything: so a looser limit is never slower by more.
         rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= max(spill_limit_deg, RUNGS_DEG[0])]
-        sure_s = SURE * float(rest_to_rest_s(goals - begin, self.rates).min())
+        empty = self._emptied(begin, goals, name, effort)
+        quickest = None if self._between_places(begin, goals) else self._quick(empty)
+        least_s = 0.0 if quickest is None else quickest.duration_s
+        sure_s = SURE * max(least_s, float(rest_to_rest_s(goals - begin, self.rates).min()))
         best: JointTrajectory | None = None
-        for searched_deg in (None, *rungs_deg):
-            motion = self._timed(self._kept(begin, goals, name, searched_deg, effort), spill_limit_deg)
+        searched = (self._kept(begin, goals, name, rung_deg, effort) for rung_deg in rungs_deg)
+        for planned in itertools.chain([empty], searched):
+            motion = self._timed(planned, spill_limit_deg)
             if best is None or (motion is not None and motion.duration_s < best.duration_s):
                 best = motion
             if best is not None and best.duration_s <= sure_s:
                 break
-        return self._found(best, begin, goals, name)
+        found = self._found(best, begin, goals, name)
+        return begun_later(found, least_s - found.duration_s).keeping(spill_limit_deg)
+
+    def _emptied(self, begin: Floats, goals: Floats, name: str, effort: Effort) -> StoppableTrajectory | None:
+        """The empty cone's motion that a load's is measured by: looked for longer than for its own sake."""
+        closer = replace(effort, near_optimum=min(effort.near_optimum, NEAR_OPTIMUM))
+        return self._kept(begin, goals, name, None, closer)
+
+    def _quick(self, motion: JointTrajectory | None) -> JointTrajectory | None:
+        """A motion as quick as joints and servos allow; None where the hand is too heavy for it."""
+        if motion is None:
+            return None
+        stretch = self.rates.stretch_for(motion)
+        quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
+        try:
+            return quick.stretched(self._torques.stretch(quick))
+        except TooHeavyError:
+            return None
 
     def _timed(self, motion: JointTrajectory | None, spill_limit_deg: float) -> JointTrajectory | None:
         """A motion as quick as joints, servos and a load on it allow; its path, and so its proof, is the same.
 
         A looser limit never gets a slower one. None where the load would spill however slow, or the hand is too heavy.
         """
-        if motion is None:
-            return None
-        stretch = self.rates.stretch_for(motion)
-        quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
-        try:
-            quick = quick.stretched(self._torques.stretch(quick))
-        except TooHeavyError:
+        quick = self._quick(motion)
+        if motion is None or quick is None:
             return None
         factor = spill_stretch(quick, self._mount, spill_limit_deg)
         slowed = None if factor is None else quick.stretched(factor)
@@ -314,7 +336,7 @@ class MotionPlanner:
             if over_bare_pan is not None and self.scene().proves(over_bare_pan):
                 return over_bare_pan
         if spill_limit_deg is not None:
-            empty = self._kept(begin, goals, name, None, effort)
+            empty = self._emptied(begin, goals, name, effort)
             attempts = transfer.ATTEMPTS if self._timed(empty, spill_limit_deg) is None else 1
         if spill_limit_deg in RUNGS_DEG[1:]:
             stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
