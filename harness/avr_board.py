@@ -18,7 +18,7 @@ from scuhand_bt.sim.wire.hand import NOMINAL_MAP, Valve
 HOST, SERVO = 0, 1
 CYCLES_PER_S = 16_000_000
 SLICE_S, QUIET_SLICE_S = 500e-6, 10e-3
-"""Between two looks at the servo: while it may have something to answer, its return delay, and while nobody asked it."""
+"""Between two looks at the servo: while it may have an answer, its return delay, and while nobody has asked it."""
 HOST_BAUD = 115_200
 STOP_PIN = (b"H", 4)
 """Pin 7 of a Mega."""
