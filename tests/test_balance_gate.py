@@ -549,6 +549,7 @@ def test_a_display_that_stands_still_and_jumps_was_held(readings_mg: list[float]
 
 NOISY = [5.0, 5.1] * 100
 AVERAGING = [0.1 * step for step, run in enumerate((8, 8, 9, 9, 12, 16, 22, 26, 29, 32, 40)) for _ in range(run)]
+AS_IT_BEGINS = [*NOISY, *[5.2] * 30, *NOISY, *[5.2] * 30, *NOISY, *[5.2] * 46, *NOISY, *[5.2] * 49, *NOISY]
 
 
 @pytest.mark.parametrize(
@@ -560,6 +561,7 @@ AVERAGING = [0.1 * step for step, run in enumerate((8, 8, 9, 9, 12, 16, 22, 26, 
         ([*NOISY, *[5.2] * 18, 5.3], False),
         ([*AVERAGING, *[5.2] * 149], False),
         ([*AVERAGING, *[5.2] * 250], True),
+        ([*AS_IT_BEGINS, *[5.2] * 39], False),
         ([5.0] * 1000, False),
         ([], False),
     ],
