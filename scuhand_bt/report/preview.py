@@ -37,7 +37,7 @@ def preview_page(plan: Plan, lab: Lab, odds: Odds) -> str:
         figures=[
             ("time", _range(odds.duration_s, format_duration)),
             ("samples in tolerance", f"{good:.1f} of {len(recipe.samples)}"),
-            ("sheet swaps", str(plan.swaps)),
+            ("sheet swaps between samples", str(plan.swaps)),
             ("times that a person is needed", str(sum(person.job is not None for person in plan.persons))),
         ],
         jobs=list(_jobs(plan, odds)),
