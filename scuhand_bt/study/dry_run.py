@@ -81,7 +81,7 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         samples,
         {name: scoops[name] for name in names},
         used_mg,
-        became_mg,
+        {name: dict(mg) for name, mg in became_mg.items()},
     )
 
 
