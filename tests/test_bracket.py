@@ -439,6 +439,7 @@ def test_readings_that_fall_and_stay_below_while_powder_comes_tell_a_step_of_the
         ((0.0, 2.0, 3.1, 3.2), 0),  # rises on by more than half as much
         ((0.0, -2.0, -2.1, -2.1), 0),  # what falls is no filter
         ((0.0, 0.0, 0.0, 0.0), 0),
+        ((0.0, 10.0, 13.0, 16.0, 16.0), 1),  # it has come to rest, and then something rises on
         ((0.0, 2.0), 0),  # nobody can tell yet
     ],
 )

@@ -52,5 +52,6 @@ def test_what_is_not_accepted_is_named_by_its_side(
 def test_a_lump_of_tau_mg_ends_within_a_tolerance_with_this_chance() -> None:
     """Of lumps that weigh 4 mg on average, 1 - 1/e are lighter than the 4 mg from 48 to 52."""
     assert chance_with_lumps(2.0, 4.0) == pytest.approx(0.632, abs=1e-3)
+    assert chance_with_lumps(0.1, 0.5) == pytest.approx(0.330, abs=1e-3)
     assert chance_with_lumps(2.0, 1e-6) == pytest.approx(1.0)
     assert chance_with_lumps(2.0, 0.0) == 1.0
