@@ -163,6 +163,26 @@ def test_a_valve_that_was_shut_in_a_hurry_doses_at_its_own_speed_again(board: Bo
     assert took_s > 0.85 * (1.8 - began_mm) / 4.0, "before it was shut, too"
 
 
+def test_a_valve_whose_servo_did_not_hear_its_speed_does_not_open_in_a_hurry() -> None:
+    host = opened(Host(), WIDEST_MM)
+    servo, say, lost = host.twin.valve.servo, host.twin.valve.say, [0]
+    servo.put(64, 1, 0)
+    host.until(lambda: host.twin.opening_mm < 1.5, AFTER_POWER_S)
+    assert host.report("reset").faults == ""
+
+    def deaf(baud: int, data: bytes, now_s: float) -> bytes:
+        hears = not (data[7:10] == b"\x03\x70\x00" and lost[0] == 0)  # a write to its profile velocity
+        lost[0] += not hears
+        return say(baud, data if hears else b"", now_s)
+
+    host.twin.valve.say = deaf  # type: ignore[method-assign]
+    host.report("open 2.000")
+    began_mm, began_s = host.twin.opening_mm, host.now_s
+    host.until(lambda: host.twin.opening_mm > 1.8, 2.0)
+    assert lost == [1]
+    assert host.now_s - began_s > 0.85 * (1.8 - began_mm) / 4.0
+
+
 def test_a_servo_that_has_shut_itself_down_is_switched_on_again_by_a_reset_alone(board: Board) -> None:
     host = opened(Host(board))
     board.valve.servo.fail(OVERLOAD_BIT)

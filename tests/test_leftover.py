@@ -80,13 +80,19 @@ def test_what_is_left_is_kept_returned_or_discarded(
     assert (masses_mg["waste"] > 1000.0) == (leftover == "discard")
 
 
-def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_is_believed_without_it(
-    tmp_path: Path,
-) -> None:
+def lab_with_a_jar(tmp_path: Path) -> Path:
+    """The starter lab, with a vessel for leftovers beside the waste bin."""
     lab = make_lab(tmp_path / "lab")
     cell = lab / "robot" / "cell.yaml"
     text = cell.read_text(encoding="utf-8")
     cell.write_text(text.replace("  sheet_swap:", JAR), encoding="utf-8")
+    return lab
+
+
+def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_is_believed_without_it(
+    tmp_path: Path,
+) -> None:
+    lab = lab_with_a_jar(tmp_path)
     assert "jar" in load_lab(lab).cell.stations
     ran = run(tmp_path, "fill_crucible", "{to: jar}", lab)
     gone = [payload for _, payload in events(ran, "discarded")]
@@ -104,10 +110,7 @@ def test_what_is_left_goes_into_the_vessel_that_the_recipe_names_and_its_source_
 def test_the_plan_shows_beside_the_waste_what_goes_into_the_vessel_that_the_recipe_names(
     tmp_path: Path,
 ) -> None:
-    lab = make_lab(tmp_path / "lab")
-    cell = lab / "robot" / "cell.yaml"
-    text = cell.read_text(encoding="utf-8")
-    cell.write_text(text.replace("  sheet_swap:", JAR), encoding="utf-8")
+    lab = lab_with_a_jar(tmp_path)
     recipe = tmp_path / "into.yaml"
     told = RECIPE.replace("WORKFLOW", "fill_crucible").replace("LEFTOVER", "leftover: {to: jar}")
     recipe.write_text(told, encoding="utf-8")

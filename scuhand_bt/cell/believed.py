@@ -239,10 +239,9 @@ class Believed:
         kind = container.name
         slots = {**self.slots, container.id: slot_of(self, container, first_slot)} if from_changer else self.slots
         taken = len(slots) - len(self.slots)
+        of_kind = {kind: self.slots_of_kinds.get(kind, 0) + taken} if taken else {}
         self._set(
-            slots_of_kinds={**self.slots_of_kinds, kind: self.slots_of_kinds.get(kind, 0) + taken}
-            if taken
-            else dict(self.slots_of_kinds),
+            slots_of_kinds={**self.slots_of_kinds, **of_kind},
             pan=container,
             pan_empty_mg=None,
             pan_gross_mg=None,

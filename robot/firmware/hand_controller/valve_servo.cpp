@@ -43,7 +43,7 @@ void ValveServo::use(const ValveMap& map) {
 void ValveServo::go_to(int32_t opening_um) {
   if (map_.points == 0) return;
   goal_count_ = map_.count_of(opening_um);
-  if (opening_um > 0 && !is_at_its_speed_ && is_set_up_) is_set_up_ = take_its_time();
+  if (opening_um > 0 && !is_at_its_speed_ && is_set_up_) is_set_up_ = set_speed(false);
   // One that is not acknowledged is told again with the next look.
   if (is_set_up_) servo_.write(kGoalPosition, goal_count_, 4);
 }
@@ -89,18 +89,15 @@ bool ValveServo::set_up() {
   return keep(kDriveMode, 0, 1) && keep(kOperatingMode, kPositionMode, 1) && keep(kHomingOffset, 0, 4) &&
          keep(kMaxPosition, map_.highest_count(), 4) && keep(kMinPosition, map_.lowest_count(), 4) &&
          set(kGainD, kD, 2) && set(kGainI, kI, 2) && set(kGainP, kP, 2) && set(kGoalPwm, kPwm, 2) &&
-         set(kProfileAcceleration, kAcceleration, 4) && hurry() && set(kTorqueEnable, 1, 1) &&
-         set(kGoalPosition, goal_count_, 4);
+         set(kProfileAcceleration, kAcceleration, 4) && set_speed(goal_count_ == map_.at[0].count) &&
+         set(kTorqueEnable, 1, 1) && set(kGoalPosition, goal_count_, 4);
 }
 
-bool ValveServo::hurry() {
-  is_at_its_speed_ = false;
-  return set(kProfileVelocity, velocity_ * kHurry < kFastest ? velocity_ * kHurry : kFastest, 4);
-}
-
-bool ValveServo::take_its_time() {
-  is_at_its_speed_ = set(kProfileVelocity, velocity_, 4);
-  return is_at_its_speed_;
+bool ValveServo::set_speed(bool hurries) {
+  const int32_t quick = velocity_ * kHurry < kFastest ? velocity_ * kHurry : kFastest;
+  const bool is_set = set(kProfileVelocity, hurries ? quick : velocity_, 4);
+  is_at_its_speed_ = is_set && !hurries;
+  return is_set;
 }
 
 // A value of the memory that wears out: written only where it differs.
@@ -127,7 +124,7 @@ bool ValveServo::look() {
   opening_um_ = map_.um_of(count);
   temperature_c_ = motion[kPresentTemperature - kGoalPosition];
   const int32_t off = count - map_.at[0].count;
-  if (!is_at_its_speed_ && -kShutCounts <= off && off <= kShutCounts) take_its_time();
+  if (!is_at_its_speed_ && -kShutCounts <= off && off <= kShutCounts) set_speed(false);
   const bool is_as_set_up = state[0] == 1 && state[kHardwareError - kTorqueEnable] == 0;
   if (!is_as_set_up) {
     is_set_up_ = false;

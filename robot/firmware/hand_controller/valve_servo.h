@@ -37,9 +37,8 @@ class ValveServo {
   bool keep(uint16_t address, int32_t value, uint8_t size);
   bool set(uint16_t address, int32_t value, uint8_t size);
   bool look();
-  // How fast it goes: to shut after it was set up, and from then on.
-  bool hurry();
-  bool take_its_time();
+  // It hurries to be shut after it was set up, and goes at its own speed from then on.
+  bool set_speed(bool hurries);
 
   Wire& wire_;
   Dynamixel servo_;
