@@ -6,6 +6,7 @@ The sketch is built with Arduino's own core, and the reference board's binary is
 import importlib
 import re
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -167,7 +168,7 @@ def test_a_valve_whose_servo_did_not_hear_its_speed_does_not_open_in_a_hurry() -
     host = opened(Host(), WIDEST_MM)
     servo, say, lost = host.twin.valve.servo, host.twin.valve.say, [0]
     servo.put(64, 1, 0)
-    host.until(lambda: host.twin.opening_mm < 1.5, AFTER_POWER_S)
+    host.until(lambda: host.twin.opening_mm < 1.2, AFTER_POWER_S)
     assert host.report("reset").faults == ""
 
     def deaf(baud: int, data: bytes, now_s: float) -> bytes:
@@ -176,11 +177,11 @@ def test_a_valve_whose_servo_did_not_hear_its_speed_does_not_open_in_a_hurry() -
         return say(baud, data if hears else b"", now_s)
 
     host.twin.valve.say = deaf  # type: ignore[method-assign]
-    host.report("open 2.000")
-    began_mm, began_s = host.twin.opening_mm, host.now_s
-    host.until(lambda: host.twin.opening_mm > 1.8, 2.0)
+    host.report("open 2.400")
+    openings_mm = [host.wait(0.01).twin.opening_mm for _ in range(100)]
     assert lost == [1]
-    assert host.now_s - began_s > 0.85 * (1.8 - began_mm) / 4.0
+    assert openings_mm[-1] == pytest.approx(2.4, abs=0.03)
+    assert max(now - last for last, now in pairwise(openings_mm)) < 1.3 * 4.0 * 0.01
 
 
 def test_a_servo_that_has_shut_itself_down_is_switched_on_again_by_a_reset_alone(board: Board) -> None:
