@@ -80,6 +80,13 @@ def wall_time(precision: Literal["seconds", "milliseconds"] = "seconds") -> str:
     return datetime.now().astimezone().isoformat(timespec=precision)
 
 
+def pause(clock: Clock, duration_s: float) -> Steps[None]:
+    """Let time pass."""
+    end_s = clock.now_s + duration_s
+    while clock.now_s < end_s:
+        yield Wake(end_s)
+
+
 def until(clock: Clock, condition: Callable[[], bool], signal: Signal, timeout_s: float) -> Steps[bool]:
     """Wait until `condition` holds, looking whenever `signal` fires; False if it never did in time."""
     deadline_s = clock.now_s + timeout_s

@@ -31,6 +31,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
+from scuhand_bt import clock
 from scuhand_bt.cell.believed import Believed
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
@@ -215,6 +216,4 @@ class Condition(Skill[None]):
 
 def pause(cell: Cell, duration_s: float) -> Steps[None]:
     """Let time pass."""
-    end_s = cell.clock.now_s + duration_s
-    while cell.clock.now_s < end_s:
-        yield Wake(end_s)
+    return clock.pause(cell.clock, duration_s)

@@ -9,7 +9,7 @@ import statistics
 from collections import deque
 from dataclasses import dataclass, field
 
-from scuhand_bt.clock import Clock, Steps, Wake
+from scuhand_bt.clock import Clock, Steps, pause
 from scuhand_bt.devices.interfaces import Balance, Hand, StableMean
 from scuhand_bt.dosing.bracket import HARDLY, LONGEST_WATCH_S, Gross, Reference, apart_mg, settled_from
 from scuhand_bt.dosing.controller import (
@@ -145,11 +145,6 @@ def run_dose(
             net_mg = balance.latest.value_mg - reference.zero_mg
             keep(CurvePoint(clock.now_s, net_mg, opening_mm, vibration, False, controller.estimate_mg))
 
-    def pause(duration_s: float) -> Steps[None]:
-        end_s = clock.now_s + duration_s
-        while clock.now_s < end_s:
-            yield Wake(end_s)
-
     def weighed(mean: StableMean) -> Observation:
         nonlocal last
         last = Gross(mean.value_mg, mean.uncertainty_mg, mean.time_s)
@@ -194,7 +189,7 @@ def run_dose(
                     vibration_s += (clock.now_s - acted_s) * (command.vibration > 0.0)
                 else:
                     hand.stop()
-                yield from pause(command.wait_s)
+                yield from pause(clock, command.wait_s)
                 mean = yield from balance.stable_mean()
                 seen = weighed(mean)
                 level = 0.0
@@ -204,7 +199,7 @@ def run_dose(
                     looks, digit_mg = [last], balance.spec.readability_mg
                     for _ in range(WATCHES):
                         weighed_s = last.time_s
-                        yield from pause(LONGEST_WATCH_S)
+                        yield from pause(clock, LONGEST_WATCH_S)
                         mean = yield from balance.stable_mean()
                         seen = weighed(mean)
                         record.event(_pulsed(Weigh(), seen, weighed_s, mean))

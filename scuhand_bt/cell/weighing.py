@@ -8,7 +8,7 @@ from contextlib import closing
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell.pan_bracket import ClosedBracket
 from scuhand_bt.cell.places import CLEAR_MM
-from scuhand_bt.clock import Steps, Wake
+from scuhand_bt.clock import Steps, Wake, pause
 from scuhand_bt.devices.interfaces import Hands, Reading, StableMean
 from scuhand_bt.dosing.bracket import Closed, Gross, Net, apart_mg, close, differ_mg, moved_mg, standing, total
 from scuhand_bt.dosing.characteristic import LONGEST_DELAY_S, Step, is_frozen, step_of
@@ -36,6 +36,8 @@ SCOOP_DOUBT = 0.15
 DROP_S = 30.0
 """Powder that drips from a valve that was shut does so once in this time."""
 STOOD_STILL = "the display stood still for longer than its noise allows: what came meanwhile nobody has seen"
+QUICK_S, CREEPS = 8.0, 0.15
+"""A balance that has called itself stable so soon does not creep; a slower one does, for that share of the time."""
 HAND_S = 1.0
 """What a person takes to put a container down, besides."""
 
@@ -56,9 +58,7 @@ def weigh_until_still(
     """
     begin_s, digit_mg = cell.clock.now_s, cell.spec.balance.readability_mg
     while True:
-        end_s = cell.clock.now_s + pause_s
-        while cell.clock.now_s < end_s:
-            yield Wake(end_s)
+        yield from pause(cell.clock, pause_s)
         mean = yield from cell.right_of_way.stable_mean()
         now = weighing_of(mean)
         changed_mg = now.gross_mg - last.gross_mg
@@ -120,13 +120,26 @@ def _compare(cell: Cell, shown: Gross, stable: Sequence[Reading]) -> None:
 
 
 def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
-    """The gross when something has come or gone: a balance with a dead time goes on showing for a while what was."""
+    """The gross when something has come or gone: a balance with a dead time goes on showing for a while what was.
+
+    One that took long to call itself stable creeps on after it, by some tenths of a milligram: it is weighed until it
+    has come to rest.
+    """
     end_s = cell.clock.now_s + LONGEST_DELAY_S
     while was_mg is not None and cell.clock.now_s < end_s:
         reading = yield from cell.balance.next_reading()
         if abs(reading.value_mg - was_mg) > CHANGED_MG:
             break
+    shown_s = cell.clock.now_s
     mean = yield from cell.right_of_way.stable_mean()
+    took_s = mean.time_s - shown_s
+    while took_s > QUICK_S and mean.time_s - shown_s < PATIENCE_S:
+        last = weighing_of(mean)
+        yield from pause(cell.clock, CREEPS * took_s)
+        mean = yield from cell.right_of_way.stable_mean()
+        now = weighing_of(mean)
+        if abs(now.gross_mg - last.gross_mg) <= 2.0 * apart_mg(last, now, cell.spec.balance.readability_mg):
+            break
     return mean
 
 

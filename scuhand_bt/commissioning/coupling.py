@@ -8,7 +8,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from scuhand_bt.clock import Steps, Wake, carried_out
+from scuhand_bt.clock import carried_out, pause
 from scuhand_bt.commissioning.held_arm import Jogger, held, led
 from scuhand_bt.commissioning.step import Found, NotFound, Site
 from scuhand_bt.devices.connect import Devices
@@ -70,7 +70,7 @@ def find_coupling(site: Site) -> Found:
 
         def shake() -> None:
             devices.hand.set_vibration(1.0)
-            carried_out(_waited(site, SHAKEN_S), site.clock)
+            carried_out(pause(site.clock, SHAKEN_S), site.clock)
             devices.hand.set_vibration(0.0)
 
         still = _heard(site, devices, lambda: None)
@@ -92,7 +92,7 @@ def _heard(site: Site, devices: Devices, disturb: Callable[[], None]) -> tuple[l
     try:
         disturb()
         ended_s = site.clock.now_s
-        carried_out(_waited(site, WATCHED_S), site.clock)
+        carried_out(pause(site.clock, WATCHED_S), site.clock)
     finally:
         devices.balance.on_reading = None
     return heard, ended_s
@@ -105,9 +105,3 @@ def _rung(heard: Sequence[Reading], ended_s: float, near_mg: float, what: str) -
         raise NotFound(
             f"{WATCHED_S:g} s after {what}, {error}: look at what the balance stands on, at its shield, and for draught"
         ) from None
-
-
-def _waited(site: Site, duration_s: float) -> Steps[None]:
-    end_s = site.clock.now_s + duration_s
-    while site.clock.now_s < end_s:
-        yield Wake(end_s)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from scuhand_bt.clock import Clock, Steps, Wake
+from scuhand_bt.clock import Clock, Steps, pause
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.problems import Mark
 
@@ -45,9 +45,7 @@ class Substitution:
 
     def steps(self, clock: Clock) -> Steps[Any]:
         """What is done in the skill's stead, or before it. SkillFailed as asked."""
-        end_s = clock.now_s + self.takes_s
-        while clock.now_s < end_s:
-            yield Wake(end_s)
+        yield from pause(clock, self.takes_s)
         if self.code is not None:
             raise SkillFailed(self.code, "as the test has it")
         return self.result
