@@ -1,6 +1,6 @@
 """What a constant of `adaptive` is worth: the same doses with it and with another value.
 
-    python -m benchmarks.dosing_ablation estimation.SURPRISING=25 knowledge.AIM_UNDER_MG=0,adaptive.SOON_S=0.5
+    python -m benchmarks.dosing_ablation estimation.SURPRISING=25 knowledge.AIM_UNDER_MG=0,adaptive.ALARM=2
                                          [--powders monosodium_glutamate] [--targets 50 500] [--doses 600]
                                          [--family msg --plants 20 --seeds tuning] [--json FILE]
 

@@ -133,7 +133,7 @@ def weigh_changed(cell: Cell, was_mg: float | None) -> Steps[StableMean]:
     shown_s = cell.clock.now_s
     mean = yield from cell.right_of_way.stable_mean()
     took_s = mean.time_s - shown_s
-    while took_s > QUICK_S and mean.time_s - shown_s < PATIENCE_S:
+    while took_s > QUICK_S and mean.time_s - shown_s < 2.0 * took_s:
         last = weighing_of(mean)
         yield from pause(cell.clock, CREEPS * took_s)
         mean = yield from cell.right_of_way.stable_mean()

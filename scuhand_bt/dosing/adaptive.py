@@ -71,8 +71,6 @@ AGAIN_S = 3.0
 """A stable mean that surprised is taken again after this."""
 LEFT_MG = 1.0
 """With more than this to go the stable mean can wait."""
-SURELY, SOON_S = 2.0, 1.0
-"""What is in tolerance by so many standard deviations is enough, where the rest would take longer than this."""
 PRIMES_S = 10.0
 """A fresh load may give nothing for so long, open and fully shaken: that says nothing of its flow."""
 EMPTY_S, DRY_S = 8.0, 60.0
@@ -231,7 +229,7 @@ class Adaptive:
             if flows > ALARM * reference and 2.0 * self._unseen_mg() > most_mg - bank.mass_mg:
                 return "surprise"
             means, variances = bank.coming(powers(*known.valve.closing(np.array((period_s / 2.0, period_s)))))
-            if self._will_reach(float(bank.weights @ means[0])):
+            if float(bank.weights @ means[0]) >= known.aim_mg:  # shut now, it ends there
                 return "reached"
             if not limit_mg and chance(bank, means[1], variances[1], most_mg) > RISK:
                 return "fear"
@@ -266,15 +264,6 @@ class Adaptive:
         known, bank = self._known, self._known.bank
         tail, _ = known.valve.closing(known.request.balance_period_s + bank.delay_s)
         return bank.coefficient * tail
-
-    def _will_reach(self, predicted_mg: float) -> bool:
-        """Shut now, with so much to be expected then, the mass ends where it should."""
-        known, bank = self._known, self._known.bank
-        if predicted_mg >= known.aim_mg:
-            return True
-        flow = bank.coefficient * known.shape.value(known.valve.opening_mm)
-        slow = known.aim_mg - predicted_mg > SOON_S * flow
-        return slow and predicted_mg - SURELY * bank.mass_sd_mg >= known.least_mg
 
     def _lump_mg(self) -> float:
         """What an opening should bring where lumps are shaken out singly; 0 elsewhere."""

@@ -43,7 +43,7 @@ HARDLY_EVER = 2.6
 """Standard deviations that a flow is above its reference once in 200 times."""
 SEEN_S = 0.4
 """So long after the balance's delay it is seen whether the sheet has stuck."""
-AIM_UNDER_MG = 0.25
+AIM_UNDER_MG = 0.1
 """Too little can be corrected, too much cannot."""
 LEAST_SPARE_MG = 0.5
 """Above the target, where the balance is too uncertain for any verdict."""
