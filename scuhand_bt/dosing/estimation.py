@@ -29,7 +29,7 @@ NEAR = (-1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8)
 """Delays of a balance that was identified, in standard deviations of their logarithm from what was found."""
 SAME_SHAPE = 0.98
 """Probability that the kind of filter was identified rightly."""
-CHANGED, SLOWER = 0.01, 1.5
+CHANGED, SET_SLOWER = 0.01, 1.5
 """Probability that the balance has been set slower than in the opening before; by this factor at least."""
 K_WALK_PER_S = 0.2
 """Relative random walk of k, per square root of a second."""
@@ -58,7 +58,7 @@ AS_EXPECTED, SURPRISING = 0.9, 4.0
 """A squared innovation, in variances, that leaves it as it is; and from where on it counts no more."""
 FARTHEST = 5.0
 """An innovation of more standard deviations tells no more: one lump or one knock rules out no model."""
-LEAST_WEIGHT = 1e-3
+LEAST_LIKELY = 1e-3
 """Models less likely than this are dropped until the valve has been shut."""
 UNKNOWN_SPREAD = 1.5
 """Of the flow of a powder that nothing was learnt of: it may be five times what is believed."""
@@ -110,7 +110,7 @@ class Bank:
         others = (1.0 - SAME_SHAPE) / (len(SHAPES) - 1)
         shares = np.array([SAME_SHAPE if shape == balance.shape else others for shape in SHAPES])
         ours = np.outer(shares, np.exp(-0.5 * np.square(NEAR))).ravel()
-        slower = [Model(delay_s, balance.shape) for delay_s in DELAYS_S if delay_s > 2.0 * balance.lag_s * SLOWER]
+        slower = [Model(delay_s, balance.shape) for delay_s in DELAYS_S if delay_s > 2.0 * balance.lag_s * SET_SLOWER]
         weights = np.append((1.0 - CHANGED) * ours / ours.sum(), np.full(len(slower), CHANGED / max(len(slower), 1)))
         return cls([*near, *slower], weights, surge_mg, balance.misfit)
 
@@ -209,7 +209,7 @@ class Bank:
     def _weigh(self, squares: Array) -> None:
         """The models' weights after a reading; those that are out of the question are dropped."""
         weights = self.weights * np.exp(-0.5 * TEMPER * self._changing * np.minimum(squares, FARTHEST**2))
-        kept = weights > LEAST_WEIGHT * weights.max()
+        kept = weights > LEAST_LIKELY * weights.max()
         if not kept.all():
             weights = weights[kept]
             self.models = [model for model, keep in zip(self.models, kept, strict=True) if keep]
