@@ -213,6 +213,20 @@ def test_a_pan_that_loses_more_three_times_running_has_lost_its_container() -> N
     assert loop.valve.told[-1] == "stop"
 
 
+def test_a_filter_that_rings_after_much_has_come_has_not_lost_its_container() -> None:
+    streaming(0.0, 500.0, 1100.0, 1000.0, 940.0, 930.0, 940.0, 1000.0).run()
+
+
+def test_what_a_ringing_filter_would_not_show_is_a_loss_however_much_has_come() -> None:
+    with pytest.raises(SkillFailed, match=r"container\.moved"):
+        streaming(0.0, 500.0, 1100.0, 540.0, 540.0, 540.0).run()
+
+
+def test_what_came_long_ago_rings_no_more() -> None:
+    with pytest.raises(SkillFailed, match=r"container\.moved"):
+        streaming(0.0, *[1000.0] * 110, 940.0, 940.0, 940.0).run()
+
+
 def test_two_low_readings_are_a_knock() -> None:
     streaming(100.0, 0.0, 0.0, 100.0, 0.0, 0.0, 100.0).run()
 

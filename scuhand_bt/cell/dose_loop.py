@@ -30,6 +30,9 @@ LOST_MG = 50.0
 """Powder does not leave the pan again: less by so much than there has been means that the container was moved. A lump
 that lands is felt as more than it weighs, for a moment and by less than this."""
 LOST_READINGS = 3
+RINGS, RINGING_S = 0.5, 10.0
+"""A filter that rings shows more than there is, and then less: of what has come in so long by up to this share, which
+it does with a damping of 0.2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +102,29 @@ class _Flow:
             self.gained_mg = min(self.gained_mg, level_mg)  # what a draught has pushed is no gain that stays
 
 
+@dataclass
+class _Kept:
+    """What the pan must go on showing."""
+
+    most_mg: float = -math.inf
+    _least_mg: float = -math.inf
+    _below: int = 0
+    _recent: deque[Observation] = field(default_factory=deque)
+
+    def require_nothing_lost(self, seen: Observation) -> None:
+        """SkillFailed container.moved where it shows less, several readings running or by a stable mean."""
+        self._below = self._below + 1 if seen.net_mg < self._least_mg else 0
+        if self._below >= (1 if seen.stable else LOST_READINGS):
+            lost = f"the pan shows {self.most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
+            raise SkillFailed(Code.CONTAINER_MOVED, lost)
+        self._recent.append(seen)
+        while self._recent[0].time_s < seen.time_s - RINGING_S:
+            self._recent.popleft()
+        came_mg = 0.0 if seen.stable else seen.net_mg - min(one.net_mg for one in self._recent)
+        self.most_mg = max(self.most_mg, seen.net_mg)
+        self._least_mg = max(self._least_mg, seen.net_mg - max(LOST_MG, RINGS * came_mg))
+
+
 def silence_s(period_s: float) -> float:
     """How long the balance may be silent while the valve is open."""
     return max(0.3, 3.0 * period_s)
@@ -124,16 +150,8 @@ def run_dose(
     streaming = False
     last = reference.before
     watched: list[tuple[Gross, Gross]] = []
-    most_mg, below = -math.inf, 0
+    kept = _Kept()
     flow = _Flow(reference.earlier.mass_mg)
-
-    def require_nothing_lost(seen: Observation) -> None:
-        nonlocal most_mg, below
-        most_mg = max(most_mg, seen.net_mg)
-        below = below + 1 if seen.net_mg < most_mg - LOST_MG else 0
-        if below >= (1 if seen.stable else LOST_READINGS):
-            lost = f"the pan shows {most_mg - seen.net_mg:.0f} mg less than it has shown in this dose"
-            raise SkillFailed(Code.CONTAINER_MOVED, lost)
 
     def keep(point: CurvePoint) -> None:
         curve.append(point)
@@ -208,7 +226,7 @@ def run_dose(
                         if abs(last.gross_mg - first.gross_mg) <= HARDLY * apart_mg(first, last, digit_mg):
                             break
                     watched.append((first, last))
-            require_nothing_lost(seen)
+            kept.require_nothing_lost(seen)
             flow.note(seen)
             command = controller.decide(seen)
             is_going_on = not isinstance(command, Finish) or command.reason == "step_limit"

@@ -32,7 +32,7 @@ from scuhand_bt.dosing.controller import (
     Weigh,
 )
 from scuhand_bt.dosing.estimation import powers
-from scuhand_bt.dosing.knowledge import FULL, GENTLE, Knowledge
+from scuhand_bt.dosing.knowledge import FULL, GENTLE, SEEN_S, Knowledge
 from scuhand_bt.dosing.pulses import pulses
 
 MOST_OPENINGS = 200
@@ -208,7 +208,7 @@ class Adaptive:
         quiet_s = 2.0 * EVIDENT_S
         sure_mg = barren_mg = bank.mass_mg
         read_mg = known.begin_mg
-        stuck_seen_s, begins_mm = known.time_s + known.seen_s, known.begins_mm(most_mg - bank.mass_mg)
+        stuck_seen_s, came_s, begins_mm = known.time_s + known.seen_s, math.inf, known.begins_mm(most_mg - bank.mass_mg)
         # A lump cannot be let out in part: where it is shaken for, it may come.
         shaken_mm = min(known.shape.opening_mm(limit_mg / reference / SHAKE_S), known.request.max_opening_mm)
         surprises, opening_mm = 0, math.inf
@@ -218,7 +218,8 @@ class Adaptive:
             wanted_mm = shaken_mm if limit_mg else known.widest_mm(most_mg)
             # What does not come yet, or no more, may come at any moment: no reason to open wider.
             opening_mm = min(wanted_mm, opening_mm) if quiet_s > EVIDENT_S else wanted_mm
-            may_stick = not limit_mg and known.time_s < stuck_seen_s
+            # Of powder that begins to come late nothing can be seen yet.
+            may_stick = not limit_mg and known.time_s < max(stuck_seen_s, came_s + SEEN_S)
             score = yield from known.act(min(opening_mm, begins_mm) if may_stick else opening_mm, self._vibration)
             dt_s, phi_s = known.rows[-1].dt_s, known.rows[-1].phi_s
             passed_s += phi_s
@@ -237,12 +238,14 @@ class Adaptive:
             reading_mg = known.rows[-1].reading_mg
             expected_mg = known.reference * (passed_s - sure_s)
             risen = reading_mg - read_mg > 3.0 * known.rows[-1].noise_mg
+            if risen:
+                came_s = min(came_s, known.time_s)
             if risen and mass_mg - sure_mg > FLOWS * expected_mg:
                 if quiet_s > bank.delay_s + 0.5:
                     missing_mg += max(0.0, expected_mg - (mass_mg - sure_mg))
                 sure_s, sure_mg, read_mg, quiet_s = passed_s, mass_mg, reading_mg, 0.0
                 known.follow()
-            elif not may_stick or opening_mm <= begins_mm:
+            elif known.time_s >= stuck_seen_s or opening_mm <= begins_mm:
                 quiet_s += dt_s
             if max(sure_mg + known.strongest * (passed_s - sure_s), mass_mg) + missing_mg > most_mg:
                 return "missing"

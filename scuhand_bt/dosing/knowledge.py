@@ -254,9 +254,10 @@ class Knowledge:
         return opening_mm
 
     def _unseen_mg(self, opening_mm: float) -> float:
-        """What an opening may let out before it is seen."""
+        """What an opening may let out before it is seen, where the exponent may be off by as much as it may."""
         strong_mg = self.reference * (1.0 + HARDLY_EVER * self.spread) * self.valve.passes(opening_mm, self.seen_s)
-        return max(self.stuck_mg(opening_mm, self.seen_s), strong_mg)
+        wider = max((opening_mm - self.shape.threshold_mm) / self.gap_mm, 1.0) ** EXPONENT_ERROR
+        return float(wider * max(self.stuck_mg(opening_mm, self.seen_s), strong_mg))
 
     @property
     def strongest(self) -> float:
@@ -305,6 +306,8 @@ class Knowledge:
         found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
+        else:  # nothing at all, however it was shaken
+            self.seen *= SLOWER
         was_held_up = gained_mg < FREELY * self.reference * phi_s
         self.reference = max(found, SLOWER * self.reference)
         spread = max(self.belief.spread, GUESSED_SPREAD, 0.5 * (self.seen / self.reference - 1.0))
