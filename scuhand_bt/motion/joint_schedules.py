@@ -86,12 +86,10 @@ def jerk_steps(start: Floats, some: Schedules, limits: RateLimits) -> tuple[Floa
     seconds, second_steps, second_s = legs(some.goals - some.turns, limits)
     late = first_s + second_s > total_s
     if late.any():
-        straight, straight_steps, straight_s = legs(some.goals - start, limits)
-        firsts = np.where(late[..., None], straight, firsts)
-        first_steps = np.where(late[..., None], straight_steps, first_steps)
-        first_s = np.where(late, straight_s, first_s)
-        second_steps = np.where(late[..., None], 0.0, second_steps)
-        second_s = np.where(late, 0.0, second_s)
+        joint = np.nonzero(late)[1]
+        limits_of = RateLimits(limits.speed[joint], limits.acceleration[joint], limits.jerk[joint])
+        firsts[late], first_steps[late], first_s[late] = legs((some.goals - start)[late], limits_of)
+        second_steps[late], second_s[late] = 0.0, 0.0
     spare = np.maximum(total_s - first_s - second_s, 0.0)[..., None] * some.shares
     slow_first = 1 + spare[..., 1] / np.maximum(first_s, _LEAST_S)
     slow_second = 1 + spare[..., 3] / np.maximum(second_s, _LEAST_S)
@@ -176,7 +174,7 @@ class ScheduleSearch:
         return fresh if self._level is None else self._in_step(fresh, self._level, rng)
 
     def _in_step(self, some: Schedules, level: Coordinates, rng: np.random.Generator) -> Schedules:
-        """The first of some schedules changed so that all joints turn at once, with the cone level; if they have time."""
+        """The first of some schedules changed so that all joints turn at once, the cone level, if they have time."""
         count = int(_IN_STEP_PART * len(some))
         goals, total_s = some.goals[:count], some.durations_s[:count]
         c = self._start + rng.uniform(size=(count, 1)) * (goals - self._start) + self._habits[2]

@@ -47,7 +47,7 @@ from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, later, standing
-from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
+from scuhand_bt.motion.transfer import LIVE, POLISHED, PREPARED, Effort
 from scuhand_bt.motion.way_out import NoWayOutError, way_out
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -289,8 +289,8 @@ class MotionPlanner:
 
         Between two configurations it is made in one direction only.
         """
-        if spill_limit_deg is None and self._between_places(begin, goals):
-            effort = POLISHED
+        if self._between_places(begin, goals):
+            effort = POLISHED if spill_limit_deg is None else PREPARED
         key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
 
         def made() -> StoppableTrajectory | None:

@@ -14,7 +14,7 @@ Joints [rad] (7,), goals (n, 7), durations [s].
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,7 +72,9 @@ class Effort:
     """Nor is any motion within this."""
 
 
-LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=5, near_optimum=1.66, good_enough=1.07)
+LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
+PREPARED = replace(LIVE, idle_rounds=20)
+"""Of loads between places, which are planned before the arm waits for them."""
 POLISHED = Effort(schedule_rounds=28, via_starts=2, via_rounds=30, idle_rounds=30, near_optimum=1.02, good_enough=1.02)
 
 
@@ -158,7 +160,8 @@ def plan(
     best = known
     # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
     for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
-        best = _quickest([best, *(search.direct(goals, near_s) for search in searches)])
+        upto_s = near_s if best is None else min(near_s, best.duration_s)
+        best = _quickest([best, *(search.direct(goals, upto_s) for search in searches)])
         if best is not None and best.duration_s <= near_s:
             return best
     searches = [search for search in searches if len(search.ends)]
