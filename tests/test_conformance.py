@@ -207,7 +207,7 @@ class UnaskedTwin(CurtainTwin):
     next_s = 0.0
 
     def unasked(self, now_s):
-        if now_s < self.next_s:
+        if 0.0 < self.next_s - now_s <= 0.2:
             return b""
         self.next_s = now_s + 0.2
         return self.answer(b"LOOK", now_s)
