@@ -131,7 +131,7 @@ class Bench:
             pan = self.over("balance", rng.uniform(78, 95), rng)
             first, second = (mortar, pan) if k % 2 else (pan, mortar)
             starts = self.free(reaching_out(first, MOUNT))
-            relaxed = np.array([np.arctan2(first.position_m[1], first.position_m[0]), *RELAXED_RAD])
+            relaxed = np.array([np.arctan2(first.position_m[1], first.position_m[0]), *RELAXED_RAD[1:]])
             tasks.append(Task("carry", starts[np.argmin(np.linalg.norm(starts - relaxed, axis=1))], second))
         return tasks
 

@@ -7,7 +7,9 @@ by `harness/motion_audit.py`, which shares nothing with the planner. A load that
 how often it is, and by how much, is told as `not monotone`.
 
 Planning is timed as the CPU time of its thread, `live` ways and those between places apart: a run plans the latter
-before it begins, and polishes an empty cone's.
+before it begins, and polishes an empty cone's. Loads are planned by a planner that has planned nothing before: the
+first on a way pays for all that it is measured by. Other work on the machine lengthens CPU times, too: by how much is
+seen from a fixed piece of work before every task (`slowdown`, over its fastest), and told besides.
 """
 
 import argparse
@@ -21,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.figures import spread
+from benchmarks.motion import Bench as StarterBench
 from harness.example_labs import example_lab
 from harness.motion_audit import Audit
 from harness.motion_layouts import CONTAINER, LIMITS_DEG, STARTER, Bench, Layout, carries, layouts, tasks
@@ -37,8 +40,10 @@ class Measured:
     """What came of all layouts."""
 
     def __init__(self) -> None:
+        self._machine = StarterBench()
         self.counts: Counter[str] = Counter()
         self.plan_ms: dict[str, list[float]] = {}
+        self.slowdowns: list[float] = []
         self.durations_s: dict[str, list[float]] = {}
         self.clearances_mm: list[float] = []
         self.slower: list[float] = []
@@ -54,6 +59,7 @@ class Measured:
         kind = "empty" if limit_deg is None else f"{limit_deg:g} deg"
         timed = f"{kind}, {'between places' if near is None else 'live'}"
         self.counts[f"tasks, {kind}"] += 1
+        self.slowdowns.append(self._machine.slowdown())
         begin_s = time.thread_time()
         try:
             motion = planner.move(start, near or second, spill_limit_deg=limit_deg)
@@ -93,8 +99,11 @@ class Measured:
         }
         found["least clearance"] = f"{min(self.clearances_mm):.2f} mm"
         found["looser / best stricter, worst"] = round(max(self.slower, default=0.0), 3)
+        slowdown = float(np.mean(self.slowdowns))
+        found["slowdown"] = spread(self.slowdowns, "")
         for kind, plan_ms in sorted(self.plan_ms.items()):
             found[f"CPU, {kind}"] = spread(plan_ms, "ms")
+            found[f"CPU over the slowdown, {kind}"] = spread([one / slowdown for one in plan_ms], "ms")
         for kind, durations_s in self.durations_s.items():
             found[f"duration, {kind}"] = spread(durations_s, "s")
         found["failed"], found["slower than a stricter limit"] = self.failures, self.not_monotone
@@ -125,6 +134,7 @@ def measure(given: argparse.Namespace, bench: Bench) -> None:
         audit = Audit(layout.lab.urdf, layout.cell, layout.mortars, CONTAINER)
         for task in tasks(layout, given.tasks):
             measured.moved(layout, planner, audit, task, None)
+        planner = layout.planner()
         for task in carries(layout, given.carries):
             measured.carried(layout, planner, audit, task)
         print(f"seed {layout.seed}: {dict(measured.counts)}", flush=True)

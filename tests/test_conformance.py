@@ -175,27 +175,60 @@ def test_an_arm_and_a_hand_with_a_mistake_do_not_conform(monkeypatch: pytest.Mon
             of_motion.hand_conforms(Numb(bench.device, stop=lambda: None), bench.clock)
 
 
-MISTAKES = {
-    "sensor": ('"humidity_percent": float(match[2])', '"humidity_percent": float(match[1])'),
-    "scanner": ("code.decode()", "code.decode().lower()"),
-    "ioniser": ('b"ON\\r\\n" if value else b"OFF\\r\\n"', 'b"OFF\\r\\n" if value else b"ON\\r\\n"'),
-    "capper": ('": False}', '": True}'),
-    "changer": ('not in ("CLEAR", place)', 'in ("nowhere",)'),
-}
+MISTAKES = [
+    ("sensor", '"humidity_percent": float(match[2])', '"humidity_percent": float(match[1])'),
+    ("scanner", "code.decode()", "code.decode().lower()"),
+    ("ioniser", 'b"ON\\r\\n" if value else b"OFF\\r\\n"', 'b"OFF\\r\\n" if value else b"ON\\r\\n"'),
+    ("capper", '": False}', '": True}'),
+    ("changer", 'not in ("CLEAR", place)', 'in ("nowhere",)'),
+    ("watcher", "at_mm=(x, y, z)", "at_mm=(x, -y, z)"),
+    ("watcher", "    def parse(", "    def opened(self):\n        self.fault = None\n\n    def parse("),
+]
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("kind", MISTAKES)
-def test_a_driver_with_a_mistake_does_not_conform(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("kind", "right", "wrong"), MISTAKES)
+def test_a_driver_with_a_mistake_does_not_conform(
+    kind: str, right: str, wrong: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(at_the_wire, "PATIENCE_S", 4.0)
-    name = f"wrong_{kind}"
+    name = f"wrong_{kind}_{MISTAKES.index((kind, right, wrong))}"
     module = write_device(name, kind, tmp_path / "made")[0]
-    right, wrong = MISTAKES[kind]
     assert right in module.read_text()
     module.write_text(module.read_text().replace(right, wrong))
     monkeypatch.syspath_prepend(str(module.parent))
     with pytest.raises((AssertionError, SkillFailed)):
         conformance.conforms(kind, f"scuhand_{name}:DRIVER")
+
+
+UNASKED = """
+
+class UnaskedTwin(CurtainTwin):
+    next_s = 0.0
+
+    def unasked(self, now_s):
+        if 0.0 < self.next_s - now_s <= 0.2:
+            return b""
+        self.next_s = now_s + 0.2
+        return self.answer(b"LOOK", now_s)
+
+
+class Unasked(Curtain):
+    twin = f"{__name__}:UnaskedTwin"
+    question = b""
+
+
+DRIVER = Unasked
+"""
+
+
+@pytest.mark.real_time
+@pytest.mark.slow
+def test_a_watcher_that_speaks_by_itself_conforms_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = write_device("curtain", "watcher", tmp_path / "made")[0]
+    module.write_text(module.read_text() + UNASKED)
+    monkeypatch.syspath_prepend(str(module.parent))
+    conformance.conforms("watcher", "scuhand_curtain:DRIVER")
 
 
 # --- named in robot/cell.yaml

@@ -114,14 +114,14 @@ class Shove:
         self.acceleration = acceleration
         self.looked_s = None
 
-    def at(self, times_s, order=0):
+    def states(self, times_s):
         self.looked_s = times_s
-        values = {0: LEVEL, 1: [0.0] * 7, 2: [self.acceleration, *[0.0] * 6]}
-        return np.tile(values[order], (len(times_s), 1))
+        values = LEVEL, [0.0] * 7, [self.acceleration, *[0.0] * 6]
+        return tuple(np.tile(value, (len(times_s), 1)) for value in values)
 
     def worst_deg(self, share):
         times_s = np.linspace(0.0, self.duration_s, 7)
-        axes, accelerations = apex_motion(self.at(times_s), self.at(times_s, 1), self.at(times_s, 2), MOUNT)
+        axes, accelerations = apex_motion(*self.states(times_s), MOUNT)
         return worst_spill_deg(axes, share * accelerations)
 
 

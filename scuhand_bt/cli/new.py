@@ -15,7 +15,7 @@ app.add_typer(group, name="new")
 @group.command()
 def device(
     name: Annotated[str, typer.Argument(help="Its name, as a module's: radwag, room_air, …", show_default=False)],
-    kind: Annotated[str, typer.Option("--kind", help="balance, changer, sensor, scanner, ioniser or capper.")],
+    kind: Annotated[str, typer.Option("--kind", help="balance, changer, sensor, scanner, ioniser, capper or watcher.")],
     folder: Annotated[
         Path | None, typer.Option("--folder", help="Where to write it; default: scuhand-NAME here.")
     ] = None,

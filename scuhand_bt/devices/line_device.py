@@ -1,12 +1,15 @@
 """Devices that speak in lines over a serial port: what a driver of one has to say is its lines, and nothing else.
 
-A `LineReader` is a sensor or a scanner, a `LineSwitch` an ioniser or a capper. Ports are opened again whenever they
-come back; a device that is asked and does not answer for `silent_after_s` is lost.
+A `LineReader` is a sensor or a scanner, a `LineSwitch` an ioniser or a capper, a `LineWatcher` a watcher. Ports are
+opened again whenever they come back; a device that is asked and does not answer for `silent_after_s` is lost.
 """
 
+import time
 from abc import ABC, abstractmethod
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from scuhand_bt.clock import Signal
@@ -196,3 +199,73 @@ class LineSwitch(LineDevice):
         status, self._status = self._status, None
         if status is not None:
             status.complete(failure)
+
+
+class LineWatcher(LineDevice):
+    """A watcher: `parse` says what a line tells to be there. It has a fault until it has told what it sees now.
+
+    Silence is a fault, too, of one that speaks by itself: nobody knows what it would have seen.
+    """
+
+    silent_after_s: ClassVar[float] = 1.0
+    is_stopped = True
+
+    @classmethod
+    def connect(cls, site: Site) -> Self:
+        """The device, having told what it sees; SkillFailed device.lost."""
+        device = super().connect(site)
+        end_s = time.monotonic() + device.silent_after_s
+        while device.fault is not None and time.monotonic() < end_s:
+            time.sleep(0.01)
+        if device.fault is not None:
+            device.close()
+            raise device.fault
+        return device
+
+    def __init__(self, site: Site) -> None:
+        super().__init__(site)
+        self.news = Signal()
+        self.points_m: NDArray[np.float64] | None = None
+        self.fault: SkillFailed | None = self._blind("it has not told yet what it sees")
+
+    @abstractmethod
+    def parse(self, line: bytes) -> tuple[tuple[float, float, float], ...] | None:
+        """The points [m] in the base frame that this line, terminator included, tells; None if it tells none.
+
+        A line that is cut short tells none: half of what is there would be taken for all of it.
+        """
+
+    def stop(self) -> None:
+        """Nothing of it moves."""
+
+    def health(self) -> dict[str, str]:
+        """How much it sees now."""
+        return {"sees": "nothing" if self.points_m is None else f"{len(self.points_m)} points"}
+
+    def heard(self, line: bytes) -> bool:
+        told = self.parse(line)
+        if told is None:
+            return False
+        before, points_m = self.points_m, np.array(told, dtype=float).reshape(-1, 3) if told else None
+        is_same = points_m is before or (
+            points_m is not None and before is not None and np.array_equal(points_m, before)
+        )
+        if not is_same:
+            self.points_m = points_m
+        if not is_same or self.fault is not None:
+            self.fault = None
+            self.news.fire()
+        return True
+
+    def idle(self) -> None:
+        super().idle()
+        if self._silence.seconds > self.silent_after_s:
+            self._silence.broken()
+            self.lost("it says nothing any more; is it switched on?")
+
+    def lost(self, why: str) -> None:
+        self.points_m, self.fault = None, self._blind(why)
+        self.news.fire()
+
+    def _blind(self, why: str) -> SkillFailed:
+        return SkillFailed(Code.DEVICE_LOST, f"{self._name}: {why}")

@@ -14,6 +14,7 @@ TEMPLATES = {
     "scanner": "scanner",
     "ioniser": "switch",
     "capper": "switch",
+    "watcher": "watcher",
 }
 """By kind of device, the module that is copied. An arm or a hand is not written line by line."""
 

@@ -58,7 +58,8 @@ class JointCoordinates:
     def __init__(self, rates: RateLimits, limits_rad: Floats, level: Coordinates | None = None) -> None:
         self.rates = rates
         self.scatter = np.ones(len(rates.speed))
-        self._limits_rad, self._level = limits_rad, level
+        self.level = level
+        self._limits_rad = limits_rad
 
     def joints(self, c: Floats) -> Floats:
         return c
@@ -70,8 +71,8 @@ class JointCoordinates:
         return np.ones(len(q), dtype=bool)
 
     def draw(self, rng: np.random.Generator) -> Floats:
-        if self._level is not None:
-            level: Floats = self._level.joints(self._level.draw(rng)[None, :])[0]
+        if self.level is not None:
+            level: Floats = self.level.joints(self.level.draw(rng)[None, :])[0]
             return level
         c: Floats = rng.uniform(self._limits_rad[0], self._limits_rad[1])
         return c

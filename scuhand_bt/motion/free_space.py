@@ -12,7 +12,7 @@ import numpy as np
 
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.coordinates import Coordinates, JointCoordinates
-from scuhand_bt.motion.kinematics import Floats, Mount, apex_positions_m
+from scuhand_bt.motion.kinematics import Floats, Mount, axis_heights
 
 _BATCH = 48
 _GLANCES = ((0.5,), (0.25, 0.75), (0.12, 0.37, 0.62, 0.88))
@@ -63,7 +63,7 @@ class Space:
         return blocked
 
     def _leans(self, q: Floats) -> np.ndarray:
-        leans: np.ndarray = apex_positions_m(q, self._mount)[1][:, 2] < (self._upright or -1.0)
+        leans: np.ndarray = axis_heights(q, self._mount) < (self._upright or -1.0)
         return leans
 
     def glance(self, first: Floats, last: Floats) -> np.ndarray:

@@ -73,6 +73,11 @@ class _Circles:
     h: Floats
     q4: Floats
 
+    def repeated(self, count: int) -> "_Circles":
+        """Each of them so many times, one after another."""
+        every = (self.middle, self.across, self.up, self.d_m, self.h, self.q4)
+        return _Circles(*(np.repeat(one, count, axis=0) for one in every))
+
     def __getitem__(self, k: int) -> _Circle:
         return _Circle(self.middle[k], self.across[k], self.up[k], self.d_m[k], self.h[k], float(self.q4[k]))
 
@@ -285,13 +290,12 @@ def _on_grid(pose: ApexPose, seams: Floats, swivels: Floats, mount: Mount, limit
     """Solutions at each seam (m, 3) and each swivel (k,): (n, 7)."""
     positions_m, axes = (np.broadcast_to(one, seams.shape) for one in (pose.position_m, pose.axis))
     reached = _has_circle(positions_m, axes, seams, mount)
-    seams = np.repeat(seams[reached], len(swivels), axis=0)
-    if not len(seams):
+    if not reached.any():
         return np.zeros((0, JOINTS))
-    positions_m, axes = (np.broadcast_to(one, seams.shape) for one in (pose.position_m, pose.axis))
-    circles = _circles(positions_m, axes, seams, mount)
+    circles = _circles(positions_m[reached], axes[reached], seams[reached], mount)
     assert circles is not None
-    q = _branches(circles, np.tile(swivels, len(seams) // len(swivels))).reshape(-1, JOINTS)
+    stacked = circles.repeated(len(swivels))
+    q = _branches(stacked, np.tile(swivels, int(reached.sum()))).reshape(-1, JOINTS)
     return _turned_within(q[_within(q, limits)], pose.axis, mount, limits)
 
 
@@ -391,13 +395,13 @@ def branches_of(positions_m: Floats, axes: Floats, seams: Floats, swivels: Float
     None where a pose is beyond the arm. For an arm of another kind (n, m, 8, joints), not a number where there is none.
     """
     n, m = len(positions_m), len(swivels)
-    each = [np.repeat(one, m, axis=0) for one in (positions_m, axes, seams)]
     if mount.arm is not None:
+        each = [np.repeat(one, m, axis=0) for one in (positions_m, axes, seams)]
         found = mount.arm.branches(each[0], each[1], each[2], np.tile(swivels, n), mount)
         return found.reshape(n, m, *found.shape[1:])
-    if (circles := _circles(each[0], each[1], each[2], mount)) is None:
+    if (circles := _circles(positions_m, axes, seams, mount)) is None:
         return None
-    branches = _branches(circles, np.tile(swivels, n)).reshape(-1, JOINTS)
+    branches = _branches(circles.repeated(m), np.tile(swivels, n)).reshape(-1, JOINTS)
     return with_wrist_turned(branches, np.repeat(axes, 4 * m, axis=0), mount).reshape(n, m, 4, JOINTS)
 
 

@@ -208,6 +208,24 @@ def apex_frames(q: Floats, mount: Mount) -> tuple[Floats, Floats, Floats]:
     return both[1] + (0.0, 0.0, SHOULDER_Z_M), both[2], -both[0]
 
 
+def axis_heights(q: Floats, mount: Mount) -> Floats:
+    """The vertical component of the cones' axes, the cosine of their tilt: (n, 7) to (n,)."""
+    if mount.arm is not None:
+        of_arm: Floats = mount.arm.frames(q, mount)[1][:, 2]
+        return of_arm
+    c, s = np.cos(q.T), np.sin(q.T)
+    # The vertical, seen from link after link; the first joint turns about it.
+    x, y, z = s[1], np.zeros(len(q)), c[1]
+    for joint in range(2, 7):
+        if joint % 2:
+            x, z = c[joint] * x + s[joint] * z, c[joint] * z - s[joint] * x
+        else:
+            x, y = c[joint] * x + s[joint] * y, c[joint] * y - s[joint] * x
+    ux, uy, uz = mount.axis
+    heights: Floats = ux * x + uy * y + uz * z
+    return heights
+
+
 def with_wrist_turned(q: Floats, axes: Floats, mount: Mount) -> Floats:
     """Configurations (n, 7) with the q7 that turns the cone's axis to `axes` (n, 3), as nearly as turning it can.
 

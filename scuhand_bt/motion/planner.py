@@ -47,7 +47,7 @@ from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
 from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, later, standing
-from scuhand_bt.motion.transfer import LIVE, POLISHED, Effort
+from scuhand_bt.motion.transfer import LIVE, POLISHED, PREPARED, Effort
 from scuhand_bt.motion.way_out import NoWayOutError, way_out
 from scuhand_bt.specs import ContainerKind, Mortar
 
@@ -207,7 +207,7 @@ class MotionPlanner:
         """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
         if spill_limit_deg is None:
-            return self._found(self._emptied(begin, goals, name, effort), begin, goals, name)
+            return self._found(self._kept(begin, goals, name, None, effort), begin, goals, name)
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
         key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
@@ -232,8 +232,7 @@ class MotionPlanner:
         # the last of them is within SURE of anything: so a looser limit is never slower by more.
         rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= max(spill_limit_deg, RUNGS_DEG[0])]
         empty = self._emptied(begin, goals, name, effort)
-        quickest = None if self._between_places(begin, goals) else self._quick(empty)
-        least_s = 0.0 if quickest is None else quickest.duration_s
+        least_s = self._least_s(begin, goals, empty)
         sure_s = SURE * max(least_s, float(rest_to_rest_s(goals - begin, self.rates).min()))
         best: JointTrajectory | None = None
         searched = (self._kept(begin, goals, name, rung_deg, effort) for rung_deg in rungs_deg)
@@ -245,6 +244,11 @@ class MotionPlanner:
                 break
         found = self._found(best, begin, goals, name)
         return begun_later(found, least_s - found.duration_s).keeping(spill_limit_deg)
+
+    def _least_s(self, begin: Floats, goals: Floats, empty: JointTrajectory | None) -> float:
+        """What no load's motion takes less than: that of the empty cone where planning takes the arm's time, else 0."""
+        quickest = None if self._between_places(begin, goals) else self._quick(empty)
+        return 0.0 if quickest is None else quickest.duration_s
 
     def _emptied(self, begin: Floats, goals: Floats, name: str, effort: Effort) -> StoppableTrajectory | None:
         """The empty cone's motion that a load's is measured by: looked for longer than for its own sake."""
@@ -285,8 +289,8 @@ class MotionPlanner:
 
         Between two configurations it is made in one direction only.
         """
-        if spill_limit_deg is None and self._between_places(begin, goals):
-            effort = POLISHED
+        if self._between_places(begin, goals):
+            effort = POLISHED if spill_limit_deg is None else PREPARED
         key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
 
         def made() -> StoppableTrajectory | None:
@@ -329,7 +333,7 @@ class MotionPlanner:
         self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
     ) -> JointTrajectory | None:
         """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
-        known, attempts = None, transfer.ATTEMPTS
+        known, attempts, enough_s = None, transfer.ATTEMPTS, 0.0
         if self._geometry != (bare := self._geometry.usual) and self._between_places(begin, goals):
             with self._as_if(bare):
                 over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
@@ -338,10 +342,11 @@ class MotionPlanner:
         if spill_limit_deg is not None:
             empty = self._emptied(begin, goals, name, effort)
             attempts = transfer.ATTEMPTS if self._timed(empty, spill_limit_deg) is None else 1
+            enough_s = self._least_s(begin, goals, empty)
         if spill_limit_deg in RUNGS_DEG[1:]:
             stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
             known = self._timed(self._kept(begin, goals, name, stricter_deg, effort), spill_limit_deg)
-        return self._searched(begin, goals, name, spill_limit_deg, effort, known, attempts)
+        return self._searched(begin, goals, name, spill_limit_deg, effort, known, attempts, enough_s)
 
     def _between_places(self, begin: Floats, goals: Floats) -> bool:
         ends = (begin, *goals[:2])
@@ -539,6 +544,7 @@ class MotionPlanner:
         effort: Effort,
         known: JointTrajectory | None,
         attempts: int,
+        enough_s: float,
     ) -> JointTrajectory | None:
         for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
             scene = self.scene(margin_m)
@@ -554,7 +560,7 @@ class MotionPlanner:
             return standing(begin)
         task = transfer.Task(begin, ranked, scene, self.rates, self._mount, spill_limit_deg)
         seed = Request.of(begin, goals, self._geometry, spill_limit_deg, effort).seed
-        return transfer.plan(task, effort, seed, known, attempts)
+        return transfer.plan(task, effort, seed, known, attempts, enough_s)
 
     def _require_free_ends(self, begin: Floats, goals: Floats, name: str) -> None:
         if not self.scene().hits(np.vstack([begin, goals])).any():

@@ -137,7 +137,7 @@ def spill_stretch(
     the acceleration 1/k^2.
     """
     times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / GRID_S) + 2)
-    axes, accelerations = apex_motion(motion.at(times_s), motion.at(times_s, 1), motion.at(times_s, 2), mount)
+    axes, accelerations = apex_motion(*motion.states(times_s), mount)
 
     def keeps(share: float) -> bool:
         return worst_spill_deg(axes, share * accelerations) <= limit_deg

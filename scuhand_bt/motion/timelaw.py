@@ -46,9 +46,14 @@ class RateLimits:
 
 def rest_to_rest_s(distances: Floats, limits: RateLimits) -> Floats:
     """Duration of the optimum from rest to rest over distances (..., n): shape (...)."""
-    t1, t2, t3 = _phases_s(distances, limits)
-    longest: Floats = (4 * t1 + 2 * t2 + t3).max(axis=-1)
+    longest: Floats = joint_rest_to_rest_s(distances, limits).max(axis=-1)
     return longest
+
+
+def joint_rest_to_rest_s(distances: Floats, limits: RateLimits) -> Floats:
+    """Every joint's own optimum from rest to rest over distances (..., n): shape (..., n)."""
+    t1, t2, t3 = _phases_s(distances, limits)
+    return 4 * t1 + 2 * t2 + t3
 
 
 def _phases_s(distances: Floats, limits: RateLimits) -> tuple[Floats, Floats, Floats]:

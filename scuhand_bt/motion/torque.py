@@ -91,7 +91,7 @@ class Torques:
         TooHeavyError where holding the arm up breaks them.
         """
         times_s = np.linspace(0.0, motion.duration_s, int(motion.duration_s / _GRID_S) + 2)
-        q, speed, acceleration = (motion.at(times_s, k)[:, : self.joints] for k in range(3))
+        q, speed, acceleration = (state[:, : self.joints] for state in motion.states(times_s))
         whole = self.moving(q, speed, acceleration)
         if (np.abs(whole) <= self.limits_nm).all():
             return 1.0

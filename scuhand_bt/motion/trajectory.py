@@ -58,9 +58,7 @@ class JointTrajectory:
 
     def at(self, times_s: Floats, derivative: int = 0) -> Floats:
         """Positions or their 1st, 2nd or 3rd derivative at many times within the motion: shape (m, n)."""
-        k = np.clip(np.searchsorted(self.knots_s, times_s, side="right") - 1, 0, self.coefficients.shape[1] - 1)
-        u = (np.clip(times_s, 0.0, self.duration_s) - self.knots_s[k])[:, None]
-        c0, c1, c2, c3 = self.coefficients[:, k]
+        u, (c0, c1, c2, c3) = self._cubics_at(times_s)
         value: Floats = (
             ((c3 * u + c2) * u + c1) * u + c0,
             (3 * c3 * u + 2 * c2) * u + c1,
@@ -68,6 +66,15 @@ class JointTrajectory:
             6 * c3,
         )[derivative]
         return value
+
+    def states(self, times_s: Floats) -> tuple[Floats, Floats, Floats]:
+        """Positions, speeds and accelerations at many times within the motion: shape (m, n) each."""
+        u, (c0, c1, c2, c3) = self._cubics_at(times_s)
+        return ((c3 * u + c2) * u + c1) * u + c0, (3 * c3 * u + 2 * c2) * u + c1, 6 * c3 * u + 2 * c2
+
+    def _cubics_at(self, times_s: Floats) -> tuple[Floats, Floats]:
+        k = np.clip(np.searchsorted(self.knots_s, times_s, side="right") - 1, 0, self.coefficients.shape[1] - 1)
+        return (np.clip(times_s, 0.0, self.duration_s) - self.knots_s[k])[:, None], self.coefficients[:, k]
 
     def extremes(self) -> tuple[Floats, Floats, Floats]:
         """The largest |speed|, |acceleration| and |jerk| of each joint anywhere in the motion: (n,) each."""

@@ -14,7 +14,7 @@ Joints [rad] (7,), goals (n, 7), durations [s].
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,14 +64,18 @@ class Effort:
     schedule_rounds: int
     via_starts: int
     via_rounds: int
+    idle_rounds: int
+    """So many rounds in a row that find nothing quicker end a search that has found something."""
     near_optimum: float
     """A direct motion within this of the best goal's bound is not worth a search."""
     good_enough: float
     """Nor is any motion within this."""
 
 
-LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, near_optimum=1.66, good_enough=1.07)
-POLISHED = Effort(schedule_rounds=28, via_starts=2, via_rounds=30, near_optimum=1.02, good_enough=1.02)
+LIVE = Effort(schedule_rounds=10, via_starts=1, via_rounds=10, idle_rounds=7, near_optimum=1.66, good_enough=1.07)
+PREPARED = replace(LIVE, idle_rounds=20)
+"""Of loads between places, which are planned before the arm waits for them."""
+POLISHED = Effort(schedule_rounds=28, via_starts=2, via_rounds=30, idle_rounds=30, near_optimum=1.02, good_enough=1.02)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,22 +140,28 @@ class Task:
 
 
 def plan(
-    task: Task, effort: Effort, seed: int, known: JointTrajectory | None = None, attempts: int = ATTEMPTS
+    task: Task,
+    effort: Effort,
+    seed: int,
+    known: JointTrajectory | None = None,
+    attempts: int = ATTEMPTS,
+    enough_s: float = 0.0,
 ) -> JointTrajectory | None:
     """The quickest proven motion found within the effort, or None; the seed decides the search.
 
     `known` is a motion that keeps the task's limits: what comes is never slower. Where another will do if nothing is
-    found, one of the `attempts` is enough.
+    found, one of the `attempts` is enough. What takes no more than `enough_s` is not improved on.
     """
     # What is known for a stricter limit is level mostly: where tilting is allowed, it is what may be quicker.
     spaces = task.spaces() if known is None else task.spaces()[:1]
     searches = [_Search(task, space, effort) for space in spaces]
     bound_s = float(task.bounds_s(task.goals.free[:1])[0])
-    near_s, good_s = effort.near_optimum * bound_s, effort.good_enough * bound_s
+    near_s, good_s = (max(enough_s, share * bound_s) for share in (effort.near_optimum, effort.good_enough))
     best = known
     # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
     for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
-        best = _quickest([best, *(search.direct(goals, near_s) for search in searches)])
+        upto_s = near_s if best is None else min(near_s, best.duration_s)
+        best = _quickest([best, *(search.direct(goals, upto_s) for search in searches)])
         if best is not None and best.duration_s <= near_s:
             return best
     searches = [search for search in searches if len(search.ends)]
@@ -204,12 +214,13 @@ class _Search:
         self, known: JointTrajectory | None, rng: np.random.Generator, good_s: float
     ) -> JointTrajectory | None:
         """Something quicker than what is known; or that, or None."""
-        if not isinstance(self._space.coordinates, JointCoordinates):
+        coordinates = self._space.coordinates
+        if not isinstance(coordinates, JointCoordinates):
             return _quickest([known, self._by_detours(rng)])
         ends, bounds_s = self.ends[:_NEAREST], self._bounds_s[:_NEAREST]
-        schedules = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s)
+        schedules = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s, coordinates.level)
         rounds = (_LOADED_ROUNDS if self._loaded else 1) * self._effort.schedule_rounds
-        return schedules.quickest(known, rng, rounds, good_s)
+        return schedules.quickest(known, rng, rounds, good_s, self._effort.idle_rounds)
 
     def _by_detours(self, rng: np.random.Generator) -> JointTrajectory | None:
         """The best motion that begins with one via point."""
@@ -232,4 +243,5 @@ class _Search:
     def _improved(self, begun: ViaTrajectory | None, rng: np.random.Generator) -> JointTrajectory | None:
         if begun is None:
             return None
-        return self._via_points.improved(begun, self.ends[:_ROOTS], rng, self._effort.via_rounds).motion
+        effort = self._effort
+        return self._via_points.improved(begun, self.ends[:_ROOTS], rng, effort.via_rounds, effort.idle_rounds).motion

@@ -82,15 +82,17 @@ class ViaPointSearch:
         ways = [np.array([start, vias[k], ends[k]]) for k in order]
         return self._first_proven((points, self._passing_speeds(points, _DETOUR_SPEED)) for points in ways)
 
-    def improved(self, found: ViaTrajectory, goals: Floats, rng: np.random.Generator, rounds: int) -> ViaTrajectory:
-        """A quicker motion to any of the goals (n, 7), after at most `rounds` of proposals."""
-        spread = _FIRST_SPREAD
+    def improved(
+        self, found: ViaTrajectory, goals: Floats, rng: np.random.Generator, rounds: int, idle_rounds: int
+    ) -> ViaTrajectory:
+        """A quicker motion to any of the goals (n, 7), after at most `rounds` of proposals, so many of them idle."""
+        spread, idle = _FIRST_SPREAD, 0
         for _ in range(rounds):
-            if len(found.points) == 2:
+            if len(found.points) == 2 or idle >= idle_rounds:
                 break
             better = self._first_proven(self._proposals(found, goals, spread, rng), found.motion.duration_s)
             spread = max(0.6 * spread, 0.01) if better is None else min(1.5 * spread, 0.6)
-            found = better or found
+            found, idle = better or found, idle + 1 if better is None else 0
         return found
 
     def _first_proven(

@@ -9,7 +9,13 @@ It raises AssertionError with what is wrong, and runs in real time, some seconds
 from typing import Any
 
 from scuhand_bt.testing.of_balances import balance_conforms
-from scuhand_bt.testing.of_instruments import changer_conforms, scanner_conforms, sensor_conforms, switch_conforms
+from scuhand_bt.testing.of_instruments import (
+    changer_conforms,
+    scanner_conforms,
+    sensor_conforms,
+    switch_conforms,
+)
+from scuhand_bt.testing.of_watchers import watcher_conforms
 
 
 def conforms(kind: str, driver: str, **options: Any) -> None:
@@ -28,5 +34,7 @@ def conforms(kind: str, driver: str, **options: Any) -> None:
             switch_conforms(kind, driver, options)
         case "changer":
             changer_conforms(driver, options)
+        case "watcher":
+            watcher_conforms(driver, options)
         case _:
             raise ValueError(f"a driver of kind '{kind}' is checked by scuhand_bt.testing.of_motion")

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from scuhand_bt.clock import carried_out
-from scuhand_bt.devices.line_device import LineReader, LineSwitch
+from scuhand_bt.devices.line_device import LineReader, LineSwitch, LineWatcher
 from scuhand_bt.sim.wire.line_twin import LineTwin
 from scuhand_bt.specs import Container
 from scuhand_bt.testing.at_the_wire import AtTheWire, at_the_wire, fails, it_comes_and_goes, until
@@ -32,8 +32,8 @@ def sensor_conforms(driver: str, options: Mapping[str, Any]) -> None:
             for name, told in value.items():
                 assert name in air, f"'{name}' is no quantity with its unit: {', '.join(air)}"
                 assert abs(told - air[name]) < DIGIT, f"it reads {name} {told}, and it is {air[name]}"
-        _only_lines_are_understood(wire)
-        _is_sound_after_noise(wire)
+        only_lines_are_understood(wire)
+        is_sound_after_noise(wire)
         it_comes_and_goes(wire, "sensor")
         _read(wire)
 
@@ -64,8 +64,8 @@ def switch_conforms(kind: str, driver: str, options: Mapping[str, Any]) -> None:
                 f"told to be {value}, it is {twin.state} and says {device.state}"
             )
             assert device.is_stopped, "it stands still when it is done"
-        _only_lines_are_understood(wire)
-        _is_sound_after_noise(wire)
+        only_lines_are_understood(wire)
+        is_sound_after_noise(wire)
         wire.server.paused = True
         status = device.set(not twin.state)
         until(lambda: bool(status.is_done), "a set of a device that hangs completes")
@@ -113,10 +113,10 @@ def _read(wire: AtTheWire) -> Any:
     return carried_out(wire.device.read(), wire.clock).value
 
 
-def _only_lines_are_understood(wire: AtTheWire) -> None:
+def only_lines_are_understood(wire: AtTheWire) -> None:
     """For what speaks in lines: a broken line says nothing, or the same."""
     device, twin = wire.device, wire.server.twin
-    if not (isinstance(device, LineReader | LineSwitch) and isinstance(twin, LineTwin)):
+    if not (isinstance(device, LineReader | LineSwitch | LineWatcher) and isinstance(twin, LineTwin)):
         return
     lines = [line for at_s in (1e9, 2e9) for line in twin.hear(device.question, at_s) if line]
     assert lines, f"its question {device.question!r} is not answered"
@@ -132,7 +132,8 @@ def _only_lines_are_understood(wire: AtTheWire) -> None:
         assert said is None, f"noise is understood as {said}"
 
 
-def _is_sound_after_noise(wire: AtTheWire) -> None:
+def is_sound_after_noise(wire: AtTheWire) -> None:
+    """Noise on its line is no fault, and its health is in words."""
     wire.server.say(NOISE)
     assert wire.device.fault is None
     for name, said in wire.device.health().items():

@@ -252,6 +252,8 @@ class BenchScene:
 
     STATE: ClassVar[tuple[str, ...]] = ("kept",)
     air = ROOM
+    seen = ()
+    """Nobody reaches into a bench of twins."""
 
     def __init__(self, world: WireWorld, slots: int) -> None:
         self.slots = slots

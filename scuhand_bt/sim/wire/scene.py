@@ -3,12 +3,13 @@
 A twin is made of the `options` of its device and of the scene; `hear` makes it speak (`sim/wire/server.py`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from pydantic import BaseModel
 
+from scuhand_bt.devices.boxes import Seen
 from scuhand_bt.drivers import NotPluggable, driver_of, plugged
 from scuhand_bt.sim.instruments import ROOM
 
@@ -42,6 +43,11 @@ class Scene(Protocol):
         """The code of the container on the pan."""
         ...
 
+    @property
+    def seen(self) -> Sequence[Seen]:
+        """What is in the cell that is none of it, for watchers."""
+        ...
+
     def bring(self, slot: int | None) -> None:
         """The changer has put the container of this slot, from 0, on the pan; None: it has cleared the pan."""
         ...
@@ -55,6 +61,7 @@ class StillScene:
     slots: int = 24
     on_pan: str | None = None
     slot: int | None = None
+    seen: tuple[Seen, ...] = ()
 
     def bring(self, slot: int | None) -> None:
         self.slot = slot
