@@ -19,3 +19,5 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2, "bad input"
     CELL_FAULT = 3, "cell fault"
     INTERRUPTED = 130, "interrupted"
+    UNREAD = 141, "nobody reads the output any more"
+    """As a shell tells it of a tool that SIGPIPE has ended, 128 + 13."""

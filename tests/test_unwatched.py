@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from conftest import REPOSITORY, Call, LabFolder
 from running import make_lab
+from test_journal import write_run
 from test_journal_store import wait_for
 
 from scuhand_bt.cli import streams, supervisor
@@ -108,6 +109,35 @@ def test_what_a_full_disk_does_not_take_was_not_told_and_is_said_to_be(tmp_path:
         done = subprocess.run(told, stdout=full, stderr=subprocess.PIPE, text=True, cwd=REPOSITORY, timeout=60)
     assert done.returncode == 2
     assert done.stderr == "It could not be finished: [Errno 28] No space left on device.\n"
+
+
+@pytest.mark.parametrize("asks", [["export", "--csv"], ["export", "--json"], ["show"], ["show", "--json"], ["verify"]])
+def test_who_needs_no_more_of_a_journal_ends_the_command_quietly_and_a_full_disk_is_not_the_journals_damage(
+    tmp_path: Path, asks: list[str]
+) -> None:
+    journal = write_run(tmp_path / "r.sqlite")
+    journal.close()
+    told = [sys.executable, "-m", "scuhand_bt", asks[0], str(journal.path), *asks[1:]]
+    theirs, ours = os.pipe()
+    os.close(theirs)
+    with Path("/dev/full").open("w") as full:
+        how: Any = {"stderr": subprocess.PIPE, "text": True, "cwd": REPOSITORY, "timeout": 60}
+        unread, untold = (subprocess.run(told, stdout=out, **how) for out in (ours, full))
+    os.close(ours)
+    assert (unread.returncode, unread.stderr) == (141, "")
+    assert (untold.returncode, untold.stderr) == (2, "It could not be finished: [Errno 28] No space left on device.\n")
+
+
+@pytest.mark.parametrize(("asks", "code"), [(["faults"], 141), (["--help"], 141), (["runs", "--lab", "none"], 2)])
+def test_a_command_whose_reader_has_gone_tells_nobody_and_what_was_wrong_keeps_its_code(
+    asks: list[str], code: int
+) -> None:
+    theirs, ours = os.pipe()
+    os.close(theirs)
+    told = [sys.executable, "-m", "scuhand_bt", *asks]
+    done = subprocess.run(told, stdout=ours, stderr=ours, cwd=REPOSITORY, timeout=60)
+    os.close(ours)
+    assert done.returncode == code
 
 
 @pytest.mark.parametrize("how", ["closed", "stopped reading"])

@@ -23,6 +23,7 @@ from scuhand_bt.cli.shared import (
     the_lab,
     the_plan,
 )
+from scuhand_bt.cli.streams import unwatched
 from scuhand_bt.exit_codes import ExitCode
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def twins(
     sources = made.recipe.sources if made is not None else {}
     try:
         process = make_twins(loaded, sources, at=at, seed=seed, plant=plant, faults=wrong, is_new=new, of_run=of_run)
-        with on_signals(process.end), process:
+        with unwatched(), on_signals(process.end), process:  # their world goes on, whoever reads what is told of it
             spec = process.bench.spec
             again = "; they go on where they were" if process.goes_on else ""
             out.print(Text(f"Twins of the cell '{spec.cell}', SIMULATED (seed {seed}){again}. Ctrl-C ends them."))

@@ -14,7 +14,7 @@ import typer
 from rich.text import Text
 
 import scuhand_bt
-from scuhand_bt.cli.streams import PlainConsole
+from scuhand_bt.cli.streams import OutputLost, PlainConsole, watched
 from scuhand_bt.exit_codes import ExitCode
 from scuhand_bt.failures import CATALOGUE, SkillFailed
 from scuhand_bt.problems import Problem, SourceError, harmless, nearest
@@ -76,10 +76,22 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that cannot show '±' is no reason to break
     try:
-        app()
-    except OSError as error:  # most often of an output that takes no more
-        _complain(f"It could not be finished: {error}.")
+        with watched():
+            _run()
+    except OutputLost as error:
         sys.stdout = None  # else what waits to be written there fails again at the end
+        if error.is_unread:
+            sys.exit(ExitCode.UNREAD)
+        with suppress(OSError):
+            print(f"It could not be finished: {error}.", file=sys.stderr)
+        sys.exit(ExitCode.BAD_INPUT)
+
+
+def _run() -> None:
+    try:
+        app()
+    except OSError as error:
+        _complain(f"It could not be finished: {error}.")
         sys.exit(ExitCode.BAD_INPUT)
     except SourceError as error:
         told, rest = first_of(error.problems)
@@ -107,7 +119,7 @@ def first_of(problems: Sequence[Problem]) -> tuple[Sequence[Problem], str]:
 
 
 def _complain(text: str) -> None:
-    with suppress(OSError):  # who cannot be told has the exit code
+    with suppress(OSError, OutputLost):  # who cannot be told has the exit code
         err.print(Text(text))
 
 

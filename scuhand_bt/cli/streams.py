@@ -1,14 +1,14 @@
-"""The streams of a command: text that is only text, and output that no run waits for."""
+"""The streams of a command: text that is only text, output that may be lost, and output that no run waits for."""
 
 import io
 import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
@@ -30,6 +30,62 @@ class PlainConsole(Console):
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=harmless(segment.text, keep="\n"))
+
+
+class OutputLost(Exception):  # noqa: N818 - it says what happened
+    """A standard stream takes no more: its reader has gone, or its disk is full.
+
+    No OSError, so that nobody who reads or writes a file of his own takes it for that file's.
+    """
+
+    def __init__(self, error: OSError) -> None:
+        super().__init__(str(error))
+        self.is_unread = isinstance(error, BrokenPipeError)
+        """Its reader has gone, as `head` does that has what it wants."""
+
+
+class Watched:
+    """A standard stream that tells by OutputLost that it takes no more, and is that stream in all else."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with _or_lost():
+            return self._stream.write(text)
+
+    def writelines(self, parts: Iterable[str]) -> None:
+        for part in parts:
+            self.write(part)
+
+    def flush(self) -> None:
+        with _or_lost():
+            self._stream.flush()
+
+
+@contextmanager
+def _or_lost() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputLost(error) from None
+
+
+@contextmanager
+def watched() -> Iterator[None]:
+    """In here the standard streams raise OutputLost; so it does at the end, where what waits is not taken."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (cast(TextIO, Watched(stream)) for stream in before)
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    finally:
+        sys.stdout, sys.stderr = before
 
 
 class Beside(io.TextIOBase):
@@ -70,7 +126,7 @@ class Beside(io.TextIOBase):
             if not self.is_gone:
                 try:
                     put(part)
-                except (OSError, ValueError):
+                except (OSError, OutputLost, ValueError):
                     self.is_gone = True
 
 
@@ -79,7 +135,7 @@ def putting(stream: TextIO) -> Callable[[str], object]:
     try:
         stream.flush()
         file = stream.fileno()
-    except (OSError, ValueError):
+    except (OSError, OutputLost, ValueError):
         return lambda part: (stream.write(part), stream.flush())
     encoding, errors = stream.encoding or "utf-8", stream.errors or "strict"
 
