@@ -17,22 +17,27 @@ import pytest
 from dose_bench import BAY, DISH, MORTAR, PAN, shipped_powders
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from running import dry_run
 
 from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps, Wake
 from scuhand_bt.devices.interfaces import Joints, Operator
+from scuhand_bt.journal.store import read_only
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.motion.kinematics import ApexPose
 from scuhand_bt.problems import SourceError
 from scuhand_bt.record import Record
+from scuhand_bt.run import clock as clock_module
 from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.resume import world_path
 from scuhand_bt.sim import cell as cell_module
 from scuhand_bt.sim.cone_load import ConeLoad
 from scuhand_bt.sim.mass_ledger import Compartment
 from scuhand_bt.sim.plain_state import Misplaced, read, written
 from scuhand_bt.sim.plant import Plant
 from scuhand_bt.sim.powder import OurPowderFlow
+from scuhand_bt.sim.snapshot import look_into
 from scuhand_bt.sim.world import DEAD_MAN_S, OUTAGE_S, SERVO_WATCHDOG_S, World
 from scuhand_bt.sim.world_file import WorldFile
 from scuhand_bt.specs import Container, Powder, Source
@@ -178,6 +183,57 @@ def _be_killed(path: Path, writer: int) -> NoReturn:
 def is_sound(world: World) -> None:
     assert world.ledger.total_mg == pytest.approx(ALL_MG, rel=1e-9)
     assert min(world.masses_mg.values()) >= 0.0
+
+
+class Counted:
+    """A process that counts its saves."""
+
+    def __init__(self) -> None:
+        self.saves = 0
+
+    def step(self, now_s: float, limit_s: float) -> float:
+        return limit_s
+
+    def save(self) -> None:
+        self.saves += 1
+
+
+@pytest.mark.parametrize(
+    ("speed", "waited_in", "saves"),
+    [(None, False, 4), (1e9, False, 10), (None, True, 10)],
+    ids=["it flies", "it is paced", "a person is waited for"],
+)
+def test_a_world_whose_time_flies_is_saved_every_few_milliseconds(
+    monkeypatch: pytest.MonkeyPatch, speed: float | None, waited_in: bool, saves: int
+) -> None:
+    wall_s = 0.0
+    monkeypatch.setattr(clock_module.time, "monotonic", lambda: wall_s)
+    monkeypatch.setattr(clock_module.time, "sleep", lambda s: None)
+    process = Counted()
+    clock = VirtualClock(process, speed)
+    clock.is_waited_in, clock.hurries = lambda: waited_in, lambda: True
+    for number in range(10):
+        clock.wait([Wake(1.0 + number)])
+        wall_s += 0.45 * clock_module.UNSAVED_S
+    assert process.saves == saves
+
+
+def test_the_world_in_its_file_is_never_older_than_the_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(clock_module, "UNSAVED_S", math.inf)  # as on a computer that is very quick
+    looks = []
+
+    def at_tick(root: object) -> None:
+        (journal,) = (tmp_path / "runs").glob("*.sqlite")
+        with contextlib.closing(read_only(journal)) as database:
+            ((told_s,),) = database.execute("SELECT MAX(time_s) FROM entry")
+        (saved_s, _, _), _ = look_into(world_path(journal))
+        looks.append((saved_s, told_s))
+
+    sample = "{id: a, source: beads, container: xrd_holder, mass: 40 mg}"
+    recipe = f"recipe: one\nworkflow: fill_xrd_holder\nsamples: [{sample}]"
+    assert dry_run(tmp_path, recipe, at_tick=at_tick).result.exit_code == 0
+    assert len({saved_s for saved_s, _ in looks}) > 10
+    assert all(saved_s >= told_s - 1e-9 for saved_s, told_s in looks)
 
 
 @pytest.mark.parametrize("seed", range(10))

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from scuhand_bt.clock import Wake
+from scuhand_bt.clock import Signal, Wake
 
 
 class Process(Protocol):
@@ -19,6 +19,11 @@ class Process(Protocol):
     def save(self) -> None:
         """Keep what it is now where it outlives this program."""
         ...
+
+
+UNSAVED_S = 0.005
+"""Of wall time: for so long a process whose time flies goes on unsaved. Whoever writes down what has become of it saves
+it first (`Journal.before_commit`), so that all it can lose is what nobody knows of."""
 
 
 class VirtualClock:
@@ -45,6 +50,7 @@ class VirtualClock:
         self._pace = speed
         """At which time passes now."""
         self._paced_from_s, self._paced_from_wall_s = 0.0, time.monotonic()
+        self._saved_wall_s = -math.inf
 
     def go_on_from(self, now_s: float) -> None:
         """Take up the time of a run that was interrupted."""
@@ -54,8 +60,8 @@ class VirtualClock:
     def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
         """Go on to the earliest of `wakes`, letting the process take its steps on the way.
 
-        The process is saved first, unless it only goes on with what it was told before: the program never knows of
-        it what a killed program's process would not have.
+        The process is saved first, unless it only goes on with what it was told before, or was saved a moment ago
+        (`UNSAVED_S`) and time does not wait for the wall's.
         Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
         """
         limit_s = min((wake.until_s for wake in wakes), default=math.inf)
@@ -63,12 +69,18 @@ class VirtualClock:
         if math.isinf(limit_s) and (self.process is None or not signals):
             raise RuntimeError("a wait without end: no time given, and nothing that could fire")
         if self.process is not None and not again:
-            self.process.save()
+            self._save(self.process)
         self._beat()
-        while self.now_s < limit_s and all(signal.count == seen for signal, seen in signals):
+        while self.now_s < limit_s and not _has_fired(signals):
             self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
             self._beat()
             self._keep_pace()
+
+    def _save(self, process: Process) -> None:
+        wall_s, is_paced = time.monotonic(), self._speed is not None or self.is_waited_in()
+        if is_paced or wall_s - self._saved_wall_s >= UNSAVED_S:
+            process.save()
+            self._saved_wall_s = wall_s
 
     def hold(self, wakes: Sequence[Wake]) -> None:
         """Let time stand still until a signal of `wakes` fires."""
@@ -91,6 +103,14 @@ class VirtualClock:
 
     def _ahead_s(self, pace: float) -> float:
         return (self.now_s - self._paced_from_s) / pace - (time.monotonic() - self._paced_from_wall_s)
+
+
+def _has_fired(signals: Sequence[tuple[Signal, int]]) -> bool:
+    """Looked at after every step of the world: a loop, as a generator costs twice as much."""
+    for signal, seen in signals:  # noqa: SIM110
+        if signal.count != seen:
+            return True
+    return False
 
 
 BEAT_S = 0.02
