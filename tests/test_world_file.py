@@ -216,6 +216,9 @@ def test_a_world_whose_time_flies_is_saved_every_few_milliseconds(
         clock.wait([Wake(1.0 + number)])
         wall_s += 0.45 * clock_module.UNSAVED_S
     assert process.saves == saves
+    clock.save()  # the journal, somewhere between two waits
+    clock.wait([Wake(11.0)])
+    assert process.saves == saves + 2, "and what was told to devices after it"
 
 
 def test_the_world_in_its_file_is_never_older_than_the_journal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

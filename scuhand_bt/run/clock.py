@@ -23,7 +23,7 @@ class Process(Protocol):
 
 UNSAVED_S = 0.005
 """Of wall time: for so long a process whose time flies goes on unsaved. Whoever writes down what has become of it saves
-it first (`Journal.before_commit`), so that all it can lose is what nobody knows of."""
+it first (`VirtualClock.save`), so that all it can lose is what nobody knows of."""
 
 
 class VirtualClock:
@@ -60,8 +60,8 @@ class VirtualClock:
     def wait(self, wakes: Sequence[Wake], *, again: bool = False) -> None:
         """Go on to the earliest of `wakes`, letting the process take its steps on the way.
 
-        The process is saved first, unless it only goes on with what it was told before, or was saved a moment ago
-        (`UNSAVED_S`) and time does not wait for the wall's.
+        The process is saved first, unless it only goes on with what it was told before, or was a moment ago
+        (`UNSAVED_S`) by the wait before, and time does not keep to the wall's.
         Raises RuntimeError if nothing can ever wake: no time is given and no process could fire.
         """
         limit_s = min((wake.until_s for wake in wakes), default=math.inf)
@@ -75,6 +75,15 @@ class VirtualClock:
             self.now_s = limit_s if self.process is None else self.process.step(self.now_s, limit_s)
             self._beat()
             self._keep_pace()
+
+    def save(self) -> None:
+        """Save the process at once, and as the next wait finds it: devices may be half-way through what they are told.
+
+        What the journal calls before it says anything.
+        """
+        if self.process is not None:
+            self.process.save()
+            self._saved_wall_s = -math.inf
 
     def _save(self, process: Process) -> None:
         wall_s, is_paced = time.monotonic(), self._speed is not None or self.is_waited_in()
