@@ -118,17 +118,19 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         mark = marks[f"sources.{name}.amount"]
         amount, left = format_mass(source.amount_mg), format_mass(known.mass_mg)
         what = f"'{name}' holds {left} of {source.sheet_key} by the inventory ({known.origin})"
+        # Of a source that is refilled on the way, what the plan begins with: the visits are as that lasts.
+        enough_mg = demand.needed_mg if source.refill_mg is None else min(demand.needed_mg, source.amount_mg)
         needs = f"its samples need {format_mass(demand.needed_mg)} with losses"
         plausible_mg = max(PLAUSIBLE_SHARE * max(source.amount_mg, known.mass_mg), 2 * source.powder.scoop_loss_mg)
         if abs(source.amount_mg - known.mass_mg) > plausible_mg:
             answers: tuple[tuple[str, Resolution], ...] = (("recipe", _believe_source(name, source.amount_mg)),)
-            if known.mass_mg >= demand.needed_mg:
+            if known.mass_mg >= enough_mg:
                 answers += (("inventory", _believe_source(name, known.mass_mg)),)
             else:
                 what = f"{what}, too little: {needs}"
             question = f"How much powder is at {source.station}: {amount} (recipe) or {left} (inventory)?"
             yield Conflict(mark, f"{what}; the recipe says {amount}", question, answers)
-        elif known.mass_mg < demand.needed_mg:
+        elif known.mass_mg < demand.needed_mg and source.refill_mg is None:
             yield Conflict(mark, f"{what}, too little: {needs}; refill it, and {_set(source)}")
 
 
