@@ -410,6 +410,17 @@ class SheetSwapped(SkillEvent):
     """The powder lot that the old one, the rollers and the passive clamp had touched; these were wiped."""
 
 
+class Refilled(SkillEvent):
+    """A person has put more powder into the mortar of a source."""
+
+    KIND: ClassVar = "refilled"
+
+    source: Text
+    mass_mg: float
+    holds_mg: float
+    """What the source is believed to hold now."""
+
+
 class ValveChecked(SkillEvent):
     """The valve was opened and shut over the waste bin."""
 
@@ -463,6 +474,7 @@ SKILL_EVENTS: tuple[type[SkillEvent], ...] = (
     Kept,
     Discarded,
     SheetSwapped,
+    Refilled,
     ValveChecked,
     ValueRecorded,
 )

@@ -262,6 +262,17 @@ class Source(Assay):
     """What the recipe wants done with what is left of it in the cone; None for what the workflow does."""
     leftover_to: str = ""
     """The station of the vessel that it is discarded into; "" for the waste bin."""
+    refill_mg: Annotated[Milligrams, Positive] | None = None
+    """What a person puts into the mortar before its powder runs short; None where nobody is to come for it."""
+
+    @property
+    def capacity_mg(self) -> float:
+        """What its mortar holds of its powder."""
+        return self.mortar.capacity_mm3 * self.powder.bulk_density_mg_per_mm3
+
+    def refill_into_mg(self, left_mg: float) -> float:
+        """How much is put into the mortar while it still holds so much: what there is room for, at the most."""
+        return max(0.0, min(self.refill_mg or 0.0, self.capacity_mg - left_mg))
 
     @property
     def sheet_key(self) -> str:

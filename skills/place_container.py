@@ -95,6 +95,8 @@ class PlaceContainer(Skill[None]):
         return bare
 
     def _is_used_up(self, cell: Cell) -> bool:
+        if self.container.id in cell.believed.slots:  # it was brought before an interruption: it has its slot
+            return False
         return is_used_up(cell.believed, self.container.name, cell.spec.changer)
 
     def _refill(self, cell: Cell) -> Steps[None]:

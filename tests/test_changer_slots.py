@@ -1,18 +1,25 @@
 """A changer with slots by kind: which one a container comes from, when a person fills it, and what is doubted."""
 
+from collections.abc import Callable
 from pathlib import Path
 from types import MappingProxyType
 
 import pytest
 from conftest import Call, Desk, LabFolder
-from running import dry_run
+from running import HEAD, Watching, dry_run, shared_planner
 
 from scuhand_bt.cell.believed import Believed, is_used_up, slot_of
 from scuhand_bt.cell_spec import ChangerSpec
 from scuhand_bt.journal.reader import read
-from scuhand_bt.lab_state.inventory import StockEntry
-from scuhand_bt.recipe.plan import make_plan
+from scuhand_bt.lab_state.inventory import Inventory, Stock, StockEntry, counted_otherwise
+from scuhand_bt.problems import SourceError
+from scuhand_bt.recipe.plan import Job, make_plan
+from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run.inventory_conflicts import conflicts, recall
+from scuhand_bt.run.make_cell import DryRun
+from scuhand_bt.run.options import Options
+from scuhand_bt.run.resume import checked_history, find_run, resumable
+from scuhand_bt.run.session import Session
 from scuhand_bt.specs import Container
 
 SLOTS = ChangerSpec(slots={"holder": 2, "die": 3})
@@ -132,3 +139,113 @@ def test_a_person_corrects_the_count_of_a_kind_or_says_that_all_is_filled(comman
     assert command("inventory", "set", *lab, "changer", 0)[0] == 0
     shown = command("inventory", *lab)[1]
     assert shown.count("0 used") == 2
+
+
+def of_changer(*counts: tuple[str, int, str]) -> Stock:
+    entries = (StockEntry("changer", name, used=used, at=f"2026-11-{day}T09:00:00+01:00") for name, used, day in counts)
+    return {(entry.kind, entry.name): entry for entry in entries}
+
+
+@pytest.mark.parametrize(
+    ("slots", "counts", "kind", "said"),
+    [
+        ("{xrd_holder: 4, pellet_die_13mm: 3}", [("", 17, "20")], "by kind", "17 slots"),
+        (
+            "24",
+            [("", 3, "20"), ("xrd_holder", 4, "22"), ("alumina_crucible", 2, "22")],
+            "in the recipe's order",
+            "6 slots",
+        ),
+    ],
+    ids=["by kind now", "by number now"],
+)
+def test_a_count_of_slots_that_were_divided_otherwise_says_nothing_of_those_of_now(
+    desk: Desk,
+    lab_folder: LabFolder,
+    tmp_path: Path,
+    slots: str,
+    counts: list[tuple[str, int, str]],
+    kind: str,
+    said: str,
+) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: 24", f"slots: {slots}")
+    desk.lab = lab_folder.load()
+    cell = dry_run(tmp_path, BATCH, lab=lab_folder.folder).session.cell
+    sources = "sources: {beads: {station: mortar_bay, container: agate_mortar, powder: glass_beads, amount: 5 g}}\n"
+    plan = make_plan(desk.load(BATCH.strip() + "\n" + sources), desk.lab)
+
+    (doubt,) = conflicts(plan, desk.lab.cell, of_changer(*counts))
+    assert said in doubt.what
+    assert doubt.what.endswith(f"({kind})")
+    assert [answer for answer, _ in doubt.answers] == ["filled"]
+    cell.believed = Believed()
+    recall(cell, of_changer(*counts))
+    assert (cell.believed.slots_used, dict(cell.believed.slots_of_kinds)) == (0, {})
+
+    now = "xrd_holder" if kind == "by kind" else ""
+    known = of_changer(*counts, (now, 1, "23"))
+    assert not conflicts(plan, desk.lab.cell, known), "once it was counted as it is divided now"
+    recall(cell, known)
+    assert cell.believed.slots_used == 1
+
+
+def test_the_inventory_counts_slots_anew_once_they_are_divided_otherwise(tmp_path: Path, lab_folder: LabFolder) -> None:
+    cell = dry_run(tmp_path, BATCH, lab=lab_folder.folder).session.cell
+    cell.believed.containers_taken(4, {})
+    for entry in of_changer(("xrd_holder", 2, "20"), ("", 4, "10")).values():
+        Inventory(tmp_path, cell.spec.cell).enter(entry)
+    assert Inventory(tmp_path, cell.spec.cell).keep(cell, "run") is None
+    kept = Inventory(tmp_path, cell.spec.cell).stock(simulated=cell.simulated)
+    assert counted_otherwise((), kept) is None
+
+
+class Wishing(Watching):
+    """Stops the run in the middle of a job."""
+
+    def job_started(self, job: Job, number: int) -> None:
+        assert self.session is not None
+        if job.name == "c":
+            self.stop_at = self.ticks + 60
+
+
+@pytest.fixture
+def stopped(tmp_path: Path, lab_folder: LabFolder) -> Callable[..., tuple[Session, Watching]]:
+    """Runs the batch until it is stopped in its third sample; then again, to go on with it."""
+    lab_folder.replace("robot/cell.yaml", "slots: 24", "slots: {pellet_die_13mm: 3, xrd_holder: 3}")
+    recipe, runs = tmp_path / "recipe.yaml", tmp_path / "runs"
+    recipe.write_text(BATCH + HEAD, encoding="utf-8")
+
+    def run(*, resumes: bool) -> tuple[Session, Watching]:
+        lab = lab_folder.load()
+        plan = make_plan(load_recipe(recipe, lab), lab)
+        found = None
+        if resumes:
+            path = find_run(runs, "last")
+            found = resumable(path, checked_history(path), plan, lab, accept_changes=True)
+        session = Session(plan, lab, Options(DryRun(), "paper", runs), shared_planner(plan, lab), resumes=found)
+        watching = Watching(session) if resumes else Wishing(session)
+        try:
+            session.run(watching)
+        finally:
+            session.close()
+        return session, watching
+
+    run(resumes=False)
+    return run
+
+
+def test_a_resumed_run_goes_on_with_the_slots_of_each_kind(stopped: Callable[..., tuple[Session, Watching]]) -> None:
+    session, watching = stopped(resumes=True)
+    assert watching.results[-1].id == "d"
+    believed = session.cell.believed
+    assert dict(believed.slots) == {"a": 3, "b": 0, "c": 4, "d": 5}
+    assert dict(believed.slots_of_kinds) == {"xrd_holder": 3, "pellet_die_13mm": 1}
+    assert not [event for event in read(session.journal.path, "event") if event["kind"] == "asked"]
+
+
+def test_a_run_whose_changer_was_divided_otherwise_is_not_resumed(
+    stopped: Callable[..., tuple[Session, Watching]], lab_folder: LabFolder
+) -> None:
+    lab_folder.replace("robot/cell.yaml", "slots: {pellet_die_13mm: 3, xrd_holder: 3}", "slots: 24")
+    with pytest.raises(SourceError, match="slots were 3 pellet_die_13mm, 3 xrd_holder when this run began, and are 24"):
+        stopped(resumes=True)

@@ -9,6 +9,7 @@ from scuhand_bt.problems import SourceError
 from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.study.night import fates, in_words, read_night
 from scuhand_bt.study.odds import odds_of
+from scuhand_bt.study.stays import stays_in_words
 from scuhand_bt.study.trial import SampleTrial, Trial
 
 RECIPE = """recipe: two
@@ -85,6 +86,36 @@ def test_an_order_that_lets_more_be_done_is_named(plan: Plan, desk: Desk) -> Non
     assert list(in_words(plan, desk.lab, odds, read_night("20:00-08:00")))[-1] == (
         "With `order: by_powder` it would be about 2."
     )
+
+
+def test_moments_soon_after_each_other_are_one_stay(plan: Plan, desk: Desk) -> None:
+    (_, swap, *_), job_s = plan.jobs, 600.0
+    odds = odds_of(plan, [trial_of(plan, job_s)] * 8)
+    assert swap.name.startswith("change powder")
+    (said,) = stays_in_words(plan, odds, read_night("20:00-08:00"))
+    assert said == "So a person comes 2 times: for the start, and from 20:09 to 20:10 (1 moment)."
+    (said,) = stays_in_words(plan, odds, None)
+    assert said.endswith("from 9 min 13 s to 10 min 51 s after it (1 moment).")
+
+
+@pytest.mark.parametrize(("job_s", "times", "moments"), [(300.0, 2, "3 moments"), (2000.0, 4, "1 moment")])
+def test_persons_come_twice_where_what_needs_them_is_close_together(
+    desk: Desk, job_s: float, times: int, moments: str
+) -> None:
+    recipe = RECIPE.replace("id: m, source: msg, repeat: 3", "id: [m, b], source: [msg, beads]")
+    plan = make_plan(
+        desk.load(f"{recipe}  - {{id: n, source: msg}}\n".replace("workflow: f", "order: as_written\nworkflow: f")),
+        desk.lab,
+    )
+    odds = odds_of(plan, [trial_of(plan, job_s)] * 8)
+    (said,) = stays_in_words(plan, odds, None)
+    assert said.startswith(f"So a person comes {times} times: for the start, ")
+    assert said.endswith(f"({moments}).")
+
+
+def test_a_plan_that_needs_nobody_says_nothing_of_stays(desk: Desk) -> None:
+    plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
+    assert not list(stays_in_words(plan, odds_of(plan, [trial_of(plan, 600.0)] * 8), None))
 
 
 def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) -> None:

@@ -205,6 +205,11 @@ class Believed:
             self.emptied()
             self._set(has_rest=True)
 
+    def source_refilled(self, name: str, mass_mg: float) -> None:
+        """A person has put so much more into a source, which may be scooped from again if it gave nothing."""
+        self.source_holds(name, self.sources_mg.get(name, 0.0) + _mass(mass_mg))
+        self._set(barren_loads={other: loads for other, loads in self.barren_loads.items() if other != name})
+
     def sources_mended(self) -> None:
         """A person has looked after the sources that gave nothing: they may be scooped from again."""
         barren = self.barren_sources

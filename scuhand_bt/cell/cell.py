@@ -67,6 +67,8 @@ class Cell:
     """Told at the start of each job (sample id, attempt); the simulation draws its randomness by it."""
     sheet_mounted: Callable[[], None] = lambda: None
     """Called when a fresh sheet has been clamped; the simulation throws the old one away by it."""
+    mortar_refilled: Callable[[str, float], None] = lambda source, mass_mg: None
+    """Called when a person has put so much more [mg] into the mortar of a source; the simulation follows."""
     weight_on_pan: Callable[[float], None] = lambda mass_mg: None
     """Called when the operator has put a weight [mg] on the pan, or taken it off (0); the simulation follows."""
     controller: str = DEFAULT_CONTROLLER

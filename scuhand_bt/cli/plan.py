@@ -95,6 +95,11 @@ def plan(
         when = odds.began_s.get(person.job or "") if odds is not None else None
         at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
         out.print(Text(f"A person is {person}{at}."))
+    if odds is not None:
+        from scuhand_bt.study import stays_in_words
+
+        for line in stays_in_words(made, odds, hours):
+            out.print(Text(line), soft_wrap=True)
     if hours is not None and odds is not None:
         from scuhand_bt.study import in_words
 

@@ -5,8 +5,9 @@ corrects it with `scuhand-bt inventory set`. Rows are only ever added: the last 
 its history. What was simulated is kept apart, and never read by a run.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
@@ -105,7 +106,7 @@ class Inventory:
 
         def keep() -> str | None:
             try:
-                kept = self._kept.setdefault(simulated, dict(self.stock(simulated=simulated)))
+                kept = self._kept.setdefault(simulated, self._to_go_on_from(cell, simulated=simulated))
                 news = [entry for entry in believed if kept.get((entry.kind, entry.name)) != entry]
                 if news:
                     self._write(news, simulated, run, None)
@@ -115,6 +116,13 @@ class Inventory:
             return None
 
         return keep
+
+    def _to_go_on_from(self, cell: Cell, *, simulated: bool) -> dict[tuple[StockKind, str], StockEntry]:
+        """What need not be written again: counts of slots that were divided otherwise are followed by new ones."""
+        stock = dict(self.stock(simulated=simulated))
+        if counted_otherwise(cell.spec.changer.kinds, stock) is None:
+            return stock
+        return {key: entry for key, entry in stock.items() if entry.kind != "changer"}
 
     def enter(self, entry: StockEntry, operator: str | None = None) -> None:
         """A correction of the real cell, by this operator, or the user of the computer."""
@@ -137,6 +145,23 @@ class Inventory:
                 f"INSERT INTO inventory (cell, simulated, {_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 rows,
             )
+
+
+def counted_otherwise(kinds: Sequence[str], stock: Stock) -> StockEntry | None:
+    """The last count of the changer's slots, where that is of slots that were divided otherwise than they are now.
+
+    `kinds` are those that now have slots of their own, none where the changer is filled in the recipe's order.
+    """
+    counts = [entry for entry in stock.values() if entry.kind == "changer"]
+    if not counts:
+        return None
+    last = max(counts, key=_entered)
+    is_of_now = any(entry.name in (kinds or ("",)) and _entered(entry) == _entered(last) for entry in counts)
+    return None if is_of_now else last
+
+
+def _entered(entry: StockEntry) -> datetime:
+    return datetime.fromisoformat(entry.at) if entry.at else datetime.min.replace(tzinfo=UTC)
 
 
 def _believed(cell: Cell) -> Iterator[StockEntry]:

@@ -1,7 +1,7 @@
 """The plan: a recipe's samples as jobs in their order, with the sheet swaps between powders, and what they need."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
@@ -11,7 +11,7 @@ from scuhand_bt.problems import Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.recipe.flow import is_known, known
 from scuhand_bt.recipe.order import in_order
 from scuhand_bt.recipe.recipe import Recipe
-from scuhand_bt.recipe.sample import Demand, Sample, demand_of
+from scuhand_bt.recipe.sample import Demand, Sample, demand_of, needed_mg
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.check import check_workflows
@@ -29,7 +29,12 @@ FINISH_BATCH = "finish_batch"
 """The lab's workflow after the last sample; input `source`."""
 AFTER_FAILURE = "after_failure"
 """The lab's workflow that makes the cell ready again after a failed sample; input `source`."""
-SERVICE = (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER, FINISH_BATCH, AFTER_FAILURE)
+REFILL = "refill"
+"""The lab's workflow in which a person puts more powder into a mortar; input `source`."""
+RESERVE = 0.2
+"""The share of its amount below which a mortar does not come where it is refilled: of little a scoop takes less than is
+expected, and more are made than are planned."""
+SERVICE = (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER, FINISH_BATCH, AFTER_FAILURE, REFILL)
 """The workflows that the engine calls, with a source that they may use."""
 
 
@@ -98,7 +103,7 @@ class _Expected:
 
 
 def make_plan(recipe: Recipe, lab: Lab) -> Plan:
-    """Order the samples, put sheet swaps between powders, and forecast.
+    """Order the samples, put sheet swaps between powders and refills before mortars run short, and forecast.
 
     The forecast is of a run in which nothing fails: what a `retry` holds counts once.
 
@@ -110,6 +115,9 @@ def make_plan(recipe: Recipe, lab: Lab) -> Plan:
     forecaster = _Forecaster(lab)
     jobs = tuple(_jobs(lab, in_order(recipe.order, recipe.samples, forecaster.duration_s)))
     forecasts = [forecaster.of_job(job) for job in jobs]
+    if refills := _refills(recipe.sources.values(), jobs, _persons(jobs, forecasts, lab)):
+        jobs = tuple(one for job in jobs for one in (*refills.get(job.name, ()), job))
+        forecasts = [forecaster.of_job(job) for job in jobs]
     persons = (*_persons(jobs, forecasts, lab), *_persons_after_failures(recipe, forecaster))
     demands = tuple(demand_of(recipe.samples, source) for source in recipe.sources.values())
     done_s = accumulate(sum(one.duration_s for one in found) for found in forecasts)
@@ -139,6 +147,38 @@ def check_unattended(plan: Plan) -> None:
         times = f" (and {len(persons) - 1} more like it)" if len(persons) > 1 else ""
         problems.add(mark, f"this run is to be unattended, but a person is {persons[0]}{times}", code="needs-person")
     problems.raise_any()
+
+
+def _refills(sources: Iterable[Source], jobs: Sequence[Job], persons: Iterable[PersonNeeded]) -> dict[str, list[Job]]:
+    """The refills before each job, by its name, of sources that are refilled.
+
+    A mortar that does not hold what is still to come is refilled before the first sample after which it would hold less
+    than `RESERVE`; rather when a person comes anyway, be it for another mortar: at the last such visit before that.
+    """
+    visits = {person.job for person in persons}
+    samples = [job.sample for job in jobs if job.sample is not None]
+    found: dict[str, list[Job]] = {}
+    for source in sources:
+        if source.refill_mg is None:
+            continue
+        left_mg, since = source.amount_mg, list[tuple[Job, float]]()  # what there was before each job since a refill
+        to_come_mg = sum(needed_mg(sample, source) for sample in samples)
+        for job in jobs:
+            since.append((job, left_mg))
+            needs_mg = needed_mg(job.sample, source) if job.sample is not None else 0.0
+            is_short = left_mg < to_come_mg and left_mg - needs_mg < RESERVE * source.amount_mg
+            to_come_mg -= needs_mg
+            if needs_mg > 0.0 and is_short:
+                with_person = [(one, mg) for one, mg in since if one.name in visits and source.refill_into_mg(mg) > 0.0]
+                at, held_mg = with_person[-1] if with_person else (job, left_mg)
+                first = next(job.sample.id for job in jobs[jobs.index(at) :] if job.sample is not None)
+                named = f"refill {source.name} for {first}"
+                found.setdefault(at.name, []).append(Job(named, REFILL, {"source": source}))
+                visits.add(at.name)
+                left_mg += source.refill_into_mg(held_mg)
+                since = []
+            left_mg -= needs_mg
+    return found
 
 
 def _persons(jobs: tuple[Job, ...], forecasts: list[list[_Expected]], lab: Lab) -> Iterator[PersonNeeded]:
@@ -198,6 +238,7 @@ def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> Non
     """Note what is wrong with the workflows that the engine calls between a recipe's samples."""
     workflows = lab.library.workflows
     needed = {job.workflow for job in _jobs(lab, recipe.samples) if job.sample is None}
+    needed |= {REFILL} if any(source.refill_mg is not None for source in recipe.sources.values()) else set()
     for name in sorted(needed | ({AFTER_FAILURE} & set(workflows))):
         workflow = workflows.get(name)
         if workflow is None and lab.library.broken.tell("workflow", name, problems):
@@ -207,7 +248,7 @@ def check_service_workflows(recipe: Recipe, lab: Lab, problems: Problems) -> Non
             problems.add(
                 Mark(folder),
                 f"the workflow '{name}' is missing",
-                "this plan needs it to change powders",
+                "this plan needs it to refill mortars" if name == REFILL else "this plan needs it to change powders",
                 code="missing-key",
             )
         elif list(workflow.inputs) != ["source"] or workflow.inputs["source"].type.python is not Source:

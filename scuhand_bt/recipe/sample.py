@@ -167,15 +167,19 @@ class Demand:
 
 def demand_of(samples: Sequence[Sample], source: Source) -> Demand:
     """What these samples need of a source."""
-    takes = [take for sample in samples for take in sample.takes if take.source.name == source.name]
     users = sum(any(one.name == source.name for one in sample.sources) for sample in samples)
-    return Demand(source, sum(take.needed_mg for take in takes), users)
+    return Demand(source, sum(needed_mg(sample, source) for sample in samples), users)
+
+
+def needed_mg(sample: Sample, source: Source) -> float:
+    """What a sample needs of a source, with losses."""
+    return sum(take.needed_mg for take in sample.takes if take.source.name == source.name)
 
 
 def check_source(source: Source, mark: Mark, problems: Problems) -> None:
     """The source's powder must fit into its mortar."""
     powder, mortar = source.powder, source.mortar
-    holds_mg = mortar.capacity_mm3 * powder.bulk_density_mg_per_mm3
+    holds_mg = source.capacity_mg
     if source.amount_mg > holds_mg:
         what = f"{format_mass(source.amount_mg)} of {powder.name} does not fit into '{mortar.name}'"
         problems.add(mark, what, f"it holds {format_mass(holds_mg)}", code="source-overfull")
@@ -253,10 +257,16 @@ def _check_room(
 def check_demand(
     samples: Sequence[Sample], sources: Mapping[str, Source], marks: Mapping[str, Mark], problems: Problems
 ) -> None:
-    """Each source must hold what its samples need, losses included."""
+    """Each source must hold what its samples need, losses included; one that is refilled, what any of them needs."""
     for name, source in sources.items():
         demand = demand_of(samples, source)
-        if demand.needed_mg > source.amount_mg:
+        if source.refill_mg is not None:
+            most = max(samples, key=lambda sample: needed_mg(sample, source), default=None)
+            if most is not None and needed_mg(most, source) > source.refill_mg:
+                what = f"'{name}' is refilled with {format_mass(source.refill_mg)} of {source.powder.name}"
+                needs = f"'{most.id}' alone needs {format_mass(needed_mg(most, source))} with losses"
+                problems.add(marks[name], f"{what}, but {needs}", code="source-short")
+        elif demand.needed_mg > source.amount_mg:
             holds = f"'{name}' holds {format_mass(source.amount_mg)} of {source.powder.name}"
             needs = f"its {demand.samples} samples need {format_mass(demand.needed_mg)} with losses"
             problems.add(marks[name], f"{holds}, but {needs}", code="source-short")

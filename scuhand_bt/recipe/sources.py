@@ -8,7 +8,7 @@ from typing import Annotated
 
 from scuhand_bt.lab import Lab
 from scuhand_bt.problems import Mark, Problems, shorten
-from scuhand_bt.quantity import Milligrams
+from scuhand_bt.quantity import Milligrams, format_mass
 from scuhand_bt.recipe.sample import check_source
 from scuhand_bt.specs import Assay, Positive, Source
 from scuhand_bt.validation import validate
@@ -22,6 +22,7 @@ class SourceText(Assay):
     container: str
     powder: str
     amount_mg: Annotated[Milligrams, Positive]
+    refill_mg: Annotated[Milligrams, Positive] | None = None
     lot: str = ""
 
 
@@ -95,12 +96,17 @@ class SourcesReader:
             mortar=lab.library.mortars[text.container],
             powder=lab.library.powders[text.powder],
             amount_mg=text.amount_mg,
+            refill_mg=text.refill_mg,
             lot=text.lot,
             **{name: getattr(text, name) for name in Assay.model_fields},
         )
         self.marks |= {f"sources.{name}": self.source_marks[name]}
         self.marks |= {f"sources.{name}.{key}": value.mark for key, value in node.values.items()}
         check_source(source, node.values["amount"].mark, self.problems)
+        if source.refill_mg is not None and source.refill_mg > source.amount_mg:
+            what = f"a refill of {format_mass(source.refill_mg)} is more than the mortar holds at the start"
+            allowed = f"at most its amount, {format_mass(source.amount_mg)}"
+            self.problems.add(node.values["refill"].mark, what, allowed, code="source-overfull")
         return source
 
     def _require_known(self, node: Entries, key: str, known: Collection[str], what: str, kind: str) -> None:

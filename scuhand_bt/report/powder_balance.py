@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from scuhand_bt.events import Discarded, Returned, Scooped, SheetSwapped
+from scuhand_bt.events import Discarded, Refilled, Returned, Scooped, SheetSwapped
 from scuhand_bt.journal.events import Matter, RunBegun
 from scuhand_bt.journal.kinds import parsed
 from scuhand_bt.journal.reader import Contents
@@ -68,6 +68,8 @@ def powder_balance(contents: Contents) -> Sequence[SourceBalance]:
                 found[event.source].returned_mg += event.expected_mg
             case Discarded() if (name := event.source or believed.get("cone_source")) in found:
                 found[name].discarded_mg += event.expected_mg
+            case Refilled() if (one := found.get(event.source)) is not None and one.start_mg is not None:
+                one.start_mg += event.mass_mg
             case SheetSwapped():
                 sheet = event.sheets_used
             case Matter():

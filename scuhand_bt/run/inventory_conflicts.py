@@ -13,7 +13,7 @@ from scuhand_bt.cell.cell import Cell
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.clock import Steps
 from scuhand_bt.failures import Code
-from scuhand_bt.lab_state.inventory import Stock, StockEntry
+from scuhand_bt.lab_state.inventory import Stock, StockEntry, counted_otherwise
 from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import format_mass
 from scuhand_bt.recipe.plan import Plan
@@ -71,14 +71,14 @@ def recall(cell: Cell, stock: Stock) -> None:
         same = [source for source in cell.sources.values() if source.sheet_key == cone.lot_key]
         if same:
             believed.cone_holds(same[0], mass_mg)
-    changer = stock.get(("changer", ""))
     containers = {name: entry.used or 0 for (kind, name), entry in stock.items() if kind == "container"}
-    believed.containers_taken(
-        (changer.used or 0) if changer is not None else believed.slots_used, containers or believed.containers_used
-    )
-    if kinds := cell.spec.changer.kinds:
-        known_kinds = {kind: stock.get(("changer", kind)) for kind in kinds}
-        believed.slots_taken({kind: entry.used or 0 for kind, entry in known_kinds.items() if entry is not None})
+    kinds = cell.spec.changer.kinds
+    is_counted = counted_otherwise(kinds, stock) is None  # else a person says that it is filled, before anything moves
+    counts = {kind: stock.get(("changer", kind)) for kind in kinds or ("",)} if is_counted else {}
+    slots = {kind: entry.used or 0 for kind, entry in counts.items() if entry is not None}
+    believed.containers_taken(slots.get("", believed.slots_used), {**believed.containers_used, **containers})
+    if kinds:
+        believed.slots_taken({**believed.slots_of_kinds, **slots})
 
 
 def corrections(stock: Stock, since: str) -> Stock:
@@ -118,17 +118,19 @@ def _about_sources(plan: Plan, stock: Stock) -> Iterator[Conflict]:
         mark = marks[f"sources.{name}.amount"]
         amount, left = format_mass(source.amount_mg), format_mass(known.mass_mg)
         what = f"'{name}' holds {left} of {source.sheet_key} by the inventory ({known.origin})"
+        # Of a source that is refilled on the way, what the plan begins with: the visits are as that lasts.
+        enough_mg = demand.needed_mg if source.refill_mg is None else min(demand.needed_mg, source.amount_mg)
         needs = f"its samples need {format_mass(demand.needed_mg)} with losses"
         plausible_mg = max(PLAUSIBLE_SHARE * max(source.amount_mg, known.mass_mg), 2 * source.powder.scoop_loss_mg)
         if abs(source.amount_mg - known.mass_mg) > plausible_mg:
             answers: tuple[tuple[str, Resolution], ...] = (("recipe", _believe_source(name, source.amount_mg)),)
-            if known.mass_mg >= demand.needed_mg:
+            if known.mass_mg >= enough_mg:
                 answers += (("inventory", _believe_source(name, known.mass_mg)),)
             else:
                 what = f"{what}, too little: {needs}"
             question = f"How much powder is at {source.station}: {amount} (recipe) or {left} (inventory)?"
             yield Conflict(mark, f"{what}; the recipe says {amount}", question, answers)
-        elif known.mass_mg < demand.needed_mg:
+        elif known.mass_mg < demand.needed_mg and source.refill_mg is None:
             yield Conflict(mark, f"{what}, too little: {needs}; refill it, and {_set(source)}")
 
 
@@ -169,6 +171,15 @@ def _about_hand(plan: Plan, stock: Stock) -> Iterator[Conflict]:
 
 def _about_changer(plan: Plan, cell: CellSpec, stock: Stock) -> Iterator[Conflict]:
     if cell.changer.driver == "operator":
+        return
+    if (last := counted_otherwise(cell.changer.kinds, stock)) is not None:
+        counts = [one for one in stock.values() if one.kind == "changer" and bool(one.name) == bool(last.name)]
+        used = sum(one.used or 0 for one in counts)
+        how = "by kind" if cell.changer.kinds else "in the recipe's order"
+        what = f"by the inventory {used} slots of the changer were used ({last.origin}) when it was filled otherwise"
+        question = f"The changer is to be filled {how} now. Has that been done?"
+        what = f"{what} than robot/cell.yaml says now ({how})"
+        yield Conflict(Mark(str(plan.recipe.path)), what, question, (("filled", Believed.slots_refilled),))
         return
     batch = Counter(one.name for sample in plan.recipe.samples for one in sample.all_containers)
     for kind in cell.changer.kinds or ("",):

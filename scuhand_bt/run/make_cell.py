@@ -289,7 +289,7 @@ def _rehearsal(
         )
         cell = _wired_cell(plan, lab, devices, clock, journal, motion, operator, changer, simulated=True)
         cell.begin_sample = twins.begin_sample
-        cell.sheet_mounted, cell.weight_on_pan = twins.swap_sheet, twins.weigh
+        cell.sheet_mounted, cell.weight_on_pan, cell.mortar_refilled = twins.swap_sheet, twins.weigh, twins.refill
         return Setup(cell, None, twins, opened.pop_all().close, liveness)
 
 
@@ -383,7 +383,7 @@ def _follow_hands(world: World, cell: Cell) -> None:
         if mass_mg > 0.0:
             world.place(check_weight(mass_mg))
 
-    cell.sheet_mounted = world.swap_sheet
+    cell.sheet_mounted, cell.mortar_refilled = world.swap_sheet, world.refill
     cell.weight_on_pan = weight_on_pan
 
 

@@ -90,9 +90,10 @@ def resumable(
 ) -> Resumable:
     """The run, if recipe, lab and program are what they were or their changes are accepted; else SourceError.
 
-    No acceptance lets another job come before what has begun: it would take the pan and the cone from under it.
+    No acceptance lets another job come before what has begun: it would take the pan and the cone from under it. Nor one
+    that divides the changer's slots otherwise: which containers have been used is known by them.
     """
-    if overtaken := tuple(_overtaken(history, plan)):
+    if overtaken := (*_overtaken(history, plan), *_other_slots(history, lab)):
         raise SourceError([Problem(Mark(str(path)), what) for what in overtaken])
     changes = tuple(_changes(history, plan, lab))
     if changes and not accept_changes:
@@ -123,6 +124,19 @@ def _overtaken(history: History, plan: Plan) -> Iterator[str]:
     new = next((number for number, name in enumerate(names) if name not in begun), len(names))
     if (later := next((name for name in names[new:] if name in begun), None)) is not None:
         yield f"'{later}' had begun, and in this plan '{names[new]}' comes before it; put what is new behind it"
+
+
+def _other_slots(history: History, lab: Lab) -> Iterator[str]:
+    changer = lab.cell.changer
+    slots = history.run.devices.get("changer", {}).get("slots", changer.slots)
+    if slots != changer.slots and changer.driver != "operator":
+        was, now = _in_words(slots), _in_words(changer.slots)
+        put_back = "put them back in robot/cell.yaml, or begin the rest as a new run"
+        yield f"the changer's slots were {was} when this run began, and are {now} now; {put_back}"
+
+
+def _in_words(slots: object) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in slots.items()) if isinstance(slots, dict) else f"{slots}"
 
 
 def _changes(history: History, plan: Plan, lab: Lab) -> Iterator[str]:

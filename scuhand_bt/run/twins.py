@@ -146,6 +146,9 @@ class Twins:
     def swap_sheet(self) -> None:
         self.say("sheet")
 
+    def refill(self, source: str, mass_mg: float) -> None:
+        self.say("refill", source, f"{mass_mg!r} mg")
+
     def weigh(self, mass_mg: float) -> None:
         """A check weight on the pan; none for 0 mg."""
         self.remove()

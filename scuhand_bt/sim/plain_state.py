@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import is_dataclass
+from functools import cache
 from types import ModuleType
 from typing import Any, TypeAlias
 
@@ -68,11 +69,23 @@ def read(plain: Plain, onto: Any = None) -> Any:
 
 
 def _class_of(value: object) -> str:
-    return f"{type(value).__module__}.{type(value).__qualname__}"
+    kind: Any = type(value)  # which mypy does not take for hashable
+    return _name_of(kind)
+
+
+@cache
+def _name_of(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+@cache
+def _slots_of(kind: type) -> tuple[str, ...]:
+    return tuple(name for of in kind.__mro__ for name in vars(of).get("__slots__", ()) if not name.startswith("__"))
 
 
 def _attributes(value: object) -> dict[str, Any]:
-    slots = [name for of in type(value).__mro__ for name in vars(of).get("__slots__", ()) if not name.startswith("__")]
+    kind: Any = type(value)
+    slots = _slots_of(kind)
     if callable(value) or isinstance(value, ModuleType) or not (slots or hasattr(value, "__dict__")):
         raise TypeError(f"{_class_of(value)} is no data")
     return {name: getattr(value, name) for name in slots if hasattr(value, name)} | getattr(value, "__dict__", {})

@@ -25,6 +25,12 @@ from scuhand_bt.study.trial import LEFTOVERS, SampleTrial, Setup, Trial, into
 SOME_CELL = f"{SomeCell.__module__}:{SomeCell.__name__}"
 
 
+_REFILLED = """
+SELECT json_extract(payload, '$.source'), SUM(json_extract(payload, '$.mass_mg')) FROM entry
+WHERE kind = 'refilled' GROUP BY 1
+"""
+
+
 def dry_run(setup: Setup, seed: int) -> Trial:
     """One dry run. SourceError for a recipe, a lab or changes that are wrong."""
     plan, lab, motion = _made(setup)
@@ -46,6 +52,7 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         with open_journal(session.journal.path) as (database, _):
             scooped = database.execute("SELECT json_extract(payload, '$.source') FROM entry WHERE kind = 'scoop'")
             scoops = Counter(source for (source,) in scooped)
+            refilled_mg = dict(database.execute(_REFILLED).fetchall())
             leftovers = database.execute(
                 "SELECT json_extract(payload, '$.source'), kind, json_extract(payload, '$.to'),"
                 " SUM(json_extract(payload, '$.expected_mg')) FROM entry WHERE kind IN (?, ?, ?) GROUP BY 1, 2, 3",
@@ -72,7 +79,8 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         )
         for one in result.samples
     )
-    used_mg = {name: before_mg.get(f"source:{name}", 0.0) - after_mg.get(f"source:{name}", 0.0) for name in names}
+    had_mg = {name: before_mg.get(f"source:{name}", 0.0) + refilled_mg.get(name, 0.0) for name in names}
+    used_mg = {name: had_mg[name] - after_mg.get(f"source:{name}", 0.0) for name in names}
     return Trial(
         seed,
         int(result.exit_code),

@@ -1,0 +1,55 @@
+"""When persons come to a run: moments that need them soon after each other are one stay."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from scuhand_bt.quantity import format_duration
+from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.study.night import Night
+from scuhand_bt.study.odds import Odds
+
+APART_S = 1800.0
+"""Between two moments, from the beginning of the first: who is needed again so soon stays."""
+
+
+@dataclass(frozen=True)
+class Stay:
+    """Jobs that need a person, and when the first of them begins at the earliest and the last one at the latest."""
+
+    jobs: tuple[str, ...]
+    from_s: float
+    until_s: float
+
+
+def stays(plan: Plan, odds: Odds) -> Iterator[Stay]:
+    """The stays of persons after the start, in their order; of moments that any trial has come to."""
+    needed = {person.job for person in plan.persons}
+    now: list[str] = []
+    for job in plan.jobs:
+        if job.name not in needed or job.name not in odds.began_s:
+            continue
+        if now and odds.began_s[job.name].middle - odds.began_s[now[-1]].middle > APART_S:
+            yield _stay(now, odds)
+            now = []
+        now.append(job.name)
+    if now:
+        yield _stay(now, odds)
+
+
+def _stay(jobs: list[str], odds: Odds) -> Stay:
+    return Stay(tuple(jobs), odds.began_s[jobs[0]].low, odds.began_s[jobs[-1]].high)
+
+
+def stays_in_words(plan: Plan, odds: Odds, night: Night | None) -> Iterator[str]:
+    """How often somebody comes, and when: after the start, or by the clock of a night. Nothing for who never does."""
+    found = list(stays(plan, odds))
+    if not found:
+        return
+    times = []
+    for stay in found:
+        if night is not None:
+            span = f"from {night.clock(stay.from_s)} to {night.clock(stay.until_s)}"
+        else:
+            span = f"from {format_duration(stay.from_s)} to {format_duration(stay.until_s)} after it"
+        times.append(f"{span} ({len(stay.jobs)} {'moment' if len(stay.jobs) == 1 else 'moments'})")
+    yield f"So a person comes {len(found) + 1} times: for the start, and {', '.join(times)}."
