@@ -12,9 +12,14 @@
 #define PORTS 2
 #define QUEUE 4096
 #define PACKET_ENDS 1600   /* cycles without a byte: 0.1 ms, less than a servo's return delay */
-#define EXTERNAL_INTERRUPTS 8 /* not used; each whose pin is low would be looked at in every cycle */
+#define EXTERNAL_INTERRUPTS 8 /* not used */
 #define SERVO 1            /* the servo's line, */
 #define DIRECTION 'E', 4   /* which the board has while this pin of a Mega, its pin 2, is high */
+#define UCSR1A 0xC8        /* of an ATmega2560, with three of its bits and of the next register's */
+#define UCSR1B 0xC9
+#define ALL_IS_SENT 0x40
+#define BUFFER_IS_EMPTY 0x20
+#define BUFFER_IS_FED 0x20
 
 typedef struct board_t board_t;
 
@@ -77,6 +82,18 @@ static void stop_pwm(avr_t *avr) {
   }
 }
 
+/* A level interrupt whose pin is low would be looked at in every cycle. A reset, the watchdog's too, turns that on again. */
+static void stop_level_interrupts(avr_t *avr) {
+  for (int i = 0; i < EXTERNAL_INTERRUPTS; ++i) avr_extint_set_strict_lvl_trig(avr, i, 0);
+}
+
+/* simavr may take a byte for sent while the chip still writes it: the chip then clears the flag that tells of its end, and
+ * waits for it for ever. A real byte takes its time. */
+static void end_packet(board_t *board) {
+  uint8_t *const a = &board->avr->data[UCSR1A], b = board->avr->data[UCSR1B];
+  if (*a & BUFFER_IS_EMPTY && !(b & BUFFER_IS_FED)) *a |= ALL_IS_SENT;
+}
+
 static void quiet(avr_t *avr, const int level, const char *format, va_list list) {}
 
 /* NULL for a file or a chip that cannot be used. */
@@ -90,7 +107,6 @@ board_t *board_new(const char *elf, const char *chip) {
   avr_init(board->avr);
   board->avr->log = LOG_NONE;
   board->avr->sleep = sleep_at_once;
-  for (int i = 0; i < EXTERNAL_INTERRUPTS; ++i) avr_extint_set_strict_lvl_trig(board->avr, i, 0);
   firmware.frequency = 16000000;
   avr_load_firmware(board->avr, &firmware);
   for (int i = 0; i < PORTS; ++i) {
@@ -116,11 +132,15 @@ uint32_t board_run(board_t *board, uint32_t cycles) {
   const avr_cycle_count_t begin = board->avr->cycle;
   const port_t *servo = &board->ports[SERVO];
   stop_pwm(board->avr);
+  stop_level_interrupts(board->avr);
   avr_cycle_timer_register(board->avr, cycles, wake, board);
   while (board->avr->cycle - begin < cycles) {
     const int state = avr_run(board->avr);
     if (state == cpu_Done || state == cpu_Crashed) return 0;
-    if (servo->out_end && board->avr->cycle - servo->sent_at > PACKET_ENDS) break;
+    if (servo->out_end && board->avr->cycle - servo->sent_at > PACKET_ENDS) {
+      end_packet(board);
+      break;
+    }
   }
   return (uint32_t)(board->avr->cycle - begin);
 }
