@@ -61,6 +61,9 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "returned": st.builds(lambda n, m: lambda b: b.returned(n, m), names, masses_mg),
     "gave_out": st.booleans().map(lambda is_short: lambda b: b.gave_out(is_short=is_short)),
     "cone_spilled": st.just(Believed.cone_spilled),
+    "source_refilled": st.builds(
+        lambda n, m: lambda b: b.source_refilled(n, m), st.sampled_from([*SOURCES]), masses_mg
+    ),
     "sources_mended": st.just(Believed.sources_mended),
     "sheet_swapped": st.just(Believed.sheet_swapped),
     "sheet_is": st.builds(lambda s, n: lambda b: b.sheet_is(s.sheet_key, n), sources, st.integers(-1, 9)),

@@ -178,7 +178,9 @@ def plan_of(desk: Desk, recipe: str = RECIPE) -> Plan:
 
 
 def stock_of(*entries: StockEntry) -> Stock:
-    return {(entry.kind, entry.name): replace(entry, run="r1", at="today") for entry in entries}
+    """What run r1 has left, of which only the changer's time counts."""
+    at = {"changer": "2026-11-01T09:00:00+00:00"}
+    return {(one.kind, one.name): replace(one, run="r1", at=at.get(one.kind, "today")) for one in entries}
 
 
 def powder(mass_mg: float, lot: str = "L7", name: str = "glass_beads") -> StockEntry:
@@ -246,7 +248,9 @@ def test_a_recipe_without_powder_needs_an_empty_cone(desk: Desk) -> None:
 def test_a_changer_that_would_run_out_is_doubted(desk: Desk) -> None:
     assert noted(desk, StockEntry("changer", used=22)) == []
     (conflict,) = noted(desk, StockEntry("changer", used=23))
-    assert conflict.endswith("23 of the changer's 24 slots are used (run r1, today); the batch has 2 containers")
+    assert conflict.endswith(
+        "23 of the changer's 24 slots are used (run r1, 2026-11-01T09:00:00+00:00); the batch has 2 containers"
+    )
 
 
 def test_unattended_every_doubt_is_a_refusal(desk: Desk) -> None:
@@ -300,7 +304,9 @@ def test_a_real_run_believes_the_inventory_where_it_agrees(cell: Cell, desk: Des
     assert believed.sources_mg == {"beads": 4900.0}
     assert (believed.cone_source, believed.cone_mg) == ("beads", 120.0)
     assert (believed.sheet, believed.sheets_used, believed.slots_used) == ("glass_beads/L7", 4, 3)
-    assert believed.containers_used == {"pellet_die_13mm": 8}
+    assert believed.containers_used == {"pellet_die_13mm": 8, "xrd_holder": 2}, (
+        "of what it does not say the count stays"
+    )
 
 
 @pytest.mark.parametrize(("answer", "mass_mg"), [("recipe", 5000.0), ("inventory", 3000.0)])
