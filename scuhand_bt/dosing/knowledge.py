@@ -117,7 +117,7 @@ class Knowledge:
 
     def begin(self, mass_mg: float, sd_mg: float) -> None:
         """The balance is at rest, the valve shut, and this has been dosed, give or take `sd_mg`."""
-        self.begin_mg, self._most_phi_s = mass_mg, 0.0
+        self.begin_mg, self._most_phi_s, self._shut_s = mass_mg, 0.0, 0.0
         self.surely = 0.0
         """The coefficient that powder has surely flowed with, in this opening."""
         self.bank = Bank.believing(self.balance, self.surge_mg)
@@ -146,7 +146,10 @@ class Knowledge:
         self.seen_now = max(self.seen_now, self.surely)
         peak = 0.0 if shaking else self._peak()
         if phi_s > 0.0:  # what rises in the tail is the balance's: one that adapts takes longer than its model
-            self.surely = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd, peak)
+            self.surely, self._shut_s = max(self.surely, self.bank.coefficient - self.bank.coefficient_sd), 0.0
+        self._shut_s += dt_s
+        if self._shut_s < self.bank.delay_s + PEAK * dt_s:  # powder that primed late shows when the valve is shut
+            self.surely = max(self.surely, peak)
         return score
 
     def _peak(self) -> float:
