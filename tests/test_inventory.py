@@ -305,7 +305,7 @@ def test_a_real_run_believes_the_inventory_where_it_agrees(cell: Cell, desk: Des
     assert (believed.cone_source, believed.cone_mg) == ("beads", 120.0)
     assert (believed.sheet, believed.sheets_used, believed.slots_used) == ("glass_beads/L7", 4, 3)
     assert believed.containers_used == {"pellet_die_13mm": 8, "xrd_holder": 2}, (
-        "of what it does not say the count stays"
+        "what it does not say stays"
     )
 
 
