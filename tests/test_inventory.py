@@ -304,9 +304,7 @@ def test_a_real_run_believes_the_inventory_where_it_agrees(cell: Cell, desk: Des
     assert believed.sources_mg == {"beads": 4900.0}
     assert (believed.cone_source, believed.cone_mg) == ("beads", 120.0)
     assert (believed.sheet, believed.sheets_used, believed.slots_used) == ("glass_beads/L7", 4, 3)
-    assert believed.containers_used == {"pellet_die_13mm": 8, "xrd_holder": 2}, (
-        "what it does not say stays"
-    )
+    assert believed.containers_used == {"pellet_die_13mm": 8, "xrd_holder": 2}, "what it does not say stays"
 
 
 @pytest.mark.parametrize(("answer", "mass_mg"), [("recipe", 5000.0), ("inventory", 3000.0)])
