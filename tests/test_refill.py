@@ -43,6 +43,7 @@ def test_a_mortar_is_refilled_before_the_sample_that_would_leave_little_in_it(de
     plan = plan_of(desk, SIX)  # 120 mg each with losses: the fifth would leave none of 600 mg
     assert visits(plan) == [("refill beads for a-5", "refill 'beads' at mortar_bay")]
     assert names(plan)[4:6] == ["refill beads for a-5", "a-5"]
+    assert plan.refills == {"beads": 1}
     with pytest.raises(SourceError, match="a person is needed at 'refill beads for a-5'"):
         check_unattended(plan)
 

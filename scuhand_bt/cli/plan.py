@@ -81,6 +81,8 @@ def plan(
     for demand in made.demands:
         source = demand.source
         needed, amount = format_mass(demand.needed_mg), format_mass(source.amount_mg)
+        if refills := made.refills[source.name]:
+            amount += f" + {refills} × {format_mass(source.refill_mg or 0.0)}"
         powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
     out.print()
     out.print(powders)
@@ -167,6 +169,7 @@ def _plan_values(made: "Plan") -> dict[str, Any]:
                 "samples": demand.samples,
                 "needed_mg": demand.needed_mg,
                 "amount_mg": demand.source.amount_mg,
+                "refills": made.refills[demand.source.name],
             }
             for demand in made.demands
         ],

@@ -85,6 +85,11 @@ class Plan:
     def swaps(self) -> int:
         return sum(1 for job in self.jobs if job.workflow in (CHANGE_POWDER, CLEAR_AND_CHANGE_POWDER))
 
+    @property
+    def refills(self) -> Counter[str]:
+        """How often more is put into the mortar of a source, by its name."""
+        return Counter(job.inputs["source"].name for job in self.jobs if job.workflow == REFILL and job.sample is None)
+
 
 @dataclass(frozen=True)
 class _Expected:
