@@ -222,6 +222,12 @@ def test_what_a_ringing_filter_would_not_show_is_a_loss_however_much_has_come() 
         streaming(0.0, 500.0, 1100.0, 540.0, 540.0, 540.0).run()
 
 
+def test_at_rest_nothing_rings_however_much_has_just_come() -> None:
+    loop = Loop([Stream(1.0)] * 3 + [Weigh(), Weigh()], [0.0, 500.0, 1000.0, 1000.0, 940.0])
+    with pytest.raises(SkillFailed, match=r"container\.moved"):
+        loop.run()
+
+
 def test_what_came_long_ago_rings_no_more() -> None:
     with pytest.raises(SkillFailed, match=r"container\.moved"):
         streaming(0.0, *[1000.0] * 110, 940.0, 940.0, 940.0).run()
