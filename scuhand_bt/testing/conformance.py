@@ -9,12 +9,7 @@ It raises AssertionError with what is wrong, and runs in real time, some seconds
 from typing import Any
 
 from scuhand_bt.testing.of_balances import balance_conforms
-from scuhand_bt.testing.of_instruments import (
-    changer_conforms,
-    scanner_conforms,
-    sensor_conforms,
-    switch_conforms,
-)
+from scuhand_bt.testing.of_instruments import changer_conforms, scanner_conforms, sensor_conforms, switch_conforms
 from scuhand_bt.testing.of_watchers import watcher_conforms
 
 
