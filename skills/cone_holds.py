@@ -17,7 +17,7 @@ class ConeHolds(Condition):
     wanted_mg: Milligrams = 0.0
     """What is to be dosed of it, without the last of its load; a dose that needs several loads begins with this one.
 
-    The first load of a source is used to its end by doses that are large enough to tell what its scoops bring.
+    Doses that are large enough use a load to its end, which tells what its source's scoops bring.
     """
 
     def check(self, cell: Cell) -> None:
@@ -29,7 +29,7 @@ class ConeHolds(Condition):
             last_mg = LAST_SHARE * (believed.cone_mg + max(0.0, load.came_mg)) if load.scooped_mg > 0.0 else 0.0
             is_one_load = self.wanted_mg + last_mg <= source.powder.load_limit_mg
             enough_mg = max(enough_mg, last_mg + (self.wanted_mg if is_one_load else 0.0))
-            if not believed.is_yield_known and load.may_be_used_up(self.wanted_mg, believed.cone_mg):
+            if load.may_be_used_up(self.wanted_mg, believed.cone_mg, believed.seen_yields.get(source.name)):
                 enough_mg = 0.0  # and more than is believed may be there
             if load.scooped_mg > 0.0 and load.came_mg == 0.0:
                 enough_mg = self.at_least_mg  # the next scoop would bring no more than this one

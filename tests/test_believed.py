@@ -340,11 +340,24 @@ def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_no
     assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
 
 
+@pytest.mark.parametrize("came_mg", [3000.0, 4200.0, 5200.0])
+def test_what_has_come_of_a_load_is_what_its_source_has_less_whatever_it_was_thought_to_hold(came_mg: float) -> None:
+    believed = Believed()
+    believed.source_holds("beads", 20_000.0)
+    believed.scooped(BEADS, 4000.0)
+    believed.dosing_ended(came_mg / 2, 0.0)
+    believed.dosing_ended(came_mg / 2, 0.0)
+    assert believed.cone_mg + believed.sources_mg["beads"] == pytest.approx(20_000.0 - came_mg)
+    believed.gave_out(is_short=False)
+    assert believed.sources_mg["beads"] == pytest.approx(20_000.0 - came_mg)
+
+
 def may_use_up(believed: Believed, wanted_mg: float) -> bool:
-    return not believed.is_yield_known and believed.load.may_be_used_up(wanted_mg, believed.cone_mg)
+    share = believed.seen_yields.get(believed.cone_source or "")
+    return believed.load.may_be_used_up(wanted_mg, believed.cone_mg, share)
 
 
-def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_until_the_end_of_one_was_seen() -> None:
+def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_and_so_is_each_after_it() -> None:
     believed = Believed()
     assert not may_use_up(believed, 5000.0), "there is none"
     believed.scooped(BEADS, 4000.0)
@@ -356,7 +369,7 @@ def test_a_load_is_used_up_by_doses_that_show_what_is_in_it_until_the_end_of_one
     believed.gave_out(is_short=False)
     believed.scooped(BEADS, 4000.0)
     assert believed.yields == {"beads": 4500.0 / 4000.0}
-    assert not may_use_up(believed, 5000.0)
+    assert may_use_up(believed, 5000.0), "what scoops bring changes as the bed does"
 
 
 def test_what_earlier_runs_have_seen_of_scoops_is_believed_until_this_one_has_seen_a_load() -> None:
@@ -365,9 +378,7 @@ def test_what_earlier_runs_have_seen_of_scoops_is_believed_until_this_one_has_se
     believed.scoops_bring("beads", 0.5)
     believed.scooped(BEADS, 4000.0)
     assert believed.cone_mg == 2000.0
-    assert not may_use_up(believed, 3000.0), "its end need not be seen again"
     believed.dosing_ended(3000.0, 0.0)
-    assert may_use_up(believed, 1100.0), "more has come than it should: so it is not believed any more"
     assert believed.seen_yields == {}, "how much there is, only its end will tell"
     believed.gave_out(is_short=False)
     assert believed.seen_yields == {"beads": 0.75}

@@ -112,11 +112,6 @@ class Believed:
         return self.pan if self.pan_gross_mg is not None else None
 
     @property
-    def is_yield_known(self) -> bool:
-        """Whether a load's end has told what scoops of the cone's source bring, and this one is not larger."""
-        return self.cone_source in self.yields and not self.load.is_larger
-
-    @property
     def seen_yields(self) -> Masses:
         """Of `yields`, those of sources of which a load's end was seen, or was in an earlier run."""
         unseen = self.cone_source if self.load.is_larger else None
@@ -166,7 +161,11 @@ class Believed:
             cone_mg=self.cone_mg + brought_mg,
             cone_source=source.name,
             sheet=source.sheet_key,
-            load=replace(self.load, scooped_mg=self.load.scooped_mg + mass_mg),
+            load=replace(
+                self.load,
+                scooped_mg=self.load.scooped_mg + mass_mg,
+                is_first=self.load.is_first or source.name not in self.layers,
+            ),
             sources_mg={**self.sources_mg, source.name: left_mg},
             layers={name: one for name, one in {**self.layers, source.name: layer}.items() if one is not None},
             dosing=replace(self.dosing, scoops=self.dosing.scoops + 1),
@@ -419,17 +418,21 @@ class Believed:
         load = replace(self.load, came_mg=self.load.came_mg + mass_mg)
         if not load.is_barren and name in self.barren_loads:
             self._set(barren_loads={one: count for one, count in self.barren_loads.items() if one != name})
-        self._set(cone_mg=max(0.0, self.cone_mg - mass_mg), load=load)
+        self._set(cone_mg=self.cone_mg - mass_mg, load=load)
+        if self.cone_mg < 0.0:  # it was in the cone, and is not in its source
+            self._moved_to_cone(name, -self.cone_mg)
         more_mg = load.came_mg - self.yields.get(name, 1.0) * load.scooped_mg
         if load.scooped_mg > 0.0 and more_mg > SURPLUS * (load.came_mg - more_mg):
-            hidden_mg = HIDDEN * load.came_mg
-            left_mg = max(0.0, self.sources_mg.get(name, 0.0) - more_mg - hidden_mg)
             self._set(
-                cone_mg=hidden_mg,
                 load=replace(load, is_larger=True),
                 yields={**self.yields, name: (1.0 + HIDDEN) * load.scoops_share},
-                sources_mg={**self.sources_mg, name: left_mg},
             )
+            self._moved_to_cone(name, max(0.0, HIDDEN * load.came_mg - self.cone_mg))
+
+    def _moved_to_cone(self, name: str, mass_mg: float) -> None:
+        """So much more of a source was in the cone than was believed."""
+        left_mg = max(0.0, self.sources_mg.get(name, 0.0) - mass_mg)
+        self._set(cone_mg=self.cone_mg + mass_mg, sources_mg={**self.sources_mg, name: left_mg})
 
     def _weighed(self, gross_mg: float) -> None:
         """A gross belongs to a container that is known: while containers are changed it says nothing."""

@@ -11,8 +11,12 @@ TELLING = 0.25
 """Doses of more than this share of a load may use it up."""
 NEAR_END = (0.1, 0.2)
 """Not by a dose that should leave a share of the load between these: its end may come where the target is, and flows
-badly there. Of a smaller share it comes well before, and of a larger one after.
+badly there. Of a smaller share it comes well before, and of a larger one after. A first load is put away then; but a
+source whose loads all are is never known.
 """
+AS_EXPECTED = 0.25
+"""A source whose last load was off by less, of what its scoops should bring, is taken to go on so: looking for the end
+of every load costs time. What others bring changes as their bed does."""
 HIDDEN = 0.25
 """Of what has come of such a load, the share that is thought to be in it still: it has not given out."""
 
@@ -25,6 +29,8 @@ class Load:
     """What its scoops should have brought, by their geometry; 0 for one that is known otherwise."""
     came_mg: float = 0.0
     """What has arrived on the balance."""
+    is_first: bool = False
+    """Nothing was scooped from its source before."""
     is_larger: bool = False
     """More has come than was thought to be in it: how much there is, only its end tells."""
 
@@ -41,10 +47,17 @@ class Load:
         """
         return self.came_mg / self.scooped_mg
 
-    def may_be_used_up(self, wanted_mg: float, held_mg: float) -> bool:
+    def may_be_used_up(self, wanted_mg: float, held_mg: float, share: float | None) -> bool:
         """Whether a dose goes on with it until it gives out, whatever is believed to be left (`held_mg`): nothing else
-        tells what its source's scoops bring. Not a dose that is too small to show it, nor one that ends near its end.
+        tells what its source's scoops bring. `share` is what the end of an earlier load has told of that; None where
+        none was seen.
+
+        Not a dose that is too small to show it, nor one of a source that brings what it should. And not one that ends
+        near the load's end, unless an earlier load was put away without its end, and nobody knows where that comes.
         """
         if self.scooped_mg == 0.0 or wanted_mg <= TELLING * self.scooped_mg:
             return False
-        return not NEAR_END[0] <= (held_mg - wanted_mg) / self.scooped_mg < NEAR_END[1]
+        is_near_end = NEAR_END[0] <= (held_mg - wanted_mg) / self.scooped_mg < NEAR_END[1]
+        if share is None:
+            return not (self.is_first and is_near_end)
+        return abs(share - 1.0) >= AS_EXPECTED and not is_near_end

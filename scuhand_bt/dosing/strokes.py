@@ -63,11 +63,11 @@ layer of so many leaves less than `LITTLE_SHARE` of what is wanted to be taken, 
 LITTLE_SHARE = 0.25
 SWEPT_SHARE = 0.6
 """A stroke that takes all there is begins so far up the wall at least: what others have left lies beside them."""
-REACHED, REACHED_BELOW_EDGE = 0.85, 0.75
-"""Of what others have left, the share that a stroke finds: what lies beside its rim it does not, and less where its lip
-leaves the wall below the edge. By the height field; ours."""
+REACHED = 0.85
+"""Of what others have left, the share that a stroke that takes all finds: what lies beside its rim it does not. By the
+height field; ours."""
 FOUND_BESIDE = 0.3
-"""Of what has fallen back, the share that a stroke with its lip off the wall finds at least."""
+"""Of what has fallen back, the share that a stroke finds at least."""
 LOOSE_GRAINS = 0.7
 """Grains whose tops are above the lip go along, and beside a wall grains lie loosely: so much of one, of what is below
 the gap, is not left. By discrete elements beds of 3 to 6 beads were so much thicker than they were heavy."""
@@ -146,9 +146,7 @@ class Bed:
 
 def expected_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
     """What a stroke is expected to bring into the cone."""
-    reached = 1.0
-    if stroke.gap_mm <= LIP_GAP_MM and bed.was_scooped_from:
-        reached = REACHED if math.isinf(stroke.end_mm) else REACHED_BELOW_EDGE
+    reached = REACHED if stroke.gap_mm <= LIP_GAP_MM and bed.was_scooped_from else 1.0
     return reached * most_mg(stroke, bed, sheet_radius_mm)
 
 
@@ -163,15 +161,17 @@ def slip_mm(stroke: Stroke, mortar: Mortar, sheet_radius_mm: float) -> float:
 
 
 def layer_left(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> Layer:
-    """What a stroke is expected to leave; what falls back lies on it."""
-    if stroke.gap_mm <= LIP_GAP_MM:
-        return Layer(LIP_GAP_MM, bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm))
+    """What a stroke is expected to leave; what falls back lies beside it."""
     pushed_mg = _pushed_mg(stroke, bed, sheet_radius_mm)
-    still_beside_mg = (1.0 - _found(stroke, bed, sheet_radius_mm)) * bed.beside_mg
+    falls_back_mg = _falls_back(stroke, bed, sheet_radius_mm) * pushed_mg
+    beside_mg = (1.0 - _found(stroke, bed, sheet_radius_mm)) * bed.beside_mg + falls_back_mg
+    if stroke.gap_mm <= LIP_GAP_MM:
+        left_mg = bed.mass_mg - expected_mg(stroke, bed, sheet_radius_mm)
+        return Layer(LIP_GAP_MM, max(0.0, left_mg - beside_mg), min(beside_mg, left_mg))
     return Layer(
         _left_mm(stroke, bed.powder) + slip_mm(stroke, bed.mortar, sheet_radius_mm),
-        bed.mass_mg - pushed_mg - still_beside_mg,
-        still_beside_mg + _falls_back(stroke, bed, sheet_radius_mm) * pushed_mg,
+        bed.mass_mg - pushed_mg - (beside_mg - falls_back_mg),
+        beside_mg,
     )
 
 
@@ -226,9 +226,7 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def _found(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """The share of what lies beside that a stroke comes upon."""
-    if stroke.gap_mm <= LIP_GAP_MM:
-        return 1.0
+    """The share of what lies beside that a stroke is expected to come upon."""
     return max(FOUND_BESIDE, 1.0 - bed.powder.repose_deg / _attack_deg(stroke, bed.mortar, sheet_radius_mm))
 
 
