@@ -148,9 +148,12 @@ def test_half_of_each_load_returned_the_small_mortar_goes_on_giving_what_is_expe
     assert min(lifted_mg) > 0.75 * lifted_mg[0], lifted_mg
 
 
-@pytest.mark.parametrize(("loose_grains", "least", "most"), [(0.0, 0.8, 0.9), (0.7, 0.95, 1.05), (2.0, 1.15, 1.3)])
+@pytest.mark.parametrize(
+    ("loose_grains", "least", "most", "off_by"),
+    [(0.0, 0.8, 0.9, 0.1), (0.7, 0.95, 1.05, 0.1), (2.0, 1.15, 1.3, 0.12)],
+)
 def test_how_loosely_grains_lie_on_a_wall_no_lab_knows_and_the_first_load_tells(
-    loose_grains: float, least: float, most: float
+    loose_grains: float, least: float, most: float, off_by: float
 ) -> None:
     """The skill takes what was seen of round ones."""
     figures = BEADS.simulation.model_copy(update={"grain_mm": 0.5, "loose_grains": loose_grains})
@@ -170,7 +173,7 @@ def test_how_loosely_grains_lie_on_a_wall_no_lab_knows_and_the_first_load_tells(
         believed.dosing_ended(came_mg, 0.0)
         believed.gave_out(is_short=False)
     assert least < off[0] < most
-    assert sum(abs(share - 1.0) for share in off[1:]) / 3 < 0.1, off
+    assert sum(abs(share - 1.0) for share in off[1:]) / 3 < off_by, off
 
 
 @pytest.mark.parametrize("mortar", [MORTAR, SMALL], ids=["shipped", "small"])

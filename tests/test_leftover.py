@@ -141,14 +141,14 @@ def test_who_swaps_a_sheet_is_told_to_wipe_what_has_touched_the_lot_and_the_reco
         ({"beads": 1.0}, 1000.0, 2600.0, True),
         ({"beads": 1.0}, 1000.0, 2500.0, False),
         ({"beads": 1.0}, 4200.0, 2600.0, True),
-        ({"beads": 1.0}, 4200.0, 1500.0, True),  # its end tells what scoops bring now
+        ({"beads": 1.0}, 4200.0, 1500.0, False),
         ({"beads": 1.0}, 20.0, 1700.0, True),
         ({"beads": 1.0}, 20.0, 1550.0, False),
         ({"beads": 1.0}, 3000.0, 4750.0, True),
         ({"beads": 1.0}, 3000.0, 3700.0, False),
         ({"beads": 0.4}, 500.0, 1200.0, True),  # the last third is of what was in it, not of what should have been
         ({"beads": 0.4}, 500.0, 1100.0, False),
-        ({"beads": 0.4}, 1500.0, 500.0, True),
+        ({"beads": 0.4}, 1500.0, 500.0, True),  # what such scoops bring changes: each load's end tells it
         ({"beads": 0.4}, 3000.0, 1900.0, True),  # nothing has come of it yet, and the next would be no larger
         ({}, 1500.0, 0.0, True),
         ({}, 1500.0, 1900.0, True),
@@ -165,7 +165,7 @@ def test_a_dose_begins_with_what_is_in_the_cone_but_not_with_the_last_of_a_load_
     powder = library.powders["glass_beads"]
     mortar = library.mortars["agate_mortar"]
     beads = Source(name="beads", station="mortar_bay", mortar=mortar, powder=powder, amount_mg=20_000.0)
-    load = Load(scooped_mg=4750.0, came_mg=yields.get("beads", 1.0) * 4750.0 - held_mg)
+    load = Load(scooped_mg=4750.0, came_mg=yields.get("beads", 1.0) * 4750.0 - held_mg, is_first=not yields)
     believed = replace(
         Believed(), cone_mg=held_mg, cone_source="beads", sheet=beads.sheet_key, load=load, yields=yields
     )
