@@ -340,6 +340,13 @@ def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_no
     assert (believed.barren_loads, believed.yields, believed.is_load_doubted) == ({}, {}, True)
 
 
+def test_what_a_load_that_brought_nothing_was_to_take_lies_where_strokes_do_not_come() -> None:
+    believed = Believed()
+    believed.scooped(BEADS, 3000.0, Layer(2.5, 2000.0, 100.0))
+    believed.gave_out(is_short=False)
+    assert believed.layers["beads"] == Layer(2.5, 2000.0, 3100.0)
+
+
 @pytest.mark.parametrize("came_mg", [3000.0, 4200.0, 5200.0])
 def test_what_has_come_of_a_load_is_what_its_source_has_less_whatever_it_was_thought_to_hold(came_mg: float) -> None:
     believed = Believed()

@@ -197,6 +197,7 @@ class Believed:
             self._set(yields={**self.yields, name: load.scoops_share})
         elif load.scooped_mg > 0.0:
             self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
+            self._lies_beside(name, load.scooped_mg)
         if is_short:
             self._set(is_load_doubted=True)
         else:
@@ -428,6 +429,11 @@ class Believed:
                 yields={**self.yields, name: (1.0 + HIDDEN) * load.scoops_share},
             )
             self._moved_to_cone(name, max(0.0, HIDDEN * load.came_mg - self.cone_mg))
+
+    def _lies_beside(self, name: str, mass_mg: float) -> None:
+        """A stroke found nothing of so much: it lies where strokes do not come, and the next one goes deeper."""
+        if (layer := self.layers.get(name)) is not None:
+            self._set(layers={**self.layers, name: replace(layer, beside_mg=layer.beside_mg + mass_mg)})
 
     def _moved_to_cone(self, name: str, mass_mg: float) -> None:
         """So much more of a source was in the cone than was believed."""
