@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 LOAD_AIM = 0.95
 """Share of the powder's load limit that a scoop aims at: what it collects varies."""
+RICH, RICH_AIM = 1.25, 0.8
+"""The same for a source that yields so much more than it should: its loads were up to a quarter heavier than believed."""
 SPARE = 2.0
 """Times what is wanted that a scoop is to bring: it may be less than expected, and the last third of it flows badly."""
 SPARE_MG = 2000.0
@@ -106,7 +108,8 @@ class Scoop(Skill[Milligrams]):
         source = self.source
         yielded = cell.believed.yields.get(source.name, 1.0)
         # Of a source that yields little, more; but never more than the cone may carry, whatever was learnt.
-        wanted_mg = most_mg = LOAD_AIM * source.powder.load_limit_mg / max(1.0, yielded)
+        aim = RICH_AIM if yielded >= RICH else LOAD_AIM
+        wanted_mg = most_mg = aim * source.powder.load_limit_mg / max(1.0, yielded)
         if self.wanted_mg is not None:
             wanted_mg = (SPARE * self.wanted_mg + SPARE_MG) / yielded
         try:

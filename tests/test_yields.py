@@ -70,11 +70,11 @@ def scoops(ran: Ran) -> list[tuple[int, float, float]]:
     return [(doses, mass_mg, came_mg) for (doses, mass_mg), came_mg in zip(expected, brought_mg, strict=True)]
 
 
-@pytest.mark.parametrize(("plant", "mass", "off_by"), [("Half", "2400 mg", 0.1), ("Double", "2 g", 0.2)])
+@pytest.mark.parametrize(("plant", "mass", "off_by"), [("Half", "2400 mg", 0.1), ("Double", "2 g", 0.25)])
 def test_what_a_scoop_brings_is_believed_after_three_doses(
     tmp_path: Path, plant: str, mass: str, off_by: float
 ) -> None:
-    """Within a tenth; within two where but one scoop is made by then, of a bed of which twice as much has gone."""
+    """Within a tenth; a quarter where but one scoop is made by then, of a bed of which twice as much has gone."""
     ran = dry_run(tmp_path, RECIPE.replace("MASS", mass), plant=f"{__name__}:{plant}", controller="adaptive")
     assert {sample.verdict for sample in ran.result.samples} == {"in tolerance"}
     off = [(doses, abs(expected_mg / brought_mg - 1.0)) for doses, expected_mg, brought_mg in scoops(ran)]
