@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LOAD_AIM = 0.95
 """Share of the powder's load limit that a scoop aims at: what it collects varies."""
 RICH, RICH_AIM = 1.25, 0.8
-"""The same for a source that yields so much more than it should: its loads were up to a quarter heavier than believed."""
+"""The same for a source that yields so much more than it should: loads were up to a quarter heavier than believed."""
 SPARE = 2.0
 """Times what is wanted that a scoop is to bring: it may be less than expected, and the last third of it flows badly."""
 SPARE_MG = 2000.0
