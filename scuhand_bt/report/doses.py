@@ -14,7 +14,7 @@ from scuhand_bt.quantity import format_mass
 if TYPE_CHECKING:
     from scuhand_bt.recipe.plan import Plan
     from scuhand_bt.recipe.sample import Sample
-    from scuhand_bt.recipe.sources import Source
+    from scuhand_bt.specs import Source
 
 HOLDS = "holds (sim.)"
 """What is in the container, which only a simulation can tell: of several powders all."""
