@@ -23,6 +23,7 @@ from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, cell_mark, state_folder, without_driver
 from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion.patience import LIVE_S
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
@@ -454,6 +455,7 @@ def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPl
     motion = motion_of(plan, lab)
     if for_real:
         prepare_ways(motion, plan, lab.cell, container_kinds(plan))
+        motion.patience_s = LIVE_S  # from now on an arm waits
     else:
         motion.prepare()
     motion.keep_plans()
