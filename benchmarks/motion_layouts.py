@@ -1,5 +1,5 @@
 """Cells that nobody drew: `python -m benchmarks.motion_layouts [--layouts N] [--first SEED] [--tasks N] [--arm xarm7]
-[--json FILE]`.
+[--meshes] [--json FILE]`.
 
 Each seed is a bench (`harness/motion_layouts.py`). In each the arm goes between its places and to poses near them,
 empty and with loads that may lean by 10, 15, 20 and 31.8 degrees, every load over the same ways. Each motion is judged
@@ -16,6 +16,7 @@ import argparse
 import json
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -118,12 +119,13 @@ def main() -> None:
     parser.add_argument("--carries", type=int, default=15, help="loaded ways per layout, each at every limit")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--arm", choices=["crane_x7", *WIDER], default="crane_x7", help="whose lab, of examples/")
+    parser.add_argument("--meshes", action="store_true", help="a portal stands in each besides, an STL or OBJ file")
     given = parser.parse_args()
     with TemporaryDirectory() as folder:
         bench = STARTER
         if given.arm in WIDER:
             bench = Bench(example_lab(given.arm, Path(folder)), WIDER[given.arm])
-        measure(given, bench)
+        measure(given, replace(bench, meshes=Path(folder)) if given.meshes else bench)
 
 
 def measure(given: argparse.Namespace, bench: Bench) -> None:

@@ -11,9 +11,12 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
+from harness import mesh_bodies
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -24,6 +27,8 @@ RATE_STEP_S = 0.001
 POINT_M = 0.004
 CLOSE_M = 0.02
 """What is farther away is not measured."""
+THICKEST_M = 0.1
+"""No shape's points are farther beneath it: a capsule's are those of its axis."""
 GRAVITY = np.array([0.0, 0.0, 9.81])
 
 Distance = Callable[[Floats], Floats]
@@ -90,6 +95,7 @@ class Audit:
         slant_m, radius_m = cell.hand.sheet_radius_mm / 1e3, diameter_mm / 2e3
         lean, turn = math.asin(radius_m / slant_m), math.radians(cell.hand.mount.azimuth_deg)
         self._up = np.array([math.sin(lean) * math.cos(turn), math.sin(lean) * math.sin(turn), -math.cos(lean)])
+        assert all(part.radius_m <= THICKEST_M for part in self._parts)
         self._parts.append(self._cone(slant_m * math.cos(lean), radius_m))
         clamp = np.array([0.0, 0.0, self._apex[2] - slant_m])
         self._parts.append(
@@ -284,6 +290,10 @@ def _solids(
         elif thing.cylinder_mm is not None:
             across, length = thing.cylinder_mm
             found.append((thing.name, at(thing.at_mm, _cylinder(across / 2e3, length / 2e3))))
+        elif thing.mesh is not None:
+            triangles = mesh_bodies.read(Path(thing.mesh)) * thing.mesh_unit_mm / 1e3
+            body = partial(mesh_bodies.signed_distance, triangles=triangles, far=CLOSE_M + THICKEST_M)
+            found.append((thing.name, at(thing.at_mm, body, thing.yaw_deg)))
     for name, mortar in mortars.items():
         x, y, z = cell.stations[name].position_mm
         shape = _cylinder(mortar.outer_diameter_mm / 2e3, mortar.height_mm / 2e3)
