@@ -25,6 +25,9 @@ from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 
+_HEARD_AFTER = 25
+"""So many goals are sent before the twin is asked for one: more would fill what is between them."""
+
 
 class _ArmAlone:
     """Lets an arm go on with virtual time."""
@@ -86,14 +89,16 @@ class TwinArm:
             if len(seen) == round(at_s / PERIOD_S):
                 self.device.stop()
             self.chain._cycle(PERIOD_S, 0.0, read_now=False)
+            if len(seen) % _HEARD_AFTER == 0:
+                self.twin_heard()
             seen.append(self.group.goals_rad.copy())
         return np.array(seen)
 
     def twin_heard(self) -> bool:
-        """Whether the twin's servos have got the driver's last goals, in whole counts."""
-        self.chain._read()  # they answer after what they were told before
-        sent = [axis.count(self.group.goal_of(axis)) for axis in self.group.axes]
-        return sent == [servo.get(r.GOAL_POSITION.address, 4, signed=True) for servo in self.twin.servos.values()]
+        """Whether the twin's servos, asked, have the driver's last goals."""
+        bus, goal_of = self.chain.bus, self.group.goal_of
+        with bus.patience():
+            return all(bus.read(axis.servo, r.GOAL_POSITION) == axis.count(goal_of(axis)) for axis in self.group.axes)
 
 
 @dataclass(frozen=True)
