@@ -148,8 +148,7 @@ class Bench:
 
     def bound_s(self, task: Task) -> float:
         """The jerk-limited optimum to the best of the goal's free configurations, with nothing in the way."""
-        goals = self.free(task.goal)[:, :6]
-        return float(rest_to_rest_s(goals - task.start[:6], self.six()).min())
+        return float(rest_to_rest_s(self.free(task.goal) - task.start, self.rates).min())
 
     def polyline(self, outcome: Outcome) -> Floats | None:
         """What a usual planner finds for the task: RRT-Connect to the same goal and others, then shortcuts."""
@@ -160,9 +159,6 @@ class Bench:
         goals = goals[np.argsort(rest_to_rest_s(goals - task.start, self.rates))][:32]
         path = rrt_connect.connect(space, task.start, goals, rng, 4000)
         return None if path is None else rrt_connect.shortened(space, path, rng, 60)
-
-    def six(self) -> RateLimits:
-        return RateLimits(*(getattr(self.rates, name)[:6] for name in ("speed", "acceleration", "jerk")))
 
 
 class Audit:

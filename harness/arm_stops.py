@@ -25,9 +25,6 @@ from scuhand_bt.sim.wire.dynamixel import DynamixelTwin, crane_x7
 from scuhand_bt.sim.wire.port import PtyPort
 from scuhand_bt.sim.wire.server import TwinServer
 
-_HEARD_AFTER = 25
-"""So many goals are sent before the twin is asked for one: more would fill what is between them."""
-
 
 class _ArmAlone:
     """Lets an arm go on with virtual time."""
@@ -89,8 +86,6 @@ class TwinArm:
             if len(seen) == round(at_s / PERIOD_S):
                 self.device.stop()
             self.chain._cycle(PERIOD_S, 0.0, read_now=False)
-            if len(seen) % _HEARD_AFTER == 0:
-                self.twin_heard()
             seen.append(self.group.goals_rad.copy())
         return np.array(seen)
 

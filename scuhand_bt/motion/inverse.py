@@ -89,6 +89,14 @@ def solutions(pose: ApexPose, mount: Mount, limits: Floats = LIMITS_RAD) -> Floa
     return found
 
 
+def some_solutions(pose: ApexPose, mount: Mount, limits: Floats, count: int) -> Floats:
+    """Configurations of a pose at so many yaws and swivels, evenly spread; it may have others where there is none."""
+    seams = seams_of(pose, mount, count)
+    if mount.arm is not None:
+        return mount.arm.solutions(pose, seams, mount, limits)
+    return _on_grid(pose, seams, np.linspace(0.0, 2 * math.pi, count, endpoint=False), mount, limits)
+
+
 def _more_closely(pose: ApexPose, mount: Mount, limits: Floats) -> Floats:
     """For an arm of another kind: at all yaws, and as finely as where the yaw is not free."""
     assert mount.arm is not None
