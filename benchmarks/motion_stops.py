@@ -83,11 +83,11 @@ class Measured:
             over["spilled"] = seen.spill_deg > motion.spill_limit_deg + OVER_DEG
         self.counts[f"stops, {who}"] += 1
         for what, is_over in over.items():
-            self.counts[f"over: {what}, {who}"] += is_over
+            self.counts[f"over: {what}, {who}"] += int(is_over)
 
     def alike(self, simulated: Floats, driven: Floats, at_s: float, *, heard: bool) -> None:
         """Whether simulation and driver rest at the same place; and the twin where the driver sent it."""
-        self.counts["twin elsewhere"] += not heard
+        self.counts["twin elsewhere"] += int(not heard)
         self._most("simulation and driver at rest apart, deg", math.degrees(np.abs(simulated[-1] - driven[-1]).max()))
         self.counts["rest apart"] += bool(np.abs(simulated[-1] - driven[-1]).max() > ALIKE_RAD)
         self.rest_s.append(len(driven) * PERIOD_S - at_s)

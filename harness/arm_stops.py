@@ -75,6 +75,7 @@ class TwinArm:
         with self.server:
             self.chain.bus.open()
             self.chain._set_up()
+            self.chain._disarm()  # between two stops a while passes, for which no servo's watchdog was made
             yield self
             self.chain.bus.close()
 
@@ -117,5 +118,9 @@ def worst_of(course: Floats, mount: Mount) -> Worst:
 
 def off_path_rad(motion: StoppableTrajectory, positions: Floats) -> float:
     """How far a configuration is from the nearest of a motion's."""
-    path = motion.at(np.linspace(0.0, motion.duration_s, 2000))
-    return float(np.abs(path - positions).max(axis=1).min())
+    shares, spacing = np.linspace(0.0, 1.0, 2001), 1 / 2000
+    for _ in range(2):
+        off_rad = np.abs(motion.at(shares * motion.duration_s) - positions).max(axis=1)
+        nearest = int(off_rad.argmin())
+        shares = np.clip(shares[nearest] + np.linspace(-spacing, spacing, 201), 0.0, 1.0)
+    return float(off_rad.min())
