@@ -61,8 +61,10 @@ def signed_distance(points: Floats, triangles: Floats, far: float) -> Floats:
     found: Floats = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
     near = np.flatnonzero(found < far)
     for some in np.array_split(near, 1 + len(near) * len(triangles) // _AT_ONCE):
-        away = _distances(points[some], triangles).min(axis=1)
-        found[some] = np.where(_windings(points[some], triangles) > 0.5, -away, away)
+        found[some] = _distances(points[some], triangles).min(axis=1)
+    within = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    for some in np.array_split(within, 1 + len(within) * len(triangles) // _AT_ONCE):
+        found[some] *= np.where(_windings(points[some], triangles) > 0.5, -1.0, 1.0)
     return found
 
 

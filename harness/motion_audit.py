@@ -112,7 +112,7 @@ class Audit:
     def of(self, motion: JointTrajectory) -> Verdict:
         """The verdict on a motion."""
         count = max(60, int(motion.duration_s / STEP_S))
-        frames = self._frames(motion.at(np.linspace(0.0, motion.duration_s, count)))
+        frames = self.frames(motion.at(np.linspace(0.0, motion.duration_s, count)))
         clearance_m, pair = self.nearest(frames)
         return Verdict(clearance_m, pair, self._over(motion), self._spill_deg(motion))
 
@@ -140,7 +140,7 @@ class Audit:
         lid = [self._apex + depth_m * self._up + share * radius_m * rim for share in (0.0, 0.25, 0.5, 0.75)]
         return Part(self._last, "cone", np.vstack([*rings, *lid]), 0.0, _nowhere)
 
-    def _frames(self, q: Floats) -> list[Floats]:
+    def frames(self, q: Floats) -> list[Floats]:
         """The links' frames at configurations (n, 7): (n, 4, 4) each."""
         frames = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
         for k, (origin, (x, y, z)) in enumerate(self._joints):
@@ -165,7 +165,7 @@ class Audit:
 
     def _spill_deg(self, motion: JointTrajectory) -> float:
         times_s = np.arange(0.0, motion.duration_s, RATE_STEP_S)
-        flanges = self._frames(motion.at(times_s[::2]))[self._last]
+        flanges = self.frames(motion.at(times_s[::2]))[self._last]
         positions = flanges[:, :3, :3] @ self._apex + flanges[:, :3, 3]
         ups = flanges[:, :3, :3] @ self._up
         if len(positions) < 3:
