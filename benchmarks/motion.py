@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from benchmarks import motion_memory, motion_mplib, motion_peers
+from benchmarks import motion_memory, motion_mplib, motion_ompl, motion_peers
 from benchmarks.figures import spread
 from benchmarks.motion_inverse import MOUNT, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
@@ -303,7 +303,9 @@ def main() -> None:
     parser.add_argument("--carrying", type=int, default=40, help="loaded moves per limit")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--mplib", type=Path, help="compare with mplib, in this environment; made if there is none")
-    parser.add_argument("--peers", action="store_true", help="compare with pink and toppra, which must be installed")
+    parser.add_argument(
+        "--peers", action="store_true", help="compare with pink, toppra and OMPL, which must be installed"
+    )
     parser.add_argument("--scoops", type=int, help="nothing but the memory that so many scoops take")
     given = parser.parse_args()
     if given.scoops:
@@ -336,6 +338,8 @@ def main() -> None:
         poses = [pose for pose in poses if unreachable_reason(pose, MOUNT) is None]
         results["peers"] = motion_peers.pink_ik(bench.planner.urdf, poses, MOUNT)
         show("peers", results["peers"])
+        results["peer OMPL"] = motion_ompl.compare(bench, tasks[:PEER_TASKS], audit)
+        show("peer OMPL", results["peer OMPL"])
     if given.mplib:
         results["peer mplib"] = motion_mplib.compare(bench, tasks[:PEER_TASKS], audit, given.mplib)
         show("peer mplib", results["peer mplib"])
