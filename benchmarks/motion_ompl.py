@@ -1,8 +1,8 @@
-"""OMPL as a peer of the motion benchmark: its RRT-Connect with the range it chooses itself, simplified, by its PyPI wheel.
+"""OMPL as a peer of the motion benchmark: its RRT-Connect with the range it chooses itself, simplified, by its wheel.
 
-It gets our arm, cell and goal configurations, and asks our scene, without a margin, whether one configuration is free: so
-what differs is how motions between two states are judged. At its usual resolution of 1 % of the space's extent, and at a
-tenth of that. Its polylines get toppra's time law, which has no jerk limit.
+It gets our arm, cell and goal configurations, and asks our scene, without a margin, whether one configuration is free:
+so what differs is how motions between two states are judged. At its usual resolution of 1 % of the space's extent, and
+at a tenth of that. Its polylines get toppra's time law, which has no jerk limit.
 """
 
 import time
