@@ -21,9 +21,10 @@ from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.problems import Problems
 from scuhand_bt.recipe.plan import SERVICE
 from scuhand_bt.tree.check import check_workflows
-from scuhand_bt.tree.grammar import read_workflow, walk
+from scuhand_bt.tree.grammar import read_workflow
 from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.lint import Lint
+from scuhand_bt.tree.workflow import walk
 from scuhand_bt.yaml_source import parse
 
 NODES = 500

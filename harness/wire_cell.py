@@ -30,10 +30,10 @@ from scuhand_bt.recipe.plan import Plan, make_plan
 from scuhand_bt.recipe.recipe import load_recipe
 from scuhand_bt.run import make_cell
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import prepared_motion
 from scuhand_bt.run.operator import Person
 from scuhand_bt.run.options import Options
 from scuhand_bt.run.outage import rim_in_words
+from scuhand_bt.run.prepared_motion import prepared_motion
 from scuhand_bt.run.questions import Who
 from scuhand_bt.run.resume import checked_history, resumable
 from scuhand_bt.run.session import Session

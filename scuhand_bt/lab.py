@@ -14,9 +14,10 @@ from scuhand_bt.device_sections import own_options
 from scuhand_bt.problems import Broken, Mark, Problem, Problems, SourceError, shorten
 from scuhand_bt.skill_files.load import load_skills
 from scuhand_bt.specs import ContainerKind, Mortar, Powder, Spec
-from scuhand_bt.tree.grammar import KEYWORDS, RECORD, Workflow, read_workflow
+from scuhand_bt.tree.grammar import KEYWORDS, RECORD, read_workflow
 from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.record import Record
+from scuhand_bt.tree.workflow import Workflow
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Items, Node, describe, load, read_text
 

@@ -13,8 +13,9 @@ from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.tree.btxml import from_xml, to_xml
 from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.drawing import drawn
-from scuhand_bt.tree.grammar import Argument, Branch, Choice, Decorator, TreeNode, Workflow, read_workflow, walk
-from scuhand_bt.tree.grammar import Call as GrammarCall
+from scuhand_bt.tree.grammar import read_workflow
+from scuhand_bt.tree.workflow import Argument, Branch, Choice, Decorator, TreeNode, Workflow, walk
+from scuhand_bt.tree.workflow import Call as GrammarCall
 from scuhand_bt.yaml_source import Node, parse, plain
 
 SHIPPED = sorted(path.stem for path in (REPOSITORY / "trees").glob("*.yaml") if ".test" not in path.name)

@@ -134,7 +134,7 @@ def test_ways_that_were_found_are_not_looked_for_again_until_the_cell_changes(
         looked.append(given)
         raise SkillFailed(Code.ARM_NO_PATH, "looked for")
 
-    monkeypatch.setattr("scuhand_bt.run.make_cell.prepared_motion", refused)
+    monkeypatch.setattr("scuhand_bt.run.prepared_motion.prepared_motion", refused)
     check(read_lab(lab.folder), recipe)
     assert looked == []
     lab.replace("robot/cell.yaml", "[180 mm, 0 mm, 180 mm]", "[181 mm, 0 mm, 180 mm]")

@@ -106,6 +106,20 @@ def test_a_first_opening_that_was_held_up_leaves_the_next_as_careful_and_one_tha
     assert free.begins_mm(480.0) > 1.3 * before_mm
 
 
+@pytest.mark.parametrize(("share", "forgets"), [(0.0, True), (0.5, False), (0.9, False)])
+def test_where_nothing_comes_the_strongest_flow_seen_counts_for_less_but_not_where_little_should(
+    share: float, forgets: bool
+) -> None:
+    known = Knowledge(request())
+    Scale(known, 1.6 * BEADS.coefficient).opening(1.0, 2.0)
+    seen, reference, before_mg = known.seen, known.reference, known.begin_mg
+    scale = Scale(known, share * known.reference)
+    scale.opening(known.shape.threshold_mm + 0.3, 0.6)
+    assert known.reference < reference, "it was enough to tell something"
+    assert scale.left_mg - before_mg < 2.0
+    assert (known.seen < seen) is forgets
+
+
 def test_an_opening_that_need_not_have_brought_anything_teaches_nothing() -> None:
     known = Knowledge(request())
     assert Scale(known, 0.25 * BEADS.coefficient).opening(0.15, 0.5) == BEADS.coefficient

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scuhand_bt.problems import Problems, SourceError
-from scuhand_bt.tree.grammar import Branch, Call, Decorator, Workflow, read_workflow, walk
+from scuhand_bt.tree.grammar import read_workflow
+from scuhand_bt.tree.workflow import Branch, Call, Decorator, Workflow, walk
 from scuhand_bt.yaml_source import parse
 
 

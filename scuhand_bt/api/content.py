@@ -13,9 +13,9 @@ from scuhand_bt.skill import Skill
 from scuhand_bt.tree.btxml import from_xml, to_xml
 from scuhand_bt.tree.check import check_workflows
 from scuhand_bt.tree.drawing import drawn
-from scuhand_bt.tree.grammar import Branch, Decorator, walk
 from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.wires import of_field
+from scuhand_bt.tree.workflow import Branch, Decorator, walk
 from scuhand_bt.yaml_source import read_text
 
 __all__ = [

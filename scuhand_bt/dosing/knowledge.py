@@ -309,7 +309,7 @@ class Knowledge:
         found = self.reference * (strongest / self.reference) ** self._told(gap_mm, phi_s)
         if gained_mg > LEAST_MG:
             self.seen = max(self.seen, found)
-        else:  # nothing at all, however it was shaken
+        elif gained_mg < RISEN * noise_mg:  # nothing at all, though something should have come
             self.seen *= SLOWER
         was_held_up = gained_mg < FREELY * self.reference * phi_s
         self.reference = max(found, SLOWER * self.reference)

@@ -12,8 +12,9 @@ from scuhand_bt.lab import Lab
 from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.run.batch import BatchObserver
-from scuhand_bt.run.make_cell import DryRun, places_of, prepared_motion
+from scuhand_bt.run.make_cell import DryRun
 from scuhand_bt.run.options import Options
+from scuhand_bt.run.prepared_motion import places_of, prepared_motion
 from scuhand_bt.run.session import Session
 from scuhand_bt.sim.fault_rules import FaultFile
 from scuhand_bt.tree.substitutes import Substitutes
@@ -112,7 +113,7 @@ class Rehearser:
 
 def leaves_of(lab: Lab, workflow: str) -> Sequence[str]:
     """The places of all skills in a workflow's tree, as a run's journal names them."""
-    from scuhand_bt.tree.grammar import Branch, Call, Choice, Decorator, TreeNode
+    from scuhand_bt.tree.workflow import Branch, Call, Choice, Decorator, TreeNode
 
     library, found = lab.library, list[str]()
 

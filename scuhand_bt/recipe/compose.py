@@ -21,7 +21,7 @@ from scuhand_bt.quantity import RATIO, Milligrams, Ratio, format_mass, parse
 from scuhand_bt.recipe.composition import Composition
 from scuhand_bt.recipe.stoichiometry import Imbalance, Lot, balanced, composed
 from scuhand_bt.specs import Assay, Positive, Source, Spec
-from scuhand_bt.tree.grammar import Workflow
+from scuhand_bt.tree.workflow import Workflow
 from scuhand_bt.validation import validate
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe
 

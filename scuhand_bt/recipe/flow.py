@@ -21,18 +21,9 @@ from scuhand_bt.skill import Condition, SkillFailed
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.expressions import ANY_NUMBER, Range, Reference
-from scuhand_bt.tree.grammar import (
-    PARAMETERS,
-    Argument,
-    Branch,
-    Call,
-    Choice,
-    Decorator,
-    TreeNode,
-    Value,
-    references_of,
-)
+from scuhand_bt.tree.grammar import PARAMETERS
 from scuhand_bt.tree.library import Library, Percent, literal, resolve_percent
+from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode, Value, references_of
 from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}

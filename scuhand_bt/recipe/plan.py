@@ -15,8 +15,8 @@ from scuhand_bt.recipe.sample import Demand, Sample, demand_of, needed_mg
 from scuhand_bt.specs import Source
 from scuhand_bt.tree.build import Scope, bound_inputs, chosen_case
 from scuhand_bt.tree.check import check_workflows
-from scuhand_bt.tree.grammar import Branch, Call, Choice, Decorator, TreeNode, Workflow, children_of
 from scuhand_bt.tree.library import Library
+from scuhand_bt.tree.workflow import Branch, Call, Choice, Decorator, TreeNode, Workflow, children_of
 
 CHANGE_POWDER = "change_powder"
 """The lab's workflow that empties the cone into its source and swaps the sheet; input `source`."""

@@ -25,9 +25,10 @@ from scuhand_bt.recipe.sources import SourcesReader
 from scuhand_bt.specs import Container, Powder, Source
 from scuhand_bt.tree.build import bound_inputs
 from scuhand_bt.tree.check import check_workflows
-from scuhand_bt.tree.grammar import RECIPE_WORDS, Workflow
+from scuhand_bt.tree.grammar import RECIPE_WORDS
 from scuhand_bt.tree.library import Percent, literal
 from scuhand_bt.tree.wires import WireType
+from scuhand_bt.tree.workflow import Workflow
 from scuhand_bt.yaml_source import Entries, Items, Node, Scalar, describe, from_plain, parse, read_text
 
 Action = Literal["flag", "skip_sample", "redo", "ask", "stop"]

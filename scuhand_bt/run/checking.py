@@ -26,8 +26,8 @@ from scuhand_bt.run.inventory_conflicts import conflicts
 from scuhand_bt.silencers import without_silenced
 from scuhand_bt.skill import SkillFailed
 from scuhand_bt.tree.check import check_workflows
-from scuhand_bt.tree.grammar import Call, walk
 from scuhand_bt.tree.lint import Lint
+from scuhand_bt.tree.workflow import Call, walk
 
 if TYPE_CHECKING:
     from scuhand_bt.motion import MotionPlanner
@@ -183,7 +183,7 @@ def _check_ways(plan: Plan, lab: Lab, problems: Problems) -> None:
     if (strained := _planned(lab).get(key)) is not None:
         _warn_of_strain(strained, lab, problems)
         return
-    from scuhand_bt.run.make_cell import prepared_motion
+    from scuhand_bt.run.prepared_motion import prepared_motion
 
     try:
         strained = _strained(prepared_motion(plan, lab, for_real=True))
@@ -221,7 +221,7 @@ def _blocked(plan: Plan, lab: Lab) -> Iterator[Problem]:
     import numpy as np
 
     from scuhand_bt.motion import ApexPose
-    from scuhand_bt.run.make_cell import places_of
+    from scuhand_bt.run.prepared_motion import places_of
 
     mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
     park = lab.cell.station_of_kind("park").name

@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-
 from scuhand_bt.cell.believed import slot_of as believed_slot
 from scuhand_bt.cell.cell import Cell
-from scuhand_bt.cell.places import Position, all_places
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.connect import Devices, connect_cell_devices
@@ -21,9 +18,8 @@ from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
 from scuhand_bt.drivers import NAMED_KINDS, UNWIRED, NotPluggable, is_ours
 from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
-from scuhand_bt.lab import Lab, cell_mark, state_folder, without_driver
-from scuhand_bt.motion import ApexPose, MotionPlanner
-from scuhand_bt.motion.patience import LIVE_S
+from scuhand_bt.lab import Lab, cell_mark, without_driver
+from scuhand_bt.motion import MotionPlanner
 from scuhand_bt.problems import Problems, SourceError
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.record import Record
@@ -31,9 +27,9 @@ from scuhand_bt.run.clock import VirtualClock, WallClock
 from scuhand_bt.run.hands import check_weight
 from scuhand_bt.run.operator import Nobody, OperatorChanger, Person, PersonOperator, SimulatedOperator, Terminal
 from scuhand_bt.run.outage import rim_in_words
+from scuhand_bt.run.prepared_motion import motion_of, places_of, prepared_motion
 from scuhand_bt.run.questions import Questions
 from scuhand_bt.run.twins import Made, Twins, folder_of_run, open_twins
-from scuhand_bt.run.ways import prepare_ways
 from scuhand_bt.sim.cell import simulated_cell
 from scuhand_bt.sim.fault_rules import OUTAGES, FaultFile
 from scuhand_bt.sim.faults import Faults
@@ -42,7 +38,7 @@ from scuhand_bt.sim.wire.bench import WireBench, at_twins
 from scuhand_bt.sim.wire.hand import compiler
 from scuhand_bt.sim.wire.scene import twin_of
 from scuhand_bt.sim.world import World
-from scuhand_bt.specs import Container, ContainerKind, Source
+from scuhand_bt.specs import Container, Source
 
 NOT_ON_TWINS = dict.fromkeys(OUTAGES, "twins that have ended are there again as they were")
 NOT_WITHOUT_A_RUN = {**NOT_ON_TWINS, "operator.refuses": "nobody is asked by twins alone"}
@@ -55,8 +51,6 @@ NOT_WITHOUT_A_RECIPE = {
     **NOT_WITHOUT_A_RUN,
 }
 """Faults that twins cannot show, and why."""
-PLANS = "plans"
-"""In the lab's state: the arm's plans, of which the next run is spared the search."""
 FAULTS = "faults.yaml"
 """What goes wrong on a rehearsal's twins, in their folder."""
 REHEARSED_ANSWER_S = 2.0
@@ -444,39 +438,3 @@ def bench_of(
         ports,
         Faults(faults.rules if faults is not None else (), seed),
     )
-
-
-def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:
-    """The motion planner with all ways between the plan's places planned and polished.
-
-    `for_real`: also those past each container, and all others that the plan will take (`run/ways.py`). A dry run
-    plans them when they are needed.
-    """
-    motion = motion_of(plan, lab)
-    if for_real:
-        prepare_ways(motion, plan, lab.cell, container_kinds(plan))
-        motion.patience_s = LIVE_S  # from now on an arm waits
-    else:
-        motion.prepare()
-    motion.keep_plans()
-    return motion
-
-
-def motion_of(plan: Plan, lab: Lab) -> MotionPlanner:
-    """The motion planner with every place of the plan, and no way planned yet."""
-    mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
-    motion = lab.motion_planner(mortars, state_folder(lab) / PLANS)
-    for name, position_mm in places_of(plan, lab).items():
-        motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
-    return motion
-
-
-def places_of(plan: Plan, lab: Lab) -> dict[str, Position]:
-    """Every named place of the plan."""
-    return all_places(lab.cell, plan.recipe.sources, container_kinds(plan))
-
-
-def container_kinds(plan: Plan) -> list[ContainerKind]:
-    """Every kind of container that the plan doses into."""
-    kinds = [kind for sample in plan.recipe.samples for kind in sample.all_containers]
-    return list({kind.name: kind for kind in kinds}.values())

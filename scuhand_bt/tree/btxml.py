@@ -35,9 +35,10 @@ from scuhand_bt.problems import Mark, Problem, SourceError
 from scuhand_bt.quantity import DURATION, parse
 from scuhand_bt.skill import Condition
 from scuhand_bt.tree.expressions import Expression, Reference
-from scuhand_bt.tree.grammar import RECORD, Argument, Branch, Call, Choice, TreeNode, Workflow, walk
+from scuhand_bt.tree.grammar import RECORD
 from scuhand_bt.tree.library import Library
 from scuhand_bt.tree.wires import NOTHING, WireType, of_field
+from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, TreeNode, Workflow, walk
 from scuhand_bt.yaml_source import Items, Node, Scalar, describe
 
 OWN = "_scuhand_"

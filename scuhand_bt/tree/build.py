@@ -11,18 +11,7 @@ from py_trees.decorators import FailureIsSuccess, Inverter
 from scuhand_bt.failures import Code, SkillFailed
 from scuhand_bt.skill import Condition
 from scuhand_bt.tree.expressions import Reference
-from scuhand_bt.tree.grammar import (
-    PARAMETERS,
-    RECORD,
-    Argument,
-    Branch,
-    Call,
-    Choice,
-    Decorator,
-    TreeNode,
-    Value,
-    Workflow,
-)
+from scuhand_bt.tree.grammar import PARAMETERS, RECORD
 from scuhand_bt.tree.leaf import Arguments, SkillLeaf, Ticking, Values
 from scuhand_bt.tree.library import Library, Percent, literal, resolve_percent
 from scuhand_bt.tree.nodes import (
@@ -38,6 +27,7 @@ from scuhand_bt.tree.nodes import (
 )
 from scuhand_bt.tree.record import Round, recorded
 from scuhand_bt.tree.wires import WireType, read_attribute
+from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, TreeNode, Value, Workflow
 from scuhand_bt.yaml_source import Node
 
 

@@ -8,25 +8,10 @@ from scuhand_bt.problems import Mark, Problems, shorten
 from scuhand_bt.skill import Condition
 from scuhand_bt.specs import Powder
 from scuhand_bt.tree.expressions import Reference, fits
-from scuhand_bt.tree.grammar import (
-    EXPRESSIONS,
-    KEYWORDS,
-    PARAMETERS,
-    RECORD,
-    Argument,
-    Branch,
-    Call,
-    Choice,
-    Decorator,
-    Input,
-    TreeNode,
-    Value,
-    Workflow,
-    walk,
-    why_no_expression,
-)
+from scuhand_bt.tree.grammar import EXPRESSIONS, KEYWORDS, PARAMETERS, RECORD, why_no_expression
 from scuhand_bt.tree.library import Library, Percent, literal, skills_of
 from scuhand_bt.tree.wires import INPUT_TYPES, NOTHING, QUANTITIES, WireType, of_field
+from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, Decorator, Input, TreeNode, Value, Workflow, walk
 from scuhand_bt.yaml_source import Node, Scalar, describe
 
 RECORDED = (*QUANTITIES, "Number", "Integer", "Text", "Flag")

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 from html import escape
 
-from scuhand_bt.tree.grammar import CHOICE_KEYS, Argument, Branch, Call, Choice, TreeNode, Workflow, children_of
+from scuhand_bt.tree.grammar import CHOICE_KEYS
+from scuhand_bt.tree.workflow import Argument, Branch, Call, Choice, TreeNode, Workflow, children_of
 from scuhand_bt.yaml_source import Node, Scalar, plain
 
 ROW, INDENT, LEFT, CHARACTER = 26, 26, 20, 7.9

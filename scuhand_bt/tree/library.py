@@ -11,8 +11,9 @@ from scuhand_bt.quantity import RATIO, parse
 from scuhand_bt.skill import Skill
 from scuhand_bt.skill_files.facts import SkillFacts
 from scuhand_bt.specs import ContainerKind, Mortar, Powder
-from scuhand_bt.tree.grammar import RECORD, Call, TreeNode, Workflow, walk
+from scuhand_bt.tree.grammar import RECORD
 from scuhand_bt.tree.wires import WireType, of_field
+from scuhand_bt.tree.workflow import Call, TreeNode, Workflow, walk
 from scuhand_bt.yaml_source import Items, Node, describe, plain
 
 

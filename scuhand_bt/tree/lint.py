@@ -14,9 +14,9 @@ from scuhand_bt.problems import Problems
 from scuhand_bt.skill import Condition, Skill
 from scuhand_bt.skill_files.facts import codes_of
 from scuhand_bt.tree.expressions import Reference
-from scuhand_bt.tree.grammar import (
-    PARAMETERS,
-    RECORD,
+from scuhand_bt.tree.grammar import PARAMETERS, RECORD
+from scuhand_bt.tree.library import Library, devices_of, literal
+from scuhand_bt.tree.workflow import (
     Branch,
     Call,
     Choice,
@@ -28,7 +28,6 @@ from scuhand_bt.tree.grammar import (
     references_of,
     walk,
 )
-from scuhand_bt.tree.library import Library, devices_of, literal
 from scuhand_bt.yaml_source import Node
 
 DOSING = {"hand", "balance"}

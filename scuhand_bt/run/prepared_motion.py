@@ -1,0 +1,50 @@
+"""The motion planner of a plan: all places that its samples use, and the ways between them."""
+
+import numpy as np
+
+from scuhand_bt.cell.places import Position, all_places
+from scuhand_bt.lab import Lab, state_folder
+from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion.patience import LIVE_S
+from scuhand_bt.recipe.plan import Plan
+from scuhand_bt.run.ways import prepare_ways
+from scuhand_bt.specs import ContainerKind
+
+PLANS = "plans"
+"""In the lab's state: the arm's plans, of which the next run is spared the search."""
+
+
+def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPlanner:
+    """The motion planner with all ways between the plan's places planned and polished.
+
+    `for_real`: also those past each container, and all others that the plan will take (`run/ways.py`). A dry run
+    plans them when they are needed.
+    """
+    motion = motion_of(plan, lab)
+    if for_real:
+        prepare_ways(motion, plan, lab.cell, container_kinds(plan))
+        motion.patience_s = LIVE_S  # from now on an arm waits
+    else:
+        motion.prepare()
+    motion.keep_plans()
+    return motion
+
+
+def motion_of(plan: Plan, lab: Lab) -> MotionPlanner:
+    """The motion planner with every place of the plan, and no way planned yet."""
+    mortars = {source.station: source.mortar for source in plan.recipe.sources.values()}
+    motion = lab.motion_planner(mortars, state_folder(lab) / PLANS)
+    for name, position_mm in places_of(plan, lab).items():
+        motion.add_place(name, ApexPose(np.array(position_mm) / 1000))
+    return motion
+
+
+def places_of(plan: Plan, lab: Lab) -> dict[str, Position]:
+    """Every named place of the plan."""
+    return all_places(lab.cell, plan.recipe.sources, container_kinds(plan))
+
+
+def container_kinds(plan: Plan) -> list[ContainerKind]:
+    """Every kind of container that the plan doses into."""
+    kinds = [kind for sample in plan.recipe.samples for kind in sample.all_containers]
+    return list({kind.name: kind for kind in kinds}.values())
