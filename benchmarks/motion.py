@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from benchmarks import motion_memory, motion_mplib, motion_peers
+from benchmarks import motion_memory, motion_mplib, motion_ompl, motion_peers
 from benchmarks.figures import spread
 from benchmarks.motion_inverse import MOUNT, SEED, inverse_kinematics
 from scuhand_bt.failures import SkillFailed
@@ -148,8 +148,7 @@ class Bench:
 
     def bound_s(self, task: Task) -> float:
         """The jerk-limited optimum to the best of the goal's free configurations, with nothing in the way."""
-        goals = self.free(task.goal)[:, :6]
-        return float(rest_to_rest_s(goals - task.start[:6], self.six()).min())
+        return float(rest_to_rest_s(self.free(task.goal) - task.start, self.rates).min())
 
     def polyline(self, outcome: Outcome) -> Floats | None:
         """What a usual planner finds for the task: RRT-Connect to the same goal and others, then shortcuts."""
@@ -160,9 +159,6 @@ class Bench:
         goals = goals[np.argsort(rest_to_rest_s(goals - task.start, self.rates))][:32]
         path = rrt_connect.connect(space, task.start, goals, rng, 4000)
         return None if path is None else rrt_connect.shortened(space, path, rng, 60)
-
-    def six(self) -> RateLimits:
-        return RateLimits(*(getattr(self.rates, name)[:6] for name in ("speed", "acceleration", "jerk")))
 
 
 class Audit:
@@ -307,7 +303,9 @@ def main() -> None:
     parser.add_argument("--carrying", type=int, default=40, help="loaded moves per limit")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--mplib", type=Path, help="compare with mplib, in this environment; made if there is none")
-    parser.add_argument("--peers", action="store_true", help="compare with pink and toppra, which must be installed")
+    parser.add_argument(
+        "--peers", action="store_true", help="compare with pink, toppra and OMPL, which must be installed"
+    )
     parser.add_argument("--scoops", type=int, help="nothing but the memory that so many scoops take")
     given = parser.parse_args()
     if given.scoops:
@@ -340,6 +338,8 @@ def main() -> None:
         poses = [pose for pose in poses if unreachable_reason(pose, MOUNT) is None]
         results["peers"] = motion_peers.pink_ik(bench.planner.urdf, poses, MOUNT)
         show("peers", results["peers"])
+        results["peer OMPL"] = motion_ompl.compare(bench, tasks[:PEER_TASKS], audit)
+        show("peer OMPL", results["peer OMPL"])
     if given.mplib:
         results["peer mplib"] = motion_mplib.compare(bench, tasks[:PEER_TASKS], audit, given.mplib)
         show("peer mplib", results["peer mplib"])

@@ -11,9 +11,12 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
+from harness import mesh_bodies
 from scuhand_bt.cell_spec import CellSpec
 from scuhand_bt.motion.kinematics import Floats
 from scuhand_bt.motion.trajectory import JointTrajectory
@@ -24,6 +27,8 @@ RATE_STEP_S = 0.001
 POINT_M = 0.004
 CLOSE_M = 0.02
 """What is farther away is not measured."""
+THICKEST_M = 0.1
+"""No shape's points are farther beneath it: a capsule's are those of its axis."""
 GRAVITY = np.array([0.0, 0.0, 9.81])
 
 Distance = Callable[[Floats], Floats]
@@ -90,6 +95,7 @@ class Audit:
         slant_m, radius_m = cell.hand.sheet_radius_mm / 1e3, diameter_mm / 2e3
         lean, turn = math.asin(radius_m / slant_m), math.radians(cell.hand.mount.azimuth_deg)
         self._up = np.array([math.sin(lean) * math.cos(turn), math.sin(lean) * math.sin(turn), -math.cos(lean)])
+        assert all(part.radius_m <= THICKEST_M for part in self._parts)
         self._parts.append(self._cone(slant_m * math.cos(lean), radius_m))
         clamp = np.array([0.0, 0.0, self._apex[2] - slant_m])
         self._parts.append(
@@ -106,7 +112,7 @@ class Audit:
     def of(self, motion: JointTrajectory) -> Verdict:
         """The verdict on a motion."""
         count = max(60, int(motion.duration_s / STEP_S))
-        frames = self._frames(motion.at(np.linspace(0.0, motion.duration_s, count)))
+        frames = self.frames(motion.at(np.linspace(0.0, motion.duration_s, count)))
         clearance_m, pair = self.nearest(frames)
         return Verdict(clearance_m, pair, self._over(motion), self._spill_deg(motion))
 
@@ -134,7 +140,7 @@ class Audit:
         lid = [self._apex + depth_m * self._up + share * radius_m * rim for share in (0.0, 0.25, 0.5, 0.75)]
         return Part(self._last, "cone", np.vstack([*rings, *lid]), 0.0, _nowhere)
 
-    def _frames(self, q: Floats) -> list[Floats]:
+    def frames(self, q: Floats) -> list[Floats]:
         """The links' frames at configurations (n, 7): (n, 4, 4) each."""
         frames = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
         for k, (origin, (x, y, z)) in enumerate(self._joints):
@@ -159,7 +165,7 @@ class Audit:
 
     def _spill_deg(self, motion: JointTrajectory) -> float:
         times_s = np.arange(0.0, motion.duration_s, RATE_STEP_S)
-        flanges = self._frames(motion.at(times_s[::2]))[self._last]
+        flanges = self.frames(motion.at(times_s[::2]))[self._last]
         positions = flanges[:, :3, :3] @ self._apex + flanges[:, :3, 3]
         ups = flanges[:, :3, :3] @ self._up
         if len(positions) < 3:
@@ -284,6 +290,10 @@ def _solids(
         elif thing.cylinder_mm is not None:
             across, length = thing.cylinder_mm
             found.append((thing.name, at(thing.at_mm, _cylinder(across / 2e3, length / 2e3))))
+        elif thing.mesh is not None:
+            triangles = mesh_bodies.read(Path(thing.mesh)) * thing.mesh_unit_mm / 1e3
+            body = partial(mesh_bodies.signed_distance, triangles=triangles, far=CLOSE_M + THICKEST_M)
+            found.append((thing.name, at(thing.at_mm, body, thing.yaw_deg)))
     for name, mortar in mortars.items():
         x, y, z = cell.stations[name].position_mm
         shape = _cylinder(mortar.outer_diameter_mm / 2e3, mortar.height_mm / 2e3)

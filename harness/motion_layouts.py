@@ -4,12 +4,15 @@ Where balance, mortars, waste, service and park station stand, how wide, deep an
 there are, and posts and a shelf besides.
 """
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from harness import mesh_bodies
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.places import over_balance, over_mortar
 from scuhand_bt.cell_spec import CellSpec
@@ -31,6 +34,8 @@ class Bench:
 
     lab: Lab
     wider: float = 1.0
+    meshes: Path | None = None
+    """The folder of STL and OBJ files: in each layout stands a portal besides, as one of these."""
 
 
 STARTER = Bench(LAB)
@@ -76,6 +81,8 @@ def drawn(seed: int, bench: Bench = STARTER) -> Layout:
         for name, position in at.items()
     }
     geometry = tuple(_geometry(rng, at, wide, deep, high, bench.wider))
+    if bench.meshes is not None:
+        geometry += (_portal(seed, bench.wider, bench.meshes),)
     cell = bench.lab.cell.model_copy(update={"stations": stations, "geometry": geometry})
     kinds = sorted(LAB.library.mortars)
     mortars = {name: LAB.library.mortars[str(rng.choice(kinds))] for name in ("mortar_bay", "mortar_bay_2")}
@@ -100,6 +107,20 @@ def _geometry(
         yield Obstacle(name=f"post {k}", cylinder_mm=(30, tall), at_mm=place)
     if rng.uniform() < 0.3:
         yield Obstacle(name="shelf", box_mm=(250, 700, 20), at_mm=(x + 60, 0, rng.uniform(520, 620)))
+
+
+def _portal(seed: int, wider: float, folder: Path) -> Obstacle:
+    """Between the pan and a mortar; of its own random numbers, so that all else stands where it does without it."""
+    rng = np.random.default_rng([seed, 1])
+    triangles, unit_mm = mesh_bodies.portal(rng), float(rng.choice([1.0, 25.4, 1000.0]))
+    file = mesh_bodies.write(folder / f"portal_{seed}.{rng.choice(['stl', 'obj'])}", triangles / unit_mm)
+    angle, away = np.radians(rng.uniform(20, 35)) * rng.choice([1, -1]), wider * rng.uniform(230, 300)
+    at_mm = (float(away * np.cos(angle)), float(away * np.sin(angle)), 0.0)
+    yaw_deg = float(rng.uniform(0, 180))
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    return Obstacle(
+        name="portal", mesh=str(file), mesh_unit_mm=unit_mm, mesh_digest=digest, at_mm=at_mm, yaw_deg=yaw_deg
+    )
 
 
 def _places(cell: CellSpec, mortars: Mapping[str, Mortar]) -> Iterator[tuple[str, ApexPose]]:

@@ -7,9 +7,8 @@ clock to go on to the earliest of them. The clocks themselves are in `scuhand_bt
 
 import math
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
 from datetime import datetime
-from typing import Literal, Protocol, TypeAlias, TypeVar
+from typing import Literal, NamedTuple, Protocol, TypeAlias, TypeVar
 
 T = TypeVar("T")
 
@@ -33,9 +32,11 @@ class Signal:
             self.on_fire()
 
 
-@dataclass(frozen=True, slots=True)
-class Wake:
-    """When a waiting skill wants its next tick: at `until_s` of run time, or when `signal` fires."""
+class Wake(NamedTuple):
+    """When a waiting skill wants its next tick: at `until_s` of run time, or when `signal` fires.
+
+    A tuple, as thousands are made for a sample.
+    """
 
     until_s: float = math.inf
     signal: Signal | None = None

@@ -35,6 +35,8 @@ SHIPPED: Mapping[str, Mapping[str, str]] = {
 """By kind, the engine's own drivers; `operator` is none, but a person."""
 BESIDE: Mapping[str, Mapping[str, str]] = {"arm": {"ros2": "scuhand_bt.devices.ros2_arm:DRIVER"}}
 """And those that stand to the engine as another package's do: on no servo bus of ours, without a twin."""
+UNWIRED = (("changer", "operator"), ("watcher", "boxes"))
+"""At no cable, and so without a twin: a person, and a watcher that sees what it was told to, in rehearsals as well."""
 NAMED_KINDS = ("sensor", "scanner", "ioniser", "capper", "watcher")
 """Kinds of which a cell has any number, each under a name of its own."""
 PLUGGED = re.compile(r"[A-Za-z_]\w*(\.\w+)*:[A-Za-z_]\w*")

@@ -304,7 +304,8 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
     """The cell; where its file is wrong, what of it is sound."""
     root = _root(path, problems)
     if root is None:
-        broken.add("station", "", problems.found)
+        for kind in ("station", "zone"):
+            broken.add(kind, "", problems.found)
         return CellSpec(cell="none", stations={})
     nodes = root.get("stations")
     stations = {} if nodes is None else _load_file(Station, path, problems, broken, "station", nodes)
@@ -323,6 +324,8 @@ def _load_cell(path: Path, problems: Problems, broken: Broken) -> CellSpec:
         none = "none"
         stations = {name: station.model_copy(update={"frame": None}) for name, station in stations.items()}
         kept = {key: validate(CellSpec, part, Problems(), cell=none, stations=stations) for key, part in parts.items()}
+        if "zones" in kept and kept["zones"] is None:
+            broken.add("zone", "", problems.found)
         return CellSpec(
             cell=none, stations=stations, **{key: getattr(made, key) for key, made in kept.items() if made is not None}
         )

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from device_benches import READY, SimulatedArmBench, Sway, WiredArmBench
 
+from harness.arm_stops import TwinArm, off_path_rad, simulated_stop, worst_of
 from scuhand_bt.clock import Wake
 from scuhand_bt.devices.dynamixel.servo_loop import PERIOD_S
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.lab import load_lab, starter_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner, Mount
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Floats
-from scuhand_bt.motion.spill import apex_motion, spill_angles_deg
 from scuhand_bt.motion.stopping import HARDER, StoppableTrajectory
 
 BEHIND_RAD = math.radians(1.0)
@@ -68,11 +68,6 @@ def test_a_started_arm_moves_until_it_has_stopped_and_then_says_so(bench: Any) -
     assert arm.positions == pytest.approx(motion.end, abs=BEHIND_RAD)
 
 
-def nearest_rad(motion: StoppableTrajectory, positions: Floats) -> float:
-    path = motion.at(np.linspace(0.0, motion.duration_s, 2000))
-    return float(np.abs(path - positions).max(axis=1).min())
-
-
 def test_a_stop_comes_to_rest_on_the_path_before_the_motions_end_and_another_one_changes_nothing(bench: Any) -> None:
     arm, motion = bench.device, away(bench, 2.5)
     arm.start(motion)
@@ -84,7 +79,7 @@ def test_a_stop_comes_to_rest_on_the_path_before_the_motions_end_and_another_one
     took_s = bench.until(lambda: arm.is_stopped)
     assert took_s <= motion.stopped_from(1.0).duration_s - 1.0 + bench.late_s
     rest = arm.positions
-    assert nearest_rad(motion, rest) < BEHIND_RAD
+    assert off_path_rad(motion, rest) < BEHIND_RAD
     assert np.abs(rest - motion.end).max() > 0.05, "it did not go on to the end"
     bench.pass_time(0.2)
     arm.stop()
@@ -121,7 +116,7 @@ def test_following_that_is_closed_in_the_middle_stops_the_arm(bench: Any) -> Non
     steps.close()
     assert not arm.is_stopped
     assert bench.until(lambda: arm.is_stopped) < 1.0
-    assert nearest_rad(motion, arm.positions) < BEHIND_RAD
+    assert off_path_rad(motion, arm.positions) < BEHIND_RAD
     assert np.abs(arm.positions - motion.end).max() > 0.05
 
 
@@ -212,43 +207,6 @@ def carries() -> list[StoppableTrajectory]:
     ]
 
 
-def simulated_stop(motion: StoppableTrajectory, at_s: float) -> Floats:
-    """Where the simulated arm is at every period of the driver's, from the motion's beginning to its rest."""
-    bench = SimulatedArmBench(motion.start, PERIOD_S)
-    bench.device.start(motion)
-    seen: list[Floats] = []
-    while not bench.device.is_stopped:
-        if len(seen) == round(at_s / PERIOD_S):
-            bench.device.stop()
-        bench.clock.wait([Wake(bench.clock.now_s + PERIOD_S)])
-        seen.append(bench.device.positions)
-    return np.array(seen)
-
-
-def wired_stop(bench: WiredArmBench, motion: StoppableTrajectory, at_s: float) -> Floats:
-    """The goals that the driver's loop sends to the twin; it is told its time here, instead of waiting for it."""
-    bench.group.move(motion)
-    seen: list[Floats] = []
-    while bench.group.is_streaming:
-        if len(seen) == round(at_s / PERIOD_S):
-            bench.device.stop()
-        bench.chain._cycle(PERIOD_S, 0.0, read_now=False)
-        seen.append(bench.group.goals_rad.copy())
-    return np.array(seen)
-
-
-def worst_of(course: Floats) -> tuple[float, float]:
-    """The worst spill angle [deg] and joint acceleration [rad/s²] of a course that is sampled every period.
-
-    It ends where it ends, and stands there: what is abrupt shows.
-    """
-    course = np.vstack([course, course[-1:], course[-1:], course[-1:]])
-    speed = (course[2:] - course[:-2]) / (2 * PERIOD_S)
-    acceleration = (course[2:] - 2 * course[1:-1] + course[:-2]) / PERIOD_S**2
-    spill_deg = spill_angles_deg(*apex_motion(course[1:-1], speed, acceleration, MOUNT))
-    return float(spill_deg.max()), float(np.abs(acceleration).max())
-
-
 def random_stops(carries: list[StoppableTrajectory]) -> Iterator[tuple[StoppableTrajectory, float]]:
     rng = np.random.default_rng(3)
     for k in range(STOPS):
@@ -259,27 +217,23 @@ def random_stops(carries: list[StoppableTrajectory]) -> Iterator[tuple[Stoppable
 def check(motion: StoppableTrajectory, at_s: float, course: Floats) -> None:
     limit_deg = motion.spill_limit_deg
     assert limit_deg is not None
-    spill_deg, acceleration = worst_of(course)
-    assert spill_deg <= limit_deg + 0.3, f"stopped at {at_s:.3f} s of {motion.duration_s:.3f} s"
-    assert acceleration <= HARDER * 4.4 * 1.05
+    worst = worst_of(course, MOUNT)
+    assert worst.spill_deg <= limit_deg + 0.3, f"stopped at {at_s:.3f} s of {motion.duration_s:.3f} s"
+    assert worst.acceleration <= HARDER * 4.4 * 1.05
     assert (course >= LIMITS_RAD[0] - 1e-6).all()
     assert (course <= LIMITS_RAD[1] + 1e-6).all()
-    assert nearest_rad(motion, course[-1]) < 1e-3
+    assert off_path_rad(motion, course[-1]) < 1e-3
     assert len(course) * PERIOD_S <= motion.duration_s + 2 * PERIOD_S
 
 
 def test_random_stops_of_loads_keep_them_in_the_cone_in_simulation(carries: list[StoppableTrajectory]) -> None:
     for motion, at_s in random_stops(carries):
-        check(motion, at_s, simulated_stop(motion, at_s))
+        check(motion, at_s, simulated_stop(motion, at_s, MOUNT))
 
 
 def test_random_stops_of_loads_keep_them_in_the_cone_on_the_wire(carries: list[StoppableTrajectory]) -> None:
     for motion in carries:
-        bench = WiredArmBench(motion.start)
-        with bench.server:
-            bench.chain.bus.open()
-            bench.chain._set_up()
+        with TwinArm(motion.start).stepped() as arm:
             for other, at_s in random_stops(carries):
                 if other is motion:
-                    check(motion, at_s, wired_stop(bench, motion, at_s))
-            bench.chain.bus.close()
+                    check(motion, at_s, arm.stopped(motion, at_s))

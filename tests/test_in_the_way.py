@@ -11,14 +11,16 @@ from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.cell.in_the_way import TIMEOUT_S
 from scuhand_bt.cell.places import all_places
 from scuhand_bt.clock import Steps, Wake
-from scuhand_bt.devices.interfaces import Operator
+from scuhand_bt.devices.connect import connect_cell_devices
+from scuhand_bt.devices.interfaces import Operator, Watcher
 from scuhand_bt.events import ArmFreed, SkillEvent, WayObstructed
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.reader import read
 from scuhand_bt.lab import Lab, load_lab
 from scuhand_bt.motion import ApexPose, MotionPlanner
 from scuhand_bt.record import Record
-from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.run.clock import VirtualClock, WallClock
+from scuhand_bt.run.make_cell import bench_of
 from scuhand_bt.sim.cell import simulated_cell
 
 AT_MOST_S = 300.0
@@ -155,3 +157,14 @@ def test_an_arm_too_deep_in_something_stays_where_it_is(tmp_path: Path) -> None:
         bench.do(bench.cell.move_to("park"))
     assert not bench.told(ArmFreed)
     assert np.abs(bench.cell.arm.positions - pushed).max() == 0.0
+
+
+@pytest.mark.real_time
+def test_what_a_watcher_was_told_to_see_it_sees_beside_twins_too(tmp_path: Path) -> None:
+    lab, clock = lab_that_sees(tmp_path / "lab", f"{OVER_THE_MORTAR}}}"), WallClock()
+    with bench_of(lab, clock=clock) as bench:
+        devices = connect_cell_devices(bench.spec, clock)
+        seen = cast(Watcher, devices.others["camera"]).points_m
+        devices.close()
+    assert seen is not None
+    assert np.abs(seen.mean(axis=0) - (0.19, 0.24, 0.18)).max() < 0.001

@@ -2,13 +2,16 @@
 
 import itertools
 
+import numpy as np
 import pytest
 
+from harness import mesh_bodies
 from harness.motion_audit import Audit
-from harness.motion_layouts import CONTAINER, LAB, LIMITS_DEG, carries, drawn
+from harness.motion_layouts import CONTAINER, LAB, LIMITS_DEG, Bench, carries, drawn
 from scuhand_bt.bench_spec import Obstacle
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.motion import Mount, apex
+from scuhand_bt.motion.kinematics import LIMITS_RAD
 
 LAYOUT = drawn(2)
 
@@ -90,6 +93,33 @@ def test_the_audit_sees_what_touches_what_is_too_quick_and_what_spills(planner):
     verdict = Audit(LAB.urdf, walled, LAYOUT.mortars, CONTAINER).of(motion)
     assert verdict.clearance_m < -0.001
     assert "wall" in verdict.pair
+
+
+@pytest.mark.parametrize("name", ["body.stl", "body.obj"])
+def test_the_audit_measures_a_mesh_as_the_box_that_it_is_the_surface_of(tmp_path, name):
+    size_mm, at_mm, yaw_deg = (60.0, 120.0, 160.0), (230.0, 150.0, 90.0), 25.0
+    file = mesh_bodies.write(tmp_path / name, mesh_bodies.box(size_mm, (0.0, 0.0, 0.0)) / 25.4)
+    mesh = Obstacle(name="body", mesh=str(file), mesh_unit_mm=25.4, at_mm=at_mm, yaw_deg=yaw_deg)
+    box = Obstacle(name="body", box_mm=size_mm, at_mm=at_mm, yaw_deg=yaw_deg)
+    audits = [
+        Audit(LAB.urdf, LAB.cell.model_copy(update={"geometry": [one]}), {}, None, diameter_mm=90.0)
+        for one in (mesh, box)
+    ]
+    for q in np.random.default_rng(4).uniform(LIMITS_RAD[0], LIMITS_RAD[1], (60, 1, 7)):
+        (away_m, pair), (same_m, same_pair) = (audit.nearest(audit.frames(q)) for audit in audits)
+        assert away_m == pytest.approx(same_m, abs=1e-6)
+        assert pair == same_pair
+
+
+def test_what_passes_a_portal_of_triangles_touches_nothing_in_the_audit(tmp_path):
+    layout = drawn(503, Bench(LAB, meshes=tmp_path))  # it stands between the pan and a mortar
+    planner, audit = layout.planner(), Audit(LAB.urdf, layout.cell, layout.mortars, CONTAINER)
+    near = []
+    for limit_deg in (None, 15.0):
+        verdict = audit.of(planner.move(planner.standing_at("mortar_bay_2"), "balance", spill_limit_deg=limit_deg))
+        assert verdict.clearance_m > 0.003
+        near.append(verdict.pair)
+    assert any("portal" in pair for pair in near)
 
 
 def wall_through(motion):

@@ -1,5 +1,6 @@
 """What a plan's night holds."""
 
+from dataclasses import replace
 from datetime import timedelta
 
 import pytest
@@ -12,6 +13,7 @@ from scuhand_bt.study.odds import odds_of
 from scuhand_bt.study.stays import stays_in_words
 from scuhand_bt.study.trial import SampleTrial, Trial
 
+NIGHT = read_night("20:00-08:00")
 RECIPE = """recipe: two
 workflow: fill_xrd_holder
 sources:
@@ -116,6 +118,14 @@ def test_persons_come_twice_where_what_needs_them_is_close_together(
 def test_a_plan_that_needs_nobody_says_nothing_of_stays(desk: Desk) -> None:
     plan = make_plan(desk.load(RECIPE.replace("source: beads}", "source: msg}")), desk.lab)
     assert not list(stays_in_words(plan, odds_of(plan, [trial_of(plan, 600.0)] * 8), None))
+
+
+def test_a_night_says_of_what_no_dry_run_has_come_to_that_none_has(plan: Plan) -> None:
+    stopped = trial_of(plan, 60.0)
+    began_s = {plan.jobs[0].name: 0.0}
+    found = {fate.sample: fate for fate in fates(plan, odds_of(plan, [replace(stopped, began_s=began_s)]), NIGHT)}
+    assert (found["a"].done_s, found["a"].why) == (None, "every dry run has stopped before its end")
+    assert "a person is needed before" in str(found["m-1"].why)
 
 
 def test_plan_says_what_its_night_holds(lab_folder: LabFolder, command: Call) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from browser import browser_page, needs_browser, serious_faults
-from conftest import REPOSITORY, Call
+from conftest import REPOSITORY, Call, LabFolder
 from page_text import Tables
 from running import HEAD, make_lab
 from test_show_move import packed
@@ -71,6 +71,37 @@ def test_the_page_says_how_much_powder_is_used_and_when_a_person_is_needed(made:
     swap = next(row for row in persons if "change powder" in row[1])
     assert format_duration(odds.began_s[swap[1]].middle) in swap[0]
     assert any(row[0] == "if a sample fails" and "dose.overshoot" in row[2] for row in persons)
+
+
+@pytest.fixture
+def stops(lab_folder: LabFolder) -> Path:
+    """A recipe whose every run stops in its first sample, with a mortar to be refilled after it."""
+    lab_folder.write(
+        "trees/hopeless.yaml",
+        "workflow: hopeless\ninputs: {source: Source, container: Container, mass: Mass}\ntree:\n  timeout:\n"
+        "    duration: 1 s\n    child: {fill_xrd_holder: {source: $source, container: $container, mass: $mass}}\n",
+    )
+    powder = "powder: glass_beads, amount: 600 mg, refill: 500 mg"
+    return lab_folder.write(
+        "recipes/stops.yaml",
+        "recipe: stops\nworkflow: hopeless\n"
+        f"sources: {{beads: {{station: mortar_bay, container: agate_mortar, {powder}}}}}\n"
+        "samples: [{id: a, source: beads, container: xrd_holder, mass: 250 mg, repeat: 3}]\n",
+    )
+
+
+def test_the_page_of_a_plan_whose_runs_stop_says_what_none_has_come_to(
+    stops: Path, command: Call, tmp_path: Path
+) -> None:
+    ended = command("plan", stops, "--html", tmp_path / "plan.html", "--trials", "1", "--night", "20:00-08:00")
+    assert ended.returncode == 0, ended.stderr
+    tables = Tables((tmp_path / "plan.html").read_text(encoding="utf-8"))
+    order = {row[1]: row[7] for row in tables.found["The order"][1:]}
+    assert (order["a-1"], order["a-2"]) == ("0 s", "in no dry run")
+    refill = next(row for row in tables.found["run time, job, what"] if row[1].startswith("refill beads"))
+    assert refill[0] == "in no dry run"
+    assert "600.0 mg + 1 × 500.0 mg" in tables.text
+    assert "every dry run has stopped before its end" in tables.text
 
 
 def test_the_motions_of_a_dry_run_are_in_the_page_job_by_job(made: Any) -> None:

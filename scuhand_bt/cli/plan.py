@@ -1,5 +1,6 @@
 """The command that shows what a recipe comes to: its jobs in their order, their odds, and when a person is needed."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -47,7 +48,7 @@ def plan(
         of_kind(html, *PAGES, option="--html")
         if not trials:
             raise typer.BadParameter("a page tells what dry runs came to: at least one", param_hint="--trials")
-    from scuhand_bt.report import asked_cells, composed_lines
+    from scuhand_bt.report import amount_cell, asked_cells, composed_lines
 
     made, opened = the_plan(recipe, lab)
     loaded = opened.lab
@@ -55,7 +56,7 @@ def plan(
     notes = notes_of(made, opened, quiet=as_json)
     odds = _odds(made, loaded, trials, workers) if trials else None
     if html is not None and odds is not None:
-        _preview(made, loaded, odds, html)
+        _preview(made, loaded, odds, list(_of_persons(made, loaded, odds, hours)), html)
         return
     if as_json:
         print_json({**_plan_values(made), "odds": odds and asdict(odds), "notes": notes})
@@ -80,9 +81,7 @@ def plan(
     powders = Table("source", "powder", "samples", "needed with losses", "amount", show_edge=False)
     for demand in made.demands:
         source = demand.source
-        needed, amount = format_mass(demand.needed_mg), format_mass(source.amount_mg)
-        if refills := made.refills[source.name]:
-            amount += f" + {refills} × {format_mass(source.refill_mg or 0.0)}"
+        needed, amount = format_mass(demand.needed_mg), amount_cell(made, source)
         powders.add_row(source.name, source.powder.name, str(demand.samples), needed, amount)
     out.print()
     out.print(powders)
@@ -98,14 +97,7 @@ def plan(
         at = f" (after {format_duration(when.low)} to {format_duration(when.high)})" if when is not None else ""
         out.print(Text(f"A person is {person}{at}."))
     if odds is not None:
-        from scuhand_bt.study import stays_in_words
-
-        for line in stays_in_words(made, odds, hours):
-            out.print(Text(line), soft_wrap=True)
-    if hours is not None and odds is not None:
-        from scuhand_bt.study import in_words
-
-        for line in in_words(made, loaded, odds, hours):
+        for line in _of_persons(made, loaded, odds, hours):
             out.print(Text(line), soft_wrap=True)
 
 
@@ -127,12 +119,21 @@ def _odds(made: "Plan", loaded: "Lab", trials: int, workers: int | None) -> "Odd
     return odds_of(made, [found[setup, seed] for seed in range(trials)])
 
 
-def _preview(made: "Plan", lab: "Lab", odds: "Odds", page: Path) -> None:
+def _of_persons(made: "Plan", lab: "Lab", odds: "Odds", hours: "Night | None") -> Iterator[str]:
+    """How often somebody comes, and what is done in hours in which nobody does."""
+    from scuhand_bt.study import in_words, stays_in_words
+
+    yield from stays_in_words(made, odds, hours)
+    if hours is not None:
+        yield from in_words(made, lab, odds, hours)
+
+
+def _preview(made: "Plan", lab: "Lab", odds: "Odds", lines: Sequence[str], page: Path) -> None:
     """Write the plan as a page."""
     try:
         from scuhand_bt.report import preview_page
 
-        page.write_text(preview_page(made, lab, odds), encoding="utf-8")
+        page.write_text(preview_page(made, lab, odds, lines), encoding="utf-8")
     except ModuleNotFoundError as error:
         raise typer.BadParameter(f"a page needs {error.name}: pip install 'scuhand-bt[report]'") from None
     except OSError as error:

@@ -20,6 +20,7 @@ their turning points at once, and the cone is level there. Changes of the best o
 Joints [rad] (n, 7), durations and times [s]; randomness is the caller's.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,15 +141,19 @@ class ScheduleSearch:
         rounds: int,
         good_s: float,
         idle_rounds: int,
+        ends: Callable[[JointTrajectory | None], bool],
     ) -> JointTrajectory | None:
         """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`.
 
-        Once there is one, so many `idle_rounds` in a row that find none quicker end the search.
+        Once there is one, so many `idle_rounds` in a row that find none quicker end the search, as `ends` does, which
+        is asked with the best so far.
         """
         best, parent, idle = known, None, 0
         least_s = float(self._bounds_s[0])
         for k in range(rounds):
             if best is not None and (best.duration_s <= good_s or idle >= idle_rounds):
+                break
+            if ends(best):
                 break
             most_s = (_FIRST_UPTO + k / 2) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)

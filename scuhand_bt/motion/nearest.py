@@ -6,11 +6,11 @@ from collections.abc import Callable
 import numpy as np
 
 from scuhand_bt.motion.collision import Scene
-from scuhand_bt.motion.inverse import seams_of, solutions
+from scuhand_bt.motion.inverse import seams_of, some_solutions
 from scuhand_bt.motion.kinematics import LINK_M, SHOULDER_Z_M, ApexPose, Floats, Mount
 
 _YAWS = 12
-"""Of an arm of another kind, which is looked at more coarsely."""
+"""And as many swivels: so coarsely it is looked at, as a thousand poses may be."""
 _LOOKED_AT = 16
 """Of a pose's configurations, about how many are looked at for one that is free."""
 
@@ -23,11 +23,7 @@ def nearest_reachable(pose: ApexPose, mount: Mount, scene: Scene) -> ApexPose | 
     """
 
     def reached(position_m: Floats) -> bool:
-        there = ApexPose(position_m, pose.axis, pose.seam)
-        if mount.arm is None:
-            q = solutions(there, mount, scene.limits_rad)
-        else:
-            q = mount.arm.solutions(there, seams_of(there, mount, _YAWS), mount, scene.limits_rad)
+        q = some_solutions(ApexPose(position_m, pose.axis, pose.seam), mount, scene.limits_rad, _YAWS)
         return len(q) > 0 and not scene.hits(q[:: max(1, len(q) // _LOOKED_AT)]).all()
 
     wanted_m = pose.position_m

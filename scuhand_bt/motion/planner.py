@@ -1,15 +1,10 @@
 """The planning service: the one object that skills ask for a motion, through the cell.
 
-A request is (start, goal, geometry, constraint, effort); its answer is planned once, and the last ones are kept.
-Geometry is the cone's size, what stands on the pan, and which mortar may be touched; each has its own immutable scene,
-built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
-request gets the same motion on every run, on every machine of the same versions. Between two places,
-where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan, the
-motion over the bare pan is taken where it is proven free there too.
-
-A load is planned for by a ladder of limits, the strictest first, each beginning with what is known from the one before;
-of all their motions, and the empty cone's, each as quick as the load's own limit lets it be, the quickest is taken. So
-a load that may lean more is never slower, whatever was asked before.
+A request is (start, goal, geometry, constraint, effort); its answer is planned once, and the last ones are kept
+(`answers`). Geometry is the cone's size, what stands on the pan, and which mortar may be touched; each has its own
+immutable scene, built when first needed. Budgets are counted, randomness is seeded by the request's own bytes: the same
+request gets the same motion on every run, on every machine of the same versions, unless it is told to have patience for
+so long only.
 
 Joints in radians, shape (7,); poses of the apex in metres. Failures are `SkillFailed` with the codes
 arm.unreachable, arm.no_path, arm.start_in_collision and arm.joint_limit; nothing has moved then.
@@ -21,51 +16,39 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from scuhand_bt.cell_spec import MOUNTED_DIAMETER_MM, CellSpec
-from scuhand_bt.failures import Code, SkillFailed
-from scuhand_bt.motion import explain, transfer
+from scuhand_bt.failures import SkillFailed
+from scuhand_bt.motion import explain
+from scuhand_bt.motion.answers import Answers, Way
 from scuhand_bt.motion.arm_model import Arm
 from scuhand_bt.motion.collision import Scene
 from scuhand_bt.motion.contact import contact_motion, with_seams
 from scuhand_bt.motion.inverse import nearest_configuration, solutions
 from scuhand_bt.motion.kinematics import ApexPose, Floats, Mount, apex, checked_joints
 from scuhand_bt.motion.occupancy import VOXEL_M, Occupancy
+from scuhand_bt.motion.pace import Pace
+from scuhand_bt.motion.patience import FOR_EVER_S, Patience
 from scuhand_bt.motion.places import Places
 from scuhand_bt.motion.plan_store import PlanStore
-from scuhand_bt.motion.proof import is_whole
 from scuhand_bt.motion.recent import Recent
 from scuhand_bt.motion.reform import RollerAngle, forming_motion, reform_motion
-from scuhand_bt.motion.requests import Request
 from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, CONE_DIAMETER_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.spill import spill_stretch
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.stroke import StrokePoses, arm_part, stroke_motion, with_roller
-from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
-from scuhand_bt.motion.torque import Strain, TooHeavyError, Torques
-from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, later, standing
-from scuhand_bt.motion.transfer import LIVE, POLISHED, PREPARED, Effort
+from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.torque import Strain, Torques
+from scuhand_bt.motion.trajectory import JointTrajectory, later, standing
+from scuhand_bt.motion.transfer import LIVE, Effort
 from scuhand_bt.motion.way_out import NoWayOutError, way_out
 from scuhand_bt.specs import ContainerKind, Mortar
 
 SETTLED_DIAMETER_M = 0.0005
 """How far the rim of a cone that was formed to the usual diameter may be measured from it."""
-SURE = 1.01
-"""A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
-for a stricter limit, is quicker by more."""
-NEAR_OPTIMUM = 1.15
-"""Of the empty cone's motion that a load's is measured by: a direct one within this of the bound will do."""
-RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
-"""The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
-share them. Between two of them, and below the first, their motions are slowed."""
-
-PLANS_KEPT = 256
 STROKES_KEPT = 64
-
-Found = TypeVar("Found", bound=JointTrajectory)
 
 
 class MotionPlanner:
@@ -86,15 +69,16 @@ class MotionPlanner:
         self._cell, self._limits_rad, self._arm = cell, arm.limits_rad, arm.decomposed
         self.rates = RateLimits(arm.rates.speed * cell.arm.speed_ratio, arm.rates.acceleration, arm.rates.jerk)
         hand_kg = None if cell.hand.mass_mg is None else cell.hand.mass_mg / 1e6
-        self._torques = Torques(arm.model, cell.arm.torque_ratio, hand_kg)
+        self._pace = Pace(self.rates, Torques(arm.model, cell.arm.torque_ratio, hand_kg))
         self.tool = arm.tool
         self._geometry = Geometry()
         self._scenes = Scenes(arm, cell, mortars or {})
         self._places = Places(self._scenes, cell.hand, arm.decomposed)
-        self._plans: Recent[Request, StoppableTrajectory | None] = Recent(PLANS_KEPT)
-        self._carries: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
+        self._answers = Answers(self._scenes, self._places, self._pace, self._mount_in, self._store)
         self._strokes: Recent[Hashable, StoppableTrajectory | SkillFailed] = Recent(STROKES_KEPT)
         self._reforms: Recent[Hashable, StoppableTrajectory] = Recent(STROKES_KEPT)
+        self.patience_s = FOR_EVER_S
+        """How long `move` searches, on the wall, for what is quicker than an answer it has; see `patience`."""
 
     # What the cell looks like now -------------------------------------------------------------------
 
@@ -167,7 +151,8 @@ class MotionPlanner:
 
     def held_at(self, place: str) -> Strain:
         """What the arm's hardest joint holds while it stands at a place. SkillFailed arm.no_path where it cannot."""
-        return self._torques.strain(self._torques.holding(self._posture(place)[None, :]))
+        torques = self._pace.torques
+        return torques.strain(torques.holding(self._posture(place)[None, :]))
 
     def prepare(
         self, pans: Iterable[tuple[ContainerKind, str]] = (), carries: Iterable[tuple[str, str, float]] = ()
@@ -206,151 +191,17 @@ class MotionPlanner:
     ) -> StoppableTrajectory:
         """A motion from rest at `start` to rest at a place, pose or configuration; `spill_limit_deg` for a load."""
         begin, goals, name = self._resolved(start, goal)
+        way = Way(begin, goals, name, self._geometry, effort, Patience(self.patience_s))
         if spill_limit_deg is None:
-            return self._found(self._kept(begin, goals, name, None, effort), begin, goals, name)
+            return self._answers.empty(way)
         if not spill_limit_deg > 0:
             raise ValueError(f"a spill limit is an angle above zero, not {spill_limit_deg!r} deg")
-        key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
-        return self._carries.of(
-            key, lambda: self._stoppable(self._carried(begin, goals, name, spill_limit_deg, effort))
-        )
-
-    def _found(self, motion: Found | None, begin: Floats, goals: Floats, name: str) -> Found:
-        if motion is None:
-            raise explain.no_way(self.scene(CLOSE_MARGIN_M), name, begin, goals)
-        return motion
-
-    def _carried(
-        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float, effort: Effort
-    ) -> JointTrajectory:
-        """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest.
-
-        Where planning takes the arm's time, not between places, none is quicker than the empty cone's, so that what is
-        as quick as that needs no search: one that is begins later by what it is quicker.
-        """
-        # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
-        # the last of them is within SURE of anything: so a looser limit is never slower by more.
-        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= max(spill_limit_deg, RUNGS_DEG[0])]
-        empty = self._emptied(begin, goals, name, effort)
-        least_s = self._least_s(begin, goals, empty)
-        sure_s = SURE * max(least_s, float(rest_to_rest_s(goals - begin, self.rates).min()))
-        best: JointTrajectory | None = None
-        searched = (self._kept(begin, goals, name, rung_deg, effort) for rung_deg in rungs_deg)
-        for planned in itertools.chain([empty], searched):
-            motion = self._timed(planned, spill_limit_deg)
-            if best is None or (motion is not None and motion.duration_s < best.duration_s):
-                best = motion
-            if best is not None and best.duration_s <= sure_s:
-                break
-        found = self._found(best, begin, goals, name)
-        return begun_later(found, least_s - found.duration_s).keeping(spill_limit_deg)
-
-    def _least_s(self, begin: Floats, goals: Floats, empty: JointTrajectory | None) -> float:
-        """What no load's motion takes less than: that of the empty cone where planning takes the arm's time, else 0."""
-        quickest = None if self._between_places(begin, goals) else self._quick(empty)
-        return 0.0 if quickest is None else quickest.duration_s
-
-    def _emptied(self, begin: Floats, goals: Floats, name: str, effort: Effort) -> StoppableTrajectory | None:
-        """The empty cone's motion that a load's is measured by: looked for longer than for its own sake."""
-        closer = replace(effort, near_optimum=min(effort.near_optimum, NEAR_OPTIMUM))
-        return self._kept(begin, goals, name, None, closer)
-
-    def _quick(self, motion: JointTrajectory | None) -> JointTrajectory | None:
-        """A motion as quick as joints and servos allow; None where the hand is too heavy for it."""
-        if motion is None:
-            return None
-        stretch = self.rates.stretch_for(motion)
-        quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
-        try:
-            return quick.stretched(self._torques.stretch(quick))
-        except TooHeavyError:
-            return None
-
-    def _timed(self, motion: JointTrajectory | None, spill_limit_deg: float) -> JointTrajectory | None:
-        """A motion as quick as joints, servos and a load on it allow; its path, and so its proof, is the same.
-
-        A looser limit never gets a slower one. None where the load would spill however slow, or the hand is too heavy.
-        """
-        quick = self._quick(motion)
-        if motion is None or quick is None:
-            return None
-        factor = spill_stretch(quick, self._mount, spill_limit_deg)
-        slowed = None if factor is None else quick.stretched(factor)
-        may_be_quicker = slowed is None or quick.duration_s <= motion.duration_s < slowed.duration_s
-        # As it was planned its acceleration may make up for a tilt, as no other speed's does.
-        if may_be_quicker and spill_stretch(motion, self._mount, spill_limit_deg) == 1.0:
-            slowed = motion
-        return None if slowed is None else slowed.keeping(spill_limit_deg)
-
-    def _kept(
-        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
-    ) -> StoppableTrajectory | None:
-        """The plan of a request, made once; None where no way is found. SkillFailed where an end of it is not free.
-
-        Between two configurations it is made in one direction only.
-        """
-        if self._between_places(begin, goals):
-            effort = POLISHED if spill_limit_deg is None else PREPARED
-        key = Request.of(begin, goals, self._geometry, spill_limit_deg, effort)
-
-        def made() -> StoppableTrajectory | None:
-            is_reversed = len(goals) == 1 and key.goals < key.begin
-            if is_reversed:
-                self._require_free_ends(begin, goals, name)
-                # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
-                there = self._kept(goals[0], begin[None, :], name, spill_limit_deg, effort)
-                return None if there is None else self._stoppable(there.reversed())
-            found = self._from_store(key)
-            if found is None:
-                found = self._planned(begin, goals, name, spill_limit_deg, effort)
-                if found is not None and self._store is not None and self._geometry.occupied is None:
-                    self._store.keep(key.written, found)
-            if found is None:
-                return None
-            return self._stoppable(self._borne(found) if spill_limit_deg is None else found)  # see `_timed`
-
-        return self._plans.of(key, made)
+        return self._answers.loaded(way, spill_limit_deg)
 
     def keep_plans(self) -> None:
         """Write what was planned to the folder of plans, if there is one."""
         if self._store is not None:
             self._store.write()
-
-    def _from_store(self, request: Request) -> JointTrajectory | None:
-        """The kept plan of a request, if it is all that a plan of it has to be."""
-        limit_deg = request.spill_limit_deg
-        motion = self._store.found(request.written, limit_deg) if self._store is not None else None
-        if motion is None or not is_whole(motion, self.rates, self._mount, limit_deg):
-            return None
-        if not request.has_ends_of(motion):
-            return None
-        scene = self.scene()
-        if scene.hits(np.stack([motion.start, motion.end])).any():
-            scene = self.scene(CLOSE_MARGIN_M)
-        return motion if scene.proves(motion) else None
-
-    def _planned(
-        self, begin: Floats, goals: Floats, name: str, spill_limit_deg: float | None, effort: Effort
-    ) -> JointTrajectory | None:
-        """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
-        known, attempts, enough_s = None, transfer.ATTEMPTS, 0.0
-        if self._geometry != (bare := self._geometry.usual) and self._between_places(begin, goals):
-            with self._as_if(bare):
-                over_bare_pan = self._kept(begin, goals, name, spill_limit_deg, effort)
-            if over_bare_pan is not None and self.scene().proves(over_bare_pan):
-                return over_bare_pan
-        if spill_limit_deg is not None:
-            empty = self._emptied(begin, goals, name, effort)
-            attempts = transfer.ATTEMPTS if self._timed(empty, spill_limit_deg) is None else 1
-            enough_s = self._least_s(begin, goals, empty)
-        if spill_limit_deg in RUNGS_DEG[1:]:
-            stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
-            known = self._timed(self._kept(begin, goals, name, stricter_deg, effort), spill_limit_deg)
-        return self._searched(begin, goals, name, spill_limit_deg, effort, known, attempts, enough_s)
-
-    def _between_places(self, begin: Floats, goals: Floats) -> bool:
-        ends = (begin, *goals[:2])
-        return len(goals) == 1 and all(self._places.is_posture(q, self._geometry) for q in ends)
 
     @contextmanager
     def _as_if(self, geometry: Geometry) -> Iterator[None]:
@@ -378,7 +229,7 @@ class MotionPlanner:
         if not waypoints:
             return self._stoppable(standing(begin))
         motion = contact_motion(begin, waypoints, speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        return self._stoppable(self._borne(motion))
+        return self._borne(motion)
 
     def descent(
         self, place: str, from_above_m: float, speed_m_per_s: float, spill_limit_deg: float | None = None
@@ -392,7 +243,7 @@ class MotionPlanner:
         above = ApexPose(below.position_m + from_above_m * below.axis, below.axis)
         scene = self.scene(CLOSE_MARGIN_M)
         up = contact_motion(posture, [above], speed_m_per_s, scene, self.rates, self._mount, spill_limit_deg)
-        return self._stoppable(self._borne(up.reversed()))
+        return self._borne(up.reversed())
 
     def way_out(self, start: Floats, spill_limit_deg: float | None = None) -> tuple[StoppableTrajectory, str]:
         """Slowly out of what the arm touches where it stands, and what that is; `move` goes on from its end.
@@ -437,7 +288,7 @@ class MotionPlanner:
             roller_rad,
             partial(self._scenes.of_stroke, last, station=None, margin_m=CLOSE_MARGIN_M),
         )
-        return self._stoppable(self._borne(both), rates)
+        return self._borne(both, rates)
 
     def stroke(self, near: Floats, poses: StrokePoses, rims_mm: Sequence[float], station: str) -> StoppableTrajectory:
         """A stroke of arm and roller in the mortar at a station, from the configuration nearest to `near` that has one.
@@ -451,8 +302,8 @@ class MotionPlanner:
             scene = self._scenes.of_stroke(self._geometry, rims_mm, station, CLOSE_MARGIN_M)
             mount, rates = self.mount(rims_mm[0]), with_roller(self.rates, hand)
             try:
-                motion = self._borne(stroke_motion(begin, poses, scene, rates, mount))
-                return StoppableTrajectory(motion, rates, mount, self._torques)
+                motion = self._pace.borne(stroke_motion(begin, poses, scene, rates, mount), mount)
+                return self._pace.stoppable(motion, mount, rates)
             except SkillFailed as failure:  # as expensive as a stroke that there is, and asked for as often
                 return failure
 
@@ -476,14 +327,17 @@ class MotionPlanner:
             three_mm = [rims_mm[0], sum(rims_mm) / 2, rims_mm[1]]
             scene = self._scenes.of_stroke(self._geometry, three_mm, None, CLOSE_MARGIN_M)
             motion = reform_motion(begin, end, rims_mm, scene, rates, hand, roller_rad, self._arm)
-            return self._stoppable(self._borne(motion), rates)
+            return self._borne(motion, rates)
 
         return self._reforms.of((begin.tobytes(), end.tobytes(), rims_mm, self._geometry), made)
 
     @property
     def _mount(self) -> Mount:
         """How the hand holds the cone of the present geometry."""
-        return self.mount(1e3 * self._geometry.cone_diameter_m)
+        return self._mount_in(self._geometry)
+
+    def _mount_in(self, geometry: Geometry) -> Mount:
+        return self.mount(1e3 * geometry.cone_diameter_m)
 
     @property
     def joints(self) -> int:
@@ -497,24 +351,10 @@ class MotionPlanner:
     # Within -----------------------------------------------------------------------------------------
 
     def _stoppable(self, motion: JointTrajectory, rates: RateLimits | None = None) -> StoppableTrajectory:
-        return StoppableTrajectory(motion, rates or self.rates, self._mount, self._torques)
+        return self._pace.stoppable(motion, self._mount, rates)
 
-    def _borne(self, motion: JointTrajectory) -> JointTrajectory:
-        """A motion as slow as the servos' torques ask; its path, and so its proof, is the same."""
-        try:
-            factor = self._torques.stretch(motion)
-        except TooHeavyError as error:
-            raise SkillFailed(Code.ARM_NO_PATH, f"the hand is too heavy for this way: {error}") from None
-        if factor == 1.0:
-            return motion
-        slower, limit_deg = motion.stretched(factor), motion.spill_limit_deg
-        if limit_deg is None:
-            return slower
-        # What acceleration made up for of a tilt, a slower motion does not.
-        again = spill_stretch(slower, self._mount, limit_deg)
-        if again is None:
-            raise SkillFailed(Code.ARM_NO_PATH, "a way as slow as the servos' torques ask for would spill the load")
-        return slower.stretched(again).keeping(limit_deg)
+    def _borne(self, motion: JointTrajectory, rates: RateLimits | None = None) -> StoppableTrajectory:
+        return self._stoppable(self._pace.borne(motion, self._mount), rates)
 
     def _resolved(self, start: Floats, goal: str | ApexPose | Floats) -> tuple[Floats, Floats, str]:
         """The start, the goal's configurations (n, 7), and what to call the goal."""
@@ -534,39 +374,3 @@ class MotionPlanner:
 
     def _posture(self, place: str) -> Floats:
         return self._places.posture(place, self._geometry)
-
-    def _searched(
-        self,
-        begin: Floats,
-        goals: Floats,
-        name: str,
-        spill_limit_deg: float | None,
-        effort: Effort,
-        known: JointTrajectory | None,
-        attempts: int,
-        enough_s: float,
-    ) -> JointTrajectory | None:
-        for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
-            scene = self.scene(margin_m)
-            start_free = not scene.hits(begin[None, :])[0]
-            ranked = transfer.Goals.ranked(goals, begin, self.rates, scene)
-            if start_free and len(ranked.free):
-                break
-        if not start_free:
-            raise explain.start_in_collision(scene, begin)
-        if not len(ranked.free):
-            raise explain.goal_blocked(scene, name, goals)
-        if np.abs(ranked.free[0] - begin).max() < 1e-9:
-            return standing(begin)
-        task = transfer.Task(begin, ranked, scene, self.rates, self._mount, spill_limit_deg)
-        seed = Request.of(begin, goals, self._geometry, spill_limit_deg, effort).seed
-        return transfer.plan(task, effort, seed, known, attempts, enough_s)
-
-    def _require_free_ends(self, begin: Floats, goals: Floats, name: str) -> None:
-        if not self.scene().hits(np.vstack([begin, goals])).any():
-            return
-        close = self.scene(CLOSE_MARGIN_M)
-        if close.hits(begin[None, :])[0]:
-            raise explain.start_in_collision(close, begin)
-        if close.hits(goals).all():
-            raise explain.goal_blocked(close, name, goals)

@@ -15,12 +15,14 @@ class Recent(Generic[Asked, Answer]):
         self._most = most
         self._answers: OrderedDict[Asked, Answer] = OrderedDict()
 
-    def of(self, asked: Asked, make: Callable[[], Answer]) -> Answer:
-        """The answer, made if it is not at hand."""
+    def of(self, asked: Asked, make: Callable[[], Answer], is_kept: Callable[[], bool] = lambda: True) -> Answer:
+        """The answer, made if it is not at hand; once it is made, `is_kept` tells whether it is to be."""
         if asked in self._answers:
             self._answers.move_to_end(asked)
             return self._answers[asked]
-        answer = self._answers[asked] = make()
+        answer = make()
+        if is_kept():
+            self._answers[asked] = answer
         if len(self._answers) > self._most:
             self._answers.popitem(last=False)
         return answer

@@ -7,6 +7,8 @@ pieces of the polyline by one edge wherever that is free and quicker from rest t
 Planning coordinates c shape (7,); polylines (m, 7). Budgets are iterations; randomness is the caller's.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from scuhand_bt.motion.free_space import Space
@@ -47,14 +49,23 @@ class _Tree:
         return branch
 
 
-def connect(space: Space, start: Floats, goals: Floats, rng: np.random.Generator, iterations: int) -> Floats | None:
-    """A free polyline (m, 7) from start (7,) to one of goals (n, 7), or None within the iterations."""
+def connect(
+    space: Space,
+    start: Floats,
+    goals: Floats,
+    rng: np.random.Generator,
+    iterations: int,
+    ends: Callable[[], bool] = lambda: False,
+) -> Floats | None:
+    """A free polyline (m, 7) from start (7,) to one of goals (n, 7), None in so many iterations or where it `ends`."""
     weights = space.scene.bound.reach_m
     if len(goals) > 128:
         raise ValueError("choose among the goals first: at most 128 root a tree")
     ours, theirs = _Tree(start[None, :], weights), _Tree(goals, weights)
     forward = True
     for _ in range(iterations):
+        if ends():
+            break
         target = space.coordinates.draw(rng)
         near = ours.nearest(target)
         origin = ours.node(near).copy()

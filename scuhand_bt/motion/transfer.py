@@ -8,13 +8,14 @@
 An empty cone is planned in the joints alone. For a load all of it is done in the joints, where tilting
 is allowed up to the spill limit, and, where nothing is known and that finds nothing, with via points instead of 2, in
 the level coordinates, where it does not happen. How long the search goes on is an `Effort`, counted in iterations;
-where all of it finds nothing it is begun again from other seeds, with twice the budget.
+where all of it finds nothing it is begun again from other seeds, with twice the budget. What is `AtHand` may end it
+sooner.
 
 Joints [rad] (7,), goals (n, 7), durations [s].
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from scuhand_bt.motion.coordinates import JointCoordinates, level_coordinates
 from scuhand_bt.motion.free_space import Space
 from scuhand_bt.motion.joint_schedules import ScheduleSearch
 from scuhand_bt.motion.kinematics import Floats, Mount
+from scuhand_bt.motion.patience import Patience
 from scuhand_bt.motion.proof import Prover
 from scuhand_bt.motion.rrt_connect import connect, shortened
 from scuhand_bt.motion.timelaw import RateLimits, rest_to_rest_s
@@ -139,33 +141,42 @@ class Task:
         return spaces
 
 
-def plan(
-    task: Task,
-    effort: Effort,
-    seed: int,
-    known: JointTrajectory | None = None,
-    attempts: int = ATTEMPTS,
-    enough_s: float = 0.0,
-) -> JointTrajectory | None:
-    """The quickest proven motion found within the effort, or None; the seed decides the search.
+@dataclass(frozen=True, slots=True)
+class AtHand:
+    """What is known before a search."""
 
-    `known` is a motion that keeps the task's limits: what comes is never slower. Where another will do if nothing is
-    found, one of the `attempts` is enough. What takes no more than `enough_s` is not improved on.
-    """
+    motion: JointTrajectory | None = None
+    """Keeps the task's limits: what comes is never slower."""
+    enough_s: float = 0.0
+    """What takes no more than this is not improved on."""
+    will_do: bool = False
+    """Whether another motion will, if nothing is found: the search is made once, and not begun again."""
+    patience: Patience = field(default_factory=Patience)
+
+    def ends(self, best: JointTrajectory | None) -> bool:
+        """Whether there is no more time for a search that has found this."""
+        return self.patience.ends(self.will_do or best is not None)
+
+
+def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> JointTrajectory | None:
+    """The quickest proven motion found within the effort, or None; the seed decides the search."""
+    known = known or AtHand()
     # What is known for a stricter limit is level mostly: where tilting is allowed, it is what may be quicker.
-    spaces = task.spaces() if known is None else task.spaces()[:1]
-    searches = [_Search(task, space, effort) for space in spaces]
+    spaces = task.spaces() if known.motion is None else task.spaces()[:1]
+    searches = [_Search(task, space, effort, known) for space in spaces]
     bound_s = float(task.bounds_s(task.goals.free[:1])[0])
-    near_s, good_s = (max(enough_s, share * bound_s) for share in (effort.near_optimum, effort.good_enough))
-    best = known
+    near_s, good_s = (max(known.enough_s, share * bound_s) for share in (effort.near_optimum, effort.good_enough))
+    best = known.motion
     # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
     for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
         upto_s = near_s if best is None else min(near_s, best.duration_s)
         best = _quickest([best, *(search.direct(goals, upto_s) for search in searches)])
         if best is not None and best.duration_s <= near_s:
             return best
+        if known.ends(best):
+            return best
     searches = [search for search in searches if len(search.ends)]
-    for attempt in range(attempts):
+    for attempt in range(1 if known.will_do else ATTEMPTS):
         rng = np.random.default_rng([seed, attempt] if attempt else seed)
         for search in searches:
             quicker = search.quicker_than(best, rng, good_s)
@@ -186,8 +197,8 @@ def _quickest(motions: Iterable[JointTrajectory | None]) -> JointTrajectory | No
 class _Search:
     """The ways to find a motion, in one space; goals are added in the order of their bounds."""
 
-    def __init__(self, task: Task, space: Space, effort: Effort) -> None:
-        self._task, self._space, self._effort = task, space, effort
+    def __init__(self, task: Task, space: Space, effort: Effort, known: AtHand) -> None:
+        self._task, self._space, self._effort, self._known = task, space, effort, known
         self._prover = Prover(space, task.rates, task.mount, task.spill_limit_deg)
         self._via_points = ViaPointSearch(self._prover)
         self._start = space.coordinates.of(task.start[None, :])[0]
@@ -220,7 +231,7 @@ class _Search:
         ends, bounds_s = self.ends[:_NEAREST], self._bounds_s[:_NEAREST]
         schedules = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s, coordinates.level)
         rounds = (_LOADED_ROUNDS if self._loaded else 1) * self._effort.schedule_rounds
-        return schedules.quickest(known, rng, rounds, good_s, self._effort.idle_rounds)
+        return schedules.quickest(known, rng, rounds, good_s, self._effort.idle_rounds, self._known.ends)
 
     def _by_detours(self, rng: np.random.Generator) -> JointTrajectory | None:
         """The best motion that begins with one via point."""
@@ -228,14 +239,16 @@ class _Search:
         for _ in range(self._effort.via_starts):
             begun: ViaTrajectory | None = None
             for _ in range(_DETOURS):
-                begun = begun or self._via_points.detour(self._start, self.ends[:_ROOTS], rng)
+                if begun is not None or self._known.ends(None):
+                    break
+                begun = self._via_points.detour(self._start, self.ends[:_ROOTS], rng)
             found.append(self._improved(begun, rng))
         return _quickest(found)
 
     def by_rrt_connect(self, rng: np.random.Generator, budget: int) -> JointTrajectory | None:
         """The motion along a free polyline, for ways that nothing else opens, in `budget` times the iterations."""
         iterations = budget * (_LOADED_ITERATIONS if self._loaded else _ITERATIONS)
-        path = connect(self._space, self._start, self.ends[:_ROOTS], rng, iterations)
+        path = connect(self._space, self._start, self.ends[:_ROOTS], rng, iterations, lambda: self._known.ends(None))
         if path is None:
             return None
         return self._improved(self._via_points.through_polyline(shortened(self._space, path, rng, _SHORTCUTS)), rng)
@@ -243,5 +256,6 @@ class _Search:
     def _improved(self, begun: ViaTrajectory | None, rng: np.random.Generator) -> JointTrajectory | None:
         if begun is None:
             return None
-        effort = self._effort
-        return self._via_points.improved(begun, self.ends[:_ROOTS], rng, effort.via_rounds, effort.idle_rounds).motion
+        effort, goals = self._effort, self.ends[:_ROOTS]
+        found = self._via_points.improved(begun, goals, rng, effort.via_rounds, effort.idle_rounds, self._known.ends)
+        return found.motion

@@ -83,12 +83,21 @@ class ViaPointSearch:
         return self._first_proven((points, self._passing_speeds(points, _DETOUR_SPEED)) for points in ways)
 
     def improved(
-        self, found: ViaTrajectory, goals: Floats, rng: np.random.Generator, rounds: int, idle_rounds: int
+        self,
+        found: ViaTrajectory,
+        goals: Floats,
+        rng: np.random.Generator,
+        rounds: int,
+        idle_rounds: int,
+        ends: Callable[[JointTrajectory | None], bool],
     ) -> ViaTrajectory:
-        """A quicker motion to any of the goals (n, 7), after at most `rounds` of proposals, so many of them idle."""
+        """A quicker motion to any of the goals (n, 7), after at most `rounds` of proposals, so many of them idle.
+
+        Sooner where `ends` says so, which is asked with the best so far.
+        """
         spread, idle = _FIRST_SPREAD, 0
         for _ in range(rounds):
-            if len(found.points) == 2 or idle >= idle_rounds:
+            if len(found.points) == 2 or idle >= idle_rounds or ends(found.motion):
                 break
             better = self._first_proven(self._proposals(found, goals, spread, rng), found.motion.duration_s)
             spread = max(0.6 * spread, 0.01) if better is None else min(1.5 * spread, 0.6)

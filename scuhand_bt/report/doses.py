@@ -12,7 +12,9 @@ from scuhand_bt.journal.results import DoseResult, SampleResult
 from scuhand_bt.quantity import format_mass
 
 if TYPE_CHECKING:
+    from scuhand_bt.recipe.plan import Plan
     from scuhand_bt.recipe.sample import Sample
+    from scuhand_bt.specs import Source
 
 HOLDS = "holds (sim.)"
 """What is in the container, which only a simulation can tell: of several powders all."""
@@ -101,6 +103,12 @@ def asked_cells(sample: "Sample") -> tuple[str, str]:
     tolerances = [ask.tolerance_mg for ask in sample.asks] or [sample.tolerance_mg]
     known = [f"{one:g}" for one in tolerances if one is not None]
     return masses, f"{' + '.join(known)} mg" if known else ""
+
+
+def amount_cell(plan: "Plan", source: "Source") -> str:
+    """What a source holds at the start, and what a person puts into its mortar on the way."""
+    amount, refills = format_mass(source.amount_mg), plan.refills[source.name]
+    return f"{amount} + {refills} × {format_mass(source.refill_mg or 0.0)}" if refills else amount
 
 
 def composed_lines(samples: "Iterable[Sample]") -> Iterator[str]:

@@ -12,9 +12,9 @@ from typing import Any
 from scuhand_bt.journal.reader import open_contents
 from scuhand_bt.lab import Lab
 from scuhand_bt.quantity import format_duration, format_mass
-from scuhand_bt.recipe.plan import CHANGE_POWDER, Plan
+from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.report import viewer
-from scuhand_bt.report.doses import asked_cells
+from scuhand_bt.report.doses import amount_cell, asked_cells
 from scuhand_bt.report.page import rendered
 from scuhand_bt.report.run_scene import run_motions, scene_of
 from scuhand_bt.run.batch import BatchObserver
@@ -23,9 +23,14 @@ from scuhand_bt.run.options import Options
 from scuhand_bt.run.session import Session
 from scuhand_bt.study.odds import COVERED, Odds, Range
 
+NEVER = "in no dry run"
 
-def preview_page(plan: Plan, lab: Lab, odds: Odds) -> str:
-    """The page. Raises as `Session` for a plan that no dry run can be made of."""
+
+def preview_page(plan: Plan, lab: Lab, odds: Odds, of_persons: Sequence[str] = ()) -> str:
+    """The page; `of_persons` is told beside when a person is needed.
+
+    Raises as `Session` for a plan that no dry run can be made of.
+    """
     motions = _motions(plan, lab)
     recipe, sources = plan.recipe, plan.recipe.sources.values()
     good = sum(chance.probability for chance in odds.samples.values())
@@ -45,6 +50,7 @@ def preview_page(plan: Plan, lab: Lab, odds: Odds) -> str:
         powders=list(_powders(plan, odds)),
         failures=[(code, f"{count:.2g}") for code, count in odds.codes.items()],
         persons=list(_persons(plan, odds)),
+        of_persons=of_persons,
         packed=viewer.packed(
             scene_of(lab, {one.station: one.mortar for one in sources}),
             motions,
@@ -71,12 +77,13 @@ def _range(found: Range, words: Callable[[float], str]) -> str:
 
 
 def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
+    needed = {person.job for person in plan.persons}
     for number, job in enumerate(plan.jobs, start=1):
         sample = job.sample
         mass, tolerance = asked_cells(sample) if sample is not None else ("", "")
         chance = odds.samples.get(sample.id) if sample is not None else None
         yield {
-            "is_swap": job.workflow == CHANGE_POWDER,
+            "is_visit": sample is None and job.name in needed,
             "cells": [
                 str(number),
                 job.name,
@@ -85,10 +92,14 @@ def _jobs(plan: Plan, odds: Odds) -> Iterator[dict[str, Any]]:
                 sample.container.name if sample is not None and sample.container is not None else "",
                 mass,
                 f"± {tolerance}" if tolerance else "",
-                _range(odds.began_s[job.name], format_duration),
+                _began(job.name, odds),
                 f"{chance.probability:.0%} ({chance.low:.0%} to {chance.high:.0%})" if chance is not None else "",
             ],
         }
+
+
+def _began(job: str, odds: Odds) -> str:
+    return _range(odds.began_s[job], format_duration) if job in odds.began_s else NEVER
 
 
 def _powder_columns(odds: Odds) -> list[str]:
@@ -108,7 +119,7 @@ def _powders(plan: Plan, odds: Odds) -> Iterator[list[str]]:
             format_mass(demand.needed_mg),
             _range(odds.used_mg[source.name], format_mass),
             *(_range(one, format_mass) for one in odds.leftovers_mg[source.name].values()),
-            format_mass(source.amount_mg),
+            amount_cell(plan, source),
         ]
 
 
@@ -119,4 +130,5 @@ def _persons(plan: Plan, odds: Odds) -> Iterator[list[str]]:
         if person.job is None:
             yield ["if a sample fails", "", person.what]
         else:
-            yield [f"after {_range(odds.began_s[person.job], format_duration)}", person.job, person.what]
+            began = _began(person.job, odds)
+            yield [began if began == NEVER else f"after {began}", person.job, person.what]

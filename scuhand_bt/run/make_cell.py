@@ -15,7 +15,7 @@ from scuhand_bt.devices.connect import Devices, connect_cell_devices
 from scuhand_bt.devices.interfaces import Changer, Operator
 from scuhand_bt.devices.liveness import Liveness
 from scuhand_bt.devices.roller import FILE_NAME as ROLLER_FILE
-from scuhand_bt.drivers import NAMED_KINDS, NotPluggable, is_ours
+from scuhand_bt.drivers import NAMED_KINDS, UNWIRED, NotPluggable, is_ours
 from scuhand_bt.journal.events import NotResumable
 from scuhand_bt.journal.writer import Journal
 from scuhand_bt.lab import Lab, cell_mark, without_driver
@@ -393,7 +393,7 @@ def _require_twins(lab: Lab) -> None:
     for name in cell.device_names:
         kind, driver = cell.kind_of(name), cell.section(name).driver
         try:
-            if not is_ours(kind, driver) or kind in NAMED_KINDS:
+            if (kind, driver) not in UNWIRED and (not is_ours(kind, driver) or kind in NAMED_KINDS):
                 twin_of(kind, driver)
                 if kind in ("arm", "hand"):
                     raise NotPluggable(

@@ -1,6 +1,7 @@
 """How a plan is to be run: as it was asked for, as the journal's first entry keeps it, and as a resumed run has it."""
 
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -127,6 +128,7 @@ def described(plan: Plan, lab: Lab, options: Options, cell: Cell, run_id: str, p
     )
 
 
+@cache
 def _version(name: str) -> str:
     try:
         return version(name)

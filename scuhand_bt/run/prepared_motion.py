@@ -5,6 +5,7 @@ import numpy as np
 from scuhand_bt.cell.places import Position, all_places
 from scuhand_bt.lab import Lab, state_folder
 from scuhand_bt.motion import ApexPose, MotionPlanner
+from scuhand_bt.motion.patience import LIVE_S
 from scuhand_bt.recipe.plan import Plan
 from scuhand_bt.run.ways import prepare_ways
 from scuhand_bt.specs import ContainerKind
@@ -22,6 +23,7 @@ def prepared_motion(plan: Plan, lab: Lab, *, for_real: bool = False) -> MotionPl
     motion = motion_of(plan, lab)
     if for_real:
         prepare_ways(motion, plan, lab.cell, container_kinds(plan))
+        motion.patience_s = LIVE_S  # from now on an arm waits
     else:
         motion.prepare()
     motion.keep_plans()

@@ -95,7 +95,7 @@ class TwinsProcess:
         """Until the end. Raises what has ended the world."""
         try:
             while not (self._stopped.has_fired or (self._of_run and self._ear.alone_s > ALONE_S)):
-                self._clock.wait([replace(self._stopped, until_s=self._clock.now_s + LOOK_S)])
+                self._clock.wait([self._stopped._replace(until_s=self._clock.now_s + LOOK_S)])
                 self.bench.check()
         except Exception as error:
             self._ear.say_to_all({"failed": f"{error}" or type(error).__name__})

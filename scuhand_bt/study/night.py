@@ -64,10 +64,14 @@ def fates(plan: Plan, odds: Odds, night: Night) -> Iterator[Fate]:
             waits = f"a person is needed before, at '{job.name}': {needed[job.name]}"
         if job.sample is None:
             continue
-        ended = odds.duration_s if following is None else odds.began_s.get(following)
-        done_s = ended.high if ended is not None and waits is None else None
-        late = done_s is None or done_s > night.lasts_s
-        yield Fate(job.name, done_s, waits or ("it may take longer" if late else None))
+        if following is None:
+            ended = odds.duration_s if job.name in odds.began_s else None
+        else:
+            ended = odds.began_s.get(following)
+        if waits is not None or ended is None:
+            yield Fate(job.name, None, waits or "every dry run has stopped before its end")
+        else:
+            yield Fate(job.name, ended.high, "it may take longer" if ended.high > night.lasts_s else None)
 
 
 def better_order(plan: Plan, lab: Lab, odds: Odds, night: Night) -> tuple[str, int] | None:

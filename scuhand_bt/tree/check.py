@@ -127,7 +127,8 @@ class _Checker:
                         self._problems.add(child.mark, what, f"{why}; use 'sequence'", code=code)
                     first.setdefault(name, number)
         for zone, number in entered.items():
-            if used.get("arm", number) != number and zone not in self._library.zones:
+            is_known = zone in self._library.zones or self._library.broken.of("zone", zone)
+            if used.get("arm", number) != number and not is_known:
                 self._problems.add(
                     node.children[number - 1].mark,
                     f"this moves in the zone '{zone}' beside the arm, and nothing keeps the arm out of it",

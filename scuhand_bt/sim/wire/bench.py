@@ -22,6 +22,7 @@ from scuhand_bt.cell_spec import DEVICES, MOUNTED_DIAMETER_MM, ArmOptions, CellS
 from scuhand_bt.clock import Clock
 from scuhand_bt.devices.interfaces import Joints, Reading
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.drivers import UNWIRED
 from scuhand_bt.motion.kinematics import LIMITS_RAD, Mount
 from scuhand_bt.sim.arm import SimulatedArm
 from scuhand_bt.sim.balance import SimulatedBalance
@@ -321,8 +322,8 @@ def at_twins(spec: CellSpec, url_of: Callable[[str], str]) -> CellSpec:
 
 
 def _with_twins(spec: CellSpec) -> list[str]:
-    """The devices of a cell that are devices: a changer may be a person's hands."""
-    return [name for name in spec.device_names if spec.section(name).driver != "operator"]
+    """The devices of a cell that are at a cable: a changer may be a person's hands."""
+    return [name for name in spec.device_names if (spec.kind_of(name), spec.section(name).driver) not in UNWIRED]
 
 
 class WireBench:

@@ -1,0 +1,238 @@
+"""What is asked for from rest to rest, answered once: an empty cone's motions, and loads'.
+
+Between two places, where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan,
+the motion over the bare pan is taken where it is proven free there too.
+
+A load is planned for by a ladder of limits, the strictest first, each beginning with what is known from the one before;
+of all their motions, and the empty cone's, each as quick as the load's own limit lets it be, the quickest is taken. So
+a load that may lean more is never slower, whatever was asked before.
+
+An answer is kept, in memory and on disk, unless patience has ended its search: that one depends on the machine.
+
+Joints in radians, shape (7,), goals (n, 7), limits of loads in degrees. SkillFailed arm.no_path and
+arm.start_in_collision.
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+
+from scuhand_bt.motion import explain, transfer
+from scuhand_bt.motion.kinematics import Floats, Mount
+from scuhand_bt.motion.pace import Pace
+from scuhand_bt.motion.patience import Patience
+from scuhand_bt.motion.places import Places
+from scuhand_bt.motion.plan_store import PlanStore
+from scuhand_bt.motion.proof import is_whole
+from scuhand_bt.motion.recent import Recent
+from scuhand_bt.motion.requests import Request
+from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, MARGIN_M, Geometry, Scenes
+from scuhand_bt.motion.stopping import StoppableTrajectory
+from scuhand_bt.motion.timelaw import rest_to_rest_s
+from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, standing
+from scuhand_bt.motion.transfer import POLISHED, PREPARED, AtHand, Effort
+
+SURE = 1.01
+"""A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
+for a stricter limit, is quicker by more."""
+NEAR_OPTIMUM = 1.15
+"""Of the empty cone's motion that a load's is measured by: a direct one within this of the bound will do."""
+RUNGS_DEG = (10.0, 20.0, 30.0, 45.0)
+"""The spill limits that loads are planned for, those up to a load's own, the first for any; loads that differ a little
+share them. Between two of them, and below the first, their motions are slowed."""
+PLANS_KEPT = 256
+
+Found = TypeVar("Found", bound=JointTrajectory)
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """What is asked for, but for a load: `name` is what its goal is called."""
+
+    begin: Floats
+    goals: Floats
+    name: str
+    geometry: Geometry
+    effort: Effort
+    patience: Patience = field(default_factory=Patience)
+
+    def request(self, spill_limit_deg: float | None) -> Request:
+        """What its answer is kept by."""
+        return Request.of(self.begin, self.goals, self.geometry, spill_limit_deg, self.effort)
+
+    @property
+    def back(self) -> "Way":
+        """The same between two configurations, from the goal to where it begins."""
+        return replace(self, begin=self.goals[0], goals=self.begin[None, :])
+
+
+class Answers:
+    """The answers of one cell. `mount_of` is how the hand holds a geometry's cone."""
+
+    def __init__(
+        self,
+        scenes: Scenes,
+        places: Places,
+        pace: Pace,
+        mount_of: Callable[[Geometry], Mount],
+        store: PlanStore | None,
+    ) -> None:
+        self._scenes, self._places, self._pace, self._mount_of, self._store = scenes, places, pace, mount_of, store
+        self._plans: Recent[Request, StoppableTrajectory | None] = Recent(PLANS_KEPT)
+        self._carries: Recent[Request, StoppableTrajectory] = Recent(PLANS_KEPT)
+
+    def empty(self, way: Way) -> StoppableTrajectory:
+        """An empty cone's motion."""
+        return self._found(self._kept(way, None), way)
+
+    def loaded(self, way: Way, spill_limit_deg: float) -> StoppableTrajectory:
+        """A load's."""
+
+        def made() -> StoppableTrajectory:
+            return self._pace.stoppable(self._carried(way, spill_limit_deg), self._mount_of(way.geometry))
+
+        return self._carries.of(way.request(spill_limit_deg), made, lambda: not way.patience.cut_short)
+
+    def _found(self, motion: Found | None, way: Way) -> Found:
+        if motion is None:
+            raise explain.no_way(self._scenes.of(way.geometry, CLOSE_MARGIN_M), way.name, way.begin, way.goals)
+        return motion
+
+    # Loads ------------------------------------------------------------------------------------------
+
+    def _carried(self, way: Way, spill_limit_deg: float) -> JointTrajectory:
+        """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest.
+
+        Where planning takes the arm's time, not between places, none is quicker than the empty cone's, so that what is
+        as quick as that needs no search: one that is begins later by what it is quicker.
+        """
+        # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
+        # the last of them is within SURE of anything: so a looser limit is never slower by more.
+        rungs_deg = [rung_deg for rung_deg in RUNGS_DEG if rung_deg <= max(spill_limit_deg, RUNGS_DEG[0])]
+        empty = self._emptied(way)
+        least_s = self._least_s(way, empty)
+        sure_s = SURE * max(least_s, float(rest_to_rest_s(way.goals - way.begin, self._pace.rates).min()))
+        best: JointTrajectory | None = None
+        searched = (self._kept(way, rung_deg) for rung_deg in rungs_deg)
+        for planned in itertools.chain([empty], searched):
+            motion = self._pace.timed(planned, self._mount_of(way.geometry), spill_limit_deg)
+            if best is None or (motion is not None and motion.duration_s < best.duration_s):
+                best = motion
+            if best is not None and best.duration_s <= sure_s:
+                break
+            if way.patience.ends(best is not None):
+                break
+        found = self._found(best, way)
+        return begun_later(found, least_s - found.duration_s).keeping(spill_limit_deg)
+
+    def _least_s(self, way: Way, empty: JointTrajectory | None) -> float:
+        """What no load's motion takes less than: that of the empty cone where planning takes the arm's time, else 0."""
+        quickest = None if self._between_places(way) else self._pace.quick(empty)
+        return 0.0 if quickest is None else quickest.duration_s
+
+    def _emptied(self, way: Way) -> StoppableTrajectory | None:
+        """The empty cone's motion that a load's is measured by: looked for longer than for its own sake."""
+        closer = replace(way.effort, near_optimum=min(way.effort.near_optimum, NEAR_OPTIMUM))
+        return self._kept(replace(way, effort=closer), None)
+
+    # Answers that are kept --------------------------------------------------------------------------
+
+    def _kept(self, way: Way, spill_limit_deg: float | None) -> StoppableTrajectory | None:
+        """The plan of a request, made once; None where no way is found. SkillFailed where an end of it is not free.
+
+        Between two configurations it is made in one direction only.
+        """
+        if self._between_places(way):
+            way = replace(way, effort=POLISHED if spill_limit_deg is None else PREPARED)
+        key, mount = way.request(spill_limit_deg), self._mount_of(way.geometry)
+
+        def made() -> StoppableTrajectory | None:
+            is_reversed = len(way.goals) == 1 and key.goals < key.begin
+            if is_reversed:
+                self._require_free_ends(way)
+                # Backwards, a motion keeps its path, its limits and its accelerations: it needs no new proof.
+                there = self._kept(way.back, spill_limit_deg)
+                return None if there is None else self._pace.stoppable(there.reversed(), mount)
+            found = self._from_store(key)
+            if found is None:
+                found = self._planned(way, spill_limit_deg)
+                if found is not None and self._store is not None and is_final() and way.geometry.occupied is None:
+                    self._store.keep(key.written, found)
+            if found is None:
+                return None
+            # A load's is made as slow as the servos ask for with its own limit.
+            return self._pace.stoppable(self._pace.borne(found, mount) if spill_limit_deg is None else found, mount)
+
+        def is_final() -> bool:
+            return not way.patience.cut_short
+
+        return self._plans.of(key, made, is_final)
+
+    def _from_store(self, request: Request) -> JointTrajectory | None:
+        """The kept plan of a request, if it is all that a plan of it has to be."""
+        limit_deg, geometry = request.spill_limit_deg, request.geometry
+        motion = self._store.found(request.written, limit_deg) if self._store is not None else None
+        if motion is None or not is_whole(motion, self._pace.rates, self._mount_of(geometry), limit_deg):
+            return None
+        if not request.has_ends_of(motion):
+            return None
+        scene = self._scenes.of(geometry)
+        if scene.hits(np.stack([motion.start, motion.end])).any():
+            scene = self._scenes.of(geometry, CLOSE_MARGIN_M)
+        return motion if scene.proves(motion) else None
+
+    def _planned(self, way: Way, spill_limit_deg: float | None) -> JointTrajectory | None:
+        """Planned anew, but for what was planned over the bare pan and is free of a container, or a zone, there too."""
+        if way.geometry != (bare := way.geometry.usual) and self._between_places(way):
+            over_bare_pan = self._kept(replace(way, geometry=bare), spill_limit_deg)
+            if over_bare_pan is not None and self._scenes.of(way.geometry).proves(over_bare_pan):
+                return over_bare_pan
+        return self._searched(way, spill_limit_deg, self._at_hand(way, spill_limit_deg))
+
+    def _at_hand(self, way: Way, spill_limit_deg: float | None) -> AtHand:
+        """What a search of a request need not find."""
+        if spill_limit_deg is None:
+            return AtHand(patience=way.patience)
+        known, mount, empty = None, self._mount_of(way.geometry), self._emptied(way)
+        if spill_limit_deg in RUNGS_DEG[1:]:
+            stricter_deg = RUNGS_DEG[RUNGS_DEG.index(spill_limit_deg) - 1]
+            known = self._pace.timed(self._kept(way, stricter_deg), mount, spill_limit_deg)
+        return AtHand(
+            known,
+            enough_s=self._least_s(way, empty),
+            will_do=self._pace.timed(empty, mount, spill_limit_deg) is not None,
+            patience=way.patience,
+        )
+
+    def _searched(self, way: Way, spill_limit_deg: float | None, known: AtHand) -> JointTrajectory | None:
+        for margin_m in (MARGIN_M, CLOSE_MARGIN_M):
+            scene = self._scenes.of(way.geometry, margin_m)
+            start_free = not scene.hits(way.begin[None, :])[0]
+            ranked = transfer.Goals.ranked(way.goals, way.begin, self._pace.rates, scene)
+            if start_free and len(ranked.free):
+                break
+        if not start_free:
+            raise explain.start_in_collision(scene, way.begin)
+        if not len(ranked.free):
+            raise explain.goal_blocked(scene, way.name, way.goals)
+        if np.abs(ranked.free[0] - way.begin).max() < 1e-9:
+            return standing(way.begin)
+        mount = self._mount_of(way.geometry)
+        task = transfer.Task(way.begin, ranked, scene, self._pace.rates, mount, spill_limit_deg)
+        return transfer.plan(task, way.effort, way.request(spill_limit_deg).seed, known)
+
+    def _require_free_ends(self, way: Way) -> None:
+        if not self._scenes.of(way.geometry).hits(np.vstack([way.begin, way.goals])).any():
+            return
+        close = self._scenes.of(way.geometry, CLOSE_MARGIN_M)
+        if close.hits(way.begin[None, :])[0]:
+            raise explain.start_in_collision(close, way.begin)
+        if close.hits(way.goals).all():
+            raise explain.goal_blocked(close, way.name, way.goals)
+
+    def _between_places(self, way: Way) -> bool:
+        ends = (way.begin, *way.goals[:2])
+        return len(way.goals) == 1 and all(self._places.is_posture(q, way.geometry) for q in ends)

@@ -1,0 +1,68 @@
+"""How quickly a proven path may be gone: as joints, servos and a load in the cone allow.
+
+Uniformly quicker or slower a motion keeps its path, and so its proof. Limits of loads in degrees.
+"""
+
+from scuhand_bt.failures import Code, SkillFailed
+from scuhand_bt.motion.kinematics import Mount
+from scuhand_bt.motion.spill import spill_stretch
+from scuhand_bt.motion.stopping import StoppableTrajectory
+from scuhand_bt.motion.timelaw import RateLimits
+from scuhand_bt.motion.torque import TooHeavyError, Torques
+from scuhand_bt.motion.trajectory import JointTrajectory
+
+
+class Pace:
+    """What one arm's joints and servos allow."""
+
+    def __init__(self, rates: RateLimits, torques: Torques) -> None:
+        self.rates = rates
+        self.torques = torques
+
+    def stoppable(self, motion: JointTrajectory, mount: Mount, rates: RateLimits | None = None) -> StoppableTrajectory:
+        """A motion with what its stops must keep; `rates` are those of more axes than the joints."""
+        return StoppableTrajectory(motion, rates or self.rates, mount, self.torques)
+
+    def borne(self, motion: JointTrajectory, mount: Mount) -> JointTrajectory:
+        """A motion as slow as the servos' torques ask. SkillFailed arm.no_path where that cannot be, or would spill."""
+        try:
+            factor = self.torques.stretch(motion)
+        except TooHeavyError as error:
+            raise SkillFailed(Code.ARM_NO_PATH, f"the hand is too heavy for this way: {error}") from None
+        if factor == 1.0:
+            return motion
+        slower, limit_deg = motion.stretched(factor), motion.spill_limit_deg
+        if limit_deg is None:
+            return slower
+        # What acceleration made up for of a tilt, a slower motion does not.
+        again = spill_stretch(slower, mount, limit_deg)
+        if again is None:
+            raise SkillFailed(Code.ARM_NO_PATH, "a way as slow as the servos' torques ask for would spill the load")
+        return slower.stretched(again).keeping(limit_deg)
+
+    def quick(self, motion: JointTrajectory | None) -> JointTrajectory | None:
+        """A motion as quick as joints and servos allow; None for none, and where the hand is too heavy for it."""
+        if motion is None:
+            return None
+        stretch = self.rates.stretch_for(motion)
+        quick = motion.stretched(stretch) if stretch > 0.0 else motion  # or the arm is there already
+        try:
+            return quick.stretched(self.torques.stretch(quick))
+        except TooHeavyError:
+            return None
+
+    def timed(self, motion: JointTrajectory | None, mount: Mount, spill_limit_deg: float) -> JointTrajectory | None:
+        """A motion as quick as joints, servos and a load on it allow.
+
+        A looser limit never gets a slower one. None where the load would spill however slow, or the hand is too heavy.
+        """
+        quick = self.quick(motion)
+        if motion is None or quick is None:
+            return None
+        factor = spill_stretch(quick, mount, spill_limit_deg)
+        slowed = None if factor is None else quick.stretched(factor)
+        may_be_quicker = slowed is None or quick.duration_s <= motion.duration_s < slowed.duration_s
+        # As it was planned its acceleration may make up for a tilt, as no other speed's does.
+        if may_be_quicker and spill_stretch(motion, mount, spill_limit_deg) == 1.0:
+            slowed = motion
+        return None if slowed is None else slowed.keeping(spill_limit_deg)
