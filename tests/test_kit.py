@@ -31,6 +31,12 @@ def test_the_shipped_tests_pass_and_come_to_every_skill_of_their_workflows(comma
     assert "5 tests, 0 failed." in ended.stdout
 
 
+@pytest.mark.slow
+def test_the_starter_lab_passes_its_own_tests(command: Call) -> None:
+    ended = command("test", REPOSITORY / "trees")
+    assert ended.returncode == 0, ended.stdout
+
+
 @pytest.mark.parametrize(
     ("case", "said"),
     [
