@@ -226,7 +226,9 @@ def _pushed_mg(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
 
 
 def _found(stroke: Stroke, bed: Bed, sheet_radius_mm: float) -> float:
-    """The share of what lies beside that a stroke is expected to come upon."""
+    """The share of what lies beside that a stroke is expected to come upon: one that presses on the wall scrapes it."""
+    if stroke.gap_mm < 0.0:
+        return 1.0
     return max(FOUND_BESIDE, 1.0 - bed.powder.repose_deg / _attack_deg(stroke, bed.mortar, sheet_radius_mm))
 
 
