@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 
@@ -79,6 +80,8 @@ def main() -> None:
     parser.add_argument("--dask", action="store_true", help="also by a Dask cluster (extra `dask`)")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    if options.dask and find_spec("distributed") is None:
+        parser.error("there is no Dask here: pip install '.[dask]'")
     trials = options.doses // 8
     figures = {"load_average_before": os.getloadavg()[0]}
     figures |= by_processes(1, max(2, trials // 2))
