@@ -17,7 +17,8 @@ class ConeHolds(Condition):
     wanted_mg: Milligrams = 0.0
     """What is to be dosed of it, without the last of its load; a dose that needs several loads begins with this one.
 
-    Doses that are large enough use a load to its end, which tells what its source's scoops bring.
+    Of a source whose scoops are not known, or bring other than they should, doses that are large enough use a load to
+    its end, which tells what they bring.
     """
 
     def check(self, cell: Cell) -> None:
