@@ -68,8 +68,10 @@ samples: [{id: a, mass: 300 mg}]
 MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate_mortar", "8 g"))
 """Batches take turns with them."""
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = {"agate_mortar": 10.0, "small_agate_mortar": 17.0}
-"""A run is killed within so much of a scoop's motion, which is about what one scoop from a mortar takes."""
+SCOOPING_S = {"agate_mortar": 5.2, "small_agate_mortar": 7.4}
+"""So long arm or roller is seen to move in a scoop of a mortar: a run is killed within it, and so never gets through."""
+WAY_OUT_S = 2.3
+"""And so long, at least, before a scoop after a kill: out of the mortar, and open."""
 LOOK_S = 0.005
 MOVED = 1e-3
 """From tick to tick: a joint [rad], or the rim [mm], that has moved."""
@@ -314,7 +316,8 @@ def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
     (most_s,) = (SCOOPING_S[source.mortar.name] for source in plan.recipe.sources.values())
     try:
         while tries and not any(read_history(path).is_complete for path in journals(runs)):
-            after_s = rng.uniform(0.0, most_s) if tally.kills < kills else math.inf
+            until_s = most_s + WAY_OUT_S if tally.kills else most_s
+            after_s = rng.uniform(0.0, until_s) if tally.kills < kills else math.inf
             code = _child(folder, plan, lab, motion, after_s)
             if code is None:
                 tally.kills += 1
