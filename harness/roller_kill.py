@@ -28,6 +28,8 @@ from py_trees.common import Status
 from harness.kill import BROKEN, journals
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
@@ -69,9 +71,7 @@ MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate
 """Batches take turns with them."""
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
 SCOOPING_S = {"agate_mortar": 5.2, "small_agate_mortar": 7.4}
-"""So long arm or roller is seen to move in a scoop of a mortar: a run is killed within it, and so never gets through."""
-WAY_OUT_S = 2.3
-"""And so long, at least, before a scoop after a kill: out of the mortar, and open."""
+"""So long arm or roller are seen to move in a scoop: a run is killed within it, and so does not get through."""
 LOOK_S = 0.005
 MOVED = 1e-3
 """From tick to tick: a joint [rad], or the rim [mm], that has moved."""
@@ -279,7 +279,10 @@ def run_over(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, observer
     begun, found = next(journals(runs), None), None
     if begun is not None:
         found = resumable(begun, checked_history(begun), plan, lab, accept_changes=False)
-    session = Session(plan, lab, Options(None, folder=runs), motion, resumes=found)
+    try:
+        session = Session(plan, lab, Options(None, folder=runs), motion, resumes=found)
+    except SkillFailed:  # no device answers, on a computer that is busy: `run` says so, and ends
+        return ExitCode.CELL_FAULT
     if isinstance(observer, OfSession):
         observer.session = session
     try:
@@ -316,8 +319,7 @@ def kill_while_scooping(folder: Path, kills: int, seed: int) -> Tally:
     (most_s,) = (SCOOPING_S[source.mortar.name] for source in plan.recipe.sources.values())
     try:
         while tries and not any(read_history(path).is_complete for path in journals(runs)):
-            until_s = most_s + WAY_OUT_S if tally.kills else most_s
-            after_s = rng.uniform(0.0, until_s) if tally.kills < kills else math.inf
+            after_s = rng.uniform(0.0, most_s) if tally.kills < kills else math.inf
             code = _child(folder, plan, lab, motion, after_s)
             if code is None:
                 tally.kills += 1
