@@ -143,7 +143,7 @@ def _check_odds(recipe: Recipe, problems: Problems) -> None:
 
 
 def _check_telling(recipe: Recipe, lab: Lab, problems: Problems) -> None:
-    """Warn of tolerances that the balance tells, and of which its guard band leaves too little; of those alike, once."""
+    """Warn of tolerances that the balance's guard band leaves too little of; of those alike, once."""
     balance, told = lab.cell.balance, set[float]()
     for sample in recipe.samples:
         tolerance_mg = sample.least_tolerance_mg
