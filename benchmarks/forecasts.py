@@ -28,7 +28,7 @@ from scuhand_bt.study.trial import Setup
 PLANT = "harness.random_plants:RandomPlant"
 TRIALS = 8
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
-FAMILIES = {"beads": ("glass_beads", 20), "msg": ("monosodium_glutamate", 20), "lumps": ("titanium_dioxide", 20)}
+FAMILIES = {"beads": ("glass_beads", 12), "msg": ("monosodium_glutamate", 12), "lumps": ("titanium_dioxide", 12)}
 """Powder, and so many recipes."""
 RESULTS = Path(__file__).with_name("forecasts_results.json")
 HEAD = """recipe: foretold
