@@ -38,8 +38,6 @@ OF_ROOTS = ("no-container", "no-tare", "not-over-pan", "no-park", "on-failure-ne
 PLANNED = "planned.json"
 """In the lab's state: cells whose ways were all found, by their hash."""
 MOST_PLANNED = 50
-ROUNDING = 1e-9
-"""Of a mass, by the units that it was written in."""
 LONG_HELD_SHARE = 0.5
 """Of a servo's stall torque, what it may hold for the minutes of a dose; the shipped cell asks for 37 % at most."""
 
@@ -152,9 +150,9 @@ def _check_telling(recipe: Recipe, lab: Lab, problems: Problems) -> None:
         if tolerance_mg is None or tolerance_mg in told or not sample.flow.pours:
             continue
         told.add(tolerance_mg)
-        if tolerance_mg < balance.confirmed_tolerance_mg * (1.0 - ROUNDING):
+        if tolerance_mg < balance.confirmed_tolerance_mg:
             digits = f"digits of {balance.readability_mg:g} mg"
-            what = f"of doses within ± {tolerance_mg:g} mg many will be flagged though they are right: {digits}"
+            what = f"of doses within ± {tolerance_mg:g} mg some or many are flagged though they are right: {digits}"
             remedy = f"ask for {balance.confirmed_tolerance_mg:g} mg or more, or take a balance of finer digits"
             problems.warn(_tolerance_mark(recipe, sample), what, remedy, code="hardly-told")
 
