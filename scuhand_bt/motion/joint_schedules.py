@@ -34,10 +34,9 @@ from scuhand_bt.motion.trajectory import JointTrajectory, of_jerk_steps
 
 _PROPOSALS = 160
 _LOOKS = tuple(
-    (tuple((2 * k + 1) / 2 ** (level + 1) for k in range(2**level)), kept)
-    for level, kept in enumerate((80, 40, 16, 6))
+    (tuple((2 * k + 1) / 2 ** (level + 1) for k in range(2**level)), kept) for level, kept in enumerate((80, 40, 16, 6))
 )
-"""When schedules have a first look, as shares of their durations, ever finer, and how many are kept from look to look."""
+"""When schedules have a first look, as shares of their durations, ever finer, and how many are kept of each."""
 _LAST_LOOK = np.array([(2 * k + 1) / 32 for k in (7, 8, 5, 10, 3, 12, 6, 9, 4, 11, 1, 14, 2, 13, 0, 15)])
 """And when each of those that are left is looked at against everything, its middle first."""
 _MOST_PROVEN = 3
@@ -142,17 +141,21 @@ class ScheduleSearch:
         known: JointTrajectory | None,
         rng: np.random.Generator,
         rounds: int,
-        good_s: float,
+        wanted_s: tuple[float, float],
         idle_rounds: int,
         ends: Callable[[JointTrajectory | None], bool],
     ) -> JointTrajectory | None:
-        """The quickest proven schedule found in so many rounds, or what is known already; enough if `good_s`.
+        """The quickest proven schedule found in so many rounds, or what is known already.
+
+        Of durations `wanted_s` none is drawn that is quicker than the first, and none improved on that is within the
+        second.
 
         Once there is one, so many `idle_rounds` in a row that find none quicker end the search, as `ends` does, which
         is asked with the best so far.
         """
         best, parent, idle = known, None, 0
-        least_s = float(self._bounds_s[0])
+        wanted_least_s, good_s = wanted_s
+        least_s = max(float(self._bounds_s[0]), wanted_least_s)
         for k in range(rounds):
             if best is not None and (best.duration_s <= good_s or idle >= idle_rounds):
                 break
@@ -160,8 +163,8 @@ class ScheduleSearch:
                 break
             most_s = (_FIRST_UPTO + k / 2) * least_s if best is None else _QUICKER * best.duration_s
             some = self._fresh(_PROPOSALS, least_s, most_s, rng)
-            if parent is not None and self._bound_s(parent) <= most_s:
-                some = self._near(parent, some, most_s, rng)
+            if parent is not None and (bound_s := max(self._bound_s(parent), wanted_least_s)) <= most_s:
+                some = self._near(parent, some, (bound_s, most_s), rng)
             found = self._first_proven(some, best)
             idle += 1
             if found is not None:
@@ -203,12 +206,15 @@ class ScheduleSearch:
         all_turns[:count][has_time], all_shares[:count][has_time] = turns[has_time], shares[has_time]
         return Schedules(some.goals, some.durations_s, all_turns, all_shares)
 
-    def _near(self, parent: Schedules, fresh: Schedules, most_s: float, rng: np.random.Generator) -> Schedules:
-        """Part of the fresh ones replaced by changes of the parent."""
+    def _near(
+        self, parent: Schedules, fresh: Schedules, span_s: tuple[float, float], rng: np.random.Generator
+    ) -> Schedules:
+        """Part of the fresh ones replaced by changes of the parent, of durations within a span."""
+        least_s, most_s = span_s
         count = int(_NEAR_PART * len(fresh))
         size = rng.uniform(0.05, 0.6, (count, 1))
         goals = np.repeat(parent.goals, count, axis=0)
-        durations_s = most_s - (most_s - self._bound_s(parent)) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
+        durations_s = most_s - (most_s - least_s) * rng.uniform(size=count) ** 2 * _NEAR_SPAN
         turns = np.broadcast_to(parent.turns, goals.shape)
         turns = np.where(turns != goals, turns + size * 0.5 * rng.normal(size=goals.shape), turns)
         back = rng.uniform(size=goals.shape) < 0.1

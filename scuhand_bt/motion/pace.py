@@ -12,7 +12,6 @@ from scuhand_bt.motion.timelaw import RateLimits
 from scuhand_bt.motion.torque import TooHeavyError, Torques
 from scuhand_bt.motion.trajectory import JointTrajectory
 
-
 _KEPT = 16
 """A ladder of limits asks of the same few motions again and again how quick they may be."""
 

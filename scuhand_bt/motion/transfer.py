@@ -147,10 +147,14 @@ class AtHand:
 
     motion: JointTrajectory | None = None
     """Keeps the task's limits: what comes is never slower."""
+    least_s: float = 0.0
+    """What takes less than this is of no use."""
     enough_s: float = 0.0
     """What takes no more than this is not improved on."""
     will_do: bool = False
     """Whether another motion will, if nothing is found: the search is made once, and not begun again."""
+    is_quick: bool = False
+    """Whether only direct motions and schedules of the joints are looked for, once."""
     patience: Patience = field(default_factory=Patience)
 
     def ends(self, best: JointTrajectory | None) -> bool:
@@ -162,10 +166,12 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
     """The quickest proven motion found within the effort, or None; the seed decides the search."""
     known = known or AtHand()
     # What is known for a stricter limit is level mostly: where tilting is allowed, it is what may be quicker.
-    spaces = task.spaces() if known.motion is None else task.spaces()[:1]
+    spaces = task.spaces() if known.motion is None and not known.is_quick else task.spaces()[:1]
     searches = [_Search(task, space, effort, known) for space in spaces]
     bound_s = float(task.bounds_s(task.goals.free[:1])[0])
     near_s, good_s = (max(known.enough_s, share * bound_s) for share in (effort.near_optimum, effort.good_enough))
+    if known.is_quick and known.enough_s:
+        near_s = good_s = known.enough_s
     best = known.motion
     # A load's motion is so much longer than the bound that a far goal may be as good as a near one.
     for goals in task.free_goals(near_s if task.spill_limit_deg is None else np.inf):
@@ -182,6 +188,8 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
             quicker = search.quicker_than(best, rng, good_s)
             if quicker is not best:
                 return quicker
+        if known.is_quick:
+            break
         if best is None:
             ways = (search.by_rrt_connect(rng, min(2, 1 + attempt)) for search in reversed(searches))
             best = next((way for way in ways if way is not None), None)
@@ -231,7 +239,8 @@ class _Search:
         ends, bounds_s = self.ends[:_NEAREST], self._bounds_s[:_NEAREST]
         schedules = ScheduleSearch(self._prover, self._task.rates, self._start, ends, bounds_s, coordinates.level)
         rounds = (_LOADED_ROUNDS if self._loaded else 1) * self._effort.schedule_rounds
-        return schedules.quickest(known, rng, rounds, good_s, self._effort.idle_rounds, self._known.ends)
+        least_s, idle_rounds = self._known.least_s, self._effort.idle_rounds
+        return schedules.quickest(known, rng, rounds, (least_s, good_s), idle_rounds, self._known.ends)
 
     def _by_detours(self, rng: np.random.Generator) -> JointTrajectory | None:
         """The best motion that begins with one via point."""
