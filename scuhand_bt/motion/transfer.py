@@ -41,7 +41,7 @@ ATTEMPTS = 3
 _LOADED_DIRECTS = 4
 """Of the goals that are looked at together, to so many a direct motion is proven: a load's costs as much as an edge."""
 _SHORTCUTS = 20
-_DETOURS = 20
+_DETOURS = 12
 """Batches of random via points that are looked at before a start is given up."""
 _STRIDE = 4
 """Neighbours on the elbow's circle are much alike: of the goal's configurations every fourth is looked at first."""
