@@ -32,7 +32,7 @@ from scuhand_bt.motion.scenes import CLOSE_MARGIN_M, MARGIN_M, Geometry, Scenes
 from scuhand_bt.motion.stopping import StoppableTrajectory
 from scuhand_bt.motion.timelaw import rest_to_rest_s
 from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, standing
-from scuhand_bt.motion.transfer import POLISHED, PREPARED, AtHand, Effort
+from scuhand_bt.motion.transfer import ATTEMPTS, POLISHED, PREPARED, AtHand, Effort
 
 SURE = 1.01
 """A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
@@ -200,7 +200,7 @@ class Answers:
         floor_s, will_do = self._floor_s(way, empty, rung_deg), self._pace.timed(empty, mount, rung_deg) is not None
         at_hand = AtHand(least_s=floor_s, enough_s=SURE * floor_s, will_do=will_do, patience=way.patience)
         if rung_deg == STRICTEST_DEG:
-            return self._searched(way, rung_deg, at_hand)
+            return self._searched(way, rung_deg, replace(at_hand, attempts=2 * ATTEMPTS))
         is_live = not self._between_places(way)
         if is_live and (quick := self._searched(way, rung_deg, replace(at_hand, is_quick=True))) is not None:
             return quick

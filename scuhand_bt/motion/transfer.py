@@ -153,6 +153,8 @@ class AtHand:
     """What takes no more than this is not improved on."""
     will_do: bool = False
     """Whether another motion will, if nothing is found: the search is made once, and not begun again."""
+    attempts: int = ATTEMPTS
+    """How often it is made otherwise."""
     is_quick: bool = False
     """Whether only direct motions and schedules of the joints are looked for, once."""
     patience: Patience = field(default_factory=Patience)
@@ -182,7 +184,7 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
         if known.ends(best):
             return best
     searches = [search for search in searches if len(search.ends)]
-    for attempt in range(1 if known.will_do else ATTEMPTS):
+    for attempt in range(1 if known.will_do else known.attempts):
         rng = np.random.default_rng([seed, attempt] if attempt else seed)
         for search in searches:
             quicker = search.quicker_than(best, rng, good_s)
