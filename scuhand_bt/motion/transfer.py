@@ -184,14 +184,15 @@ def plan(task: Task, effort: Effort, seed: int, known: AtHand | None = None) -> 
         if known.ends(best):
             return best
     searches = [search for search in searches if len(search.ends)]
+    if known.is_quick:
+        # Not begun from a direct motion, which may be so slow that improving on it stands still.
+        return _quickest([best, *(one.quicker_than(None, np.random.default_rng(seed), good_s) for one in searches)])
     for attempt in range(1 if known.will_do else known.attempts):
         rng = np.random.default_rng([seed, attempt] if attempt else seed)
         for search in searches:
             quicker = search.quicker_than(best, rng, good_s)
             if quicker is not best:
                 return quicker
-        if known.is_quick:
-            break
         if best is None:
             ways = (search.by_rrt_connect(rng, min(2, 1 + attempt)) for search in reversed(searches))
             best = next((way for way in ways if way is not None), None)
