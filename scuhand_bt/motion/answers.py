@@ -3,9 +3,10 @@
 Between two places, where the arm goes again and again, an empty cone's motion is polished; whatever stands on the pan,
 the motion over the bare pan is taken where it is proven free there too.
 
-A load is planned for by a ladder of limits, the strictest first, each beginning with what is known from the one before;
-of all their motions, and the empty cone's, each as quick as the load's own limit lets it be, the quickest is taken. So
-a load that may lean more is never slower, whatever was asked before.
+A load is planned for by a ladder of limits; of all their motions, and the empty cone's, each as quick as the load's own
+limit lets it be, the quickest is taken. So a load that may lean more is never slower, whatever was asked before.
+Between places the strictest limit comes first, and each begins with what is known from the one before; on the way the
+loosest, each from scratch, as what it finds is mostly as quick as the stricter ones are allowed to be.
 
 An answer is kept, in memory and on disk, unless patience has ended its search: that one depends on the machine.
 
@@ -35,8 +36,7 @@ from scuhand_bt.motion.trajectory import JointTrajectory, begun_later, standing
 from scuhand_bt.motion.transfer import ATTEMPTS, POLISHED, PREPARED, AtHand, Effort
 
 SURE = 1.01
-"""A motion that takes no more than this over the joints' own bound is not improved on for a load: no other, and so none
-for a stricter limit, is quicker by more."""
+"""A load's motion that takes no more than this over the least that any other may take is not improved on."""
 NEAR_OPTIMUM = 1.15
 """Of the empty cone's motion that a load's is measured by: a direct one within this of the bound will do."""
 RUNGS = {10.0: 1.10, 20.0: 1.07, 30.0: 1.04, 45.0: 1.02}
@@ -107,11 +107,12 @@ class Answers:
     def _carried(self, way: Way, spill_limit_deg: float) -> JointTrajectory:
         """Of the empty cone's motion and those for all limits as strict, each as slow as it must be, the quickest.
 
-        Where planning takes the arm's time, not between places, none is quicker than the empty cone's, so that what is
-        as quick as that needs no search: one that is begins later by what it is quicker.
+        Where planning takes the arm's time, not between places, no rung's motion is quicker than its floor: one that
+        is begins later by what it is quicker.
         """
         # A stricter limit's motions are all among these, each as slow there or slower; and what ends the search before
-        # the last of them is within SURE of anything: so a looser limit is never slower by more.
+        # the last of them is within SURE of the floors of the rest, which grow with strictness: so a looser limit is
+        # never slower by more.
         rungs_deg = [rung_deg for rung_deg in RUNGS if rung_deg <= max(spill_limit_deg, STRICTEST_DEG)]
         if not self._between_places(way):
             rungs_deg.reverse()
