@@ -73,6 +73,8 @@ class Model(NamedTuple):
 
 def powers(phi: Array | float, slope: Array | float) -> Array:
     """(..., 6) of phi and its slope (...), or of their integrals: what means and variances are linear in."""
+    if isinstance(phi, float) and isinstance(slope, float):
+        return np.array((1.0, phi, slope, phi * phi, phi * slope, slope * slope))
     one = np.ones_like(np.asarray(phi, float))
     return np.stack((one, phi, slope, np.square(phi), np.multiply(phi, slope), np.square(slope)), axis=-1)
 
