@@ -179,7 +179,8 @@ class Bank:
         now, ends_s = np.array(passed[-1]), np.array([passed[at] for at in seen])
         begins_s = np.array([passed[max(at - 1, 0)] for at in seen])
         self._unseen = (now - ends_s).T[:, step.of_lag]
-        return (ends_s - begins_s).T[:, step.of_lag]
+        late: Array = (ends_s - begins_s).T[:, step.of_lag]
+        return late
 
     def update(self, row: Row, reference: float) -> float:
         """Take in a reading; `reference` is k where nothing is in the powder's way.
@@ -216,8 +217,8 @@ class Bank:
         if before is None and late is None:
             unexplained += noise
         else:
-            faster = self._phi if before is None else -before if self._phi is None else self._phi - before
-            changed = (UNSTEADY_S * k * faster) ** 2
+            now, then = (0.0 if phi is None else phi for phi in (self._phi, before))
+            changed = (UNSTEADY_S * k * (now - then)) ** 2
             unexplained = (noise + changed) + unexplained
             common = shown + changed
         variance = shown + unexplained

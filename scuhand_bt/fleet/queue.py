@@ -1,9 +1,9 @@
 """The queue: procrastinate's jobs in a PostgreSQL database, and beside them what each station says of itself.
 
-One job is one run. Its queue is its station's name, and so is its lock from the moment on that it is taken, so that a
-station has one job at a time, and none after one that died there until that is settled. A job that waits has no lock:
-else procrastinate looks through all that wait for the same one before it gives out the first. A job is never tried again
-by itself. Times of the database only.
+One job is one run. Its queue is its station's name, and so is its lock once it is taken: a station has one job at a
+time, and none after one that died there until that is settled. A job that waits has no lock: else procrastinate looks
+through all that wait for the same one before it gives out the first. A job is never tried again by itself. Times of the
+database only.
 """
 
 import logging

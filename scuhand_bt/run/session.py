@@ -85,9 +85,7 @@ class Session:
             path = resumes.path
         self.run_id = path.stem
         is_kept, simulation = options.is_kept, options.simulation
-        self._records = LabRecords(
-            path.parent.parent, lab, self.run_id, plan.recipe.name, simulation, is_kept=is_kept
-        )
+        self._records = LabRecords(path.parent.parent, lab, self.run_id, plan.recipe.name, simulation, is_kept=is_kept)
         self.notices = self._records.notices
         self._person = options.person or Person(user_name())
         self.control.at_terminal = Who(self._person.name)

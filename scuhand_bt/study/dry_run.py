@@ -5,7 +5,7 @@ kept: the lab, the plan, its motions.
 """
 
 import tempfile
-from collections import Counter
+from collections import Counter, defaultdict
 from functools import lru_cache
 from pathlib import Path
 
@@ -45,11 +45,11 @@ def dry_run(setup: Setup, seed: int) -> Trial:
         finally:
             session.close()
     vessels = {station.name for station in lab.cell.vessels}
-    became_mg: dict[str, Counter[str]] = {name: Counter() for name in plan.recipe.sources}
+    became_mg = {name: defaultdict[str, float](float) for name in plan.recipe.sources}
     for event in moved.left:
         if event.source in became_mg:
-            is_to_vessel = isinstance(event, Discarded) and event.to in vessels
-            became = into(event.to) if is_to_vessel else event.KIND
+            to = event.to if isinstance(event, Discarded) else None
+            became = into(to) if to is not None and to in vessels else event.KIND
             became_mg[event.source][became] += event.expected_mg
     names = list(plan.recipe.sources)
     samples = tuple(
@@ -98,7 +98,7 @@ class _Moved:
 
     def __init__(self) -> None:
         self.scoops = Counter[str]()
-        self.refilled_mg = Counter[str]()
+        self.refilled_mg = defaultdict[str, float](float)
         self.left: list[Kept | Returned | Discarded] = []
 
     def heard(self, event: Event | Note) -> None:
