@@ -317,11 +317,17 @@ class Bank:
         Until then the integrals of phi and of its slope grow by what `powers` (..., 6) are of.
         """
         left, variances = self._way()
-        mean = np.maximum(way[..., :3] @ left, self._x[:, MASS])
-        variance = way @ variances + (self.misfit * (mean - self._x[:, READING])) ** 2
-        return mean, np.maximum(variance, 0.0) * self.erratic
+        mean, variance = way[..., :3] @ left, way @ variances
+        np.maximum(mean, self._x[:, MASS], out=mean)
+        behind = mean - self._x[:, READING]
+        behind *= self.misfit
+        variance += np.square(behind, out=behind)
+        np.maximum(variance, 0.0, out=variance)
+        variance *= self.erratic
+        return mean, variance
 
     def flow(self, way: Array) -> tuple[Array, Array]:
         """Mean [mg/s] and variance of the flow, by model, (..., H), at openings whose phi and slope `powers` are of."""
         left, variances = self._way()
-        return np.maximum(way[..., 1:3] @ left[1:], 0.0), np.maximum(way[..., 3:] @ variances[3:], 0.0)
+        mean, variance = way[..., 1:3] @ left[1:], way[..., 3:] @ variances[3:]
+        return np.maximum(mean, 0.0, out=mean), np.maximum(variance, 0.0, out=variance)
