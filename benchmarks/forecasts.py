@@ -28,8 +28,9 @@ from scuhand_bt.study.trial import Setup
 PLANT = "harness.random_plants:RandomPlant"
 TRIALS = 8
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
-FAMILIES = {"beads": ("glass_beads", 7), "msg": ("monosodium_glutamate", 7), "lumps": ("titanium_dioxide", 6)}
+FAMILIES = {"beads": ("glass_beads", 12), "msg": ("monosodium_glutamate", 12), "lumps": ("titanium_dioxide", 12)}
 """Powder, and so many recipes."""
+RESULTS = Path(__file__).with_name("forecasts_results.json")
 HEAD = """recipe: foretold
 workflow: {workflow}
 sources:
@@ -93,7 +94,7 @@ def reliability(said: Sequence[float], came: Sequence[bool]) -> list[dict[str, f
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=TRIALS)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, default=RESULTS)
     asked = parser.parse_args()
     found = []
     with tempfile.TemporaryDirectory() as folder:
@@ -117,8 +118,7 @@ def main() -> None:
         "reliability": reliability(said, came),
     }
     print(json.dumps(values, indent=2))
-    if asked.json is not None:
-        asked.json.write_text(json.dumps({**values, "runs": found}, indent=1) + "\n", encoding="utf-8")
+    asked.json.write_text(json.dumps({**values, "runs": found}, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -28,6 +28,8 @@ from py_trees.common import Status
 from harness.kill import BROKEN, journals
 from scuhand_bt.clock import Clock, Steps, Wake
 from scuhand_bt.dosing.cone import Cone
+from scuhand_bt.exit_codes import ExitCode
+from scuhand_bt.failures import SkillFailed
 from scuhand_bt.journal.history import read_history
 from scuhand_bt.lab import Lab, load_lab, starter_lab
 from scuhand_bt.motion import MotionPlanner
@@ -68,8 +70,8 @@ samples: [{id: a, mass: 300 mg}]
 MORTARS = (("mortar_bay", "agate_mortar", "20 g"), ("mortar_bay_2", "small_agate_mortar", "8 g"))
 """Batches take turns with them."""
 MOUNTED_MM, MOUNTED_COUNT, ROLLER = 90.0, 2048, 9
-SCOOPING_S = {"agate_mortar": 10.0, "small_agate_mortar": 17.0}
-"""A run is killed within so much of a scoop's motion, which is about what one scoop from a mortar takes."""
+SCOOPING_S = {"agate_mortar": 5.2, "small_agate_mortar": 7.4}
+"""So long arm or roller are seen to move in a scoop: a run is killed within it, and so does not get through."""
 LOOK_S = 0.005
 MOVED = 1e-3
 """From tick to tick: a joint [rad], or the rim [mm], that has moved."""
@@ -277,7 +279,10 @@ def run_over(folder: Path, plan: Plan, lab: Lab, motion: MotionPlanner, observer
     begun, found = next(journals(runs), None), None
     if begun is not None:
         found = resumable(begun, checked_history(begun), plan, lab, accept_changes=False)
-    session = Session(plan, lab, Options(None, folder=runs), motion, resumes=found)
+    try:
+        session = Session(plan, lab, Options(None, folder=runs), motion, resumes=found)
+    except SkillFailed:  # no device answers, on a computer that is busy: `run` says so, and ends
+        return ExitCode.CELL_FAULT
     if isinstance(observer, OfSession):
         observer.session = session
     try:

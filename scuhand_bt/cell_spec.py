@@ -257,6 +257,11 @@ class BalanceSpec(Spec):
         return 2.0 * self.readability_mg
 
     @property
+    def confirmed_tolerance_mg(self) -> float:
+        """Four digits: of doses within less, fewer than nine in ten are told so (docs/weighing.md has the figures)."""
+        return 4.0 * self.readability_mg
+
+    @property
     def lost_after_s(self) -> float:
         """Without a word for this long, the balance is taken for lost."""
         return max(3.0, 10.0 * self.period_s)

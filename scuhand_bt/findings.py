@@ -74,6 +74,10 @@ SECTIONS: Mapping[str, Mapping[str, Finding]] = {
         "fine-tolerance": Finding(
             "A tolerance below what the balance can tell.", "At least two digits of the balance."
         ),
+        "hardly-told": _warning(
+            "A tolerance of less than four of the balance's digits: many doses are flagged though they are right.",
+            "A wider tolerance, or a balance of finer digits (docs/weighing.md says what is told of which).",
+        ),
         "wide-tolerance": Finding("A tolerance as large as its mass.", "A smaller tolerance, or a larger mass."),
         "too-heavy": Finding("Container and powder are beyond the balance's maximum.", "Less, or a lighter container."),
         "container-overfull": Finding("More goes into a container than it holds.", "Less, or a larger container."),

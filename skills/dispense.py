@@ -344,20 +344,20 @@ class Dispense(Skill[Dose]):
     def _raise_failure(self, cell: Cell, run: DoseRun, dose: Dose) -> None:
         reached = f"{dose.dispensed_mg:.1f} mg of {self.mass_mg:g} mg"
         if run.finish.reason in ("empty", "no_flow"):
-            raise self._gave_out(cell, reached)
+            raise self._gave_out(cell, reached, -dose.error_mg)
         if dose.error_mg > self.tolerance_mg:
             raise SkillFailed(Code.DOSE_OVERSHOOT, f"{reached}: {dose.error_mg:.1f} mg too much")
         if run.finish.reason == "step_limit":
             raise SkillFailed(Code.DOSE_NOT_REACHED, f"{reached} after {dose.pulses} pulses")
 
-    def _gave_out(self, cell: Cell, reached: str) -> SkillFailed:
+    def _gave_out(self, cell: Cell, reached: str, lacked_mg: float) -> SkillFailed:
         """Why no powder comes: an empty cone, a bridge or a poor scoop, or a source that gives nothing.
 
         A valve that does not follow is not among them: the hand has told that, with hand.valve_stuck.
         """
         believed, source = cell.believed, self._source(cell)
         came_mg, held_mg = believed.load.came_mg, believed.cone_mg
-        believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow")
+        believed.gave_out(is_short=self.request(cell).given_up(0.0) == "no_flow", lacked_mg=lacked_mg)
         if source.name in believed.barren_sources:
             barren = f"{BARREN_LOADS} loads in a row from '{source.name}' have brought nothing"
             return SkillFailed(Code.SCOOP_NOTHING, f"{barren}, open and shaken; it is not scooped from any more")

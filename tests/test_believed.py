@@ -59,7 +59,9 @@ VERBS: dict[str, st.SearchStrategy[Callable[[Believed], object]]] = {
     "scooped": st.builds(lambda s, m: lambda b: b.scooped(s, m), sources, masses_mg),
     "emptied": st.just(Believed.emptied),
     "returned": st.builds(lambda n, m: lambda b: b.returned(n, m), names, masses_mg),
-    "gave_out": st.booleans().map(lambda is_short: lambda b: b.gave_out(is_short=is_short)),
+    "gave_out": st.builds(
+        lambda is_short, m: lambda b: b.gave_out(is_short=is_short, lacked_mg=m), st.booleans(), masses_mg
+    ),
     "cone_spilled": st.just(Believed.cone_spilled),
     "source_refilled": st.builds(
         lambda n, m: lambda b: b.source_refilled(n, m), st.sampled_from([*SOURCES]), masses_mg
@@ -323,6 +325,20 @@ def test_two_loads_in_a_row_of_which_nothing_came_make_a_source_barren(
     assert believed.barren_sources == barren
     believed.sources_mended()
     assert believed.barren_sources == set()
+
+
+@pytest.mark.parametrize(("lacked_mg", "barren", "yields"), [(29.9, set(), {}), (30.0, {"beads"}, {"beads": 0.025})])
+def test_loads_that_do_not_give_the_last_milligrams_of_a_dose_tell_nothing_of_their_source(
+    lacked_mg: float, barren: set[str], yields: dict[str, float]
+) -> None:
+    believed = Believed()
+    for came_mg in (100.0, 0.0, 0.0):
+        believed.scooped(BEADS, 4000.0)
+        believed.dosing_ended(came_mg, 0.0)
+        believed.gave_out(is_short=True, lacked_mg=lacked_mg)
+        assert believed.is_load_doubted
+        believed.emptied()
+    assert (believed.barren_sources, believed.yields) == (barren, yields)
 
 
 def test_a_load_that_gives_makes_a_source_as_good_as_new_and_a_leftover_tells_nothing_of_scoops() -> None:

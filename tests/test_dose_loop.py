@@ -17,6 +17,7 @@ from scuhand_bt.events import Note, Pulsed, SkillEvent
 from scuhand_bt.failures import SkillFailed
 from scuhand_bt.record import Record
 from scuhand_bt.run.clock import VirtualClock
+from scuhand_bt.specs import BalanceBelief
 
 EMPTY_MG = 25_000.0
 NOTHING = Net(0.0, 0.0)
@@ -107,6 +108,7 @@ class Loop:
     """Runs the loop on a scripted controller and balance."""
 
     cone_mg = 5000.0
+    lag_s = 0.3
 
     def __init__(self, commands: Iterable[Command], net_mg: Iterable[float]) -> None:
         self.clock = VirtualClock()
@@ -117,7 +119,7 @@ class Loop:
 
     def run(self, against: Reference | None = None) -> DoseRun:
         hand, balance = cast(Hand, self.valve), cast(Balance, self.pan)
-        asked = DoseRequest(100.0, 2.0, 0.3, 2.4, 4.0, 0.1, self.cone_mg)
+        asked = DoseRequest(100.0, 2.0, 0.3, 2.4, 4.0, 0.1, self.cone_mg, balance=BalanceBelief(lag_s=self.lag_s))
         steps = run_dose(self.controller, asked, hand, balance, self.clock, self.record, against or reference())
         try:
             while True:
@@ -191,6 +193,15 @@ def test_what_chance_would_hardly_make_is_watched_on_and_a_filter_is_let_settle_
     ((before, now),) = loop.run().watched
     assert [one.gross_mg - EMPTY_MG - 20.0 for one in (before, now)] == pytest.approx(seen_mg)
     assert now.time_s - before.time_s == pytest.approx(for_s)
+
+
+def test_what_a_slow_filter_has_yet_to_show_of_the_powder_is_no_drift() -> None:
+    loop, shut_s, missing_mg = Loop([Weigh(31.0)], [20.0]), BEGAN_S + 31.0, 0.25
+    loop.lag_s = 1.0
+    loop.pan.creep_mg = (-missing_mg * math.exp(shut_s - loop.clock.now_s) for _ in itertools.count())
+    ((before, now),) = loop.run().watched
+    assert now.gross_mg - before.gross_mg < 0.15 * missing_mg
+    assert now.time_s - before.time_s == pytest.approx(8.0)
 
 
 def test_a_single_reading_is_as_uncertain_as_its_rounding() -> None:

@@ -11,12 +11,13 @@ invariants, whatever happens in whatever order:
 A verb raises ValueError, and changes nothing, where what it tells contradicts what is believed.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-from scuhand_bt.cell.load import HIDDEN, SURPLUS, Load
+from scuhand_bt.cell.load import BARREN_MG, HIDDEN, SURPLUS, Load
 from scuhand_bt.cell.pan_bracket import AS_WRITTEN, READ_ONLY, Bracket, ClosedBracket
 from scuhand_bt.cell_spec import ChangerSpec
 from scuhand_bt.dosing.bracket import Drift, Gross, Net
@@ -184,18 +185,20 @@ class Believed:
         """So much has come back into a source."""
         self.source_holds(source, self.sources_mg.get(source, 0.0) + _mass(mass_mg))
 
-    def gave_out(self, *, is_short: bool) -> None:
+    def gave_out(self, *, is_short: bool, lacked_mg: float = math.inf) -> None:
         """Nothing comes any more, open and shaken: what that tells of the load, and of what the source's scoops bring.
 
         A load that `is_short` gave far less than it was believed to hold: a bridge holds it, or it was a poor scoop.
-        Any other was all of it: what it was thought to hold still never left its source.
+        Any other was all of it: what it was thought to hold still never left its source. Where the dose lacked next to
+        nothing (`lacked_mg`) lumps were waited for through a narrow gap: that tells neither a poor scoop nor none.
         """
         if (name := self.cone_source) is None:
             return
-        load = self.load
+        load, is_wide = self.load, lacked_mg >= BARREN_MG
         if load.scooped_mg > 0.0 and not load.is_barren:
-            self._set(yields={**self.yields, name: load.scoops_share})
-        elif load.scooped_mg > 0.0:
+            if is_wide or not is_short:
+                self._set(yields={**self.yields, name: load.scoops_share})
+        elif load.scooped_mg > 0.0 and is_wide:
             self._set(barren_loads={**self.barren_loads, name: self.barren_loads.get(name, 0) + 1})
             self._lies_beside(name, load.scooped_mg)
         if is_short:

@@ -212,12 +212,15 @@ def run_dose(
                 else:
                     hand.stop()
                 yield from pause(clock, command.wait_s)
+                unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
+                is_watched = clock.now_s - unwatched_since_s > LONGEST_UNWEIGHED_S
+                if is_watched:  # a mean may be stable and still creep by a digit, which would pass for a drift
+                    yield from pause(clock, 2.0 * request.balance.lag_s)
                 mean = yield from balance.stable_mean()
                 seen = weighed(mean)
                 level = 0.0
                 record.event(_pulsed(command, seen, acted_s, mean))
-                unwatched_since_s = watched[-1][1].time_s if watched else reference.before.time_s
-                if mean.time_s - unwatched_since_s > LONGEST_UNWEIGHED_S:
+                if is_watched:
                     looks, digit_mg = [last], balance.spec.readability_mg
                     for _ in range(WATCHES):
                         weighed_s = last.time_s

@@ -21,6 +21,7 @@ from scuhand_bt.lab_state.inventory import Inventory
 from scuhand_bt.problems import Mark, Problem, Problems, SourceError
 from scuhand_bt.recipe.plan import SERVICE, Plan, check_service_workflows, make_plan
 from scuhand_bt.recipe.recipe import Recipe, RecipeGiven, read_recipe
+from scuhand_bt.recipe.sample import Sample
 from scuhand_bt.run.balance_limits import below_usp, beyond_limits
 from scuhand_bt.run.inventory_conflicts import conflicts
 from scuhand_bt.silencers import without_silenced
@@ -120,6 +121,7 @@ def _plan(recipe: Recipe, lab: Lab, problems: Problems, *, fast: bool) -> Plan |
         problems.found += error.problems
         return None
     _check_odds(recipe, problems)
+    _check_telling(recipe, lab, problems)
     if not fast:
         _check_ways(plan, lab, problems)
     return plan
@@ -136,9 +138,28 @@ def _check_odds(recipe: Recipe, problems: Problems) -> None:
             if (chance := chance_with_lumps(tolerance_mg, powder.lump_mg)) < LIKELY:
                 lumps = f"{powder.name} comes in lumps of some {powder.lump_mg:g} mg"
                 what = f"about {chance:.0%} of such samples can be in tolerance (± {tolerance_mg:g} mg): {lumps}"
-                places = (recipe.marks.get(f"samples.{sample.id}.{key}") for key in ("tolerance", "mass", "compose"))
-                mark = next(filter(None, places), Mark(str(recipe.path), 1))
-                problems.warn(mark, what, "ask for a wider tolerance, or see the odds by `plan`", code="unlikely")
+                remedy = "ask for a wider tolerance, or see the odds by `plan`"
+                problems.warn(_tolerance_mark(recipe, sample), what, remedy, code="unlikely")
+
+
+def _check_telling(recipe: Recipe, lab: Lab, problems: Problems) -> None:
+    """Warn of tolerances that the balance's guard band leaves too little of; of those alike, once."""
+    balance, told = lab.cell.balance, set[float]()
+    for sample in recipe.samples:
+        tolerance_mg = sample.least_tolerance_mg
+        if tolerance_mg is None or tolerance_mg in told or not sample.flow.pours:
+            continue
+        told.add(tolerance_mg)
+        if tolerance_mg < balance.confirmed_tolerance_mg:
+            digits = f"digits of {balance.readability_mg:g} mg"
+            what = f"of doses within ± {tolerance_mg:g} mg many will be flagged though they are right: {digits}"
+            remedy = f"from {balance.confirmed_tolerance_mg:g} mg on most are told; or a balance of finer digits"
+            problems.warn(_tolerance_mark(recipe, sample), what, remedy, code="hardly-told")
+
+
+def _tolerance_mark(recipe: Recipe, sample: Sample) -> Mark:
+    places = (recipe.marks.get(f"samples.{sample.id}.{key}") for key in ("tolerance", "mass", "compose"))
+    return next(filter(None, places), Mark(str(recipe.path), 1))
 
 
 def _sound(lab: Lab, errors: Collection[Problem]) -> set[str]:

@@ -2,7 +2,8 @@
 
 Nobody knows how, before a run. Each trial has one such cell, so that a plan's intervals hold what is not known. How far
 apart cells are is assumed, and held against plants of another family by `benchmarks.forecasts`: fresh powder of a lot
-that was never dosed flows at half to twice what was believed, and balances on the market answer within 0.2 to 2 s.
+that was never dosed flows at half to twice what was believed, its lumps depend on how it was stored, and balances on
+the market answer within 0.2 to 2 s.
 """
 
 import math
@@ -15,8 +16,8 @@ from scuhand_bt.sim.powder import OurPowderFlow
 from scuhand_bt.sim.response import OurBalanceResponse
 from scuhand_bt.specs import Powder
 
-FLOW, LAG, NOISE = 0.35, 0.5, 0.3
-"""Standard deviations of the logarithms: of a powder's flow, of the balance's lag and of its noise."""
+FLOW, LUMPS, LAG, NOISE = 0.35, 0.5, 0.5, 0.3
+"""Standard deviations of the logarithms: of a powder's flow and of its lumps' mass, of the balance's lag and noise."""
 SLOWER = 1.5
 """The median balance lags so many times as long as the one in the lab's files."""
 DEAD_MM = 0.03
@@ -30,13 +31,14 @@ class SomeCell:
 
     def __init__(self) -> None:
         rng = np.random.default_rng([self.seed, 0x5CE11])
-        self._flow, self._dead, self._lag, self._noise = rng.standard_normal(4)
+        self._flow, self._dead, self._lag, self._noise, self._lumps = rng.standard_normal(5)
 
     def flow(self, powder: Powder) -> OurPowderFlow:
         ours = powder.simulation
         figures = {
             "flow_coefficient": ours.flow_coefficient * math.exp(FLOW * self._flow),
             "dead_diameter_mm": max(0.0, ours.dead_diameter_mm + DEAD_MM * self._dead),
+            "surge_mg": ours.surge_mg * math.exp(LUMPS * self._lumps),
         }
         return OurPowderFlow(powder.model_copy(update={"simulation": ours.model_copy(update=figures)}))
 
