@@ -99,8 +99,8 @@ def balance_of(step: Step) -> BalanceBelief:
     delay_s, far, last_s = step.delay_s, dict.fromkeys(SHAPES, 0.0), {}
     for shape, (pure, damping) in SHAPES.items():
         times_s = np.array([max(time_s - pure * delay_s, 1e-3) for time_s in step.times_s])
-        model = (np.full_like(times_s, figure) for figure in (delay_s, pure, damping))
-        missing = tuple(transitions(*model, times_s)[0][:, READING, READING].tolist())
+        delays_s, shares, dampings = (np.full_like(times_s, figure) for figure in (delay_s, pure, damping))
+        missing = tuple(transitions(delays_s, shares, dampings, times_s)[0][:, READING, READING].tolist())
         far[shape] = math.dist(missing, step.missing)
         last_s[shape] = step._replace(missing=missing).last_s
     shape = min(far, key=far.__getitem__)
